@@ -1,0 +1,46 @@
+# make demo   - install what is needed, then see through simulated glass; pictures land in demo/
+# make test   - install what is needed, then lint, types, layers and all fast tests
+SHELL := /bin/bash
+PY ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test test-slow bench lint pins clean
+
+$(STAMP): requirements.txt pyproject.toml
+	@if command -v uv >/dev/null; then \
+	  [ -x $(BIN)/python ] || uv venv -q --python $(PY) $(VENV); \
+	  uv pip install -q --python $(BIN)/python -r requirements.txt && uv pip install -q --python $(BIN)/python --no-deps -e .; \
+	else \
+	  [ -x $(BIN)/python ] || $(PY) -m venv $(VENV); \
+	  $(BIN)/python -m pip install -q --disable-pip-version-check -r requirements.txt && \
+	  $(BIN)/python -m pip install -q --disable-pip-version-check --no-deps -e .; \
+	fi
+	@touch $@
+
+demo: $(STAMP)
+	$(BIN)/rtpiv demo -o demo
+
+test: $(STAMP) lint
+	$(BIN)/python -m pytest
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -m slow
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks -o benchmarks/results
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+# Resolve the pinned versions anew (needs uv); the file records versions only.
+pins:
+	uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url \
+	  --all-extras --group test --group lint pyproject.toml -o requirements.txt
+
+clean:
+	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache

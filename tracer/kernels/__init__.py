@@ -1,0 +1,1 @@
+"""Numba kernels: scalars and contiguous arrays in, results out, nothing else."""

@@ -1,0 +1,48 @@
+"""The only place where numba options are chosen.
+
+Every kernel of every package is compiled through ``kernel``:
+
+* ``fastmath={"contract"}`` allows a*b + c to become one FMA and nothing else.  NaN keeps its meaning,
+  comparisons stay exact, and the same bits come out for any number of threads, blocks and runs.
+* ``error_model="numpy"``: 0/0 is NaN, never an exception inside a loop.
+* ``nogil=True``: the row scheduler (tracer.rows) runs kernels on all cores from ordinary threads.
+* ``cache=True`` with a cache folder whose name is the digest of all kernel files.  Numba's own cache key
+  is the content of the *defining* file only; after an edit in a callee's file it silently returns
+  numbers of the old code.  A new digest is a new folder, so that cannot happen.
+
+``kernel`` functions take scalars and contiguous arrays, write into ``out`` arguments that stand last,
+allocate nothing and raise nothing.  Each is also tested as plain Python through ``.py_func``.
+"""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _digest(root: Path) -> str:
+    """Digest of all kernel sources below `root` and of the numba version."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in sorted(root.glob("*/kernels/*.py")):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def _cache_dir() -> Path:
+    """Folder for compiled kernels: below RTPIV_CACHE, else the user's cache folder."""
+    base = os.environ.get("RTPIV_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "rtpiv" / _digest(Path(__file__).resolve().parents[2])
+
+
+numba.config.CACHE_DIR = str(_cache_dir())  # type: ignore[attr-defined]
+
+
+def kernel(function: F) -> F:
+    """Compile `function` with the house options; ``.py_func`` stays reachable."""
+    compiled: F = numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(function)
+    return compiled
