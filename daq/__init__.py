@@ -1,1 +1,1 @@
-"""daq"""
+"""The bench, the run, the command line."""

@@ -1,1 +1,1 @@
-"""sim"""
+"""The simulated bench: real protocols, simulated physics."""

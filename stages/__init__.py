@@ -1,1 +1,1 @@
-"""stages"""
+"""Serial motion: axes in mm over controllers that speak bytes."""

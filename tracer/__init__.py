@@ -1,1 +1,1 @@
-"""tracer"""
+"""Scene and rays: how the glass bends the view of the investigation plane."""

@@ -18,7 +18,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numba
 
@@ -44,5 +44,5 @@ numba.config.CACHE_DIR = str(_cache_dir())  # type: ignore[attr-defined]
 
 def kernel(function: F) -> F:
     """Compile `function` with the house options; ``.py_func`` stays reachable."""
-    compiled: F = numba.njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")(function)
-    return compiled
+    options: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+    return cast("F", numba.njit(**options)(function))

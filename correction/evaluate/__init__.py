@@ -1,0 +1,1 @@
+"""What judges the correction: PIV, uncertainty, figures of merit, report."""

@@ -1,0 +1,193 @@
+"""The camera: where a pixel looks.
+
+A pinhole at ``position_mm`` with the sensor ``focal_px`` behind it, turned by ``rotation`` (rows are the
+camera's x, y, z axes in world coordinates, so  d_cam = rotation @ d_world;  camera frame as in OpenCV:
+x right, y down, z forward).  Pixel (0, 0) is the centre of the top-left pixel.
+
+Lens terms map the ACQUIRED pixel to the IDEAL pinhole pixel, because that is the direction in which rays
+are traced; no iteration stands between a pixel and its ray.  With x = (u - c_u)/focal_px, y likewise,
+r^2 = x^2 + y^2:
+
+    x_ideal = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
+    y_ideal = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
+
+(Brown, Photogramm. Eng. 32, 444 (1966), used from distorted to ideal.)  Positive k1 undoes barrel distortion.
+
+Thin lens: a lens of focal length f focused on a plane at distance L has its image at
+d_i = 1/(1/f - 1/L), hence focal_px = d_i / pixel pitch, and the scale on the plane is f/(L - f) / pitch.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tracer.errors import SceneError
+
+Vector3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Distortion terms, acquired -> ideal, in units of the focal length (see module docstring)."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    @property
+    def is_ideal(self) -> bool:
+        """True if every term is zero."""
+        return not (self.k1 or self.k2 or self.k3 or self.p1 or self.p2)
+
+    def terms(self) -> NDArray[np.float64]:
+        """Terms as an array (5,): k1, k2, k3, p1, p2."""
+        return np.array([self.k1, self.k2, self.k3, self.p1, self.p2])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with lens terms.
+
+    Parameters
+    ----------
+    focal_px : float
+        Distance pinhole to sensor in pixels.
+    principal_px : (float, float)
+        Pixel (u, v) on the optical axis.
+    sensor_px : (int, int)
+        Width and height.
+    position_mm : (float, float, float)
+        Pinhole in world coordinates.
+    rotation : 3 x 3 nested tuple
+        World direction -> camera direction, orthonormal, determinant +1.
+    lens : Lens
+        Distortion terms.
+    """
+
+    focal_px: float
+    principal_px: tuple[float, float]
+    sensor_px: tuple[int, int]
+    position_mm: Vector3
+    rotation: tuple[Vector3, Vector3, Vector3]
+    lens: Lens = field(default_factory=Lens)
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.rotation)
+        if not self.focal_px > 0.0:
+            raise SceneError("the camera's focal length must be positive")
+        if min(self.sensor_px) < 1:
+            raise SceneError("the camera's sensor must have at least one pixel each way")
+        if not self.position_mm[2] > 0.0:
+            raise SceneError("the camera must stand in front of the investigation plane, at z > 0")
+        if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-9) or np.linalg.det(matrix) < 0.0:
+            raise SceneError("the camera's rotation must be orthonormal and right-handed")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Image shape (rows, columns)."""
+        return self.sensor_px[1], self.sensor_px[0]
+
+    @property
+    def rotation_matrix(self) -> NDArray[np.float64]:
+        """World -> camera rotation (3, 3)."""
+        return np.array(self.rotation)
+
+    def ideal(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Ideal pinhole pixels (..., 2) of acquired pixels (..., 2): the lens terms applied."""
+        acquired = np.asarray(pixels, dtype=np.float64)
+        if self.lens.is_ideal:
+            return acquired.copy()
+        centre = np.array(self.principal_px)
+        xy = (acquired - centre) / self.focal_px
+        x, y = xy[..., 0], xy[..., 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (self.lens.k1 + r2 * (self.lens.k2 + r2 * self.lens.k3))
+        p1, p2 = self.lens.p1, self.lens.p2
+        out = np.stack(
+            (
+                x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+                y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+            ),
+            axis=-1,
+        )
+        return np.asarray(centre + self.focal_px * out)
+
+    def directions(self, pixels: ArrayLike) -> NDArray[np.float64]:
+        """Unit world directions (..., 3) of the rays through acquired pixels (..., 2)."""
+        ideal = self.ideal(pixels)
+        xy = (ideal - np.array(self.principal_px)) / self.focal_px
+        local = np.concatenate((xy, np.ones((*xy.shape[:-1], 1))), axis=-1)
+        world = local @ self.rotation_matrix
+        return np.asarray(world / np.linalg.norm(world, axis=-1, keepdims=True))
+
+    def project_ideal(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+        """Ideal pinhole pixels (..., 2) of world points (..., 3) [mm]; NaN behind the camera."""
+        local = (np.asarray(points_mm, dtype=np.float64) - np.array(self.position_mm)) @ self.rotation_matrix.T
+        depth = np.where(local[..., 2:] > 0.0, local[..., 2:], np.nan)
+        return np.asarray(np.array(self.principal_px) + self.focal_px * local[..., :2] / depth)
+
+    def acquired(self, ideal_px: ArrayLike) -> NDArray[np.float64]:
+        """Acquired pixels (..., 2) of ideal pinhole pixels (..., 2): the inverse of `ideal`.
+
+        Notes
+        -----
+        Fixed point x <- x_ideal - (ideal(x) - x); the terms are small, each round gains at least a digit.
+        Pixels where it does not settle within 60 rounds (far outside any sensor) are NaN.
+        """
+        wanted = np.asarray(ideal_px, dtype=np.float64)
+        if self.lens.is_ideal:
+            return wanted.copy()
+        acquired = wanted.copy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(60):
+                step = wanted - self.ideal(acquired)
+                acquired = acquired + step
+            acquired[~(np.abs(wanted - self.ideal(acquired)).max(axis=-1) < 1e-9)] = np.nan
+        return acquired
+
+    def project(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+        """Acquired pixels (..., 2) of world points (..., 3) [mm] seen directly, without glass."""
+        return self.acquired(self.project_ideal(points_mm))
+
+
+def thin_lens_distance_mm(f_mm: float, focus_mm: float) -> float:
+    """Image distance d_i = 1/(1/f - 1/L) of a lens focused on a plane at distance L [mm].
+
+    Raises
+    ------
+    SceneError
+        The plane is not beyond the focal length, so no real image exists.
+    """
+    if not focus_mm > f_mm > 0.0:
+        raise SceneError(f"a lens of f = {f_mm:g} mm cannot focus at L = {focus_mm:g} mm; L must exceed f")
+    return 1.0 / (1.0 / f_mm - 1.0 / focus_mm)
+
+
+def look_at(position_mm: Vector3, target_mm: Vector3, roll_rad: float = 0.0) -> tuple[Vector3, Vector3, Vector3]:
+    """Rotation of a camera at `position_mm` whose axis meets `target_mm`.
+
+    The camera's up direction is (sin roll, cos roll, 0) made orthogonal to the axis: positive roll leans
+    the camera's top towards +x.
+
+    Raises
+    ------
+    SceneError
+        Position and target coincide, or the camera looks along its up direction.
+    """
+    forward = np.array(target_mm, dtype=np.float64) - np.array(position_mm, dtype=np.float64)
+    distance = float(np.linalg.norm(forward))
+    if distance == 0.0:
+        raise SceneError("the camera cannot look at its own position; move position_mm or look_at_mm")
+    forward /= distance
+    up = np.array([np.sin(roll_rad), np.cos(roll_rad), 0.0])
+    up -= (up @ forward) * forward
+    length = float(np.linalg.norm(up))
+    if length < 1e-9:
+        raise SceneError("the camera looks straight along its up direction; give another pose")
+    up /= length
+    right = np.cross(forward, up)
+    rows = (right, -up, forward)
+    return tuple((float(row[0]), float(row[1]), float(row[2])) for row in rows)  # type: ignore[return-value]

@@ -1,0 +1,118 @@
+"""Refractive media: n as a function of the vacuum wavelength.
+
+A refractive index is meaningless without its wavelength, so nothing here hands one out without being
+given ``wavelength_nm``.  Glasses follow Sellmeier's equation
+
+    n^2(lambda) = 1 + sum_i B_i lambda^2 / (lambda^2 - C_i),      lambda in um, C_i in um^2.
+
+Sources of the coefficients (all at about 20 C):
+
+* N-BK7, N-BK10, N-K5: Schott optical glass data sheets.
+* fused-silica: Malitson, J. Opt. Soc. Am. 55, 1205 (1965).
+* PMMA: Sultanova, Kasarova, Nikolov, Acta Phys. Pol. A 116, 585 (2009), one term.
+* air: Ciddor, Appl. Opt. 35, 1566 (1996), dry, 15 C, 101.325 kPa, 450 ppm CO2.
+"""
+
+from dataclasses import dataclass
+
+from tracer.errors import SceneError
+
+VISIBLE_NM = (300.0, 2000.0)  # where every formula below is used inside its measured range
+
+
+@dataclass(frozen=True)
+class ConstantMedium:
+    """A medium whose index is given, for the wavelength in use, by one number."""
+
+    index: float
+    name: str = ""
+
+    def n(self, wavelength_nm: float) -> float:
+        """Return the given index, whatever the wavelength."""
+        return self.index
+
+
+@dataclass(frozen=True)
+class SellmeierMedium:
+    """A glass described by Sellmeier coefficients.
+
+    Parameters
+    ----------
+    b : tuple of float
+        B_i, dimensionless.
+    c_um2 : tuple of float
+        C_i [um^2], as many as B_i.
+    name : str
+        Name in messages and files.
+    """
+
+    b: tuple[float, ...]
+    c_um2: tuple[float, ...]
+    name: str = ""
+
+    def n(self, wavelength_nm: float) -> float:
+        """Refractive index at a vacuum wavelength [nm].
+
+        Raises
+        ------
+        SceneError
+            The wavelength lies on a resonance or outside 300-2000 nm.
+        """
+        check_wavelength(wavelength_nm)
+        square_um2 = (wavelength_nm * 1e-3) ** 2
+        epsilon = 1.0 + sum(
+            b * square_um2 / (square_um2 - c) for b, c in zip(self.b, self.c_um2, strict=True) if square_um2 != c
+        )
+        if not epsilon >= 1.0:
+            raise SceneError(f"the coefficients of glass {self.name!r} give no real n at {wavelength_nm:g} nm")
+        return float(epsilon**0.5)
+
+
+@dataclass(frozen=True)
+class AirMedium:
+    """Standard dry air after Ciddor (1996)."""
+
+    name: str = "air"
+
+    def n(self, wavelength_nm: float) -> float:
+        """Refractive index at a vacuum wavelength [nm], about 1.00028 in green light."""
+        check_wavelength(wavelength_nm)
+        wavenumber2 = (1e3 / wavelength_nm) ** 2
+        return 1.0 + 0.05792105 / (238.0185 - wavenumber2) + 0.00167917 / (57.362 - wavenumber2)
+
+
+Medium = ConstantMedium | SellmeierMedium | AirMedium
+
+VACUUM = ConstantMedium(1.0, "vacuum")
+
+MEDIA: dict[str, Medium] = {
+    medium.name: medium
+    for medium in (
+        VACUUM,
+        AirMedium(),
+        SellmeierMedium((1.03961212, 0.231792344, 1.01046945), (0.00600069867, 0.0200179144, 103.560653), "N-BK7"),
+        SellmeierMedium(
+            (0.888308131, 0.328964475, 0.984610769), (0.00516900822, 0.0161190045, 99.7575331), "N-BK10"
+        ),
+        SellmeierMedium((1.08511833, 0.199562005, 0.930511663), (0.00661099503, 0.024110866, 111.982777), "N-K5"),
+        SellmeierMedium(
+            (0.6961663, 0.4079426, 0.8974794),
+            (0.0684043**2, 0.1162414**2, 9.896161**2),
+            "fused-silica",
+        ),
+        SellmeierMedium((1.1819,), (0.011313,), "PMMA"),
+    )
+}
+
+
+def check_wavelength(wavelength_nm: float) -> None:
+    """Refuse wavelengths outside the range in which the dispersion formulas hold.
+
+    Raises
+    ------
+    SceneError
+        Not within 300-2000 nm.
+    """
+    low, high = VISIBLE_NM
+    if not low <= wavelength_nm <= high:
+        raise SceneError(f"wavelength {wavelength_nm:g} nm is outside {low:g}-{high:g} nm; give it in nanometres")

@@ -1,0 +1,162 @@
+"""The scene: camera, bodies, ambient medium, wavelength.
+
+The investigation plane is z = 0 and the camera looks at it from z > 0.  Bodies may touch each other, the
+plane, and nothing more: contact is legal, overlap is refused.  Bodies wholly behind the plane are legal
+and never seen.
+
+A scene is a value: frozen, comparable, with a content hash over every number that changes a ray (names
+and the order of the bodies do not).  The hash travels into every map and every corrected frame.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.bodies import Body, Rod, Sphere
+from tracer.camera import Camera
+from tracer.errors import SceneError
+from tracer.media import VACUUM, Medium, check_wavelength
+
+CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Camera and bodies in front of the investigation plane z = 0.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    bodies : tuple of Body
+        Any order, any arrangement.
+    wavelength_nm : float
+        Vacuum wavelength at which every index is taken.
+    ambient : Medium
+        What fills the room between the bodies.
+
+    Raises
+    ------
+    SceneError
+        Bodies overlap, one reaches through the plane, the camera is inside one, n < 1, or two share a name.
+    """
+
+    camera: Camera
+    bodies: tuple[Body, ...] = ()
+    wavelength_nm: float = 532.0
+    ambient: Medium = VACUUM
+
+    def __post_init__(self) -> None:
+        check_wavelength(self.wavelength_nm)
+        problems = [*self._index_problems(), *self._place_problems(), *self._overlap_problems()]
+        if problems:
+            raise SceneError("; ".join(problems))
+
+    @property
+    def n_ambient(self) -> float:
+        """Index of the ambient medium at the scene's wavelength."""
+        return self.ambient.n(self.wavelength_nm)
+
+    @property
+    def spheres(self) -> tuple[Sphere, ...]:
+        """The spheres in front of the plane, in file order."""
+        return tuple(body for body in self.bodies if isinstance(body, Sphere) and body.highest_mm > CONTACT_TOL_MM)
+
+    @property
+    def rods(self) -> tuple[Rod, ...]:
+        """The rods in front of the plane, in file order."""
+        return tuple(body for body in self.bodies if isinstance(body, Rod) and body.highest_mm > CONTACT_TOL_MM)
+
+    def with_bodies(self, bodies: Sequence[Body]) -> "Scene":
+        """Return the same scene with other bodies."""
+        return replace(self, bodies=tuple(bodies))
+
+    def with_camera(self, camera: Camera) -> "Scene":
+        """Return the same scene with another camera."""
+        return replace(self, camera=camera)
+
+    def sphere_table(self) -> NDArray[np.float64]:
+        """Spheres for the kernels: (N, 6) float64, rows x, y, z, radius [mm], n / n_ambient, opaque (0 or 1)."""
+        table = np.empty((len(self.spheres), 6))
+        for row, sphere in zip(table, self.spheres, strict=True):
+            relative = 1.0 if sphere.medium is None else sphere.medium.n(self.wavelength_nm) / self.n_ambient
+            row[:] = (*sphere.centre_mm, sphere.radius_mm, relative, float(sphere.medium is None))
+        return table
+
+    def rod_table(self) -> NDArray[np.float64]:
+        """Rods for the kernels: (N, 7) float64, rows start x, y, z, end x, y, z, radius [mm]."""
+        table = np.empty((len(self.rods), 7))
+        for row, rod in zip(table, self.rods, strict=True):
+            row[:] = (*rod.start_mm, *rod.end_mm, rod.radius_mm)
+        return table
+
+    def content_hash(self) -> str:
+        """Hex digest (16 characters) of every number that changes a ray."""
+        camera = self.camera
+        numbers = [
+            [*camera.position_mm, *np.ravel(camera.rotation), camera.focal_px, *camera.principal_px],
+            [*map(float, camera.sensor_px), *camera.lens.terms(), self.n_ambient],
+        ]
+        numbers += sorted([0.0, *row] for row in self.sphere_table().tolist())
+        numbers += sorted([1.0, *row] for row in self.rod_table().tolist())
+        text = "\n".join(" ".join(float(x).hex() for x in row) for row in numbers)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def _index_problems(self) -> list[str]:
+        media = [(f"sphere {s.name!r}", s.medium) for s in self.bodies if isinstance(s, Sphere) and s.medium]
+        return [
+            f"{who}: n = {medium.n(self.wavelength_nm):g} at {self.wavelength_nm:g} nm is below 1"
+            for who, medium in [("ambient", self.ambient), *media]
+            if not medium.n(self.wavelength_nm) >= 1.0
+        ]
+
+    def _place_problems(self) -> list[str]:
+        camera = np.array(self.camera.position_mm)
+        problems = []
+        names = [body.name for body in self.bodies]
+        for name in sorted({name for name in names if names.count(name) > 1}):
+            problems.append(f"two bodies are called {name!r}; give each its own name")
+        for body in self.bodies:
+            if body.distance_mm(camera) <= 0.0:
+                problems.append(f"the camera is inside body {body.name!r}")
+            if body.lowest_mm < -CONTACT_TOL_MM and body.highest_mm > CONTACT_TOL_MM:
+                problems.append(
+                    f"body {body.name!r} reaches through the investigation plane by {-body.lowest_mm:.6g} mm; "
+                    "it may touch z = 0 but not cross it"
+                )
+        return problems
+
+    def _overlap_problems(self) -> list[str]:
+        problems = []
+        spheres = [body for body in self.bodies if isinstance(body, Sphere)]
+        for one, other in _touching_pairs(spheres):
+            gap = one.distance_mm(np.array(other.centre_mm)) - other.radius_mm
+            if gap < -CONTACT_TOL_MM:
+                problems.append(
+                    f"bodies {one.name!r} and {other.name!r} overlap by {-gap:.6g} mm; they may touch, not overlap"
+                )
+        for rod in (body for body in self.bodies if isinstance(body, Rod)):
+            for sphere in spheres:
+                gap = rod.distance_mm(np.array(sphere.centre_mm)) - sphere.radius_mm
+                if gap < -CONTACT_TOL_MM:
+                    problems.append(
+                        f"bodies {rod.name!r} and {sphere.name!r} overlap by {-gap:.6g} mm; "
+                        "they may touch, not overlap"
+                    )
+        return problems
+
+
+def _touching_pairs(spheres: list[Sphere]) -> list[tuple[Sphere, Sphere]]:
+    """Pairs whose bounding boxes meet; sorting along x keeps a bed of a thousand spheres quick."""
+    ordered = sorted(spheres, key=lambda s: s.centre_mm[0] - s.radius_mm)
+    pairs = []
+    for index, one in enumerate(ordered):
+        right = one.centre_mm[0] + one.radius_mm
+        for other in ordered[index + 1 :]:
+            if other.centre_mm[0] - other.radius_mm > right:
+                break
+            pairs.append((one, other))
+    return pairs
