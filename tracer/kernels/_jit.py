@@ -21,7 +21,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numpy.typing import NDArray
 
+Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
 F = TypeVar("F", bound=Callable[..., Any])
 
 

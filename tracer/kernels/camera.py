@@ -1,0 +1,73 @@
+"""Pixels to rays.
+
+The camera arrives as one array (20,): position x, y, z; rotation rows (world -> camera, 9); focal_px;
+principal u, v; lens k1, k2, k3, p1, p2 (acquired -> ideal, equations in ``tracer.camera``).
+"""
+
+import math
+
+from tracer.kernels._jit import Array, kernel
+
+
+@kernel
+def ideal_xy(u: float, v: float, camera: Array) -> tuple[float, ...]:
+    """Ideal image coordinates x, y in units of the focal length, and their derivatives by u and v."""
+    focal = camera[12]
+    x, y = (u - camera[13]) / focal, (v - camera[14]) / focal
+    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    if k1 == 0.0 and k2 == 0.0 and k3 == 0.0 and p1 == 0.0 and p2 == 0.0:
+        return x, y, 1.0 / focal, 0.0, 0.0, 1.0 / focal
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)  # d radial / d r2
+    xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+    yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    return (
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        xx / focal,
+        xy / focal,
+        xy / focal,
+        yy / focal,
+    )
+
+
+@kernel
+def to_world(x: float, y: float, z: float, camera: Array) -> tuple[float, ...]:
+    """World components of a camera vector."""
+    return (
+        camera[3] * x + camera[6] * y + camera[9] * z,
+        camera[4] * x + camera[7] * y + camera[10] * z,
+        camera[5] * x + camera[8] * y + camera[11] * z,
+    )
+
+
+@kernel
+def pixel_ray(u: float, v: float, camera: Array) -> tuple[float, ...]:
+    """Unit direction of the ray through acquired pixel (u, v)."""
+    x, y, _, _, _, _ = ideal_xy(u, v, camera)
+    scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
+    return to_world(x * scale, y * scale, scale, camera)
+
+
+@kernel
+def unit_tangent(
+    dx: float, dy: float, dz: float, scale: float, ex: float, ey: float, ez: float
+) -> tuple[float, ...]:
+    """Give the derivative of v/|v| when v = d/scale changes by e: the part of e across d, scaled."""
+    along = dx * ex + dy * ey + dz * ez
+    return (ex - along * dx) * scale, (ey - along * dy) * scale, (ez - along * dz) * scale
+
+
+@kernel
+def pixel_ray_tangents(u: float, v: float, camera: Array) -> tuple[float, ...]:
+    """Unit direction through (u, v) and its derivatives by u and by v: nine numbers."""
+    x, y, xu, xv, yu, yv = ideal_xy(u, v, camera)
+    scale = 1.0 / math.sqrt(x * x + y * y + 1.0)
+    dx, dy, dz = to_world(x * scale, y * scale, scale, camera)
+    ex, ey, ez = to_world(xu, yu, 0.0, camera)
+    ux, uy, uz = unit_tangent(dx, dy, dz, scale, ex, ey, ez)
+    ex, ey, ez = to_world(xv, yv, 0.0, camera)
+    vx, vy, vz = unit_tangent(dx, dy, dz, scale, ex, ey, ez)
+    return dx, dy, dz, ux, uy, uz, vx, vy, vz

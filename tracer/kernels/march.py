@@ -1,0 +1,186 @@
+"""One ray from body to body to the investigation plane, without any epsilon.
+
+Bodies are convex and disjoint (contact at most).  Three facts replace every tolerance:
+
+* A ray that has left a body cannot meet it again on the same straight line, so the body just left is
+  excluded by number, not by a minimum distance.  Any distance sends some rays near a contact astray.
+* The chords that disjoint convex bodies cut from a line are disjoint, so their order is the order of any
+  points inside them: foot points decide which body comes first; no entry point is computed.
+  A ray that leaves a sphere is taken from its foot point in that sphere, which lies before every later chord.
+* All bodies lie in front of the plane, so every hit comes before the plane.  The plane is asked last, and
+  only whether the ray goes down; a sphere that touches the plane needs no special care.
+
+``spheres`` is (N, 6): centre, radius, relative index, opaque; ``rods`` is (M, 7): see ``tracer.scene``.
+The branch key is a 43-bit hash of the sequence of spheres crossed; 1 is the direct view.
+"""
+
+import math
+
+from tracer.kernels._jit import Array, kernel
+from tracer.kernels.camera import pixel_ray_tangents
+from tracer.kernels.rod import meets_rod
+from tracer.kernels.sphere import (
+    angles,
+    foot,
+    foot_tangent,
+    through,
+    through_rates,
+    transmittance,
+    turned,
+    turned_tangent,
+)
+
+RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS = 0, 1, 2, 3, 4  # RayStatus, as plain integers
+MAX_EVENTS = 64  # bodies crossed by one ray; a bed of a thousand spheres stays below 20
+DIRECT = 1  # branch key of the direct view
+KEY_MASK = (1 << 43) - 1  # with the factor below the product stays inside 63 bits
+ROD = -2
+
+
+@kernel
+def next_key(key: int, body: int) -> int:
+    """Branch key after crossing sphere number `body`."""
+    return (key * 1000003 + body + 2) & KEY_MASK
+
+
+@kernel
+def next_body(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, spheres: Array, rods: Array
+) -> int:
+    """Number of the sphere met next, ROD, or -1 for none; the half-line starts at p and `last` is excluded."""
+    best = -1
+    nearest = math.inf
+    for i in range(spheres.shape[0]):
+        if i != last:
+            wx, wy, wz = px - spheres[i, 0], py - spheres[i, 1], pz - spheres[i, 2]
+            m = -(wx * dx + wy * dy + wz * dz)
+            if 0.0 < m < nearest:
+                ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
+                if ax * ax + ay * ay + az * az < spheres[i, 3] * spheres[i, 3]:
+                    best, nearest = i, m
+    for i in range(rods.shape[0]):
+        t = meets_rod(px, py, pz, dx, dy, dz, rods[i])
+        if t < nearest:
+            best, nearest = ROD, t
+    return best
+
+
+@kernel
+def march(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, spheres: Array, rods: Array
+) -> tuple[float, ...]:
+    """Trace one ray: status, plane x, y, direction, optical path / n_ambient, transmittance, key, events."""
+    key, events = DIRECT, 0
+    path, passed = 0.0, 1.0
+    last = -1
+    while True:
+        body = next_body(px, py, pz, dx, dy, dz, last, spheres, rods)
+        if body == -1:
+            break
+        if body == ROD or spheres[body, 5] != 0.0:
+            return BLOCKED, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+        if events == MAX_EVENTS:
+            return TOO_MANY_EVENTS, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+        cx, cy, cz, radius, n = (
+            spheres[body, 0],
+            spheres[body, 1],
+            spheres[body, 2],
+            spheres[body, 3],
+            spheres[body, 4],
+        )
+        m, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
+        b2 = ax * ax + ay * ay + az * az
+        key = next_key(key, body)
+        events += 1
+        if b2 < radius * radius:  # else rounding made a tangent of it: it passes
+            if b2 >= n * n * radius * radius:
+                return TIR, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+            cos_i, cos_t = angles(b2, radius, n)
+            surface = transmittance(cos_i, cos_t, n)
+            passed *= surface * surface
+            path += m + 2.0 * radius * (n * cos_t - cos_i)
+            cosine, q = through(b2, radius, n, cos_i, cos_t)
+            ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
+        else:
+            path += m
+        px, py, pz = cx + ax, cy + ay, cz + az
+        last = body
+    if not dz < 0.0:
+        return MISSED_PLANE, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+    t = -pz / dz
+    return RECOVERED, px + t * dx, py + t * dy, dx, dy, dz, path + t, passed, key, events
+
+
+@kernel
+def march_pixel_tangents(u: float, v: float, camera: Array, spheres: Array, rods: Array) -> tuple[float, ...]:
+    """Trace the ray of acquired pixel (u, v) with its derivatives by u and v.
+
+    Returns status, x, y, dx/du, dx/dv, dy/du, dy/dv, transmittance, key, events.  The tangents of foot
+    point and direction go through the same turns as the ray itself.
+    """
+    dx, dy, dz, ux, uy, uz, vx, vy, vz = pixel_ray_tangents(u, v, camera)
+    px, py, pz = camera[0], camera[1], camera[2]
+    fx = fy = fz = gx = gy = gz = 0.0  # derivatives of p by u and by v
+    key, events = DIRECT, 0
+    passed = 1.0
+    last = -1
+    nan = math.nan
+    while True:
+        body = next_body(px, py, pz, dx, dy, dz, last, spheres, rods)
+        if body == -1:
+            break
+        if body == ROD or spheres[body, 5] != 0.0:
+            return BLOCKED, nan, nan, nan, nan, nan, nan, 0.0, key, events
+        if events == MAX_EVENTS:
+            return TOO_MANY_EVENTS, nan, nan, nan, nan, nan, nan, 0.0, key, events
+        cx, cy, cz, radius, n = (
+            spheres[body, 0],
+            spheres[body, 1],
+            spheres[body, 2],
+            spheres[body, 3],
+            spheres[body, 4],
+        )
+        wx, wy, wz = px - cx, py - cy, pz - cz
+        m, ax, ay, az = foot(wx, wy, wz, dx, dy, dz)
+        b2 = ax * ax + ay * ay + az * az
+        key = next_key(key, body)
+        events += 1
+        fx, fy, fz = foot_tangent(wx, wy, wz, dx, dy, dz, m, fx, fy, fz, ux, uy, uz)
+        gx, gy, gz = foot_tangent(wx, wy, wz, dx, dy, dz, m, gx, gy, gz, vx, vy, vz)
+        if b2 < radius * radius:
+            if b2 >= n * n * radius * radius:
+                return TIR, nan, nan, nan, nan, nan, nan, 0.0, key, events
+            cos_i, cos_t = angles(b2, radius, n)
+            surface = transmittance(cos_i, cos_t, n)
+            passed *= surface * surface
+            cosine, q = through(b2, radius, n, cos_i, cos_t)
+            rate = 2.0 * (ax * fx + ay * fy + az * fz)
+            cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, rate, 0.0, 0.0)
+            fx, fy, fz, ux, uy, uz = turned_tangent(
+                ax, ay, az, dx, dy, dz, b2, cosine, q, fx, fy, fz, ux, uy, uz, rate, cosine_rate, q_rate
+            )
+            rate = 2.0 * (ax * gx + ay * gy + az * gz)
+            cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, rate, 0.0, 0.0)
+            gx, gy, gz, vx, vy, vz = turned_tangent(
+                ax, ay, az, dx, dy, dz, b2, cosine, q, gx, gy, gz, vx, vy, vz, rate, cosine_rate, q_rate
+            )
+            ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
+        px, py, pz = cx + ax, cy + ay, cz + az
+        last = body
+    if not dz < 0.0:
+        return MISSED_PLANE, nan, nan, nan, nan, nan, nan, 0.0, key, events
+    t = -pz / dz
+    tu = -(fz + t * uz) / dz
+    tv = -(gz + t * vz) / dz
+    return (
+        RECOVERED,
+        px + t * dx,
+        py + t * dy,
+        fx + tu * dx + t * ux,
+        gx + tv * dx + t * vx,
+        fy + tu * dy + t * uy,
+        gy + tv * dy + t * vy,
+        passed,
+        key,
+        events,
+    )
