@@ -40,7 +40,19 @@ class ConfigError(TracerError):
 
 
 class SceneError(TracerError):
-    """The scene cannot exist as described; the message names the bodies and the cure."""
+    """The scene cannot exist as described; the message names the bodies and the cure.
+
+    Parameters
+    ----------
+    text : str
+        What is wrong, or the first problem.
+    problems : list of (str, str), optional
+        Every problem as (name of the body at fault or "", sentence).
+    """
+
+    def __init__(self, text: str = "", problems: list[tuple[str, str]] | None = None) -> None:
+        self.problems = problems or [("", text)]
+        super().__init__("; ".join(sentence for _, sentence in self.problems))
 
 
 class MapFileError(TracerError):

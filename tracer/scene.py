@@ -53,7 +53,7 @@ class Scene:
         check_wavelength(self.wavelength_nm)
         problems = [*self._index_problems(), *self._place_problems(), *self._overlap_problems()]
         if problems:
-            raise SceneError("; ".join(problems))
+            raise SceneError(problems=problems)
 
     @property
     def n_ambient(self) -> float:
@@ -102,55 +102,50 @@ class Scene:
         ]
         numbers += sorted([0.0, *row] for row in self.sphere_table().tolist())
         numbers += sorted([1.0, *row] for row in self.rod_table().tolist())
-        text = "\n".join(" ".join(float(x).hex() for x in row) for row in numbers)
+        text = "\n".join(" ".join((float(x) + 0.0).hex() for x in row) for row in numbers)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
-    def _index_problems(self) -> list[str]:
-        media = [(f"sphere {s.name!r}", s.medium) for s in self.bodies if isinstance(s, Sphere) and s.medium]
+    def _index_problems(self) -> list[tuple[str, str]]:
+        media = [("", "ambient", self.ambient)]
+        for body in self.bodies:
+            if isinstance(body, Sphere) and body.medium is not None:
+                media.append((body.name, f"sphere {body.name!r}", body.medium))
         return [
-            f"{who}: n = {medium.n(self.wavelength_nm):g} at {self.wavelength_nm:g} nm is below 1"
-            for who, medium in [("ambient", self.ambient), *media]
+            (name, f"{who}: n = {medium.n(self.wavelength_nm):g} at {self.wavelength_nm:g} nm is below 1")
+            for name, who, medium in media
             if not medium.n(self.wavelength_nm) >= 1.0
         ]
 
-    def _place_problems(self) -> list[str]:
+    def _place_problems(self) -> list[tuple[str, str]]:
         camera = np.array(self.camera.position_mm)
-        problems = []
         names = [body.name for body in self.bodies]
-        for name in sorted({name for name in names if names.count(name) > 1}):
-            problems.append(f"two bodies are called {name!r}; give each its own name")
+        problems = [
+            (name, f"two bodies are called {name!r}; give each its own name")
+            for name in sorted({name for name in names if names.count(name) > 1})
+        ]
         for body in self.bodies:
             if body.distance_mm(camera) <= 0.0:
-                problems.append(f"the camera is inside body {body.name!r}")
+                problems.append((body.name, f"the camera is inside body {body.name!r}"))
             if body.lowest_mm < -CONTACT_TOL_MM and body.highest_mm > CONTACT_TOL_MM:
-                problems.append(
-                    f"body {body.name!r} reaches through the investigation plane by {-body.lowest_mm:.6g} mm; "
-                    "it may touch z = 0 but not cross it"
-                )
+                text = f"body {body.name!r} reaches {-body.lowest_mm:.6g} mm through the investigation plane"
+                problems.append((body.name, f"{text}; it may touch z = 0, not cross it"))
         return problems
 
-    def _overlap_problems(self) -> list[str]:
-        problems = []
+    def _overlap_problems(self) -> list[tuple[str, str]]:
         spheres = [body for body in self.bodies if isinstance(body, Sphere)]
-        for one, other in _touching_pairs(spheres):
+        pairs: list[tuple[Body, Sphere]] = [*_near_pairs(spheres)]
+        pairs += [(body, sphere) for body in self.bodies if isinstance(body, Rod) for sphere in spheres]
+        problems = []
+        for one, other in pairs:
             gap = one.distance_mm(np.array(other.centre_mm)) - other.radius_mm
             if gap < -CONTACT_TOL_MM:
-                problems.append(
-                    f"bodies {one.name!r} and {other.name!r} overlap by {-gap:.6g} mm; they may touch, not overlap"
-                )
-        for rod in (body for body in self.bodies if isinstance(body, Rod)):
-            for sphere in spheres:
-                gap = rod.distance_mm(np.array(sphere.centre_mm)) - sphere.radius_mm
-                if gap < -CONTACT_TOL_MM:
-                    problems.append(
-                        f"bodies {rod.name!r} and {sphere.name!r} overlap by {-gap:.6g} mm; "
-                        "they may touch, not overlap"
-                    )
+                text = f"bodies {one.name!r} and {other.name!r} overlap by {-gap:.6g} mm"
+                problems.append((other.name, f"{text}; they may touch, not overlap"))
         return problems
 
 
-def _touching_pairs(spheres: list[Sphere]) -> list[tuple[Sphere, Sphere]]:
-    """Pairs whose bounding boxes meet; sorting along x keeps a bed of a thousand spheres quick."""
+def _near_pairs(spheres: list[Sphere]) -> list[tuple[Sphere, Sphere]]:
+    """Pairs whose extents in x meet; sorting along x keeps a bed of a thousand spheres quick."""
     ordered = sorted(spheres, key=lambda s: s.centre_mm[0] - s.radius_mm)
     pairs = []
     for index, one in enumerate(ordered):

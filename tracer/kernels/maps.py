@@ -1,52 +1,85 @@
-"""Many rays: lists of pixels, whole rows of the sensor."""
+"""Many rays: lists of rays, whole rows of the sensor."""
+
+import math
 
 from tracer.kernels._jit import Array, kernel
 from tracer.kernels.camera import pixel_ray
-from tracer.kernels.march import march
+from tracer.kernels.march import RECOVERED, march
 
 
 @kernel
-def trace_pixels(
-    camera: Array,
+def trace_rays(
+    origins: Array,
+    directions: Array,
     spheres: Array,
     rods: Array,
-    pixels: Array,
     first: int,
     last: int,
-    status: Array,
-    point: Array,
-    direction: Array,
-    path: Array,
-    passed: Array,
-    key: Array,
-    events: Array,
+    trail: Array,
+    rays: Array,
 ) -> None:
-    """Trace pixels[first:last] (N, 2) and write everything that is known about each ray."""
+    """Trace rays first..last-1 from origins (N, 3) along unit directions (N, 3) into records (tracer.trace.RAY)."""
     for i in range(first, last):
-        dx, dy, dz = pixel_ray(pixels[i, 0], pixels[i, 1], camera)
-        (
-            status[i],
-            point[i, 0],
-            point[i, 1],
-            direction[i, 0],
-            direction[i, 1],
-            direction[i, 2],
-            path[i],
-            passed[i],
-            key[i],
-            events[i],
-        ) = march(camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods)
+        status, x, y, _, dx, dy, dz, path, passed, key, events = march(
+            origins[i, 0],
+            origins[i, 1],
+            origins[i, 2],
+            directions[i, 0],
+            directions[i, 1],
+            directions[i, 2],
+            spheres,
+            rods,
+            trail,
+        )
+        good = status == RECOVERED
+        rays[i].status = status
+        rays[i].x_mm = x if good else math.nan
+        rays[i].y_mm = y if good else math.nan
+        rays[i].direction[0], rays[i].direction[1], rays[i].direction[2] = dx, dy, dz
+        rays[i].path_mm = path if good else math.nan
+        rays[i].transmittance = passed if good else 0.0
+        rays[i].key = key
+        rays[i].events = events
+
+
+@kernel
+def trace_trails(origins: Array, directions: Array, spheres: Array, rods: Array, trails: Array) -> None:
+    """Record in trails (N, MAX_EVENTS) int32 the numbers of the spheres that each ray crosses."""
+    for i in range(origins.shape[0]):
+        march(
+            origins[i, 0],
+            origins[i, 1],
+            origins[i, 2],
+            directions[i, 0],
+            directions[i, 1],
+            directions[i, 2],
+            spheres,
+            rods,
+            trails[i],
+        )
 
 
 @kernel
 def trace_rows(
-    camera: Array, spheres: Array, rods: Array, first: int, last: int, point: Array, status: Array, key: Array
+    camera: Array,
+    spheres: Array,
+    rods: Array,
+    first: int,
+    last: int,
+    trail: Array,
+    point: Array,
+    status: Array,
+    key: Array,
 ) -> None:
     """Trace the pixels of rows first..last-1: plane points (H, W, 2), status and branch key (H, W)."""
     for row in range(first, last):
         for column in range(point.shape[1]):
             dx, dy, dz = pixel_ray(float(column), float(row), camera)
-            s, x, y, _, _, _, _, _, k, _ = march(camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods)
-            point[row, column, 0], point[row, column, 1] = x, y
+            s, x, y, _, _, _, _, _, _, k, _ = march(
+                camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods, trail
+            )
+            good = s == RECOVERED
+            point[row, column, 0] = x if good else math.nan
+            point[row, column, 1] = y if good else math.nan
             status[row, column] = s
             key[row, column] = k

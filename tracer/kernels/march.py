@@ -67,9 +67,14 @@ def next_body(
 
 @kernel
 def march(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, spheres: Array, rods: Array
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, spheres: Array, rods: Array, trail: Array
 ) -> tuple[float, ...]:
-    """Trace one ray: status, plane x, y, direction, optical path / n_ambient, transmittance, key, events."""
+    """Trace one ray from p along d.
+
+    Returns status, point x, y, z, direction, optical path / n_ambient, transmittance, key, events.  The point
+    is the plane point of a recovered ray, else the foot point of its last straight piece.  `trail`
+    (MAX_EVENTS,) int32 receives the numbers of the spheres crossed, as many as events.
+    """
     key, events = DIRECT, 0
     path, passed = 0.0, 1.0
     last = -1
@@ -78,9 +83,9 @@ def march(
         if body == -1:
             break
         if body == ROD or spheres[body, 5] != 0.0:
-            return BLOCKED, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+            return BLOCKED, px, py, pz, dx, dy, dz, path, 0.0, key, events
         if events == MAX_EVENTS:
-            return TOO_MANY_EVENTS, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+            return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, path, 0.0, key, events
         cx, cy, cz, radius, n = (
             spheres[body, 0],
             spheres[body, 1],
@@ -90,11 +95,12 @@ def march(
         )
         m, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
         b2 = ax * ax + ay * ay + az * az
+        trail[events] = body
         key = next_key(key, body)
         events += 1
         if b2 < radius * radius:  # else rounding made a tangent of it: it passes
             if b2 >= n * n * radius * radius:
-                return TIR, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+                return TIR, px, py, pz, dx, dy, dz, path, 0.0, key, events
             cos_i, cos_t = angles(b2, radius, n)
             surface = transmittance(cos_i, cos_t, n)
             passed *= surface * surface
@@ -106,9 +112,9 @@ def march(
         px, py, pz = cx + ax, cy + ay, cz + az
         last = body
     if not dz < 0.0:
-        return MISSED_PLANE, math.nan, math.nan, dx, dy, dz, math.nan, 0.0, key, events
+        return MISSED_PLANE, px, py, pz, dx, dy, dz, path, passed, key, events
     t = -pz / dz
-    return RECOVERED, px + t * dx, py + t * dy, dx, dy, dz, path + t, passed, key, events
+    return RECOVERED, px + t * dx, py + t * dy, 0.0, dx, dy, dz, path + t, passed, key, events
 
 
 @kernel

@@ -1,0 +1,141 @@
+"""The ray map: for every pixel of the sensor, the plane point it sees, exactly traced.
+
+    scene.yaml -> Scene -> RayMap -> correction map -> corrected frames
+
+The ray map is computed once for a scene and can be stored; the content hash of the scene goes with it, and
+a map that belongs to another scene is refused.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.errors import MapFileError, StaleMap
+from tracer.kernels.maps import trace_rows
+from tracer.kernels.march import DIRECT, MAX_EVENTS
+from tracer.map_file import load_arrays, save_arrays
+from tracer.rows import run_rows
+from tracer.scene import Scene
+from tracer.status import RayStatus
+from tracer.trace import Branch, name_branches, pack_camera
+
+KIND = "ray map"
+
+
+@dataclass(frozen=True)
+class RayMap:
+    """Pixel -> plane point over the whole sensor.
+
+    Parameters
+    ----------
+    plane_mm : (H, W, 2) float64
+        Plane point of each pixel centre [mm]; NaN unless the status is RECOVERED.
+    status : (H, W) uint8
+        RayStatus.
+    branch : (H, W) uint16
+        Index into `branches`.
+    branches : tuple of tuple of str
+        Names of the spheres crossed, in order; number 0 is the direct view, ().
+    scene_hash : str
+        Content hash of the scene.
+    """
+
+    plane_mm: NDArray[np.float64]
+    status: NDArray[np.uint8]
+    branch: NDArray[np.uint16]
+    branches: tuple[Branch, ...]
+    scene_hash: str
+
+    @property
+    def recovered(self) -> NDArray[np.bool_]:
+        """Pixels whose ray reaches the plane (H, W)."""
+        return np.asarray(self.status == RayStatus.RECOVERED)
+
+    def check(self, scene: Scene) -> None:
+        """Refuse to serve another scene.
+
+        Raises
+        ------
+        StaleMap
+            The map was traced from a scene with other numbers.
+        """
+        wanted = scene.content_hash()
+        if self.scene_hash != wanted:
+            raise StaleMap(f"the map belongs to scene {self.scene_hash}, not to {wanted}; trace the scene again")
+
+    def save(self, path: Path | str) -> None:
+        """Write the map to a file, atomically."""
+        header = {"scene_hash": self.scene_hash, "branches": [list(names) for names in self.branches]}
+        arrays = {"plane_mm": self.plane_mm, "status": self.status, "branch": self.branch}
+        save_arrays(path, KIND, header, arrays)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "RayMap":
+        """Read a map.
+
+        Raises
+        ------
+        MapFileError
+            The file is damaged or holds something else.
+        """
+        header, arrays = load_arrays(path, KIND)
+        try:
+            plane, status, branch = arrays["plane_mm"], arrays["status"], arrays["branch"]
+            branches = tuple(tuple(str(name) for name in names) for names in header["branches"])
+            scene_hash = str(header["scene_hash"])
+        except KeyError as error:
+            raise MapFileError(f"{path}: lacks {error}; trace the scene again") from None
+        fits = plane.shape == (*status.shape, 2) and branch.shape == status.shape and status.ndim == 2
+        kinds = (plane.dtype, status.dtype, branch.dtype) == (np.float64, np.uint8, np.uint16)
+        if not (fits and kinds and branches and int(branch.max(initial=0)) < len(branches)):
+            raise MapFileError(f"{path}: arrays do not fit together; trace the scene again")
+        return cls(plane, status, branch, branches, scene_hash)
+
+
+def build_ray_map(scene: Scene) -> RayMap:
+    """Trace every pixel of the sensor to the investigation plane.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    RayMap
+        Float64, the same bits for any number of threads.
+    """
+    height, width = scene.camera.shape
+    plane = np.empty((height, width, 2))
+    status = np.empty((height, width), np.uint8)
+    key = np.empty((height, width), np.int64)
+    camera, spheres, rods = pack_camera(scene.camera), scene.sphere_table(), scene.rod_table()
+
+    def work(first: int, last: int) -> None:
+        trace_rows(camera, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
+
+    run_rows(work, height)
+    branch, branches = _number_branches(scene, key, status)
+    return RayMap(plane, status, branch, branches, scene.content_hash())
+
+
+def _number_branches(
+    scene: Scene, key: NDArray[np.int64], status: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint16], tuple[Branch, ...]]:
+    """Number the branches 0, 1, ... by the names of their spheres, so that file order does not matter."""
+    fresh = np.ones(key.shape, dtype=bool)  # keys come in long runs: look only where one begins
+    fresh[:, 1:] = key[:, 1:] != key[:, :-1]
+    rows, columns = np.nonzero(fresh)
+    keys, firsts = np.unique(key[rows, columns], return_index=True)
+    pixels = np.stack((columns[firsts], rows[firsts]), axis=-1)
+    directions = scene.camera.directions(pixels)
+    origins = np.ascontiguousarray(np.broadcast_to(np.array(scene.camera.position_mm), directions.shape))
+    trails = name_branches(scene, origins, directions, keys)
+    trails[DIRECT] = ()
+    order = sorted(trails, key=lambda k: (len(trails[k]), trails[k]))
+    lookup = {k: number for number, k in enumerate(order)}
+    runs = np.array([lookup[int(k)] for k in key[rows, columns]], dtype=np.uint16)
+    branch = runs[np.cumsum(fresh.ravel()) - 1].reshape(key.shape)
+    return branch, tuple(trails[k] for k in order)
