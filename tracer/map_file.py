@@ -9,6 +9,7 @@ the reader allocate memory.  Writing goes to a temporary name, is flushed to dis
 import json
 import os
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ LAYOUT = 1
 HEADER_BYTES = 1_000_000
 
 
-def save_arrays(path: Path | str, kind: str, header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+def save_arrays(path: Path | str, kind: str, header: dict[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write `arrays` with a JSON `header` to `path`, atomically.
 
     Parameters

@@ -68,8 +68,7 @@ class RayMap:
     def save(self, path: Path | str) -> None:
         """Write the map to a file, atomically."""
         header = {"scene_hash": self.scene_hash, "branches": [list(names) for names in self.branches]}
-        arrays = {"plane_mm": self.plane_mm, "status": self.status, "branch": self.branch}
-        save_arrays(path, KIND, header, arrays)
+        save_arrays(path, KIND, header, {"plane_mm": self.plane_mm, "status": self.status, "branch": self.branch})
 
     @classmethod
     def load(cls, path: Path | str) -> "RayMap":
@@ -88,7 +87,7 @@ class RayMap:
         except KeyError as error:
             raise MapFileError(f"{path}: lacks {error}; trace the scene again") from None
         fits = plane.shape == (*status.shape, 2) and branch.shape == status.shape and status.ndim == 2
-        kinds = (plane.dtype, status.dtype, branch.dtype) == (np.float64, np.uint8, np.uint16)
+        kinds = [array.dtype.str for array in (plane, status, branch)] == ["<f8", "|u1", "<u2"]
         if not (fits and kinds and branches and int(branch.max(initial=0)) < len(branches)):
             raise MapFileError(f"{path}: arrays do not fit together; trace the scene again")
         return cls(plane, status, branch, branches, scene_hash)

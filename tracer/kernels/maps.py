@@ -18,7 +18,7 @@ def trace_rays(
     trail: Array,
     rays: Array,
 ) -> None:
-    """Trace rays first..last-1 from origins (N, 3) along unit directions (N, 3) into records (tracer.trace.RAY)."""
+    """Trace rays first..last-1 from origins (N, 3) along unit directions (N, 3) into records (trace.RAY)."""
     for i in range(first, last):
         status, x, y, _, dx, dy, dz, path, passed, key, events = march(
             origins[i, 0],
