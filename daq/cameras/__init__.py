@@ -1,0 +1,40 @@
+"""Camera backends: one file each, one line here.
+
+A bench file names a backend (`harvesters`, `aravis`, `files`) or, for a camera outside this project, a dotted
+"package.module:Class".  A backend is imported only when it is asked for, so nobody needs libraries for cameras
+that stand elsewhere.
+"""
+
+from importlib import import_module
+from typing import Any, cast
+
+from daq.camera import Camera
+from daq.errors import CameraSetupError
+
+BACKENDS = {
+    "harvesters": "daq.cameras.harvesters:HarvestersCamera",
+    "aravis": "daq.cameras.aravis:AravisCamera",
+    "files": "daq.cameras.files:FilesCamera",
+}
+
+
+def make_camera(backend: str, **options: Any) -> Camera:  # noqa: ANN401 - each backend checks its own options
+    """Return a closed camera of the named backend.
+
+    Raises
+    ------
+    CameraSetupError
+        If the backend is unknown or does not take these options.
+    """
+    dotted = BACKENDS.get(backend, backend)
+    module_name, colon, class_name = dotted.partition(":")
+    if not colon:
+        raise CameraSetupError(f"camera backend {backend!r} is unknown; use one of {', '.join(BACKENDS)}")
+    try:
+        make = getattr(import_module(module_name), class_name)
+    except (ImportError, AttributeError) as error:
+        raise CameraSetupError(f"camera backend {backend!r} cannot be loaded: {error}") from error
+    try:
+        return cast("Camera", make(**options))
+    except TypeError as error:
+        raise CameraSetupError(f"camera backend {backend!r}: {error}") from error

@@ -1,0 +1,49 @@
+"""Frame ids to a sequence without wraps, and the count of what is missing.
+
+GigE Vision 1.x ids have 16 bits, never take 0 and go 65535 -> 1; GigE Vision 2 and USB3 ids have 64 bits.  An id
+need not start at 0 and is not reset by arming, so only differences mean anything.  Incomplete frames and
+underruns used up ids too, and are subtracted from the gaps so that nothing is counted twice.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class IdTracker:
+    """Follow one camera's ids from arming to disarming.
+
+    Parameters
+    ----------
+    bits : int
+        16 for ids that wrap 65535 -> 1, 64 for ids that do not wrap.
+    """
+
+    bits: int = 64
+    gaps: int = 0
+    repeated: int = 0
+    sequence: int = -1
+    _last: int | None = None
+
+    def note(self, frame_id: int) -> int:
+        """Take the id of a complete frame; return its sequence number, 0 for the first."""
+        if self._last is None:
+            self.sequence = 0
+        else:
+            step = self._difference(frame_id, self._last)
+            if step <= 0:  # a repeated or late frame never moves the count backwards
+                self.repeated += 1
+                return self.sequence
+            self.gaps += step - 1
+            self.sequence += step
+        self._last = frame_id
+        return self.sequence
+
+    def missing(self, accounted: int) -> int:
+        """Ids that came in no form at all, given how many were incomplete or underrun."""
+        return max(0, self.gaps - accounted)
+
+    def _difference(self, new: int, old: int) -> int:
+        if self.bits == 64:
+            return new - old
+        step = (new - old) % 0xFFFF  # 65535 values, 1 to 65535: the wrap skips 0
+        return step if step < 0x8000 else step - 0xFFFF

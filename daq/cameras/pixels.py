@@ -1,0 +1,116 @@
+"""Pixel formats: what bytes a frame needs and how they become grey values.
+
+Sizes come from the wire and are never trusted: a frame is unpacked only after its bytes were counted.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import FrameError
+from daq.kernels.unpack import unpack_8, unpack_12p, unpack_12packed, unpack_16
+
+MAX_SIDE_PX = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class PixelFormat:
+    """One format: SFNC name, PFNC code, bits a pixel takes on the wire, bits it can use."""
+
+    name: str
+    code: int
+    wire_bits: int
+    significant_bits: int
+
+
+FORMATS = {
+    entry.name: entry
+    for entry in (
+        PixelFormat("Mono8", 0x01080001, 8, 8),
+        PixelFormat("Mono10", 0x01100003, 16, 10),
+        PixelFormat("Mono12", 0x01100005, 16, 12),
+        PixelFormat("Mono12p", 0x010C0047, 12, 12),
+        PixelFormat("Mono12Packed", 0x010C0006, 12, 12),
+        PixelFormat("Mono16", 0x01100007, 16, 16),
+    )
+}
+BY_CODE = {entry.code: entry for entry in FORMATS.values()}
+
+
+def pixel_format(name_or_code: str | int) -> PixelFormat:
+    """Look a format up by SFNC name or PFNC code.
+
+    Raises
+    ------
+    FrameError
+        If this format cannot be unpacked; set PixelFormat to one of `FORMATS`.
+    """
+    found = FORMATS.get(name_or_code) if isinstance(name_or_code, str) else BY_CODE.get(name_or_code)
+    if found is None:
+        shown = name_or_code if isinstance(name_or_code, str) else hex(name_or_code)
+        raise FrameError(
+            f"pixel format {shown} cannot be unpacked; set PixelFormat to one of {', '.join(FORMATS)}"
+        )
+    return found
+
+
+def row_pitch_bits(form: PixelFormat, width: int, height: int, padding_bytes: int, size_bytes: int) -> int:
+    """Distance between the starts of two rows [bit].
+
+    A declared padding means that rows start at bytes.  Without one, an odd 12 bit row may still be rounded up to
+    whole bytes by the camera; only the size of the payload tells, so an exact match decides.
+    """
+    row_bytes = -(-width * form.wire_bits // 8)
+    if padding_bytes or size_bytes == row_bytes * height:
+        return 8 * (row_bytes + padding_bytes)
+    return width * form.wire_bits
+
+
+def unpack(
+    raw: NDArray[np.uint8], form: PixelFormat, width: int, height: int, padding_bytes: int, out: NDArray[np.uint16]
+) -> NDArray[np.uint16]:
+    """Write the grey values of one payload into `out`.
+
+    Parameters
+    ----------
+    raw : (N,) uint8
+        Payload as delivered, without trailing chunk data.
+    form : PixelFormat
+        Format on the wire.
+    width, height : int
+        Size of the image [px].
+    padding_bytes : int
+        Bytes after each row that belong to no pixel.
+    out : (M,) uint16, contiguous
+        Memory for at least ``width * height`` values.
+
+    Returns
+    -------
+    (height, width) uint16
+        View of `out`.
+
+    Raises
+    ------
+    FrameError
+        If the payload or `out` is too small for the announced size.
+    """
+    if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and 0 <= padding_bytes <= MAX_SIDE_PX):
+        raise FrameError(f"a frame of {width} x {height} px with {padding_bytes} bytes of padding is refused")
+    pitch = row_pitch_bits(form, width, height, padding_bytes, raw.size)
+    needed_bytes = -(-((height - 1) * pitch + width * form.wire_bits) // 8)
+    if raw.size < needed_bytes or out.size < width * height:
+        raise FrameError(
+            f"a {form.name} frame of {width} x {height} px needs {needed_bytes} bytes and came with {raw.size} "
+            f"(room for {out.size} px); check PayloadSize and the pixel format"
+        )
+    image = out.reshape(-1)[: width * height].reshape(height, width)
+    if form.name == "Mono8":
+        unpack_8(raw, pitch, image)
+    elif form.name == "Mono12p":
+        unpack_12p(raw, pitch, image)
+    elif form.name == "Mono12Packed":
+        unpack_12packed(raw, pitch, image)
+    else:
+        unpack_16(raw, pitch, (1 << form.significant_bits) - 1, image)
+    return image
