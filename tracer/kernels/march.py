@@ -118,6 +118,41 @@ def march(
 
 
 @kernel
+def land(
+    px: float,
+    py: float,
+    pz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    fx: float,
+    fy: float,
+    fz: float,
+    gx: float,
+    gy: float,
+    gz: float,
+    ux: float,
+    uy: float,
+    uz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+) -> tuple[float, ...]:
+    """Plane point x, y of the ray p + t d and dx/du, dx/dv, dy/du, dy/dv, from dp = (f, g), dd = (u, v)."""
+    t = -pz / dz
+    tu = -(fz + t * uz) / dz
+    tv = -(gz + t * vz) / dz
+    return (
+        px + t * dx,
+        py + t * dy,
+        fx + tu * dx + t * ux,
+        gx + tv * dx + t * vx,
+        fy + tu * dy + t * uy,
+        gy + tv * dy + t * vy,
+    )
+
+
+@kernel
 def march_pixel_tangents(u: float, v: float, camera: Array, spheres: Array, rods: Array) -> tuple[float, ...]:
     """Trace the ray of acquired pixel (u, v) with its derivatives by u and v.
 
@@ -175,18 +210,5 @@ def march_pixel_tangents(u: float, v: float, camera: Array, spheres: Array, rods
         last = body
     if not dz < 0.0:
         return MISSED_PLANE, nan, nan, nan, nan, nan, nan, 0.0, key, events
-    t = -pz / dz
-    tu = -(fz + t * uz) / dz
-    tv = -(gz + t * vz) / dz
-    return (
-        RECOVERED,
-        px + t * dx,
-        py + t * dy,
-        fx + tu * dx + t * ux,
-        gx + tv * dx + t * vx,
-        fy + tu * dy + t * uy,
-        gy + tv * dy + t * vy,
-        passed,
-        key,
-        events,
-    )
+    x, y, xu, xv, yu, yv = land(px, py, pz, dx, dy, dz, fx, fy, fz, gx, gy, gz, ux, uy, uz, vx, vy, vz)
+    return RECOVERED, x, y, xu, xv, yu, yv, passed, key, events

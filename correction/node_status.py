@@ -1,0 +1,26 @@
+"""Why a node of the plane is recovered, or is not."""
+
+from enum import IntEnum
+
+RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION = 0, 1, 2, 3, 4, 5  # as kernels see them
+
+
+class NodeStatus(IntEnum):
+    """State of a node of the plane."""
+
+    RECOVERED = RECOVERED
+    RIM = RIM  # behind glass, and no pixel shows it
+    FOLD = FOLD  # at or beyond a fold: two images merge and vanish
+    BLOCKED = BLOCKED  # behind an opaque body
+    OUT_OF_FRAME = OUT_OF_FRAME  # seen, but beside the sensor
+    LOW_MAGNIFICATION = LOW_MAGNIFICATION  # seen too small to be worth anything
+
+
+MEANING = {
+    NodeStatus.RECOVERED: "recovered",
+    NodeStatus.RIM: "hidden by the rim",
+    NodeStatus.FOLD: "at or beyond a fold",
+    NodeStatus.BLOCKED: "behind an opaque body",
+    NodeStatus.OUT_OF_FRAME: "out of the frame",
+    NodeStatus.LOW_MAGNIFICATION: "magnification below the limit",
+}

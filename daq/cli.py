@@ -1,0 +1,79 @@
+"""The command line: verbs and their options, nothing else.
+
+Every verb is a public function of the same name in ``daq.verbs``; it is imported only when its verb is
+called, so that ``rtpiv --help`` answers at once.  What people can get wrong comes back as one sentence.
+
+Exit codes: 0 done, 2 usage or configuration, 3 device, 4 interrupted and resumable.
+"""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+DONE, USAGE, DEVICE, INTERRUPTED = 0, 2, 3, 4
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="rtpiv", description="Particle image velocimetry through glass: acquire, trace, correct, prove."
+    )
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+
+    trace = verbs.add_parser("trace", help="what a scene shows: recovered field of view, folds, pictures")
+    trace.add_argument("scene", type=Path, metavar="SCENE", help="scene.yaml")
+    trace.add_argument(
+        "-o", "--out", type=Path, default=Path("trace"), help="folder for pictures (default: trace)"
+    )
+
+    correct = verbs.add_parser("correct", help="frames as if the glass were not there")
+    correct.add_argument(
+        "frames", type=Path, nargs="+", metavar="FRAME", help="acquired frames (.tif, .png, .bmp)"
+    )
+    correct.add_argument("--scene", type=Path, required=True, help="scene.yaml")
+    correct.add_argument("-o", "--out", type=Path, required=True, help="folder for corrected frames")
+    correct.add_argument("--target-clear", type=Path, metavar="T", help="frame of the bare target, for the dewarp")
+    correct.add_argument("--dewarp-order", type=int, choices=(2, 3), default=2, help="order of its polynomial")
+    correct.add_argument("--square-mm", type=float, default=2.5, help="square of the target (default 2.5)")
+    correct.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
+    correct.add_argument("--blend", type=int, default=1, metavar="K", help="join the K best views of a node")
+    correct.add_argument("--float", dest="as_float", action="store_true", help="write float32, not offset uint16")
+    correct.add_argument("--check-target", action="store_true", help="frames show the target: report its errors")
+
+    demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
+    demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; return the exit code."""
+    options = vars(_parser().parse_args(arguments))
+    verb = options.pop("verb")
+    function = getattr(importlib.import_module(f"daq.verbs.{verb}"), verb)
+    try:
+        function(**options)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except Exception as error:
+        code = _exit_code(error)
+        if code is None:
+            raise
+        print(f"rtpiv {verb}: {error}", file=sys.stderr)
+        return code
+    return DONE
+
+
+def _exit_code(error: Exception) -> int | None:
+    """Exit code of an error that a person can cure; None for a bug."""
+    from correction.errors import CorrectionError
+    from tracer.errors import TracerError
+
+    if isinstance(error, TracerError | CorrectionError):
+        return USAGE
+    return None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Pictures for people: drawn from maps and frames, never read back."""

@@ -1,0 +1,1 @@
+"""Verbs of the command line; each is a function to call from a notebook as well."""
