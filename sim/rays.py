@@ -70,7 +70,7 @@ def pixel_shift(seed: int, row: int, column: int) -> tuple[float, float, float]:
 def snell(
     dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
 ) -> tuple[float, float, float, float]:
-    """Refracted direction and transmittance at normal N (against the ray), eta = n1/n2; T = 0: total reflection."""
+    """Refracted direction and transmittance at normal N (against the ray), eta = n1/n2; T = 0 beyond the limit."""
     cos_i = -(dx * nx + dy * ny + dz * nz)
     cos_t2 = 1.0 - eta * eta * (1.0 - cos_i * cos_i)
     if cos_t2 <= 0.0:
