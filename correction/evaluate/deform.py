@@ -1,0 +1,64 @@
+"""Both frames of a pair seen at their common middle time, through the displacement found so far."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.evaluate.windows import WindowGrid, around, interpolated
+from correction.kernels.piv_deform import deform_rows
+from tracer.rows import run_rows
+
+
+class DeformedPair(NamedTuple):
+    """Frames a, b float32 and the pixels valid in both, uint8 0 or 1; all (H, W)."""
+
+    a: NDArray[np.float32]
+    b: NDArray[np.float32]
+    valid: NDArray[np.uint8]
+
+
+def deform_pair(
+    coefficients: tuple[NDArray[np.float32], NDArray[np.float32]],
+    valid: NDArray[np.uint8],
+    field: NDArray[np.float64],
+    grid: WindowGrid,
+    threads: int | None = None,
+) -> DeformedPair:
+    """Sample frame A at x - d(x)/2 and frame B at x + d(x)/2.
+
+    Parameters
+    ----------
+    coefficients : pair of ndarray of float32, shape (H, W)
+        Spline coefficients of frames A and B.
+    valid : ndarray of uint8, shape (H, W)
+        1 where a pixel is valid in both frames.
+    field : ndarray of float64, shape (ny, nx, 2)
+        Displacement [px] on the nodes of `grid`, finite everywhere.
+    grid : WindowGrid
+        Where the nodes lie.
+    threads : int, optional
+        Threads to use.
+    """
+    height, width = valid.shape
+    along_u = interpolated(field, 1, grid.x_px, np.arange(float(width)), grid.step_px)
+    lines, cell, weight = around(along_u, 0, grid.y_px, np.arange(float(height)), grid.step_px)
+    refined = np.ascontiguousarray(np.moveaxis(lines, -1, 0), np.float32)
+    share = weight.astype(np.float32)
+    masked = not valid.all()
+    out = DeformedPair(
+        np.empty((height, width), np.float32),
+        np.empty((height, width), np.float32),
+        np.ones((height, width), np.uint8),
+    )
+
+    def rows(first: int, last: int) -> None:
+        offset, fraction = np.empty((2, width), np.int32), np.empty((2, width), np.float32)
+        for source, target, scale in ((coefficients[0], out.a, -0.5), (coefficients[1], out.b, 0.5)):
+            deform_rows(
+                source, valid, masked, refined, cell, share, np.float32(scale), first, last,
+                offset, fraction, target, out.valid,
+            )  # fmt: skip
+
+    run_rows(rows, height, threads=threads)
+    return out

@@ -1,0 +1,146 @@
+"""Which vectors do not belong to their neighbourhood, and what stands there instead.
+
+Universal outlier detection (Westerweel, Scarano, Exp. Fluids 39, 1096 (2005)): a vector is compared with the
+median of its 5 x 5 neighbourhood, in units of the median deviation of those neighbours plus the usual noise
+epsilon = 0.1 px; beyond 2 it is rejected.  The second round leaves the rejected neighbours out and judges
+everything anew, so that a wrong vector neither hides its neighbour nor drags it along.
+
+Gaps are filled by a plane through the valid neighbours, weighted by a Gaussian of their distance: unlike a
+mean or a median it continues gradients, also out of the valid area, where one-sided neighbours would otherwise
+shift it.  All moments of the fit are Gaussian convolutions.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from correction.kernels.piv_median import normalised_residual
+
+RADIUS = 2  # 5 x 5 neighbourhood
+MIN_NEIGHBOURS = 5  # fewer do not make a median worth the name
+ROUNDS = 2
+FILL_SIGMA = 1.5  # grid steps; the fit sees neighbours up to 6 steps away
+
+
+def outliers(
+    field: NDArray[np.float64], candidates: NDArray[np.bool_], threshold: float, epsilon_px: float
+) -> NDArray[np.bool_]:
+    """Find vectors that contradict their neighbours.
+
+    Parameters
+    ----------
+    field : ndarray of float64, shape (ny, nx, 2)
+        Displacements [px].
+    candidates : ndarray of bool, shape (ny, nx)
+        Vectors that were measured; only these are judged and used.
+    threshold : float
+        Largest accepted normalised residual.
+    epsilon_px : float
+        Usual noise [px].
+
+    Returns
+    -------
+    ndarray of bool, shape (ny, nx)
+        Rejected vectors.  A vector with fewer than five neighbours is not rejected.
+    """
+    rejected = np.zeros(candidates.shape, bool)
+    residual = np.empty(candidates.shape)
+    work = np.empty((2 * RADIUS + 1) ** 2)
+    for _ in range(ROUNDS):
+        usable = candidates & ~rejected
+        normalised_residual(field, usable, RADIUS, epsilon_px, MIN_NEIGHBOURS, 0, len(field), work, residual)
+        rejected = candidates & (residual > threshold)
+    return rejected
+
+
+def filled(field: NDArray[np.float64], valid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Put the plane through valid neighbours wherever a vector is not valid.
+
+    Parameters
+    ----------
+    field : ndarray of float64, shape (ny, nx, 2)
+        Displacements [px], anything where not valid.
+    valid : ndarray of bool, shape (ny, nx)
+        Vectors to keep and to learn from; at least one.
+
+    Returns
+    -------
+    ndarray of float64, shape (ny, nx, 2)
+        The field; valid vectors unchanged.  Far from any valid vector it takes the nearest value.
+    ndarray of bool, shape (ny, nx)
+        Vectors with at least three valid ones among their 5 x 5 neighbours: near enough to be interpolated.
+    """
+    if valid.all():
+        return field, valid
+    weight = valid.astype(float)
+    near = ndimage.convolve(weight, np.ones((5, 5)), mode="constant") >= 3
+    values = np.where(valid[..., None], field, 0.0)
+    plane, supported = _weighted_plane(values, weight, FILL_SIGMA, 1e-3)
+    fill = np.where(valid[..., None], field, plane)
+    known = valid | supported
+    if not known.all():
+        nearest: Any = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+        fill = fill[nearest[0], nearest[1]]
+    return fill, near
+
+
+def _weighted_plane(
+    values: NDArray[np.float64], weight: NDArray[np.float64], sigma_steps: float, least: float
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Gaussian-weighted plane fit around every node, and where the weight around exceeds `least`."""
+    ny, nx = weight.shape
+    y, x = np.mgrid[0.0:ny, 0.0:nx]
+
+    def moment(quantity: NDArray[np.float64]) -> NDArray[np.float64]:
+        blurred: NDArray[np.float64] = ndimage.gaussian_filter(weight * quantity, sigma_steps, mode="constant")
+        return blurred
+
+    one = np.ones_like(weight)
+    w = moment(one)
+    supported = w > least
+    w = np.where(supported, w, 1.0)
+    mx, my = moment(x) / w, moment(y) / w
+    # A small ridge keeps slopes finite where neighbours stand in one line.
+    xx = moment(x * x) / w - mx * mx + 0.02
+    yy = moment(y * y) / w - my * my + 0.02
+    xy = moment(x * y) / w - mx * my
+    determinant = xx * yy - xy * xy
+    plane = np.empty_like(values)
+    for axis in range(2):
+        f = values[..., axis]
+        mf = moment(f) / w
+        xf, yf = moment(x * f) / w - mx * mf, moment(y * f) / w - my * mf
+        slope_x = (yy * xf - xy * yf) / determinant
+        slope_y = (xx * yf - xy * xf) / determinant
+        plane[..., axis] = mf + slope_x * (x - mx) + slope_y * (y - my)
+    return plane, supported
+
+
+def smoothed(field: NDArray[np.float64], valid: NDArray[np.bool_], sigma_steps: float) -> NDArray[np.float64]:
+    """Field of the valid vectors, smoothed over `sigma_steps` nodes and continued where there are none.
+
+    A local plane again: inside it is plain Gaussian smoothing, at edges it still follows gradients.
+
+    Parameters
+    ----------
+    field : ndarray of float64, shape (ny, nx, 2)
+        Displacements [px], anything where not valid.
+    valid : ndarray of bool, shape (ny, nx)
+        At least one is True.
+    sigma_steps : float
+        Standard deviation of the Gaussian in grid steps; 0 fills only.
+
+    Returns
+    -------
+    ndarray of float64, shape (ny, nx, 2)
+        Finite everywhere.
+    """
+    fill, _ = filled(field, valid)
+    if sigma_steps <= 0.0 or min(valid.shape) < 2:
+        return fill
+    plane, supported = _weighted_plane(
+        np.where(valid[..., None], field, 0.0), valid.astype(float), sigma_steps, 0.02
+    )
+    return np.where(supported[..., None], plane, fill)

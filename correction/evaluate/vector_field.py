@@ -1,0 +1,82 @@
+"""The result of one pair: displacement vectors on a regular grid, each with its flag and quality.
+
+Conventions: pixel (0, 0) is the centre of the top-left pixel.  x_px and y_px are pixel positions of the
+window centres, (w - 1)/2 for the first window of a frame.  u_px points right, v_px points DOWN, along image
+rows.  A view in mm with y up is derived by whoever knows the scale: y_mm = y0 - y_px/scale, v_mm = -v_px/scale.
+Vectors belong to the time halfway between both frames, because both are deformed by half the displacement.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+class VectorFlag(IntEnum):
+    """What a vector is worth.  Image mask (pixels) and these flags (vectors) are kept apart."""
+
+    VALID = 0  # measured
+    MASKED = 1  # too few valid pixels in the window: not a vector, NaN
+    REPLACED = 2  # rejected as an outlier, the value is interpolated from valid neighbours
+    REJECTED = 3  # rejected, or a window without texture, and no neighbour to interpolate from: NaN
+
+
+@dataclass(frozen=True)
+class VectorField:
+    """Displacements of one pair.
+
+    Parameters
+    ----------
+    x_px, y_px : ndarray of float64, shapes (nx,), (ny,)
+        Window centres.
+    u_px, v_px : ndarray of float64, shape (ny, nx)
+        Displacement right and down; NaN where flags say MASKED or REJECTED.
+    flags : ndarray of uint8, shape (ny, nx)
+        VectorFlag.
+    peak_ratio, correlation : ndarray of float64, shape (ny, nx)
+        Highest to second highest correlation peak (inf without a second), and the correlation coefficient,
+        of the last pass; also given for vectors that were replaced afterwards.
+    sigma_u_px, sigma_v_px : ndarray of float64, shape (ny, nx)
+        Random standard uncertainty; NaN where not estimated or not VALID.
+    valid_fraction : ndarray of float64, shape (ny, nx)
+        Share of valid pixels in the window.
+    window_px, step_px : int
+        Size and spacing of the last windows.
+    nan_pixels : int
+        Pixels that were NaN or infinite in a frame although the mask called them valid; treated as masked.
+    """
+
+    x_px: Floats
+    y_px: Floats
+    u_px: Floats
+    v_px: Floats
+    flags: NDArray[np.uint8]
+    peak_ratio: Floats
+    correlation: Floats
+    sigma_u_px: Floats
+    sigma_v_px: Floats
+    valid_fraction: Floats
+    window_px: int
+    step_px: int
+    nan_pixels: int
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Measured vectors, (ny, nx)."""
+        valid: NDArray[np.bool_] = self.flags == VectorFlag.VALID
+        return valid
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of vectors by flag, {"valid": ..., "masked": ..., "replaced": ..., "rejected": ...}."""
+        return {flag.name.lower(): int(np.count_nonzero(self.flags == flag)) for flag in VectorFlag}
+
+    @property
+    def grid_px(self) -> NDArray[np.float64]:
+        """Window centres as points u, v of shape (ny, nx, 2)."""
+        grid: NDArray[Any] = np.stack(np.meshgrid(self.x_px, self.y_px), -1)
+        return grid

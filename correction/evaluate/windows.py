@@ -1,0 +1,142 @@
+"""Where interrogation windows lie, and how a field on their grid becomes a displacement of every pixel.
+
+Between grid nodes the field follows the cubic convolution of Keys (a = -1/2): third order, no overshoot to
+speak of, exact for quadratic fields.  Beyond the outermost nodes it continues linearly, so that rotation and
+shear stay exact up to the frame's edge.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.errors import PairError
+
+
+@dataclass(frozen=True)
+class WindowGrid:
+    """Square windows of `size_px`, `step_px` apart, centred in a frame.
+
+    Parameters
+    ----------
+    row, column : ndarray of int64, shapes (ny,), (nx,)
+        First pixel row and column of the windows.
+    size_px, step_px : int
+        Side and spacing.
+    """
+
+    row: NDArray[np.int64]
+    column: NDArray[np.int64]
+    size_px: int
+    step_px: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of windows (ny, nx)."""
+        return len(self.row), len(self.column)
+
+    @property
+    def y_px(self) -> NDArray[np.float64]:
+        """Window centres, rows."""
+        return self.row.astype(np.float64) + (self.size_px - 1) / 2
+
+    @property
+    def x_px(self) -> NDArray[np.float64]:
+        """Window centres, columns."""
+        return self.column.astype(np.float64) + (self.size_px - 1) / 2
+
+
+def window_grid(shape: tuple[int, int], size_px: int, overlap: float) -> WindowGrid:
+    """Windows that fit a frame, the rest of it shared evenly between both edges.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Frame height and width [px].
+    size_px : int
+        Side of a window [px].
+    overlap : float
+        Shared part of neighbouring windows, 0 <= overlap < 1.
+
+    Raises
+    ------
+    PairError
+        A window does not fit into the frame.
+    """
+    if size_px > min(shape):
+        raise PairError(
+            f"a window of {size_px} px does not fit a frame of {shape[1]} x {shape[0]} px; choose smaller"
+        )
+    step_px = max(1, round(size_px * (1.0 - overlap)))
+    row, column = (np.arange((side - size_px) % step_px // 2, side - size_px + 1, step_px) for side in shape)
+    return WindowGrid(row, column, size_px, step_px)
+
+
+def keys_weights(position: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """First of four neighbouring nodes and their weights for positions in units of the node spacing.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+        floor(position) - 1.
+    ndarray of float64, shape (n, 4)
+        Weights of four consecutive nodes; they sum to 1.
+    """
+    cell = np.floor(position)
+    t = position - cell
+    weights = np.stack(
+        [
+            t * (-0.5 + t * (1.0 - 0.5 * t)),
+            1.0 + t * t * (-2.5 + 1.5 * t),
+            t * (0.5 + t * (2.0 - 1.5 * t)),
+            t * t * (-0.5 + 0.5 * t),
+        ],
+        -1,
+    )
+    return cell.astype(np.int64) - 1, weights
+
+
+def extended(field: NDArray[Any], axis: int, before: int, after: int) -> NDArray[Any]:
+    """`field` lengthened along an axis by linear continuation of its first and last two nodes."""
+    field = np.moveaxis(field, axis, 0)
+    slope_first = field[0] - field[min(1, len(field) - 1)]
+    slope_last = field[-1] - field[max(-2, -len(field))]
+    head = [field[0] + n * slope_first for n in range(before, 0, -1)]
+    tail = [field[-1] + n * slope_last for n in range(1, after + 1)]
+    return np.moveaxis(
+        np.concatenate(
+            [np.reshape(head, (before, *field.shape[1:])), field, np.reshape(tail, (after, *field.shape[1:]))]
+        ),
+        0,
+        axis,
+    )
+
+
+def interpolated(
+    field: NDArray[np.float64],
+    axis: int,
+    nodes_px: NDArray[np.float64],
+    target_px: NDArray[np.float64],
+    step_px: int,
+) -> NDArray[np.float64]:
+    """Interpolate a field along one axis from nodes `step_px` apart to target positions [px]."""
+    lines, cell, weights = around(field, axis, nodes_px, target_px, step_px)
+    lines = np.moveaxis(lines, axis, 0)
+    spread = (len(cell),) + (1,) * (lines.ndim - 1)
+    total = sum(weights[:, m].reshape(spread) * lines[cell + m] for m in range(4))
+    return np.moveaxis(np.asarray(total), 0, axis)
+
+
+def around(
+    field: NDArray[np.float64],
+    axis: int,
+    nodes_px: NDArray[np.float64],
+    target_px: NDArray[np.float64],
+    step_px: int,
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Field continued far enough, first of the four nodes around each target in it, and their weights."""
+    cell, weights = keys_weights((target_px - nodes_px[0]) / step_px)
+    before = max(0, -int(cell.min()))
+    after = max(0, int(cell.max()) + 4 - len(nodes_px))
+    return extended(field, axis, before, after), cell + before, weights

@@ -1,0 +1,191 @@
+"""Interrogation windows: cut out, freed of their mean, correlated, and their peaks found.
+
+A window is compared over its valid pixels only: the mean is taken over them and masked pixels are 0 after it,
+so that neither a mask edge nor what shines behind it correlates.  Sums run along columns first, which keeps
+them exact to float32 and lets them share vector registers.
+"""
+
+import numpy as np
+
+from tracer.kernels._jit import Array, kernel
+
+INF = np.float32(np.inf)
+NAN = np.float32(np.nan)
+
+
+@kernel
+def cut_window(
+    frame: Array, valid: Array, masked: bool, count: int, row: int, column: int, sums: Array, out: Array
+) -> float:
+    """Copy one window of frame (H, W) to out (w, w), mean over valid pixels removed, masked pixels 0.
+
+    `count` valid pixels are in it.  sums is (w,) float32 scratch.  Returns the sum of squares.
+    """
+    size = out.shape[0]
+    for k in range(size):
+        sums[k] = np.float32(0.0)
+    for j in range(size):
+        line, mask = frame[row + j, column : column + size], valid[row + j, column : column + size]
+        target = out[j]
+        if masked:
+            for k in range(size):
+                target[k] = line[k] if mask[k] else np.float32(0.0)
+                sums[k] += target[k]
+        else:
+            for k in range(size):
+                target[k] = line[k]
+                sums[k] += line[k]
+    total = 0.0
+    for k in range(size):
+        total += sums[k]
+        sums[k] = np.float32(0.0)
+    mean = np.float32(total / count)
+    for j in range(size):
+        mask = valid[row + j, column : column + size]
+        target = out[j]
+        if masked:
+            for k in range(size):
+                target[k] = target[k] - mean if mask[k] else np.float32(0.0)
+                sums[k] += target[k] * target[k]
+        else:
+            for k in range(size):
+                target[k] -= mean
+                sums[k] += target[k] * target[k]
+    total = 0.0
+    for k in range(size):
+        total += sums[k]
+    return total
+
+
+@kernel
+def count_valid(valid: Array, row: int, column: int, size: int) -> int:
+    """Number of valid pixels (uint8, 0 or 1) in a window."""
+    count = 0
+    for j in range(row, row + size):
+        for k in range(column, column + size):
+            count += valid[j, k]
+    return count
+
+
+@kernel
+def cut_windows(
+    frame_a: Array,
+    frame_b: Array,
+    valid: Array,
+    rows: Array,
+    columns: Array,
+    least: int,
+    sums: Array,
+    count: Array,
+    energy: Array,
+    a: Array,
+    b: Array,
+) -> None:
+    """Cut windows n = 0..N-1 at (rows[n], columns[n]) out of two frames into a, b (N, w, w) float32.
+
+    count[n] becomes the number of valid pixels and energy[n] the root of both sums of squares multiplied;
+    windows with fewer than `least` valid pixels become 0 with energy 0.
+    """
+    size = a.shape[1]
+    for n in range(rows.size):
+        count[n] = count_valid(valid, rows[n], columns[n], size)
+        energy[n] = 0.0
+        if count[n] < least:
+            a[n] = np.float32(0.0)
+            b[n] = np.float32(0.0)
+            continue
+        masked = count[n] < size * size
+        energy_a = cut_window(frame_a, valid, masked, count[n], rows[n], columns[n], sums, a[n])
+        energy_b = cut_window(frame_b, valid, masked, count[n], rows[n], columns[n], sums, b[n])
+        energy[n] = np.sqrt(energy_a * energy_b)
+
+
+@kernel
+def multiply_conjugate(a: Array, b: Array) -> None:
+    """Spectra a <- conj(a) b, flattened complex64."""
+    for k in range(a.size):
+        a[k] = np.conj(a[k]) * b[k]
+
+
+@kernel
+def three_points(low: float, middle: float, high: float) -> float:
+    """Position of a peak between three samples: Gaussian, or parabola where a logarithm does not exist."""
+    if low > 0.0 and high > 0.0 and middle > 0.0:
+        low, middle, high = np.log(low), np.log(middle), np.log(high)
+    curvature = low - 2.0 * middle + high
+    return 0.5 * (low - high) / curvature if curvature < 0.0 else 0.0
+
+
+@kernel
+def highest(plane: Array, best: Array) -> None:
+    """Highest value of plane (w, w) per column and its row: best is (2, w) float32, compared in registers."""
+    size = plane.shape[0]
+    value, row = best[0], best[1]
+    for k in range(size):
+        value[k] = -INF
+        row[k] = np.float32(0.0)
+    for j in range(size):
+        line, number = plane[j], np.float32(j)
+        for k in range(size):
+            better = line[k] > value[k]
+            row[k] = number if better else row[k]
+            value[k] = line[k] if better else value[k]
+
+
+@kernel
+def second_peak(plane: Array, peak_j: int, peak_i: int) -> float:
+    """Highest local maximum of the periodic plane (w, w) other than the one at (peak_j, peak_i); 0 if none."""
+    size = plane.shape[0]
+    second = np.float32(0.0)
+    for j in range(size):
+        line = plane[j]
+        up, down = plane[(j - 1) % size], plane[(j + 1) % size]
+        for i in range(size):
+            value = line[i]
+            if value <= second or (i == peak_i and j == peak_j):
+                continue
+            left, right = (i - 1) % size, (i + 1) % size
+            if (
+                value >= line[left]
+                and value >= line[right]
+                and value >= up[i]
+                and value >= down[i]
+                and value >= up[left]
+                and value >= up[right]
+                and value >= down[left]
+                and value >= down[right]
+            ):
+                second = value
+    return second  # type: ignore[return-value]
+
+
+@kernel
+def find_peaks(planes: Array, energy: Array, with_ratio: bool, best: Array, out: Array) -> None:
+    """Displacement from periodic correlation planes (N, w, w) float32, displacement 0 at [0, 0].
+
+    out (N, 4) float64 becomes du, dv [px], correlation coefficient, and peak ratio (NaN unless asked for).
+    A window without texture (energy 0) gives NaN.  best is (2, w) float32 scratch.
+    """
+    size = planes.shape[1]
+    for n in range(planes.shape[0]):
+        if not energy[n] > 0.0:
+            out[n] = np.nan
+            continue
+        plane = planes[n]
+        highest(plane, best)
+        i = 0
+        for k in range(1, size):
+            if best[0, k] > best[0, i]:
+                i = k
+        j = int(best[1, i])
+        top = plane[j, i]
+        left, right = plane[j, (i - 1) % size], plane[j, (i + 1) % size]
+        above, below = plane[(j - 1) % size, i], plane[(j + 1) % size, i]
+        half = (size - 1) // 2
+        out[n, 0] = (i if i <= half else i - size) + three_points(left, top, right)
+        out[n, 1] = (j if j <= half else j - size) + three_points(above, top, below)
+        out[n, 2] = top / energy[n]
+        out[n, 3] = np.nan
+        if with_ratio:
+            second = second_peak(plane, j, i)
+            out[n, 3] = top / second if second > 0.0 else np.inf
