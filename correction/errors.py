@@ -3,6 +3,9 @@
 CorrectionError
 +-- FrameError       a frame cannot be used as it is: shape, kind of number, NaN where values are needed
 +-- PairError        two frames do not make a pair: different size, nothing valid, no texture
++-- BoardError       the description of the target contradicts itself
++-- TargetNotFound   a frame does not show the described target, or too little of it
++-- DewarpError      pairs of points do not determine the dewarp polynomial, or stored numbers are not one
 """
 
 
@@ -16,3 +19,15 @@ class FrameError(CorrectionError):
 
 class PairError(CorrectionError):
     """Two frames cannot be evaluated as a pair; the message names the reason and the cure."""
+
+
+class BoardError(CorrectionError):
+    """A target cannot look as described; the message says which number to change."""
+
+
+class TargetNotFound(CorrectionError):  # noqa: N818 - says what it is
+    """The target is not in the frame as described; the message says what was seen and what to do."""
+
+
+class DewarpError(CorrectionError):
+    """The dewarp polynomial cannot be fitted or loaded; the message says what is missing."""

@@ -1,0 +1,134 @@
+"""The calibration target: a chessboard with three discs that mark its origin.
+
+Square (i, j) spans [i a, (i+1) a] x [j a, (j+1) a] mm, a = square_mm; squares with i + j odd are bright.
+Corner (i, j) is the point (i a, j a), the lower left corner of square (i, j) as the camera sees it upright.
+A disc of the other shade sits in the middle of a few squares.  Their pattern looks different after every
+quarter turn, so it fixes both the origin and the orientation; it cannot tell a mirror image, which no
+camera shows of a board in air.
+
+Around a corner two edges cross.  What a fit may look at is a cross of arms along them: the arms end before
+the next corner (1 square away) and are thinner than the distance from an edge to a disc.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from correction.errors import BoardError
+
+Square = tuple[int, int]
+QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
+    ((1, 0), (0, 1)),
+    ((0, -1), (1, 0)),
+    ((-1, 0), (0, -1)),
+    ((0, 1), (-1, 0)),
+)
+
+
+@dataclass(frozen=True)
+class Chessboard:
+    """A chessboard target.
+
+    Parameters
+    ----------
+    square_mm : float
+        Side of a square.
+    disc_mm : float
+        Diameter of the discs.
+    discs : tuple of (int, int)
+        Squares (column to +x, row to +y) that carry a disc.
+
+    Raises
+    ------
+    BoardError
+        A size is not positive, a disc does not leave room for the edges, or the discs look the same after a turn.
+    """
+
+    square_mm: float = 2.5
+    disc_mm: float = 1.0
+    discs: tuple[Square, ...] = ((0, 0), (0, -1), (-1, -1))
+
+    def __post_init__(self) -> None:
+        if not (self.square_mm > 0.0 and self.disc_mm > 0.0):
+            raise BoardError("square_mm and disc_mm must be positive")
+        if not self.disc_mm <= 0.6 * self.square_mm:
+            raise BoardError(
+                f"discs of {self.disc_mm:g} mm leave no clear edge in squares of {self.square_mm:g} mm;"
+                f" use {0.6 * self.square_mm:g} mm or less"
+            )
+        if len(set(self.discs)) != len(self.discs) or len(self.discs) < 2:
+            raise BoardError("the origin needs at least two discs, each in a square of its own")
+        shapes = {self._shape(turn) for turn in QUARTER_TURNS}
+        if len(shapes) < len(QUARTER_TURNS):
+            raise BoardError("the discs look the same after a turn of the board; place them so that no turn repeats")
+
+    def _shape(self, turn: tuple[Square, Square]) -> frozenset[tuple[int, int, bool]]:
+        """Disc squares after a turn, relative to their lowest column and row, with their shade."""
+        cells = np.array(self.discs) @ np.array(turn).T
+        cells -= cells.min(axis=0)
+        bright = self.is_bright(np.array(self.discs))
+        return frozenset((int(i), int(j), bool(b)) for (i, j), b in zip(cells, bright, strict=True))
+
+    @property
+    def clear_arm(self) -> float:
+        """Half width, in squares, of the arms along the edges that stay clear of every disc."""
+        return 0.5 - 0.5 * self.disc_mm / self.square_mm
+
+    def is_bright(self, squares: ArrayLike) -> NDArray[np.bool_]:
+        """True for squares (..., 2) int that are bright apart from their disc."""
+        return np.asarray(np.asarray(squares).sum(axis=-1) % 2 == 1)
+
+    def corner_mm(self, index: ArrayLike) -> NDArray[np.float64]:
+        """Positions (..., 2) [mm] of the corners with index (..., 2) int."""
+        return np.asarray(index, dtype=np.float64) * self.square_mm
+
+    def corner_sign(self, index: ArrayLike) -> NDArray[np.int8]:
+        """Return +1 for corners (..., 2) int whose square to +x, +y is bright, else -1 (...)."""
+        return np.where(self.is_bright(index), np.int8(1), np.int8(-1))
+
+    def corners_within(self, outline_mm: ArrayLike) -> NDArray[np.int64]:
+        """Index (N, 2) of all corners inside a polygon.
+
+        Parameters
+        ----------
+        outline_mm : (M, 2) float
+            Vertices in order, M >= 3; or two opposite corners of an upright box, M = 2.
+
+        Notes
+        -----
+        Even-odd rule; a corner exactly on the outline may fall on either side.
+        """
+        outline = np.asarray(outline_mm, dtype=np.float64)
+        if outline.ndim != 2 or outline.shape[1] != 2 or len(outline) < 2 or not np.isfinite(outline).all():
+            raise BoardError("an outline is a list of at least three finite points x, y (two for an upright box)")
+        if len(outline) == 2:
+            (x0, y0), (x1, y1) = outline
+            outline = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+        low = np.ceil(outline.min(axis=0) / self.square_mm).astype(np.int64)
+        high = np.floor(outline.max(axis=0) / self.square_mm).astype(np.int64)
+        columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+        index = np.stack((columns.ravel(), rows.ravel()), axis=-1)
+        return index[_inside(self.corner_mm(index), outline)]
+
+    def shade(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+        """Reflectance (...) of board points (..., 2) [mm]: 0 dark, 1 bright."""
+        points = np.asarray(points_mm, dtype=np.float64)
+        squares = np.floor(points / self.square_mm).astype(np.int64)
+        bright = self.is_bright(squares)
+        for disc in self.discs:
+            centre = (np.array(disc) + 0.5) * self.square_mm
+            bright = bright ^ (np.sum((points - centre) ** 2, axis=-1) < 0.25 * self.disc_mm**2)
+        return bright.astype(np.float64)
+
+
+def _inside(points: NDArray[np.float64], outline: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Even-odd rule: points (N, 2) inside the polygon (M, 2)."""
+    inside = np.zeros(len(points), dtype=bool)
+    x, y = points[:, 0], points[:, 1]
+    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        spans = (y0 > y) != (y1 > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = x0 + (y - y0) * (x1 - x0) / (y1 - y0)
+        inside ^= spans & (x < crossing)
+    return inside
