@@ -1,0 +1,126 @@
+"""Scenes for the tracer's tests: the paper's, one where nothing is aligned, and random ones."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.bodies import Body, Sphere
+from tracer.camera import Camera, Lens, look_at
+from tracer.media import ConstantMedium
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PAPER = (
+    "one_sphere_250",
+    "one_sphere_500",
+    "one_sphere_1000",
+    "two_spheres_500",
+    "three_spheres_500",
+    "pyramid_500",
+)
+TILTED = "tilted"
+
+
+def ball(name: str, x: float, y: float, z: float, radius_mm: float, n: float | None = 1.53) -> Sphere:
+    return Sphere(name, (x, y, z), radius_mm, None if n is None else ConstantMedium(n))
+
+
+def camera_at(
+    position_mm: tuple[float, float, float] = (0.0, 0.0, 500.0),
+    target_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    focal_px: float = 6200.0,
+    sensor_px: tuple[int, int] = (2016, 2016),
+    roll_rad: float = 0.0,
+    lens: Lens | None = None,
+) -> Camera:
+    principal = ((sensor_px[0] - 1) / 2.0, (sensor_px[1] - 1) / 2.0)
+    rotation = look_at(position_mm, target_mm, roll_rad)
+    return Camera(focal_px, principal, sensor_px, position_mm, rotation, lens or Lens())
+
+
+@cache
+def scene(name: str) -> Scene:
+    if name != TILTED:
+        return load_scene(EXAMPLES / f"{name}.yaml")
+    return Scene(
+        camera=camera_at(
+            (120.0, -60.0, 420.0),
+            (5.0, 3.0, 10.0),
+            6200.0,
+            (2016, 1800),
+            roll_rad=0.3,
+            lens=Lens(k1=0.04, k2=-0.3, k3=0.5, p1=0.002, p2=-0.003),
+        ),
+        bodies=(
+            ball("large", 3.0, -4.0, 31.0, 30.0, 1.53),
+            ball("small", -25.0, 12.0, 77.5, 11.25, 1.4607),
+            ball("dense", 34.0, 31.0, 26.0, 14.0, 1.923),
+            ball("bubble", 32.0, -36.0, 20.0, 7.5, 1.1),
+            ball("high", 28.0, -14.0, 118.0, 18.0, 1.517),
+        ),
+        ambient=ConstantMedium(1.0003),
+    )
+
+
+def aimed_pixels(where: Scene, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Pixels on the sensor: half anywhere, half aimed at a sphere with b/R up to 1 - 1e-6 (N, 2)."""
+    height, width = where.camera.shape
+    pixels = rng.uniform((-0.5, -0.5), (width - 0.5, height - 0.5), (count, 2))
+    aimed = pixels[::2]
+    count = len(aimed)
+    eye = np.array(where.camera.position_mm)
+    centres, radii = np.array([ball.centre_mm for ball in where.spheres]), [b.radius_mm for b in where.spheres]
+    which = rng.integers(len(radii), size=count)
+    axis = centres[which] - eye
+    distance = np.linalg.norm(axis, axis=-1, keepdims=True)
+    share = 1.0 - 10.0 ** rng.uniform(-6.0, 0.0, (count, 1))
+    side = np.cross(axis, rng.normal(size=(count, 3)))
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    sine = share * np.array(radii)[which, None] / distance
+    wanted = where.camera.project(eye + distance * (np.sqrt(1.0 - sine**2) * axis / distance + sine * side))
+    seen = np.all((wanted > -0.5) & (wanted < (width - 0.5, height - 0.5)), axis=-1)
+    aimed[seen] = wanted[seen]
+    return pixels
+
+
+def random_bodies(rng: np.random.Generator, count: int, bubbles: bool = False) -> list[Body]:
+    """Spheres that do not overlap, some of them in contact with each other or with the plane."""
+    bodies: list[Sphere] = []
+    while len(bodies) < count:
+        radius = float(10.0 ** rng.uniform(0.3, 1.5))
+        n = float(rng.choice([1.0, 1.0 + 1e-6, 1.023, 1.33, 1.53, 1.9, 2.6]))
+        if bubbles:
+            n = float(rng.choice([1.0, 1.1, 1.33, 1.53]))
+        kind = rng.integers(4)
+        centre = np.array([*rng.uniform(-45.0, 45.0, 2), radius + rng.uniform(0.0, 60.0)])
+        if kind == 0:
+            centre[2] = radius
+        elif kind == 1 and bodies:
+            other = bodies[rng.integers(len(bodies))]
+            way = rng.normal(size=3)
+            centre = np.array(other.centre_mm) + (other.radius_mm + radius) * way / np.linalg.norm(way)
+        gaps = [np.linalg.norm(centre - np.array(b.centre_mm)) - b.radius_mm - radius for b in bodies]
+        if centre[2] >= radius and all(gap > -1e-9 for gap in gaps):
+            bodies.append(Sphere(f"b{len(bodies)}", tuple(map(float, centre)), radius, ConstantMedium(n)))
+    return list(bodies)
+
+
+def random_camera(rng: np.random.Generator, bodies: list[Body]) -> Camera:
+    """A camera above all bodies, looking somewhere among them."""
+    top = max((body.highest_mm for body in bodies), default=0.0)
+    height = float(top + 10.0 ** rng.uniform(0.0, 3.0))
+    position = (*(float(x) for x in rng.uniform(-0.5, 0.5, 2) * height), height)
+    target = tuple(float(x) for x in rng.uniform(-20.0, 20.0, 3))
+    focal = float(10.0 ** rng.uniform(2.0, 4.0))
+    lens = Lens(*(float(x) for x in rng.normal(size=5) * (0.05, 0.05, 0.05, 0.002, 0.002)))
+    return camera_at(position, target, focal, (640, 480), float(rng.uniform(-3.0, 3.0)), lens)
+
+
+def random_scene(rng: np.random.Generator, most: int = 8) -> Scene:
+    bubbles = bool(rng.random() < 0.25)
+    bodies = random_bodies(rng, int(rng.integers(0, most + 1)), bubbles)
+    ambient = ConstantMedium(1.333 if bubbles else 1.0)
+    return Scene(random_camera(rng, bodies), tuple(bodies), ambient=ambient)
