@@ -1,0 +1,160 @@
+"""`rtpiv correct`: frames as if the glass were not there."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from correction.correction_map import build_correction_map
+from correction.corrector import UINT16_OFFSET, Corrector, to_uint16
+from correction.dewarp import Dewarp, fit_dewarp
+from correction.errors import FrameError
+from correction.evaluate.target_error import TargetError, target_error
+from correction.frame_file import read_frame, write_frame
+from correction.node_status import MEANING, NodeStatus
+from correction.resample import Method
+from correction.target import Chessboard
+from daq.pictures.overview import draw_overview
+from daq.pictures.seen import seen
+from daq.progress import progress
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+
+def correct(
+    frames: list[Path],
+    scene: Path,
+    out: Path,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    square_mm: float = 2.5,
+    method: Method = "quintic",
+    blend: int = 1,
+    as_float: bool = False,
+    check_target: bool = False,
+) -> list[TargetError]:
+    """Correct frames that were taken through the glass of a scene.
+
+    Parameters
+    ----------
+    frames : list of Path
+        Acquired frames; all are looked at before the first result is written.
+    scene : Path
+        scene.yaml, as known or as fitted.
+    out : Path
+        Folder: one TIFF a frame, ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame,
+        ``correction.json``.
+    target_clear : Path, optional
+        Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
+        included, is taken as it is.
+    dewarp_order : int
+        Order of the dewarp polynomial, 2 (as in the paper) or 3 (holds radial distortion).
+    square_mm : float
+        Square of the target.
+    method : {"quintic", "bilinear"}
+        Interpolation.
+    blend : int
+        Views joined a node; 1 takes the best.
+    as_float : bool
+        Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
+    check_target : bool
+        The frames show the target: measure its corners against the regular grid.
+
+    Returns
+    -------
+    list of TargetError
+        One a frame if `check_target`, else empty.
+
+    Raises
+    ------
+    ConfigError, SceneError
+        The scene file is wrong.
+    FrameError
+        A frame is missing, damaged, colour, or of another size.
+    TargetNotFound
+        The bare target cannot be read.
+    """
+    console = Console()
+    loaded = load_scene(scene)
+    shape = loaded.camera.shape
+    _refuse_same_names(frames)
+    for path in frames:
+        read_frame(path, shape)
+    board = Chessboard(square_mm)
+    dewarp: Dewarp | None = None
+    if target_clear is not None:
+        dewarp = fit_dewarp(read_frame(target_clear, shape), loaded.camera, board, dewarp_order)
+    corrector = Corrector(build_correction_map(loaded, build_ray_map(loaded), layers=blend), dewarp, method)
+    grid = corrector.map.grid
+    about: dict[str, Any] = {
+        "origin_mm": list(grid.origin_mm),
+        "scene_hash": loaded.content_hash(),
+        "method": method,
+        "dewarp": None if dewarp is None else dewarp.to_dict(),
+        "offset": None if as_float else UINT16_OFFSET,
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    errors: list[TargetError] = []
+    clipped = 0
+    for index, path in enumerate(progress(frames, len(frames), "correcting")):
+        frame = read_frame(path, shape)
+        corrected = corrector(frame)
+        if check_target:
+            errors.append(target_error(corrected, corrector, board))
+        if index == 0:
+            draw_overview(out / "overview.png", frame, _pattern_seen(loaded, board), corrected, corrector.recovered)
+        stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
+        clipped += cut
+        write_frame(out / f"{path.stem}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
+    write_frame(out / "mask.tif", corrector.status, grid.px_per_mm, {"meaning": list(MEANING.values()), **about})
+    counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
+    summary = {**about, "frames": [path.name for path in frames], "clipped_values": clipped}
+    summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
+    summary["target_errors"] = [error.to_dict() for error in errors]
+    (out / "correction.json").write_text(json.dumps(summary, indent=1))
+    _print(console, loaded, dewarp, corrector, frames, errors, out)
+    return errors
+
+
+def _refuse_same_names(frames: list[Path]) -> None:
+    stems = [path.stem for path in frames]
+    for stem in stems:
+        if stems.count(stem) > 1 or stem == "mask":
+            raise FrameError(f"{stem}: two results would have this name; rename the frame or use two runs")
+
+
+def _pattern_seen(scene: Scene, board: Chessboard) -> np.ndarray[Any, np.dtype[np.float32]]:
+    return seen(scene, board.shade, samples=2)
+
+
+def _print(
+    console: Console,
+    scene: Scene,
+    dewarp: Dewarp | None,
+    corrector: Corrector,
+    frames: list[Path],
+    errors: list[TargetError],
+    out: Path,
+) -> None:
+    counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
+    share = ", ".join(
+        f"{100.0 * counts[status] / corrector.status.size:.1f} % {meaning}"
+        for status, meaning in MEANING.items()
+        if counts[status]
+    )
+    console.print(f"scene {scene.content_hash()}: {share}")
+    if dewarp is not None:
+        console.print(f"dewarp: {dewarp.summary()}")
+    if errors:
+        table = Table(title="target corners in the corrected frame against the regular grid [px]")
+        for name in ("frame", "region", "corners", "bias x, y", "rms x, y", "largest"):
+            table.add_column(name, justify="left" if name in ("frame", "region") else "right")
+        for path, error in zip(frames, errors, strict=True):
+            for row in error.rows():
+                table.add_row(path.stem, *row)
+        console.print(table)
+    console.print(f"{len(frames)} frame(s), mask and overview are in {out}")
