@@ -254,11 +254,12 @@ def trace_pixels(
     rods: Float64,
     bounds: Float64,
     plane: Float64,
+    pupil_order: Int64,
     points: Float64,
     transmittance: Float32,
     spread: Float64,
 ) -> None:
-    """Trace n x n rays for each pixel (row, column).
+    """Trace n x n rays for each pixel (row, column); `pupil_order` is a permutation of n*n.
 
     Out: `points` (N, n*n, 2) in the plane's axes [mm], `transmittance` (N, n*n), and `spread` (N,), the extent
     of the arriving points [mm], infinite if only some arrive.
@@ -280,9 +281,9 @@ def trace_pixels(
                 u, v = column - 0.5 + su - np.floor(su), row - 0.5 + sv - np.floor(sv)
                 lens_u = lens_v = 0.0
                 if camera[20] > 0.0:
-                    # Vogel's disc; j * n + i unties the place in the pupil from the place in the pixel.
-                    radius = camera[20] * np.sqrt((j * n + i + turn) / count)
-                    angle = GOLDEN_ANGLE_RAD * (j * n + i) + 2.0 * np.pi * turn
+                    # Vogel's disc; the shuffle unties the place in the pupil from the place in the pixel.
+                    radius = camera[20] * np.sqrt((pupil_order[k] + turn) / count)
+                    angle = GOLDEN_ANGLE_RAD * pupil_order[k] + 2.0 * np.pi * turn
                     lens_u, lens_v = radius * np.cos(angle), radius * np.sin(angle)
                 ox, oy, oz, dx, dy, dz = _camera_ray(u, v, lens_u, lens_v, camera)
                 if meets:

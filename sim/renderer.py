@@ -8,6 +8,7 @@ silhouettes), it is traced again with 2n x 2n.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,11 +139,18 @@ def _sample(
     points = np.empty((count, n * n, 2))
     transmittance = np.empty((count, n * n), np.float32)
     spread, light = np.empty(count), np.empty(count, np.float32)
-    t = tables
-    trace_pixels(pixels, n, seed, t.camera, t.spheres, t.rods, t.bounds, t.plane, points, transmittance, spread)
+    t, order = tables, _pupil_order(n)
+    world = (t.camera, t.spheres, t.rods, t.bounds, t.plane)
+    trace_pixels(pixels, n, seed, *world, order, points, transmittance, spread)
     values = pattern.reflectance(points.reshape(-1, 2)).reshape(count, n * n)
     weighted_mean(values, transmittance, light)
     return light, spread
+
+
+@cache
+def _pupil_order(n: int) -> NDArray[np.int64]:
+    """Fixed shuffle that pairs the n*n places in a pixel with the n*n places in the pupil."""
+    return np.random.default_rng(n).permutation(n * n)
 
 
 def _tables(scene: Scene, pattern: Pattern, aperture: Aperture | None) -> _Tables:
