@@ -26,6 +26,9 @@ from tracer.errors import SceneError
 
 Vector3 = tuple[float, float, float]
 
+SMALLEST_MM = 1e-9  # a picometre: the smallest radius
+LONGEST_MM = 1e12  # a million kilometres; far below where squares of lengths leave float64
+
 
 @dataclass(frozen=True)
 class Lens:
@@ -76,13 +79,20 @@ class Camera:
 
     def __post_init__(self) -> None:
         matrix = np.array(self.rotation)
-        if not self.focal_px > 0.0:
-            raise SceneError("the camera's focal length must be positive")
+        if not 1e-6 <= self.focal_px <= 1e12:
+            raise SceneError("the camera's focal length must be positive, 1e-6 to 1e12 px")
         if min(self.sensor_px) < 1:
             raise SceneError("the camera's sensor must have at least one pixel each way")
+        if not all(abs(value) <= 1e9 for value in self.principal_px):
+            raise SceneError("the camera's principal point must lie within 1e9 px")
+        if not all(abs(term) <= 1e6 for term in self.lens.terms()):
+            raise SceneError("the camera's lens terms must lie within 1e6")
+        if not within_reach(self.position_mm):
+            raise SceneError(f"the camera must stand within {LONGEST_MM:g} mm of the origin")
         if not self.position_mm[2] > 0.0:
             raise SceneError("the camera must stand in front of the investigation plane, at z > 0")
-        if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-9) or np.linalg.det(matrix) < 0.0:
+        entries = np.all(np.abs(matrix) < 2.0)  # before they are squared
+        if not entries or not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-9) or np.linalg.det(matrix) < 0.0:
             raise SceneError("the camera's rotation must be orthonormal and right-handed")
 
     @property
@@ -153,8 +163,13 @@ class Camera:
         return self.acquired(self.project_ideal(points_mm))
 
 
+def within_reach(point_mm: Vector3) -> bool:
+    """Whether a point is finite and no farther than LONGEST_MM along any axis."""
+    return all(abs(coordinate) <= LONGEST_MM for coordinate in point_mm)
+
+
 def thin_lens_distance_mm(f_mm: float, focus_mm: float) -> float:
-    """Image distance d_i = 1/(1/f - 1/L) of a lens focused on a plane at distance L [mm].
+    """Image distance d_i = 1/(1/f - 1/L) = f L/(L - f) of a lens focused on a plane at distance L [mm].
 
     Raises
     ------
@@ -163,7 +178,7 @@ def thin_lens_distance_mm(f_mm: float, focus_mm: float) -> float:
     """
     if not focus_mm > f_mm > 0.0:
         raise SceneError(f"a lens of f = {f_mm:g} mm cannot focus at L = {focus_mm:g} mm; L must exceed f")
-    return 1.0 / (1.0 / f_mm - 1.0 / focus_mm)
+    return f_mm * focus_mm / (focus_mm - f_mm)
 
 
 def look_at(position_mm: Vector3, target_mm: Vector3, roll_rad: float = 0.0) -> tuple[Vector3, Vector3, Vector3]:
@@ -175,8 +190,10 @@ def look_at(position_mm: Vector3, target_mm: Vector3, roll_rad: float = 0.0) -> 
     Raises
     ------
     SceneError
-        Position and target coincide, or the camera looks along its up direction.
+        Position and target coincide or are out of reach, or the camera looks along its up direction.
     """
+    if not (within_reach(position_mm) and within_reach(target_mm)):
+        raise SceneError(f"position_mm and look_at_mm must lie within {LONGEST_MM:g} mm of the origin")
     forward = np.array(target_mm, dtype=np.float64) - np.array(position_mm, dtype=np.float64)
     distance = float(np.linalg.norm(forward))
     if distance == 0.0:

@@ -85,25 +85,23 @@ def load_yaml(path: Path | str) -> Document:
     """
     path = Path(path)
     try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(path, [Problem(0, f"cannot be read: {error.strerror or error}")]) from None
+        with path.open("rb") as stream:
+            raw = stream.read(MAX_BYTES + 1)  # never more, whatever the file claims to be
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            path, [Problem(0, f"cannot be read: {getattr(error, 'strerror', None) or error}")]
+        ) from None
     if len(raw) > MAX_BYTES:
-        raise ConfigError(path, [Problem(0, f"has {len(raw)} bytes; {MAX_BYTES} are allowed")])
+        raise ConfigError(path, [Problem(0, f"is larger than the {MAX_BYTES} bytes allowed")])
     try:
-        text = raw.decode("utf-8")
-        aliases = [event for event in yaml.parse(text, yaml.SafeLoader) if isinstance(event, yaml.AliasEvent)]
-        if len(aliases) > MAX_ALIASES:
-            raise ConfigError(path, [Problem(0, f"uses more than {MAX_ALIASES} aliases; write the values out")])
-        root = yaml.compose(text, yaml.SafeLoader)
+        root = yaml.compose(raw.decode("utf-8"), _BoundedLoader)
     except UnicodeDecodeError:
         raise ConfigError(path, [Problem(0, "is not UTF-8 text")]) from None
-    except RecursionError:
-        raise ConfigError(path, [Problem(0, "is nested too deeply")]) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = mark.line + 1 if mark else 0
-        raise ConfigError(path, [Problem(line, f"is not valid YAML: {error.problem or error.context}")]) from None
+        prefix = "" if isinstance(error, _OutOfBounds) else "is not valid YAML: "
+        raise ConfigError(path, [Problem(line, f"{prefix}{error.problem or error.context}")]) from None
     except yaml.YAMLError as error:
         raise ConfigError(path, [Problem(0, f"is not valid YAML: {str(error).splitlines()[0]}")]) from None
     if root is None:
@@ -113,6 +111,34 @@ def load_yaml(path: Path | str) -> Document:
     if reader.problems:
         raise ConfigError(path, reader.problems)
     return Document(path, tree, reader.lines)
+
+
+class _OutOfBounds(yaml.MarkedYAMLError):
+    """The file asks for more than any honest file needs."""
+
+
+class _BoundedLoader(yaml.SafeLoader):
+    """Composes nodes one by one and stops at the first bound, before time or memory are gone."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self.nodes = self.aliases = self.depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose one node, counting."""
+        self.nodes += 1
+        self.aliases += self.check_event(yaml.AliasEvent)
+        if self.aliases > MAX_ALIASES:
+            self._stop(f"uses more than {MAX_ALIASES} aliases; write the values out")
+        if self.nodes > MAX_NODES or self.depth > MAX_DEPTH:
+            self._stop("is nested too deeply or holds too many values")
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def _stop(self, problem: str) -> None:
+        raise _OutOfBounds(problem=problem, problem_mark=self.get_mark())
 
 
 class _Reader:
@@ -226,7 +252,10 @@ def _sentence(document: Document, model: type[Table], place: Place, details: Any
     name = ".".join(str(part) for part in place) or "file"
     kind, message = details["type"], str(details["msg"])
     if kind == "extra_forbidden":
-        near = difflib.get_close_matches(str(place[-1]), _known_keys(model), n=1, cutoff=0.6)
+        others = [
+            key for key in _known_keys(model) if key != place[-1]
+        ]  # a known key may stand in the wrong place
+        near = difflib.get_close_matches(str(place[-1]), others, n=1, cutoff=0.6)
         return f"unknown key {name!r}" + (f"; did you mean {near[0]!r}?" if near else "")
     if kind == "missing":
         return f"key {name!r} is missing"

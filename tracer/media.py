@@ -13,10 +13,12 @@ Sources of the coefficients (all at about 20 C):
 * air: Ciddor, Appl. Opt. 35, 1566 (1996), dry, 15 C, 101.325 kPa, 450 ppm CO2.
 """
 
+import math
 from dataclasses import dataclass
 
 from tracer.errors import SceneError
 
+LARGEST_INDEX = 10.0  # no solid or liquid comes near in the range below
 VISIBLE_NM = (300.0, 2000.0)  # where every formula below is used inside its measured range
 
 
@@ -56,16 +58,18 @@ class SellmeierMedium:
         Raises
         ------
         SceneError
-            The wavelength lies on a resonance or outside 300-2000 nm.
+            The wavelength lies at a resonance or outside 300-2000 nm.
         """
         check_wavelength(wavelength_nm)
         square_um2 = (wavelength_nm * 1e-3) ** 2
-        epsilon = 1.0 + sum(
-            b * square_um2 / (square_um2 - c) for b, c in zip(self.b, self.c_um2, strict=True) if square_um2 != c
-        )
-        if not epsilon >= 1.0:
-            raise SceneError(f"the coefficients of glass {self.name!r} give no real n at {wavelength_nm:g} nm")
-        return float(epsilon**0.5)
+        resonant = square_um2 in self.c_um2
+        terms = zip(self.b, self.c_um2, strict=True)
+        epsilon = math.nan if resonant else 1.0 + sum(b * square_um2 / (square_um2 - c) for b, c in terms)
+        if not 1.0 <= epsilon <= LARGEST_INDEX**2:
+            raise SceneError(
+                f"the coefficients of glass {self.name!r} give no n of 1-{LARGEST_INDEX:g} at {wavelength_nm:g} nm"
+            )
+        return math.sqrt(epsilon)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from tracer.bodies import Body, Rod, Sphere
 from tracer.camera import Camera
 from tracer.errors import SceneError
-from tracer.media import VACUUM, Medium, check_wavelength
+from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 
 CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
 
@@ -110,11 +110,17 @@ class Scene:
         for body in self.bodies:
             if isinstance(body, Sphere) and body.medium is not None:
                 media.append((body.name, f"sphere {body.name!r}", body.medium))
-        return [
-            (name, f"{who}: n = {medium.n(self.wavelength_nm):g} at {self.wavelength_nm:g} nm is below 1")
-            for name, who, medium in media
-            if not medium.n(self.wavelength_nm) >= 1.0
-        ]
+        problems = []
+        for name, who, medium in media:
+            try:
+                n = medium.n(self.wavelength_nm)
+            except SceneError as error:
+                problems.append((name, f"{who}: {error}"))
+                continue
+            if not 1.0 <= n <= LARGEST_INDEX:
+                text = f"n = {n:g} at {self.wavelength_nm:g} nm is {'below 1' if n < 1.0 else 'no index'}"
+                problems.append((name, f"{who}: {text}; give 1 to {LARGEST_INDEX:g}"))
+        return problems
 
     def _place_problems(self) -> list[tuple[str, str]]:
         camera = np.array(self.camera.position_mm)

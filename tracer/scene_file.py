@@ -27,13 +27,13 @@ import yaml
 from pydantic import Field, model_validator
 
 from tracer.bodies import Body, Rod, Sphere
-from tracer.camera import Camera, Lens, Vector3, look_at, thin_lens_distance_mm
+from tracer.camera import LONGEST_MM, Camera, Lens, Vector3, look_at, thin_lens_distance_mm
 from tracer.config import Document, Pair, Table, Triple, load_yaml, validate
 from tracer.errors import ConfigError, Problem, SceneError
 from tracer.media import MEDIA, AirMedium, ConstantMedium, Medium, SellmeierMedium
 from tracer.scene import Scene
 
-Positive = Annotated[float, Field(gt=0.0)]
+Positive = Annotated[float, Field(gt=0.0, le=LONGEST_MM)]
 OPAQUE = "opaque"
 
 
@@ -85,7 +85,7 @@ class CameraTable(Table):
     f_mm: Positive | None = None
     L_mm: Positive | None = None
     focal_px: Positive | None = None
-    pixel_pitch_um: Positive | None = None
+    pixel_pitch_um: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
     sensor_px: Annotated[list[Annotated[int, Field(ge=1, le=65535)]], Field(min_length=2, max_length=2)]
     principal_px: Pair | None = None
     position_mm: Triple | None = None

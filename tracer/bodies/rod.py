@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.camera import Vector3
+from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 
 
@@ -29,10 +29,14 @@ class Rod:
     radius_mm: float
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.radius_mm < np.inf):
-            raise SceneError(f"rod {self.name!r}: radius_mm must be positive")
-        if not np.all(np.isfinite((*self.start_mm, *self.end_mm))):
-            raise SceneError(f"rod {self.name!r}: start_mm and end_mm must be finite")
+        if not (SMALLEST_MM <= self.radius_mm <= LONGEST_MM):
+            raise SceneError(
+                f"rod {self.name!r}: radius_mm must be positive, {SMALLEST_MM:g} to {LONGEST_MM:g} mm"
+            )
+        if not (within_reach(self.start_mm) and within_reach(self.end_mm)):
+            raise SceneError(
+                f"rod {self.name!r}: start_mm and end_mm must lie within {LONGEST_MM:g} mm of the origin"
+            )
 
     @property
     def lowest_mm(self) -> float:
