@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim import prints, rays
 from sim.demo_scenes import at_size, misaligned, named_scene
 from sim.patterns import Chessboard, Image, ParticleSheet, Pose, printed_particles
-from sim.renderer import Aperture, render, render_irradiance
+from sim.renderer import Aperture, _tables, render, render_irradiance
 from sim.sensor import SILENT, Sensor
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
@@ -19,6 +20,28 @@ WHITE = Image(np.ones((1, 1), np.float32), 1.0, outside=1.0)
 
 def small(name="two_spheres_500", size=200):
     return at_size(named_scene(name), size)
+
+
+@pytest.mark.parametrize("aperture", [None, Aperture(60.0, 4.0, 500.0)])
+def test_compiled_loops_do_what_the_python_says(aperture):
+    scene = misaligned(small("tilted", 40), 1)
+    tables, n, count = _tables(scene, Chessboard(), aperture), 3, 60
+    pixels = np.random.default_rng(0).integers(8, 30, (count, 2))
+    world = (tables.camera, tables.spheres, tables.rods, tables.bounds, tables.plane)
+    results = []
+    for trace in (rays.trace_pixels, rays.trace_pixels.py_func):
+        points, light, spread = np.empty((count, 9, 2)), np.empty((count, 9), np.float32), np.empty(count)
+        trace(pixels, n, 5, *world, np.arange(9)[::-1].copy(), points, light, spread)
+        results.append((points, light, spread))
+    for compiled, plain in zip(*results, strict=True):
+        assert compiled == pytest.approx(plain, rel=1e-9, abs=1e-9)
+    sheet = printed_particles((60.0, 60.0), 3.0, seed=1)
+    flat = results[0][0].reshape(-1, 2)
+    out = np.empty(len(flat), np.float32)
+    prints.particles.py_func(flat, *sheet._bins, sheet.sigma_mm, sheet.background, out)
+    assert sheet.reflectance(flat) == pytest.approx(out, abs=1e-6)
+    prints.chessboard.py_func(flat, 2.5, 0.5, 0.08, 0.92, out)
+    assert np.array_equal(Chessboard().reflectance(flat), out)
 
 
 def test_index_one_gives_the_direct_view():
