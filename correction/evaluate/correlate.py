@@ -77,7 +77,7 @@ def correlate_windows(
         spectrum_a, spectrum_b = fft.rfft2(a), fft.rfft2(b)
         multiply_conjugate(spectrum_a.reshape(-1), spectrum_b.reshape(-1))
         planes = fft.irfft2(spectrum_a, s=(size, size), overwrite_x=True)
-        find_peaks(planes, energy[here], with_ratio, scratch, found[here])
+        find_peaks(planes, a, b, energy[here], with_ratio, scratch, found[here])
 
     run_rows(some, ny * nx, block=chunk, threads=threads)
     shaped = found.reshape(ny, nx, 4)

@@ -2,8 +2,9 @@
 
 Universal outlier detection (Westerweel, Scarano, Exp. Fluids 39, 1096 (2005)): a vector is compared with the
 median of its 5 x 5 neighbourhood, in units of the median deviation of those neighbours plus the usual noise
-epsilon = 0.1 px; beyond 2 it is rejected.  The second round leaves the rejected neighbours out and judges
-everything anew, so that a wrong vector neither hides its neighbour nor drags it along.
+epsilon = 0.1 px; beyond 2 it is rejected.  At an edge all neighbours lie on one side, and any gradient looks
+like an outlier.  So a second round judges every vector anew: without the rejected neighbours, and after the
+trend of the accepted vectors has been taken off.
 
 Gaps are filled by a plane through the valid neighbours, weighted by a Gaussian of their distance: unlike a
 mean or a median it continues gradients, also out of the valid area, where one-sided neighbours would otherwise
@@ -20,7 +21,6 @@ from correction.kernels.piv_median import normalised_residual
 
 RADIUS = 2  # 5 x 5 neighbourhood
 MIN_NEIGHBOURS = 5  # fewer do not make a median worth the name
-ROUNDS = 2
 FILL_SIGMA = 1.5  # grid steps; the fit sees neighbours up to 6 steps away
 
 
@@ -45,14 +45,16 @@ def outliers(
     ndarray of bool, shape (ny, nx)
         Rejected vectors.  A vector with fewer than five neighbours is not rejected.
     """
-    rejected = np.zeros(candidates.shape, bool)
-    residual = np.empty(candidates.shape)
-    work = np.empty((2 * RADIUS + 1) ** 2)
-    for _ in range(ROUNDS):
-        usable = candidates & ~rejected
-        normalised_residual(field, usable, RADIUS, epsilon_px, MIN_NEIGHBOURS, 0, len(field), work, residual)
-        rejected = candidates & (residual > threshold)
-    return rejected
+    rejected = candidates & (_residual(field, candidates, epsilon_px) > threshold)
+    trend = smoothed(field, candidates & ~rejected, FILL_SIGMA) if (candidates & ~rejected).any() else 0.0
+    return candidates & (_residual(field - trend, candidates & ~rejected, epsilon_px) > threshold)
+
+
+def _residual(field: NDArray[np.float64], usable: NDArray[np.bool_], epsilon_px: float) -> NDArray[np.float64]:
+    """Normalised median residual of every vector (ny, nx); NaN where neighbours are too few."""
+    residual, work = np.empty(usable.shape), np.empty((2 * RADIUS + 1) ** 2)
+    normalised_residual(field, usable, RADIUS, epsilon_px, MIN_NEIGHBOURS, 0, len(field), work, residual)
+    return residual
 
 
 def filled(field: NDArray[np.float64], valid: NDArray[np.bool_]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:

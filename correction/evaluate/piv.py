@@ -26,7 +26,7 @@ from correction.errors import PairError
 from correction.evaluate.correlate import Measured, correlate_windows
 from correction.evaluate.deform import DeformedPair, deform_pair
 from correction.evaluate.outliers import filled, outliers, smoothed
-from correction.evaluate.uncertainty import correlation_statistics
+from correction.evaluate.uncertainty import correlation_statistics, pass_gain
 from correction.evaluate.vector_field import VectorField, VectorFlag
 from correction.evaluate.windows import WindowGrid, interpolated, window_grid
 from correction.resample import checked_frame, prefilter
@@ -132,7 +132,9 @@ def evaluate_pair(
             predictor = smoothed(vectors, good, settings.smoothing_steps)
     sigma = np.full(vectors.shape, np.nan)
     if settings.uncertainty:
-        sigma = correlation_statistics(deformed, grid, settings.min_valid, threads)
+        repeats = sum(1 for earlier in grids if earlier.size_px == grid.size_px)
+        gain = pass_gain(grid.size_px, grid.step_px, settings.smoothing_steps, repeats)
+        sigma = correlation_statistics(deformed, grid, settings.min_valid, gain, threads)
     return _field(vectors, good, measured, sigma, grid, pair.nan_pixels)
 
 
@@ -147,9 +149,7 @@ def _prepared(frame_a: NDArray[Any], frame_b: NDArray[Any], valid: NDArray[np.bo
         valid = np.ones(frames[0].shape, bool)
     valid = np.asarray(valid)
     if valid.dtype != np.bool_ or valid.shape != frames[0].shape:
-        raise PairError(
-            f"the mask is {valid.dtype} {valid.shape}; pass bool {frames[0].shape}, True where valid"
-        )
+        raise PairError(f"the mask is {valid.dtype} {valid.shape}; pass bool {frames[0].shape}, True where valid")
     finite = np.ones(valid.shape, bool)
     for frame in frames:
         if frame.dtype == np.float32:

@@ -117,4 +117,7 @@ def window_sigma(a: Array, b: Array, energy: Array, sums: Array, raw: Array, fie
         out[n] = np.nan
         if energy[n] > 0.0:
             c0, cp, cm = asymmetry(a[n], b[n], sums, raw, field)
-            out[n] = gauss_sigma(c0, cp, cm, variance_of_sum(field, sums[0]))
+            # Per shared pixel, as the peak fit sees them: one column fewer overlaps at one pixel's distance.
+            fewer = a.shape[1] / (a.shape[1] - 1.0)
+            variance = fewer * fewer * variance_of_sum(field, sums[0])
+            out[n] = gauss_sigma(c0, fewer * cp, fewer * cm, variance)

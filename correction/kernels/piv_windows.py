@@ -113,7 +113,7 @@ def three_points(low: float, middle: float, high: float) -> float:
     if low > 0.0 and high > 0.0 and middle > 0.0:
         low, middle, high = np.log(low), np.log(middle), np.log(high)
     curvature = low - 2.0 * middle + high
-    return 0.5 * (low - high) / curvature if curvature < 0.0 else 0.0
+    return min(1.0, max(-1.0, 0.5 * (low - high) / curvature)) if curvature < 0.0 else 0.0
 
 
 @kernel
@@ -160,13 +160,36 @@ def second_peak(plane: Array, peak_j: int, peak_i: int) -> float:
 
 
 @kernel
-def find_peaks(planes: Array, energy: Array, with_ratio: bool, best: Array, out: Array) -> None:
+def lag_mean(a: Array, b: Array, dx: int, dy: int, sums: Array) -> float:
+    """Mean of a(x) b(x + d) over the pixels that windows a, b (w, w) share at the displacement d."""
+    size = a.shape[0]
+    first, width = max(0, -dx), size - abs(dx)
+    for k in range(width):
+        sums[k] = np.float32(0.0)
+    for j in range(max(0, -dy), size - max(0, dy)):
+        here = a[j, first : first + width]
+        there = b[j + dy, first + dx : first + dx + width]
+        for k in range(width):
+            sums[k] += here[k] * there[k]
+    total = 0.0
+    for k in range(width):
+        total += sums[k]
+    return total / (width * (size - abs(dy)))
+
+
+@kernel
+def find_peaks(
+    planes: Array, a: Array, b: Array, energy: Array, with_ratio: bool, best: Array, out: Array
+) -> None:
     """Displacement from periodic correlation planes (N, w, w) float32, displacement 0 at [0, 0].
 
+    The plane says which pixel; the fraction comes from the correlation of windows a, b (N, w, w) themselves at
+    that pixel and its four neighbours, without what the periodic continuation folds in from the other side.
     out (N, 4) float64 becomes du, dv [px], correlation coefficient, and peak ratio (NaN unless asked for).
     A window without texture (energy 0) gives NaN.  best is (2, w) float32 scratch.
     """
     size = planes.shape[1]
+    half = (size - 1) // 2
     for n in range(planes.shape[0]):
         if not energy[n] > 0.0:
             out[n] = np.nan
@@ -179,13 +202,16 @@ def find_peaks(planes: Array, energy: Array, with_ratio: bool, best: Array, out:
                 i = k
         j = int(best[1, i])
         top = plane[j, i]
-        left, right = plane[j, (i - 1) % size], plane[j, (i + 1) % size]
-        above, below = plane[(j - 1) % size, i], plane[(j + 1) % size, i]
-        half = (size - 1) // 2
-        out[n, 0] = (i if i <= half else i - size) + three_points(left, top, right)
-        out[n, 1] = (j if j <= half else j - size) + three_points(above, top, below)
         out[n, 2] = top / energy[n]
         out[n, 3] = np.nan
         if with_ratio:
             second = second_peak(plane, j, i)
             out[n, 3] = top / second if second > 0.0 else np.inf
+        dx = i if i <= half else i - size
+        dy = j if j <= half else j - size
+        sums = best[0]
+        middle = lag_mean(a[n], b[n], dx, dy, sums)
+        left, right = lag_mean(a[n], b[n], dx - 1, dy, sums), lag_mean(a[n], b[n], dx + 1, dy, sums)
+        above, below = lag_mean(a[n], b[n], dx, dy - 1, sums), lag_mean(a[n], b[n], dx, dy + 1, sums)
+        out[n, 0] = dx + three_points(left, middle, right)
+        out[n, 1] = dy + three_points(above, middle, below)

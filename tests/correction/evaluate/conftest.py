@@ -25,7 +25,7 @@ def draw(shape, u, v, diameter_px, peak):
     return image
 
 
-def make_pair(displacement, shape=(512, 512), seed=0, ppp=0.02, diameter_px=3.0, noise=0.01, loss=0.0, peak=3000.0):
+def make_pair(displacement, shape=(512, 512), seed=0, ppp=0.02, diameter_px=3.0, noise=0.01, loss=0.0):
     """Frames A, B (uint16, 12 bit); displacement(u, v) -> du, dv holds at the middle time.
 
     `loss` is the share of particles that are replaced by others in frame B; noise is in parts of 4095.
@@ -40,7 +40,7 @@ def make_pair(displacement, shape=(512, 512), seed=0, ppp=0.02, diameter_px=3.0,
     lost = rng.uniform(size=n) < loss
     u_b = np.where(lost, rng.uniform(-margin, shape[1] + margin, n), u + du / 2)
     v_b = np.where(lost, rng.uniform(-margin, shape[0] + margin, n), v + dv / 2)
-    intensity = np.full(n, peak)
+    intensity = np.full(n, 3000.0)
     frames = []
     for x, y in ((u - du / 2, v - dv / 2), (u_b, v_b)):
         image = draw(shape, x, y, diameter_px, intensity) + 100.0 + rng.normal(0, noise * 4095, shape)
