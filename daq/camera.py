@@ -81,6 +81,10 @@ class Camera(Protocol):
         """
         ...
 
+    def verify(self) -> None:
+        """Read the configured settings back once more; SettingsChanged if the camera lost any."""
+        ...
+
     def settings(self) -> dict[str, Setting]:
         """Every readable feature with its value, to be saved with the run."""
         ...

@@ -6,6 +6,7 @@
         |   +-- SettingRefused     a setting is unknown, out of range, or did not read back as asked
         +-- CameraSetupError   the machine: a library, producer or folder is missing or cannot be used
         +-- CameraBusy         another process holds the camera
+        +-- SettingsChanged    the camera: it forgot settings (power dip, reset); configure it again
         +-- CameraTimeout      no frame came in time; the camera is alive
         +-- CameraLost         the cable or the camera: no answer; open it again
         +-- FrameError         the camera delivered something that cannot be the frame it announced
@@ -36,6 +37,10 @@ class CameraSetupError(CameraError):
 
 class CameraBusy(CameraError):  # noqa: N818
     """Another process controls the camera; close it there first."""
+
+
+class SettingsChanged(CameraError):  # noqa: N818
+    """The camera no longer has the settings it was given; configure it again, distrust frames since."""
 
 
 class CameraTimeout(CameraError):  # noqa: N818

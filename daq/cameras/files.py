@@ -90,6 +90,10 @@ class FilesCamera:
         self._values.update(settings)
         return {name: self._values[name] for name in settings}
 
+    def verify(self) -> None:
+        """Files forget nothing."""
+        self._require_open()
+
     def settings(self) -> dict[str, Setting]:
         """Every setting with its value."""
         self._require_open()

@@ -15,7 +15,7 @@ class IdTracker:
     Parameters
     ----------
     bits : int
-        16 for ids that wrap 65535 -> 1, 64 for ids that do not wrap.
+        16 for ids that wrap 65535 -> 1, 64 for ids that do not wrap; an id above 65535 makes it 64.
     """
 
     bits: int = 64
@@ -26,6 +26,8 @@ class IdTracker:
 
     def note(self, frame_id: int) -> int:
         """Take the id of a complete frame; return its sequence number, 0 for the first."""
+        if frame_id > 0xFFFF:
+            self.bits = 64
         if self._last is None:
             self.sequence = 0
         else:

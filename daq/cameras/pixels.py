@@ -55,6 +55,12 @@ def pixel_format(name_or_code: str | int) -> PixelFormat:
     return found
 
 
+def warm_up() -> None:
+    """Compile or load all kernels now, so that the first frame of a run is not late."""
+    for form in FORMATS.values():
+        unpack(np.zeros(8, np.uint8), form, 2, 1, 0, np.zeros(2, np.uint16))
+
+
 def row_pitch_bits(form: PixelFormat, width: int, height: int, padding_bytes: int, size_bytes: int) -> int:
     """Distance between the starts of two rows [bit].
 

@@ -1,0 +1,60 @@
+"""What makes one simulated camera different from another; travels as JSON into the process it lives in."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Self
+
+from sim.camera.faults import FaultPlan
+
+
+@dataclass(frozen=True, slots=True)
+class CameraConfig:
+    """A simulated camera before power-up.
+
+    Parameters
+    ----------
+    width, height : int
+        Sensor size [px].
+    bits : int
+        Significant bits of the sensor.
+    serial : str
+        Serial number; identifies the camera on every transport.
+    row_time_us : float
+        Readout time of one sensor row [us]; limits the frame rate.
+    first_frame_id : int
+        Id of the first frame after power-up; real cameras start anywhere.
+    source, source_arguments : str, mapping
+        Frame source as "package.module:factory" and its arguments; the default is a pattern of sensor size.
+    lock_path : str
+        File that is locked while the camera is open, so that a second process finds it busy; "" for none.
+    hold_gil : bool
+        Let the producer keep Python's lock while it waits, as compiled producers do through their binding.
+    faults : FaultPlan
+        Scheduled faults.
+    """
+
+    width: int = 640
+    height: int = 480
+    bits: int = 12
+    serial: str = "SIM0001"
+    row_time_us: float = 10.0
+    first_frame_id: int = 1
+    source: str = "sim.camera.source:PatternSource"
+    source_arguments: Mapping[str, Any] = field(default_factory=dict)
+    lock_path: str = ""
+    hold_gil: bool = False
+    faults: FaultPlan = field(default_factory=FaultPlan)
+
+    def to_json(self) -> str:
+        """One line of JSON."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Inverse of `to_json`; an unknown name is a TypeError."""
+        data = json.loads(text)
+        faults = dict(data.pop("faults", {}))
+        for name in ("incomplete", "dropped"):
+            faults[name] = tuple(faults.get(name, ()))
+        return cls(faults=FaultPlan(**faults), **data)

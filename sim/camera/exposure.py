@@ -1,0 +1,64 @@
+"""When a sensor is exposed and read out: trigger in, exposures out, in nanoseconds and without a clock of its own.
+
+A global-shutter sensor may expose one image while it reads out the one before, but a new exposure must not end
+before that readout has.  Hence a trigger at t is taken if no exposure is running at t and t + exposure is not
+earlier than the end of the readout; any other trigger is ignored and counted, as SFNC's FrameTriggerMissed.
+
+Double-frame (one trigger, two images): B starts `interval` after A and cannot end before A is read out, so B is
+exposed for about a readout time, however short A was.  Its background is brighter; real cameras do this too.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Exposure:
+    """One exposure: start, end, and when the last row has left the sensor."""
+
+    start_ns: int
+    end_ns: int
+    read_ns: int
+
+
+class Shutter:
+    """The exposure state of one sensor."""
+
+    def __init__(self) -> None:
+        self.missed = 0
+        self._exposed_ns = 0
+        self._read_ns = 0
+
+    def earliest_ns(self, exposure_ns: int) -> int:
+        """Earliest time at which a trigger would be taken."""
+        return max(self._exposed_ns, self._read_ns - exposure_ns)
+
+    def fire(
+        self, now_ns: int, exposure_ns: int, readout_ns: int, interval_ns: int | None = None
+    ) -> tuple[Exposure, ...]:
+        """Take a trigger.
+
+        Parameters
+        ----------
+        now_ns : int
+            Time of the trigger.
+        exposure_ns, readout_ns : int
+            Exposure time, and time to read the sensor out.
+        interval_ns : int, optional
+            Time from the start of A to the start of B; None for single images.
+
+        Returns
+        -------
+        tuple of Exposure
+            One or two exposures; empty if the trigger was ignored.
+        """
+        if now_ns < self.earliest_ns(exposure_ns):
+            self.missed += 1
+            return ()
+        first_end = now_ns + exposure_ns
+        first = Exposure(now_ns, first_end, max(first_end, self._read_ns) + readout_ns)
+        last = first
+        if interval_ns is not None:
+            start = max(now_ns + interval_ns, first_end)
+            last = Exposure(start, first.read_ns, first.read_ns + readout_ns)
+        self._exposed_ns, self._read_ns = last.end_ns, last.read_ns
+        return (first,) if interval_ns is None else (first, last)

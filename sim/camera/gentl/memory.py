@@ -1,0 +1,69 @@
+"""Reading from and writing to the caller's memory, with the GenTL rules for sizes.
+
+Every answer may be asked for twice: with a null buffer for its size, then with a buffer of that size.
+"""
+
+import ctypes
+
+from sim.camera.gentl.abi import SIZES, Answer, GenTLError, Kind, Status
+
+
+def read_text(pointer: int) -> str:
+    """A zero-terminated string of the caller; INVALID_PARAMETER for a null pointer."""
+    if not pointer:
+        raise GenTLError(Status.INVALID_PARAMETER, "null pointer instead of a string")
+    return ctypes.string_at(pointer).decode("utf-8", "replace")
+
+
+def read_size(pointer: int) -> int:
+    """A size_t of the caller."""
+    if not pointer:
+        raise GenTLError(Status.INVALID_PARAMETER, "null pointer instead of a size")
+    return ctypes.c_size_t.from_address(pointer).value
+
+
+def write_size(pointer: int, value: int) -> None:
+    """Write a size_t, a handle or a pointer."""
+    if not pointer:
+        raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
+    ctypes.c_size_t.from_address(pointer).value = value
+
+
+def write_u32(pointer: int, value: int) -> None:
+    """Write a uint32_t."""
+    if not pointer:
+        raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
+    ctypes.c_uint32.from_address(pointer).value = value
+
+
+def write_bool(pointer: int, value: bool) -> None:
+    """Write a bool8_t; a null pointer means that nobody wants to know."""
+    if pointer:
+        ctypes.c_uint8.from_address(pointer).value = int(value)
+
+
+def give(data: bytes, buffer: int, size: int) -> None:
+    """Hand out `data`: its size alone for a null buffer, else the bytes if they fit."""
+    room = read_size(size)
+    write_size(size, len(data))
+    if not buffer:
+        return
+    if room < len(data):
+        raise GenTLError(Status.BUFFER_TOO_SMALL, f"{len(data)} bytes do not fit into {room}")
+    ctypes.memmove(buffer, data, len(data))
+
+
+def give_text(text: str, buffer: int, size: int) -> None:
+    """Hand out a zero-terminated string."""
+    give(text.encode() + b"\0", buffer, size)
+
+
+def give_answer(answer: Answer, kind: int, buffer: int, size: int) -> None:
+    """Hand out a typed answer of an Info function."""
+    datatype, value = answer
+    if kind:
+        ctypes.c_int32.from_address(kind).value = int(datatype)
+    if datatype is Kind.STRING:
+        give_text(str(value), buffer, size)
+        return
+    give(int(value).to_bytes(SIZES[datatype], "little", signed=int(value) < 0), buffer, size)

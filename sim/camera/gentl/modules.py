@@ -1,0 +1,264 @@
+"""The modules a GenTL client walks through: system, interface, device, port, event.
+
+A handle is a number that finds one of these objects; a number that finds nothing is INVALID_HANDLE.
+"""
+
+import fcntl
+import os
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any, TypeVar
+
+from sim.camera.config import CameraConfig
+from sim.camera.device import MODEL, VENDOR, SimCamera
+from sim.camera.gentl.abi import (
+    ACCESS_BUSY,
+    ACCESS_OPEN_READWRITE,
+    ACCESS_READWRITE,
+    Answer,
+    GenTLError,
+    Kind,
+    Status,
+)
+from sim.camera.gentl.ports import InfoPort
+from sim.camera.gentl.stream import Stream
+
+TL_TYPE = "Custom"
+INTERFACE_ID = "rtpiv_interface"
+M = TypeVar("M")
+
+
+@dataclass
+class CameraPort:
+    """Port of the camera itself."""
+
+    camera: SimCamera
+    port_name: str = "Device"
+
+    @property
+    def xml(self) -> bytes:
+        """The camera's description."""
+        return self.camera.registers.xml
+
+    def read(self, address: int, length: int) -> bytes:
+        """Read the camera's registers."""
+        return self.camera.read(address, length)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write the camera's registers."""
+        self.camera.write(address, data)
+
+
+@dataclass
+class Device:
+    """One camera as the interface lists it; powered when it is opened for the first time."""
+
+    config: CameraConfig
+    camera: SimCamera | None = None
+    is_open: bool = False
+    stream: Stream | None = None
+    handle: int = 0
+    remote_handle: int = 0
+    port: InfoPort = field(init=False)
+    _lock: int | None = None
+
+    def __post_init__(self) -> None:
+        self.port = InfoPort(
+            "DevicePort",
+            {
+                "DeviceID": self.config.serial,
+                "DeviceVendorName": VENDOR,
+                "DeviceModelName": MODEL,
+                "DeviceSerialNumber": self.config.serial,
+                "DeviceType": TL_TYPE,
+            },
+        )
+
+    def open(self) -> SimCamera:
+        """Take exclusive control; RESOURCE_IN_USE if somebody has it, IO if the camera is unplugged."""
+        if self.is_open:
+            raise GenTLError(Status.RESOURCE_IN_USE, f"{self.config.serial} is open already")
+        if self.config.lock_path:
+            self._lock = _lock(self.config.lock_path)
+        if self.camera is None:
+            self.camera = SimCamera(self.config)
+        if self.camera.is_lost:
+            self._unlock()
+            raise GenTLError(Status.IO, f"{self.config.serial} does not answer")
+        self.is_open = True
+        return self.camera
+
+    def close(self) -> None:
+        """Give control back; settings stay, as on a camera under power."""
+        if self.camera is not None:
+            self.camera.stop()
+            self.camera.sink = None
+        self.is_open = False
+        self.stream = None
+        self._unlock()
+
+    def power_off(self) -> None:
+        """Close and end the camera."""
+        self.close()
+        if self.camera is not None:
+            self.camera.power_off()
+            self.camera = None
+
+    def answer(self, command: int) -> Answer:
+        """IFGetDeviceInfo and DevGetInfo."""
+        if command == 5:
+            return (Kind.INT32, self._access())
+        serial = self.config.serial
+        texts = {0: serial, 1: VENDOR, 2: MODEL, 3: TL_TYPE, 4: f"{MODEL} {serial}", 6: "", 7: serial, 8: "1.0"}
+        if command in texts:
+            return (Kind.STRING, texts[command])
+        if command == 9:
+            return (Kind.UINT64, 1_000_000_000)
+        raise GenTLError(Status.NOT_AVAILABLE, f"device info {command}")
+
+    def _access(self) -> int:
+        if self.is_open:
+            return ACCESS_OPEN_READWRITE
+        if self.config.lock_path:
+            try:
+                os.close(_lock(self.config.lock_path))
+            except GenTLError:
+                return ACCESS_BUSY
+        return ACCESS_READWRITE
+
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+def _lock(path: str) -> int:
+    descriptor = os.open(path, os.O_CREAT | os.O_RDWR, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise GenTLError(Status.RESOURCE_IN_USE, "another process holds the camera") from None
+    return descriptor
+
+
+@dataclass
+class Interface:
+    """The one interface; lists the cameras."""
+
+    devices: dict[str, Device]
+    is_open: bool = False
+    port: InfoPort = field(
+        default_factory=lambda: InfoPort("InterfacePort", {"InterfaceID": INTERFACE_ID, "InterfaceType": TL_TYPE})
+    )
+
+    def answer(self, command: int) -> Answer:
+        """TLGetInterfaceInfo and IFGetInfo."""
+        texts = {0: INTERFACE_ID, 1: "rtpiv simulated interface", 2: TL_TYPE}
+        if command not in texts:
+            raise GenTLError(Status.NOT_AVAILABLE, f"interface info {command}")
+        return (Kind.STRING, texts[command])
+
+
+@dataclass
+class System:
+    """The transport layer as a whole."""
+
+    path: str
+    interface: Interface
+    is_open: bool = False
+    port: InfoPort = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.port = InfoPort(
+            "TLPort",
+            {
+                "TLID": "rtpiv",
+                "TLVendorName": VENDOR,
+                "TLModelName": "simulated cameras",
+                "TLVersion": "1.0",
+                "TLPath": self.path,
+                "TLType": TL_TYPE,
+            },
+        )
+
+    def answer(self, command: int) -> Answer:
+        """GCGetInfo and TLGetInfo."""
+        name = self.path.rsplit("/", 1)[-1]
+        texts = {
+            0: "rtpiv",
+            1: VENDOR,
+            2: "simulated cameras",
+            3: "1.0",
+            4: TL_TYPE,
+            5: name,
+            6: self.path,
+            7: "rtpiv",
+        }
+        numbers = {9: 1, 10: 5}
+        if command in texts:
+            return (Kind.STRING, texts[command])
+        if command == 8:
+            return (Kind.INT32, 1)
+        if command in numbers:
+            return (Kind.UINT32, numbers[command])
+        raise GenTLError(Status.NOT_AVAILABLE, f"system info {command}")
+
+
+@dataclass
+class StreamModule:
+    """An open data stream with its own small port."""
+
+    device: Device
+    stream: Stream
+    port: InfoPort = field(
+        default_factory=lambda: InfoPort("StreamPort", {"StreamID": "Stream0", "StreamType": TL_TYPE})
+    )
+
+
+@dataclass
+class Event:
+    """A registered NEW_BUFFER event."""
+
+    owner: StreamModule
+    fired: int = 0
+
+
+class Handles:
+    """Numbers for objects, never used twice."""
+
+    def __init__(self) -> None:
+        self._objects: dict[int, Any] = {}
+        self._next = count(0x1000)
+
+    def add(self, module: object) -> int:
+        """Give an object a number."""
+        handle = next(self._next)
+        self._objects[handle] = module
+        return handle
+
+    def get(self, handle: int, *kinds: type[M]) -> M:
+        """Object of a number, if it is of one of the wanted kinds."""
+        module = self._objects.get(handle)
+        if not isinstance(module, kinds):
+            raise GenTLError(Status.INVALID_HANDLE, f"handle {handle:#x}")
+        return module
+
+    def drop(self, handle: int) -> None:
+        """Forget a number."""
+        self._objects.pop(handle, None)
+
+    def drop_owned(self, owner: StreamModule) -> None:
+        """Forget the events of a stream."""
+        for handle in [
+            h for h, module in self._objects.items() if isinstance(module, Event) and module.owner is owner
+        ]:
+            del self._objects[handle]
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._objects.clear()
+
+    def next_free(self) -> int:
+        """A number without an object, for buffers."""
+        return next(self._next)

@@ -1,0 +1,165 @@
+"""The camera's memory: typed registers over bytes, readable and writeable by address.
+
+Addresses and lengths come from a client and are not trusted: anything outside a register is refused, a write must
+hit one register exactly, and its value must lie within the feature's limits.
+"""
+
+import math
+import struct
+from collections.abc import Callable
+
+from sim.camera.features import FEATURE_BASE, FEATURES, XML_BASE, Feature
+from sim.camera.xml import describe
+
+BOOTSTRAP_BYTES = 0x1000
+Value = int | float | str
+
+
+class BadAddress(Exception):  # noqa: N818 - named after GenTL's and GigE Vision's status
+    """No register at this address, or of this length."""
+
+
+class BadValue(Exception):  # noqa: N818
+    """The register cannot take this value."""
+
+
+class WriteProtected(Exception):  # noqa: N818
+    """The register is read-only, or locked while the stream runs."""
+
+
+class RegisterMap:
+    """Registers of one camera.
+
+    Parameters
+    ----------
+    vendor, model : str
+        Names for the XML description.
+    """
+
+    def __init__(self, vendor: str, model: str) -> None:
+        self._features = {feature.name: feature for feature in FEATURES}
+        self.addresses = _lay_out(FEATURES)
+        self._at = {address: self._features[name] for name, address in self.addresses.items()}
+        top = max(address + self._at[address].length for address in self._at)
+        self.bootstrap = bytearray(BOOTSTRAP_BYTES)
+        self._memory = bytearray(top - FEATURE_BASE)
+        self.xml = describe(FEATURES, self.addresses, vendor, model)
+        self.on_write: Callable[[str, Value], None] | None = None
+        self.before_read: Callable[[str], None] | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Give every feature its value after power-up."""
+        for feature in FEATURES:
+            self.put(feature.name, feature.default)
+
+    def get(self, name: str) -> Value:
+        """Value of a feature; an enumeration's value is its number."""
+        feature = self._features[name]
+        raw = self._bytes(self.addresses[name], feature.length)
+        return _decode(feature, raw)
+
+    def integer(self, name: str) -> int:
+        """Value of an integer, boolean or enumeration."""
+        return int(self.get(name))
+
+    def number(self, name: str) -> float:
+        """Value of a float."""
+        return float(self.get(name))
+
+    def entry(self, name: str) -> str:
+        """Entry's name of an enumeration."""
+        value = self.get(name)
+        return next(entry for entry, number in self._features[name].entries if number == value)
+
+    def put(self, name: str, value: Value) -> None:
+        """Set a feature from inside the camera; limits and access rights do not apply."""
+        feature = self._features[name]
+        self._store(self.addresses[name], _encode(feature, value))
+
+    def read(self, address: int, length: int) -> bytes:
+        """Read `length` bytes at `address` as a client does; BadAddress outside all registers."""
+        if length < 0 or length > 1 << 24 or address < 0:
+            raise BadAddress(f"{length} bytes at {address:#x}")
+        if self.before_read is not None and address in self._at:
+            self.before_read(self._at[address].name)
+        return self._bytes(address, length)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write one register as a client does.
+
+        Raises
+        ------
+        BadAddress, WriteProtected, BadValue
+            And nothing has changed.
+        """
+        feature = self._at.get(address)
+        if feature is None or (len(data) != feature.length and feature.kind != "string"):
+            raise BadAddress(f"no register of {len(data)} bytes at {address:#x}")
+        if feature.access == "RO":
+            raise WriteProtected(feature.name)
+        if len(data) > feature.length:
+            raise BadValue(f"{feature.name}: {len(data)} bytes do not fit")
+        value = _decode(feature, data)
+        self._check(feature, value)
+        if self.on_write is not None:
+            self.on_write(feature.name, value)
+        else:
+            self.put(feature.name, value)
+
+    def _check(self, feature: Feature, value: Value) -> None:
+        if feature.kind in ("string", "command"):
+            return
+        if feature.entries and value not in dict(feature.entries).values():
+            raise BadValue(f"{feature.name} has no entry {value}")
+        if feature.entries:
+            return
+        low = self.number(feature.low) if isinstance(feature.low, str) else feature.low
+        high = self.number(feature.high) if isinstance(feature.high, str) else feature.high
+        if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
+            raise BadValue(f"{feature.name} = {value} is outside {low} to {high}")
+
+    def _bytes(self, address: int, length: int) -> bytes:
+        for base, memory in ((0, self.bootstrap), (FEATURE_BASE, self._memory), (XML_BASE, self.xml)):
+            offset = address - base
+            room = len(memory) - offset
+            if offset < 0 or room <= 0:
+                continue
+            if length <= room:
+                return bytes(memory[offset : offset + length])
+            if base == XML_BASE and length <= room + 600:  # clients round the last block up
+                return bytes(memory[offset:]).ljust(length, b"\0")
+        raise BadAddress(f"{length} bytes at {address:#x}")
+
+    def _store(self, address: int, data: bytes) -> None:
+        memory, base = (self.bootstrap, 0) if address < BOOTSTRAP_BYTES else (self._memory, FEATURE_BASE)
+        memory[address - base : address - base + len(data)] = data
+
+
+def _lay_out(features: tuple[Feature, ...]) -> dict[str, int]:
+    addresses = {}
+    free = FEATURE_BASE
+    for feature in features:
+        if feature.address:
+            addresses[feature.name] = feature.address
+            continue
+        addresses[feature.name] = free
+        free += -(-feature.length // 16) * 16
+    return addresses
+
+
+def _decode(feature: Feature, data: bytes) -> Value:
+    if feature.kind == "string":
+        return data.split(b"\0", 1)[0].decode("utf-8", "replace")
+    if feature.kind == "float":
+        return float(struct.unpack(">d", data)[0])
+    number = int.from_bytes(data, "big")
+    return number & 0xFFFF if feature.name == "GevSCPSPacketSize" else number  # the upper half holds flags
+
+
+def _encode(feature: Feature, value: Value) -> bytes:
+    if feature.kind == "string":
+        return str(value).encode()[: feature.length - 1].ljust(feature.length, b"\0")
+    if feature.kind == "float":
+        return struct.pack(">d", float(value))
+    return int(value).to_bytes(feature.length, "big")
