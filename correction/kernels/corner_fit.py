@@ -29,13 +29,15 @@ import numpy as np
 
 from tracer.kernels._jit import Array, kernel
 
-FREE = 12  # px, py, angle 1, angle 2, curvature 1, 2, blur 1, 2, A, B, slope u, slope v
+FREE = 13  # px, py, angle 1, angle 2, curvature 1, 2, blur 1, 2, A, B, slope u, slope v, edge shape
 SIDE = 121  # largest bounding box of a window [px]
 BLOCK = 5  # block of pixels taken as correlated [px]
+SETTLED_PX = 5e-4  # a step that no longer matters
 MAX_ROUNDS = 4  # moves of the window
 MAX_STEPS = 25  # steps of the optimiser in one window
+RIDGE = 1.0  # weight, in pixels of full contrast, of equal blurs and of an edge like erf
 PLAIN = 3.2  # erf is +-1 to 6e-6 from here
-MIN_BLUR = 0.12  # a step smeared over less than a pixel cannot be told from a sharp one
+MIN_BLUR = 0.2  # [px] pixel integration alone gives 0.29; below, no pixel may lie on an edge
 INV_SQRT_2 = 0.7071067811865476
 TWO_OVER_SQRT_PI = 1.1283791670955126
 
@@ -101,12 +103,17 @@ def gradient(p: Array, du: float, dv: float, row: Array) -> float:
     t2, m2 = c2 * x + s2 * y, s2 * x - c2 * y
     z1 = (m1 + p[4] * t1 * t1) * INV_SQRT_2 / p[6]
     z2 = (m2 + p[5] * t2 * t2) * INV_SQRT_2 / p[7]
-    f1 = 1.0 if z1 > PLAIN else (-1.0 if z1 < -PLAIN else erf(z1))
-    f2 = 1.0 if z2 > PLAIN else (-1.0 if z2 < -PLAIN else erf(z2))
+    w1, w2 = z1 * z1, z2 * z2
+    b1 = exp(-w1) if w1 < PLAIN * PLAIN else 0.0
+    b2 = exp(-w2) if w2 < PLAIN * PLAIN else 0.0
+    h1, h2 = z1 * (3.0 - 2.0 * w1) * b1, z2 * (3.0 - 2.0 * w2) * b2
+    f1 = erf(z1) + p[12] * h1 if b1 > 0.0 else (1.0 if z1 > 0.0 else -1.0)
+    f2 = erf(z2) + p[12] * h2 if b2 > 0.0 else (1.0 if z2 > 0.0 else -1.0)
     light = 1.0 + p[10] * du + p[11] * dv
     shade = p[8] + p[9] * f1 * f2
-    g1 = p[9] * light * f2 * TWO_OVER_SQRT_PI * exp(-z1 * z1) if abs(z1) <= PLAIN else 0.0
-    g2 = p[9] * light * f1 * TWO_OVER_SQRT_PI * exp(-z2 * z2) if abs(z2) <= PLAIN else 0.0
+    bright = p[9] * light
+    g1 = bright * f2 * b1 * (TWO_OVER_SQRT_PI + p[12] * (3.0 - w1 * (12.0 - 4.0 * w1)))
+    g2 = bright * f1 * b2 * (TWO_OVER_SQRT_PI + p[12] * (3.0 - w2 * (12.0 - 4.0 * w2)))
     d1, d2 = g1 * INV_SQRT_2 / p[6], g2 * INV_SQRT_2 / p[7]
     bend1, bend2 = 2.0 * p[4] * t1, 2.0 * p[5] * t2
     row[0] = d1 * (s1 - bend1 * c1) - d2 * (s2 + bend2 * c2)
@@ -121,15 +128,26 @@ def gradient(p: Array, du: float, dv: float, row: Array) -> float:
     row[9] = f1 * f2 * light
     row[10] = shade * du
     row[11] = shade * dv
+    row[12] = bright * (h1 * f2 + h2 * f1)
     return float(shade * light)
 
 
 @kernel
-def normal_equations(p: Array, pixels: Array, count: int, row: Array, normal: Array, right: Array) -> float:
-    """Sum J^T J into normal (FREE, FREE, lower half), J^T r into right (FREE,); return the sum of r^2."""
+def normal_equations(
+    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, row: Array, normal: Array, right: Array
+) -> float:
+    """Sum J^T J into normal (FREE, FREE, lower half), J^T r into right (FREE,); return the sum of r^2.
+
+    ridge weighs the wish that both blurs agree, shape_ridge the wish that edges look like erf.
+    """
     normal[:] = 0.0
     right[:] = 0.0
-    total = 0.0
+    astigmatism = p[6] - p[7]
+    total = ridge * astigmatism * astigmatism + shape_ridge * p[12] * p[12]
+    normal[6, 6] = normal[7, 7] = ridge
+    normal[7, 6] = -ridge
+    right[6], right[7] = -ridge * astigmatism, ridge * astigmatism
+    normal[12, 12], right[12] = shape_ridge, -shape_ridge * p[12]
     for k in range(count):
         residual = pixels[k, 2] - gradient(p, pixels[k, 0], pixels[k, 1], row)
         total += residual * residual
@@ -192,14 +210,14 @@ def start_levels(p: Array, pixels: Array, count: int, row: Array) -> None:
 
 @kernel
 def optimise(
-    p: Array, pixels: Array, count: int, limit: float, trial: Array, row: Array, normal: Array,
+    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, trial: Array, row: Array, normal: Array,
     right: Array, lower: Array, step: Array, total: Array,
 ) -> bool:  # fmt: skip
     """Levenberg-Marquardt from p (FREE,), in place; True if it settled within `limit` px of the window's centre.
 
     On return normal holds J^T J at p and total[0] the sum of squares.
     """
-    best = normal_equations(p, pixels, count, row, normal, right)
+    best = normal_equations(p, pixels, count, ridge, shape_ridge, row, normal, right)
     damping = 1e-3
     for _ in range(MAX_STEPS):
         if not factorise(normal, damping, lower):
@@ -208,15 +226,16 @@ def optimise(
         solve(lower, right, step)
         for i in range(FREE):
             trial[i] = p[i] + step[i]
-        trial[6], trial[7] = max(abs(trial[6]), MIN_BLUR), max(abs(trial[7]), MIN_BLUR)
+        for i in range(6, 8):  # a long first step must not jump to a blur where no pixel lies on an edge
+            trial[i] = max(trial[i], 0.5 * p[i], MIN_BLUR)
         if not hypot(trial[0], trial[1]) <= limit:
             damping *= 10.0
             if damping > 1e8:
                 return False
             continue
-        now = normal_equations(trial, pixels, count, row, normal, right)
+        now = normal_equations(trial, pixels, count, ridge, shape_ridge, row, normal, right)
         if now <= best:
-            settled = hypot(step[0], step[1]) < 1e-4 and best - now <= 1e-5 * best
+            settled = hypot(step[0], step[1]) < SETTLED_PX and best - now <= 1e-3 * best
             p[:] = trial
             best = now
             damping = max(0.1 * damping, 1e-12)
@@ -225,9 +244,9 @@ def optimise(
                 return True
         else:
             if hypot(step[0], step[1]) < 1e-5:
-                total[0] = normal_equations(p, pixels, count, row, normal, right)
+                total[0] = normal_equations(p, pixels, count, ridge, shape_ridge, row, normal, right)
                 return True
-            normal_equations(p, pixels, count, row, normal, right)
+            normal_equations(p, pixels, count, ridge, shape_ridge, row, normal, right)
             damping = min(damping * 10.0, 1e10)
     return False
 
@@ -326,7 +345,7 @@ def fit_corners(
         p[6], p[7] = blur, blur
         centre_u, centre_v = start[n, 0], start[n, 1]
         limit = max_shift * min(side1, side2)
-        verdict[n] = LOST
+        verdict[n], level = LOST, 0.0
         for rounds in range(MAX_ROUNDS):
             count = gather(image, mask, centre_u, centre_v, inverse, extent, reach, arm, box, pixels)
             while count < 0 and reach > least:
@@ -340,7 +359,11 @@ def fit_corners(
                 break
             if rounds == 0:
                 start_levels(p, pixels, count, row)
-            if not optimise(p, pixels, count, limit, trial, row, normal, right, lower, step, total):
+                level = p[9]
+            ridge = RIDGE * level * level
+            # The shape is freed once the blur is right: under a wide first guess it finds a wrong minimum.
+            pin = ridge if rounds > 0 else 1e6 * ridge
+            if not optimise(p, pixels, count, ridge, pin, limit, trial, row, normal, right, lower, step, total):
                 verdict[n] = LOST
                 break
             moved = hypot(p[0], p[1])
@@ -351,7 +374,7 @@ def fit_corners(
             if max(abs(a), abs(b)) > max_shift:
                 verdict[n] = MOVED
                 break
-            if moved < 0.3 or rounds == MAX_ROUNDS - 1:
+            if (rounds > 0 and moved < 0.3) or rounds == MAX_ROUNDS - 1:
                 if covariance(p, pixels, count, box, row, normal, lower, weights, step, pull, sums, out[n, 2:5]):
                     verdict[n] = OK
                     out[n, 0], out[n, 1] = centre_u, centre_v
