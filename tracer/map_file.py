@@ -65,11 +65,14 @@ def load_arrays(path: Path | str, kind: str) -> tuple[dict[str, Any], dict[str, 
     try:
         with zipfile.ZipFile(path) as archive:
             arrays = {info.filename.removesuffix(".npy"): _member(archive, info) for info in archive.infolist()}
-        header = json.loads(arrays.pop("header").tobytes().decode())
+        text = arrays.pop("header").tobytes()
+        if len(text) > HEADER_BYTES:
+            raise ValueError(f"a header of {len(text)} bytes")
+        header = json.loads(text.decode())
         found, layout = header.pop("kind"), header.pop("layout")
     except OSError as error:
         raise MapFileError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, TypeError, AttributeError) as error:
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, TypeError, AttributeError, RuntimeError) as error:
         raise MapFileError(f"{path}: is damaged or no map file ({error}); trace the scene again") from None
     if found != kind:
         raise MapFileError(f"{path}: holds a {found}, not a {kind}")

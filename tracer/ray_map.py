@@ -86,10 +86,15 @@ class RayMap:
             scene_hash = str(header["scene_hash"])
         except KeyError as error:
             raise MapFileError(f"{path}: lacks {error}; trace the scene again") from None
+        except TypeError:
+            raise MapFileError(f"{path}: branches are not lists of names; trace the scene again") from None
         fits = plane.shape == (*status.shape, 2) and branch.shape == status.shape and status.ndim == 2
         kinds = [array.dtype.str for array in (plane, status, branch)] == ["<f8", "|u1", "<u2"]
         if not (fits and kinds and branches and int(branch.max(initial=0)) < len(branches)):
             raise MapFileError(f"{path}: arrays do not fit together; trace the scene again")
+        points = plane[status == RayStatus.RECOVERED]
+        if int(status.max(initial=0)) > max(RayStatus) or not np.isfinite(points).all():
+            raise MapFileError(f"{path}: holds values that no ray has; trace the scene again")
         return cls(plane, status, branch, branches, scene_hash)
 
 
