@@ -50,7 +50,19 @@ def give(data: bytes, buffer: int, size: int) -> None:
         return
     if room < len(data):
         raise GenTLError(Status.BUFFER_TOO_SMALL, f"{len(data)} bytes do not fit into {room}")
-    ctypes.memmove(buffer, data, len(data))
+    put(data, buffer)
+
+
+def put(data: bytes, address: int) -> None:
+    """Copy bytes to the caller without letting go of Python's lock, as ctypes.memmove would.
+
+    A client may hold a lock of its own (GenApi's node map) around this call; another thread of it that gets
+    Python's lock now and then waits for that one would never let us go on.
+    """
+    if not address:
+        raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
+    if data:
+        memoryview((ctypes.c_char * len(data)).from_address(address)).cast("B")[:] = data
 
 
 def give_text(text: str, buffer: int, size: int) -> None:

@@ -115,8 +115,7 @@ class Producer:
         length = memory.read_size(size)
         if length > MAX_READ_BYTES:
             raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
-        data = self._port(handle).read(address, length)
-        ctypes.memmove(buffer, data, length)
+        memory.put(self._port(handle).read(address, length), buffer)
 
     def GCWritePort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
         length = memory.read_size(size)
