@@ -106,7 +106,9 @@ def correct(
         if check_target:
             errors.append(target_error(corrected, corrector, board))
         if index == 0:
-            draw_overview(out / "overview.png", frame, _pattern_seen(loaded, board), corrected, corrector.recovered)
+            draw_overview(
+                out / "overview.png", frame, _pattern_seen(loaded, board), corrected, corrector.recovered
+            )
         stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
         clipped += cut
         write_frame(out / f"{path.stem}.tif", stored, grid.px_per_mm, {"source": path.name, **about})

@@ -1,0 +1,35 @@
+"""The paper's scenes on a sensor small enough for quick tests, and one where nothing is aligned."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from tracer.bodies import Sphere
+from tracer.camera import look_at
+from tracer.media import MEDIA, ConstantMedium
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SCENES = ("one_sphere_250", "two_spheres_500", "three_spheres_500", "pyramid_500", "tilted_pair")
+
+
+def small_scene(name: str, size_px: int = 336) -> Scene:
+    """A scene with `size_px` pixels across the same field of view."""
+    if name == "tilted_pair":
+        base = small_scene("two_spheres_500", size_px)
+        bodies = (
+            Sphere("low", (-12.0, 8.0, 24.0), 22.0, MEDIA["N-BK7"]),
+            Sphere("high", (9.0, -6.0, 72.0), 24.0, ConstantMedium(1.47)),
+        )
+        position = (31.0, -22.0, 480.0)
+        camera = replace(base.camera, position_mm=position, rotation=look_at(position, (3.0, 2.0, 0.0), 0.2))
+        return Scene(camera, bodies)
+    scene = load_scene(EXAMPLES / f"{name}.yaml")
+    scale = size_px / scene.camera.sensor_px[0]
+    camera = replace(
+        scene.camera,
+        focal_px=scene.camera.focal_px * scale,
+        principal_px=((size_px - 1) / 2.0, (size_px - 1) / 2.0),
+        sensor_px=(size_px, size_px),
+    )
+    return scene.with_camera(camera)
