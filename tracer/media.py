@@ -85,7 +85,24 @@ class AirMedium:
         return 1.0 + 0.05792105 / (238.0185 - wavenumber2) + 0.00167917 / (57.362 - wavenumber2)
 
 
-Medium = ConstantMedium | SellmeierMedium | AirMedium
+@dataclass(frozen=True)
+class ShiftedMedium:
+    """A glass whose index was measured: the dispersion of `base`, moved by a constant.
+
+    Melts of one glass differ by some 1e-3 in n but hardly in dispersion, so an index fitted in one light
+    holds in another:  n(lambda) = n_base(lambda) + offset.
+    """
+
+    base: SellmeierMedium | AirMedium
+    offset: float
+    name: str = ""
+
+    def n(self, wavelength_nm: float) -> float:
+        """Refractive index at a vacuum wavelength [nm]."""
+        return self.base.n(wavelength_nm) + self.offset
+
+
+Medium = ConstantMedium | SellmeierMedium | AirMedium | ShiftedMedium
 
 VACUUM = ConstantMedium(1.0, "vacuum")
 

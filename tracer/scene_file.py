@@ -5,6 +5,7 @@ ambient: {n: 1.0}                    # or a named medium: air, vacuum
 glasses:                             # optional, beside N-BK7, N-BK10, N-K5, fused-silica, PMMA
 crown: {n: 1.53}
 own: {sellmeier: {b: [1.04, 0.23, 1.01], c_um2: [0.006, 0.02, 103.6]}}
+melt: {base: N-BK7, offset: 0.0012}  # measured: dispersion of N-BK7, n higher by 0.0012
 camera:
 f_mm: 60.0                         # lens focused on the plane from L_mm ...
 L_mm: 500.0
@@ -17,6 +18,8 @@ lens: {k1: 0.0}                    # acquired -> ideal, see tracer.camera
 bodies:
 - {name: front, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: crown}
 - {name: support, kind: rod, start_mm: [0.0, -40.0, 10.0], end_mm: [0.0, -60.0, 10.0], radius_mm: 4.0}
+fit:                                 # optional: what a scene fit may change, see tracer.fit_section
+spheres: {centre_mm: 1.0, radius_mm: 0.02}
 """
 
 from pathlib import Path
@@ -30,7 +33,8 @@ from tracer.bodies import Body, Rod, Sphere
 from tracer.camera import LONGEST_MM, Camera, Lens, Vector3, look_at, thin_lens_distance_mm
 from tracer.config import Document, Pair, Table, Triple, load_yaml, validate
 from tracer.errors import ConfigError, Problem, SceneError
-from tracer.media import MEDIA, AirMedium, ConstantMedium, Medium, SellmeierMedium
+from tracer.fit_section import FitTable
+from tracer.media import MEDIA, AirMedium, ConstantMedium, Medium, SellmeierMedium, ShiftedMedium
 from tracer.scene import Scene
 
 Positive = Annotated[float, Field(gt=0.0, le=LONGEST_MM)]
@@ -51,22 +55,33 @@ class SellmeierTable(Table):
 
 
 class MediumTable(Table):
-    """A medium by number or by formula."""
+    """A medium by number, by formula, or as another one with a measured offset."""
 
     n: Annotated[float, Field(ge=1.0, le=5.0)] | None = None
     sellmeier: SellmeierTable | None = None
+    base: str | None = None
+    offset: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
 
     @model_validator(mode="after")
     def _one_of(self) -> "MediumTable":
-        if (self.n is None) == (self.sellmeier is None):
-            raise ValueError("give exactly one of n and sellmeier")
+        if (self.offset is not None) and self.base is None and self.sellmeier is None:
+            raise ValueError("offset needs the glass that it is added to: base or sellmeier")
+        if sum(given is not None for given in (self.n, self.sellmeier, self.base)) != 1:
+            raise ValueError("give exactly one of n, sellmeier and base")
         return self
 
     def medium(self, name: str) -> Medium:
         """Return the medium described."""
-        if self.sellmeier is None:
-            return ConstantMedium(float(self.n or 0.0), name)
-        return SellmeierMedium(tuple(self.sellmeier.b), tuple(self.sellmeier.c_um2), name)
+        if self.n is not None:
+            return ConstantMedium(float(self.n), name)
+        if self.sellmeier is not None:
+            own = SellmeierMedium(tuple(self.sellmeier.b), tuple(self.sellmeier.c_um2), name)
+            return own if self.offset is None else ShiftedMedium(own, self.offset, name)
+        known = MEDIA.get(self.base or "")
+        if not isinstance(known, SellmeierMedium | AirMedium):
+            named = [key for key, medium in MEDIA.items() if not isinstance(medium, ConstantMedium)]
+            raise SceneError(f"unknown base {self.base!r}; known are {', '.join(sorted(named))}")
+        return ShiftedMedium(known, self.offset or 0.0, name)
 
 
 class LensTable(Table):
@@ -169,6 +184,7 @@ class SceneTable(Table):
     glasses: dict[str, MediumTable] = Field(default_factory=dict)
     camera: CameraTable
     bodies: Annotated[list[BodyTable], Field(max_length=10_000)] = Field(default_factory=list)
+    fit: FitTable = FitTable()
 
 
 def vector3(values: list[float]) -> Vector3:
@@ -199,8 +215,8 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     ConfigError
         The scene is impossible; each problem with the line of the body at fault.
     """
-    media = MEDIA | {name: glass.medium(name) for name, glass in table.glasses.items()}
     problems: list[Problem] = []
+    media = MEDIA | _own_media(document, table, problems)
     bodies: list[Body] = []
     names = [body.name or f"{body.kind}{index + 1}" for index, body in enumerate(table.bodies)]
     for index, (name, entry) in enumerate(zip(names, table.bodies, strict=True)):
@@ -221,6 +237,42 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
             line = document.line(("bodies", names.index(name)) if name in names else place)
             problems.append(Problem(line, text))
         raise ConfigError(document.path, problems) from None
+
+
+def _own_media(document: Document, table: SceneTable, problems: list[Problem]) -> dict[str, Medium]:
+    """Glasses that the file itself describes; what cannot be is added to `problems`."""
+    media: dict[str, Medium] = {}
+    for name, glass in table.glasses.items():
+        try:
+            media[name] = glass.medium(name)
+        except SceneError as error:
+            problems.append(Problem(document.line(("glasses", name)), str(error)))
+    return media
+
+
+def load_priors(path: Path | str) -> FitTable:
+    """Read the ``fit:`` section of a scene file: what a scene fit may change (see `tracer.fit_section`).
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong, or the section names a sphere or glass that the scene does not have.
+    """
+    document = load_yaml(path)
+    table = validate(document, SceneTable)
+    spheres = {sphere.name for sphere in scene_from(document, table).spheres}
+    problems = [
+        Problem(document.line(("fit", part, name)), f"fit.{part}: there is no {what} {name!r} in this scene")
+        for part, what, given, known in (
+            ("named", "sphere", table.fit.named, spheres),
+            ("glasses", "glass", table.fit.glasses, MEDIA.keys() | table.glasses.keys()),
+        )
+        for name in given
+        if name not in known
+    ]
+    if problems:
+        raise ConfigError(document.path, problems)
+    return table.fit
 
 
 def load_scene(path: Path | str) -> Scene:
@@ -274,4 +326,8 @@ def _material(medium: Medium) -> str | dict[str, Any]:
         return medium.name
     if isinstance(medium, ConstantMedium):
         return {"n": medium.index}
+    if isinstance(medium, ShiftedMedium):
+        base = _material(medium.base)
+        named = {"base": base} if isinstance(base, str) else base
+        return {**named, "offset": medium.offset}
     return {"sellmeier": {"b": list(medium.b), "c_um2": list(medium.c_um2)}}

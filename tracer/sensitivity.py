@@ -14,7 +14,7 @@ and the target's follows from the last straight piece.  Parameters are named ``c
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -89,8 +89,13 @@ class Landings:
 
 def parameter_names(scene: Scene) -> tuple[str, ...]:
     """Names of all parameters of a scene and one target pose, in the order of `Landings.rate`."""
-    spheres = [f"{sphere.name}.{part}" for sphere in scene.spheres for part in SPHERE]
-    return (*[f"camera.{part}" for part in CAMERA], *spheres, *[f"target.{part}" for part in TARGET])
+    return _names([sphere.name for sphere in scene.spheres])
+
+
+def _names(spheres: Sequence[str]) -> tuple[str, ...]:
+    """All parameter names for spheres of these names."""
+    of_spheres = [f"{name}.{part}" for name in spheres for part in SPHERE]
+    return (*[f"camera.{part}" for part in CAMERA], *of_spheres, *[f"target.{part}" for part in TARGET])
 
 
 def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) -> Landings:
@@ -109,14 +114,48 @@ def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) 
     -------
     Landings
     """
-    target = target or TargetPose()
+    rays = landings_through(
+        scene.camera, scene.sphere_table(), scene.rod_table(), pixels, target or TargetPose(), scene.n_ambient
+    )
+    return replace(rays, names=parameter_names(scene))
+
+
+def landings_through(
+    camera: Camera,
+    spheres: NDArray[np.float64],
+    rods: NDArray[np.float64],
+    pixels: ArrayLike,
+    target: TargetPose,
+    n_ambient: float = 1.0,
+) -> Landings:
+    """`landings` for bare numbers: a fit on its way may pass through scenes in which bodies overlap.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    spheres, rods : (N, 6), (M, 7) float64
+        As `Scene.sphere_table` and `Scene.rod_table`.
+    pixels : array_like (N, 2)
+        Acquired pixels u, v.
+    target : TargetPose
+        The plane.
+    n_ambient : float
+        Index around the bodies; derivatives by n are by the absolute index.
+
+    Returns
+    -------
+    Landings
+        Spheres are called 0, 1, ... in `names`.
+    """
     points = np.ascontiguousarray(np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
-    directions, camera_rates, pixel_rates = _camera_rays(scene.camera, points)
-    origins = np.ascontiguousarray(np.broadcast_to(np.array(scene.camera.position_mm), directions.shape))
-    count, spheres, rods = len(points), scene.sphere_table(), scene.rod_table()
+    directions, camera_rates, pixel_rates = _camera_rays(camera, points)
+    origins = np.ascontiguousarray(np.broadcast_to(np.array(camera.position_mm), directions.shape))
+    count = len(points)
     status, key = np.empty(count, np.uint8), np.empty(count, np.int64)
     point, exit_ray = np.empty((count, 2)), np.empty((count, 7))
     ray_rates, sphere_rates = np.empty((count, 2, 6)), np.empty((count, 2, len(spheres), 5))
+    pose = target.packed()
 
     def work(first: int, last: int) -> None:
         trail, state = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE))
@@ -125,7 +164,7 @@ def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) 
             directions,
             spheres,
             rods,
-            target.packed(),
+            pose,
             first,
             last,
             trail,
@@ -139,7 +178,7 @@ def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) 
         )
 
     run_rows(work, count, block=1024)
-    sphere_rates[..., 4] /= scene.n_ambient
+    sphere_rates[..., 4] /= n_ambient
     by_direction = ray_rates[:, :, 3:]
     rate = np.concatenate(
         (
@@ -150,7 +189,8 @@ def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) 
         ),
         axis=2,
     )
-    return Landings(status, key, point, by_direction @ pixel_rates, rate, parameter_names(scene))
+    names = _names([str(number) for number in range(len(spheres))])
+    return Landings(status, key, point, by_direction @ pixel_rates, rate, names)
 
 
 def _camera_rays(
