@@ -33,6 +33,7 @@ FREE = 13  # px, py, angle 1, angle 2, curvature 1, 2, blur 1, 2, A, B, slope u,
 SIDE = 121  # largest bounding box of a window [px]
 BLOCK = 5  # block of pixels taken as correlated [px]
 SETTLED_PX = 5e-4  # a step that no longer matters
+TOLERANCE_RATIO = 2.0  # relative gain in the squares that belongs to a step of 1 px
 MAX_ROUNDS = 4  # moves of the window
 MAX_STEPS = 25  # steps of the optimiser in one window
 RIDGE = 1.0  # weight, in pixels of full contrast, of equal blurs and of an edge like erf
@@ -48,7 +49,7 @@ OK, EDGE, MASKED, SMALL, LOST, MOVED = 0, 1, 2, 3, 4, 5
 def new_scratch() -> tuple[Array, ...]:
     """Return working memory of `fit_corners`: pixels, pulls, block sums, box, small vectors, normal equations."""
     pixels, pull, sums = np.empty((SIDE * SIDE, 4)), np.empty((SIDE * SIDE, 2)), np.empty((SIDE, 2))
-    return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), np.zeros((7 + 2 * FREE, FREE))
+    return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), np.zeros((8 + 2 * FREE, FREE))
 
 
 @kernel
@@ -91,14 +92,15 @@ def gather(
 
 
 @kernel
-def gradient(p: Array, du: float, dv: float, row: Array) -> float:
+def gradient(p: Array, turn: Array, du: float, dv: float, row: Array) -> float:
     """Model intensity at a pixel and its derivatives by the free numbers into row (FREE,).
 
-    p (FREE,) the free numbers, position relative to the window's centre; row[0:8] is zero off the edges,
+    p (FREE,) the free numbers, position relative to the window's centre; turn (4,) cosine and sine of both
+    angles; row[0:8] is zero off the edges,
     which the caller can tell from the returned row[6] == row[7] == 0 and row[0] == row[1] == 0.
     """
     x, y = du - p[0], dv - p[1]
-    c1, s1, c2, s2 = cos(p[2]), sin(p[2]), cos(p[3]), sin(p[3])
+    c1, s1, c2, s2 = turn[0], turn[1], turn[2], turn[3]
     t1, m1 = c1 * x + s1 * y, c1 * y - s1 * x
     t2, m2 = c2 * x + s2 * y, s2 * x - c2 * y
     z1 = (m1 + p[4] * t1 * t1) * INV_SQRT_2 / p[6]
@@ -133,8 +135,22 @@ def gradient(p: Array, du: float, dv: float, row: Array) -> float:
 
 
 @kernel
+def set_turn(p: Array, turn: Array) -> None:
+    """Cosine and sine of both angles of p (FREE,) into turn (4,)."""
+    turn[0], turn[1], turn[2], turn[3] = cos(p[2]), sin(p[2]), cos(p[3]), sin(p[3])
+
+
+@kernel
 def normal_equations(
-    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, row: Array, normal: Array, right: Array
+    p: Array,
+    pixels: Array,
+    count: int,
+    ridge: float,
+    shape_ridge: float,
+    turn: Array,
+    row: Array,
+    normal: Array,
+    right: Array,
 ) -> float:
     """Sum J^T J into normal (FREE, FREE, lower half), J^T r into right (FREE,); return the sum of r^2.
 
@@ -142,6 +158,7 @@ def normal_equations(
     """
     normal[:] = 0.0
     right[:] = 0.0
+    set_turn(p, turn)
     astigmatism = p[6] - p[7]
     total = ridge * astigmatism * astigmatism + shape_ridge * p[12] * p[12]
     normal[6, 6] = normal[7, 7] = ridge
@@ -149,7 +166,7 @@ def normal_equations(
     right[6], right[7] = -ridge * astigmatism, ridge * astigmatism
     normal[12, 12], right[12] = shape_ridge, -shape_ridge * p[12]
     for k in range(count):
-        residual = pixels[k, 2] - gradient(p, pixels[k, 0], pixels[k, 1], row)
+        residual = pixels[k, 2] - gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
         total += residual * residual
         plain = row[0] == 0.0 and row[1] == 0.0
         for i in range(8 if plain else 0, FREE):
@@ -194,12 +211,13 @@ def solve(lower: Array, right: Array, out: Array) -> None:
 
 
 @kernel
-def start_levels(p: Array, pixels: Array, count: int, row: Array) -> None:
+def start_levels(p: Array, pixels: Array, count: int, turn: Array, row: Array) -> None:
     """Least-squares A and B for the start geometry; p (FREE,) is changed in place."""
+    set_turn(p, turn)
     p[8], p[9] = 0.0, 1.0
     q1 = q2 = y0 = y1 = 0.0
     for k in range(count):
-        gradient(p, pixels[k, 0], pixels[k, 1], row)
+        gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
         q1 += row[9]
         q2 += row[9] * row[9]
         y0 += pixels[k, 2]
@@ -210,14 +228,14 @@ def start_levels(p: Array, pixels: Array, count: int, row: Array) -> None:
 
 @kernel
 def optimise(
-    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, trial: Array, row: Array, normal: Array,
+    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, tolerance: float, trial: Array, turn: Array, row: Array, normal: Array,
     right: Array, lower: Array, step: Array, total: Array,
 ) -> bool:  # fmt: skip
     """Levenberg-Marquardt from p (FREE,), in place; True if it settled within `limit` px of the window's centre.
 
     On return normal holds J^T J at p and total[0] the sum of squares.
     """
-    best = normal_equations(p, pixels, count, ridge, shape_ridge, row, normal, right)
+    best = normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
     damping = 1e-3
     for _ in range(MAX_STEPS):
         if not factorise(normal, damping, lower):
@@ -233,9 +251,9 @@ def optimise(
             if damping > 1e8:
                 return False
             continue
-        now = normal_equations(trial, pixels, count, ridge, shape_ridge, row, normal, right)
+        now = normal_equations(trial, pixels, count, ridge, shape_ridge, turn, row, normal, right)
         if now <= best:
-            settled = hypot(step[0], step[1]) < SETTLED_PX and best - now <= 1e-3 * best
+            settled = hypot(step[0], step[1]) < tolerance and best - now <= TOLERANCE_RATIO * tolerance * best
             p[:] = trial
             best = now
             damping = max(0.1 * damping, 1e-12)
@@ -244,16 +262,16 @@ def optimise(
                 return True
         else:
             if hypot(step[0], step[1]) < 1e-5:
-                total[0] = normal_equations(p, pixels, count, ridge, shape_ridge, row, normal, right)
+                total[0] = normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
                 return True
-            normal_equations(p, pixels, count, ridge, shape_ridge, row, normal, right)
+            normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
             damping = min(damping * 10.0, 1e10)
     return False
 
 
 @kernel
 def covariance(
-    p: Array, pixels: Array, count: int, box: Array, row: Array, normal: Array, lower: Array,
+    p: Array, pixels: Array, count: int, box: Array, turn: Array, row: Array, normal: Array, lower: Array,
     weights: Array, step: Array, pull: Array, sums: Array, out: Array,
 ) -> bool:  # fmt: skip
     """Variance of u, of v and their covariance [px^2] into out (3,), from the residuals in the window.
@@ -268,12 +286,13 @@ def covariance(
         solve(lower, row, step)
         for i in range(FREE):
             weights[axis, i] = step[i]
+    set_turn(p, turn)
     width, height = box[2], box[3]
     for k in range(width * height):
         pull[k, 0] = 0.0
         pull[k, 1] = 0.0
     for k in range(count):
-        residual = pixels[k, 2] - gradient(p, pixels[k, 0], pixels[k, 1], row)
+        residual = pixels[k, 2] - gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
         place = int(pixels[k, 3])
         for axis in range(2):
             value = 0.0
@@ -319,8 +338,9 @@ def fit_corners(
     """
     pixels, pull, sums, box, small, square = scratch
     extent, inverse, total = small[0], small[1:3], small[3]
+    turn = square[7 + 2 * FREE, :4]
     p, trial, row, right, step = square[0], square[1], square[2], square[3], square[4]
-    weights, normal, lower = square[5:7], square[7 : 7 + FREE], square[7 + FREE :]
+    weights, normal, lower = square[5:7], square[7 : 7 + FREE], square[7 + FREE : 7 + 2 * FREE]
     for n in range(first, last):
         out[n, :] = np.nan
         det = axes[n, 0, 0] * axes[n, 1, 1] - axes[n, 0, 1] * axes[n, 1, 0]
@@ -358,12 +378,37 @@ def fit_corners(
                 verdict[n] = SMALL
                 break
             if rounds == 0:
-                start_levels(p, pixels, count, row)
+                start_levels(p, pixels, count, turn, row)
                 level = p[9]
             ridge = RIDGE * level * level
-            # The shape is freed once the blur is right: under a wide first guess it finds a wrong minimum.
+            # The shape is freed once the blur is right (under a wide first guess it finds a wrong minimum), and
+            # given up where edges along pixel rows cannot tell it from blur.
             pin = ridge if rounds > 0 else 1e6 * ridge
-            if not optimise(p, pixels, count, ridge, pin, limit, trial, row, normal, right, lower, step, total):
+            tolerance = SETTLED_PX if rounds > 0 else 0.05
+            found = optimise(
+                p, pixels, count, ridge, pin, limit, tolerance, trial, turn, row, normal, right, lower, step, total
+            )
+            if not found and rounds > 0:
+                p[12] = 0.0
+                pin = 1e6 * ridge
+                found = optimise(
+                    p,
+                    pixels,
+                    count,
+                    ridge,
+                    pin,
+                    limit,
+                    tolerance,
+                    trial,
+                    turn,
+                    row,
+                    normal,
+                    right,
+                    lower,
+                    step,
+                    total,
+                )
+            if not found:
                 verdict[n] = LOST
                 break
             moved = hypot(p[0], p[1])
@@ -375,7 +420,9 @@ def fit_corners(
                 verdict[n] = MOVED
                 break
             if (rounds > 0 and moved < 0.3) or rounds == MAX_ROUNDS - 1:
-                if covariance(p, pixels, count, box, row, normal, lower, weights, step, pull, sums, out[n, 2:5]):
+                if covariance(
+                    p, pixels, count, box, turn, row, normal, lower, weights, step, pull, sums, out[n, 2:5]
+                ):
                     verdict[n] = OK
                     out[n, 0], out[n, 1] = centre_u, centre_v
                     out[n, 5] = sqrt(total[0] / max(count - FREE, 1.0))
