@@ -106,6 +106,10 @@ class SimCamera:
             self._power_up_settings()
             return False
 
+    def now_ns(self) -> int:
+        """Time on the camera's own clock."""
+        return time.monotonic_ns() - self._power_up_ns
+
     def read(self, address: int, length: int) -> bytes:
         """Read registers as a client; CameraGone or BadAddress.
 
@@ -198,7 +202,7 @@ class SimCamera:
         self._missed_before = self._shutter.missed
 
     def _latch(self) -> None:
-        self.registers.put("TimestampLatchValue", time.monotonic_ns() - self._power_up_ns)
+        self.registers.put("TimestampLatchValue", self.now_ns())
 
     def _reset(self) -> None:
         self._stop()
