@@ -3,8 +3,8 @@
 Universal outlier detection (Westerweel, Scarano, Exp. Fluids 39, 1096 (2005)): a vector is compared with the
 median of its 5 x 5 neighbourhood, in units of the median deviation of those neighbours plus the usual noise
 epsilon = 0.1 px; beyond 2 it is rejected.  At an edge all neighbours lie on one side, and any gradient looks
-like an outlier.  So a second round judges every vector anew: without the rejected neighbours, and after the
-trend of the accepted vectors has been taken off.
+like an outlier.  So a second round judges the rejected vectors and their neighbours anew: without the rejected
+ones as witnesses, and after the trend of the accepted vectors has been taken off.
 
 Gaps are filled by a plane through the valid neighbours, weighted by a Gaussian of their distance: unlike a
 mean or a median it continues gradients, also out of the valid area, where one-sided neighbours would otherwise
@@ -45,15 +45,23 @@ def outliers(
     ndarray of bool, shape (ny, nx)
         Rejected vectors.  A vector with fewer than five neighbours is not rejected.
     """
-    rejected = candidates & (_residual(field, candidates, epsilon_px) > threshold)
-    trend = smoothed(field, candidates & ~rejected, FILL_SIGMA) if (candidates & ~rejected).any() else 0.0
-    return candidates & (_residual(field - trend, candidates & ~rejected, epsilon_px) > threshold)
+    rejected: NDArray[np.bool_] = candidates & (_residual(field, candidates, candidates, epsilon_px) > threshold)
+    accepted = candidates & ~rejected
+    if not rejected.any() or not accepted.any():
+        return rejected
+    side = 2 * RADIUS + 1
+    judged: NDArray[np.bool_] = candidates & ndimage.binary_dilation(rejected, np.ones((side, side), bool))
+    trend = smoothed(field, accepted, FILL_SIGMA)
+    judged &= _residual(field - trend, accepted, judged, epsilon_px) > threshold
+    return judged
 
 
-def _residual(field: NDArray[np.float64], usable: NDArray[np.bool_], epsilon_px: float) -> NDArray[np.float64]:
-    """Normalised median residual of every vector (ny, nx); NaN where neighbours are too few."""
-    residual, work = np.empty(usable.shape), np.empty((2 * RADIUS + 1) ** 2)
-    normalised_residual(field, usable, RADIUS, epsilon_px, MIN_NEIGHBOURS, 0, len(field), work, residual)
+def _residual(
+    field: NDArray[np.float64], usable: NDArray[np.bool_], judged: NDArray[np.bool_], epsilon_px: float
+) -> NDArray[np.float64]:
+    """Normalised median residual of the judged vectors (ny, nx); NaN elsewhere or without neighbours."""
+    residual, work = np.full(usable.shape, np.nan), np.empty((2 * RADIUS + 1) ** 2)
+    normalised_residual(field, usable, judged, RADIUS, epsilon_px, MIN_NEIGHBOURS, 0, len(field), work, residual)
     return residual
 
 

@@ -6,8 +6,8 @@ from tracer.kernels._jit import Array, kernel
 
 
 @kernel
-def median_of(values: Array, count: int) -> float:
-    """Median of values[:count] (count >= 1), sorted in place by insertion: short lists only."""
+def sort(values: Array, count: int) -> None:
+    """Sort values[:count] in place by insertion: for short lists."""
     for k in range(1, count):
         value = values[k]
         j = k - 1
@@ -15,14 +15,36 @@ def median_of(values: Array, count: int) -> float:
             values[j + 1] = values[j]
             j -= 1
         values[j + 1] = value
-    middle = count // 2
-    return values[middle] if count % 2 else 0.5 * (values[middle - 1] + values[middle])  # type: ignore[no-any-return]
+
+
+@kernel
+def median_deviation(values: Array, count: int) -> tuple[float, float]:
+    """Median of the sorted values[:count], and the median distance from it.
+
+    Distances grow outwards from the median, so walking out on both sides meets them in order.
+    """
+    upper = count // 2
+    median = values[upper] if count % 2 else 0.5 * (values[upper - 1] + values[upper])
+    low, high = upper - 1, upper
+    near = far = 0.0
+    for _ in range(upper + 1):
+        below = median - values[low] if low >= 0 else np.inf
+        above = values[high] - median if high < count else np.inf
+        near = far
+        if below < above:
+            far = below
+            low -= 1
+        else:
+            far = above
+            high += 1
+    return median, far if count % 2 else 0.5 * (near + far)
 
 
 @kernel
 def normalised_residual(
     field: Array,
     usable: Array,
+    judged: Array,
     radius: int,
     epsilon: float,
     least: int,
@@ -34,13 +56,14 @@ def normalised_residual(
     """Residual of field (ny, nx, 2) against the median of its usable neighbours, rows first..last-1.
 
     out (ny, nx) is hypot over both components of |u - med| / (med |u_i - med| + epsilon); NaN where fewer than
-    `least` neighbours within `radius` are usable.  work holds (2 radius + 1)^2 float64.
+    `least` neighbours within `radius` are usable; untouched where not judged.  work is ((2 radius + 1)^2,).
     """
     ny, nx, _ = field.shape
     for j in range(first, last):
         for i in range(nx):
+            if not judged[j, i]:
+                continue
             total = 0.0
-            count = 0
             for axis in range(2):
                 count = 0
                 for y in range(max(0, j - radius), min(ny, j + radius + 1)):
@@ -49,10 +72,10 @@ def normalised_residual(
                             work[count] = field[y, x, axis]
                             count += 1
                 if count < least:
+                    total = np.nan
                     break
-                centre = median_of(work, count)
-                for k in range(count):
-                    work[k] = abs(work[k] - centre)
-                residual = abs(field[j, i, axis] - centre) / (median_of(work, count) + epsilon)
+                sort(work, count)
+                median, deviation = median_deviation(work, count)
+                residual = abs(field[j, i, axis] - median) / (deviation + epsilon)
                 total += residual * residual
-            out[j, i] = np.sqrt(total) if count >= least else np.nan
+            out[j, i] = np.sqrt(total)
