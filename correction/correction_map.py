@@ -206,8 +206,7 @@ def build_correction_map(
     grid = grid or grid_of(scene.camera)
     work = _Inversion(scene, ray_map, grid, layers, min_magnification, max_magnification)
     work.direct()
-    for number in range(1, len(ray_map.branches)):
-        work.branch_sheets(number)
+    work.glass()
     return work.result()
 
 
@@ -254,12 +253,16 @@ class _Inversion:
         self.weight[0] = np.where(seen, np.minimum(1.0, area), 0.0)
         self.transmittance[0] = seen
 
-    def branch_sheets(self, number: int) -> None:
-        """Cut one branch into sheets and solve each."""
-        mask = self.ray_map.recovered & (self.ray_map.branch == number)
-        rows, columns = np.nonzero(mask)
-        if not len(rows):
-            return
+    def glass(self) -> None:
+        """Solve every branch that some pixel sees."""
+        rows, columns = np.nonzero((self.ray_map.branch != 0) & self.ray_map.recovered)
+        number = self.ray_map.branch[rows, columns]
+        for taken in np.unique(number):
+            chosen = number == taken
+            self.branch_sheets(int(taken), rows[chosen], columns[chosen])
+
+    def branch_sheets(self, number: int, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> None:
+        """Cut the pixels of one branch into sheets and solve each."""
         pixels = np.stack((columns, rows), axis=-1)
         tangents = np.empty((len(pixels), 6))
 

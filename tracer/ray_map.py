@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tracer.errors import MapFileError, StaleMap
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import DIRECT, MAX_EVENTS
+from tracer.lockstep import fits_lockstep, trace_lockstep
 from tracer.map_file import load_arrays, save_arrays
 from tracer.rows import run_rows
 from tracer.scene import Scene
@@ -114,6 +115,10 @@ def build_ray_map(scene: Scene) -> RayMap:
     height, width = scene.camera.shape
     plane = np.empty((height, width, 2))
     status = np.empty((height, width), np.uint8)
+    if fits_lockstep(scene):
+        branch = np.empty((height, width), np.uint16)
+        branches = trace_lockstep(scene, plane, status, branch)
+        return RayMap(plane, status, branch, branches, scene.content_hash())
     key = np.empty((height, width), np.int64)
     camera, spheres, rods = pack_camera(scene.camera), scene.sphere_table(), scene.rod_table()
 
@@ -121,13 +126,11 @@ def build_ray_map(scene: Scene) -> RayMap:
         trace_rows(camera, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
 
     run_rows(work, height)
-    branch, branches = _number_branches(scene, key, status)
+    branch, branches = _number_branches(scene, key)
     return RayMap(plane, status, branch, branches, scene.content_hash())
 
 
-def _number_branches(
-    scene: Scene, key: NDArray[np.int64], status: NDArray[np.uint8]
-) -> tuple[NDArray[np.uint16], tuple[Branch, ...]]:
+def _number_branches(scene: Scene, key: NDArray[np.int64]) -> tuple[NDArray[np.uint16], tuple[Branch, ...]]:
     """Number the branches 0, 1, ... by the names of their spheres, so that file order does not matter."""
     fresh = np.ones(key.shape, dtype=bool)  # keys come in long runs: look only where one begins
     fresh[:, 1:] = key[:, 1:] != key[:, :-1]
