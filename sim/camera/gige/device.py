@@ -9,6 +9,7 @@ Loopback only: the device binds to 127.x.y.z, answers whoever asks and sends str
 
 import ipaddress
 import random
+import select
 import socket
 import struct
 import threading
@@ -47,6 +48,8 @@ class GigeDevice:
         Use this object instead of the source the configuration names.
     is_paced : bool
         Wait for the receiver's queue; see `pacing`.
+    is_discoverable : bool
+        Answer discovery broadcasts of this machine too; for private network namespaces.
     """
 
     def __init__(
@@ -55,6 +58,7 @@ class GigeDevice:
         address: str = "127.0.0.1",
         source: FrameSource | None = None,
         is_paced: bool = True,
+        is_discoverable: bool = False,
     ) -> None:
         if not ipaddress.IPv4Address(address).is_loopback:
             raise ValueError(f"{address} is not a loopback address; simulated cameras live on 127.0.0.0/8 only")
@@ -81,7 +85,7 @@ class GigeDevice:
             self._stream.close()
             self.camera.power_off()
             raise
-        self._control.settimeout(0.1)
+        self._discovery = _broadcast_socket() if is_discoverable else None
         self._put(STREAM_SOURCE_PORT, self._stream.getsockname()[1])
         self.camera.sink = self._send_frame
         self.camera.on_lost = self._forget_client
@@ -95,6 +99,8 @@ class GigeDevice:
         self.camera.power_off()
         self._control.close()
         self._stream.close()
+        if self._discovery is not None:
+            self._discovery.close()
 
     def __enter__(self) -> "GigeDevice":
         return self
@@ -144,12 +150,7 @@ class GigeDevice:
     # ---- control -------------------------------------------------------------------------------------------
     def _serve(self) -> None:
         while not self._is_off:
-            try:
-                datagram, sender = self._control.recvfrom(2048)
-            except TimeoutError:
-                datagram, sender = b"", ("", 0)
-            except OSError:  # a client's socket is gone (ICMP); the next datagram is as good as any
-                continue
+            datagram, sender = self._receive()
             is_silent = time.monotonic() - self._heard_s > self._get(HEARTBEAT_MS) / 1e3
             if self._owner is not None and is_silent and sender != self._owner:
                 self._forget_client()
@@ -162,6 +163,17 @@ class GigeDevice:
                     self._control.sendto(answer, sender)
                 except OSError:
                     continue
+
+    def _receive(self) -> tuple[bytes, Address]:
+        sockets = [self._control] if self._discovery is None else [self._control, self._discovery]
+        ready, _, _ = select.select(sockets, [], [], 0.1)
+        try:
+            datagram, sender = ready[0].recvfrom(2048) if ready else (b"", ("", 0))
+        except OSError:  # a client's socket is gone (ICMP); the next datagram is as good as any
+            return b"", ("", 0)
+        if ready and ready[0] is self._discovery and not sender[0].startswith("127."):
+            return b"", ("", 0)
+        return datagram, sender
 
     def _answer(self, request: Request, sender: Address) -> bytes | None:
         if sender == self._owner:
@@ -300,3 +312,11 @@ class GigeDevice:
             self._stream.sendmsg(parts, [], 0, target)
         except OSError:
             return  # nobody listens: the packet is lost, as on a cable
+
+
+def _broadcast_socket() -> socket.socket:
+    """Receive what is sent to 255.255.255.255; the port may be shared with other devices of this machine."""
+    receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    receiver.bind(("255.255.255.255", gvcp.PORT))
+    return receiver
