@@ -173,7 +173,7 @@ def normal_equations(
             right[i] += row[i] * residual
             for j in range(8 if plain else 0, i + 1):
                 normal[i, j] += row[i] * row[j]
-    return total
+    return float(total)
 
 
 @kernel
@@ -228,7 +228,8 @@ def start_levels(p: Array, pixels: Array, count: int, turn: Array, row: Array) -
 
 @kernel
 def optimise(
-    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, tolerance: float, trial: Array, turn: Array, row: Array, normal: Array,
+    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, tolerance: float,
+    trial: Array, turn: Array, row: Array, normal: Array,
     right: Array, lower: Array, step: Array, total: Array,
 ) -> bool:  # fmt: skip
     """Levenberg-Marquardt from p (FREE,), in place; True if it settled within `limit` px of the window's centre.

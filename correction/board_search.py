@@ -1,0 +1,276 @@
+"""Find the target in a frame: every corner with its place on the board and its sub-pixel position.
+
+    saddles -> patches of lattice -> sub-pixel fit -> corners the saddles missed -> origin from the discs
+
+`find_board` needs no start: any turn, tilt, barrel distortion, board partly outside.  `track_board` also
+takes a prediction, from a nominal camera say: it places patches in which no disc is seen (a board moved
+aside, glass above the discs) as long as the prediction is good to half a square somewhere, and uses the
+discs, where they are seen, if it is worse.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.board_origin import Placing, place_by_discs, place_by_prediction
+from correction.corners import refine_corners, saturated_fraction
+from correction.errors import FrameError, TargetNotFound
+from correction.lattice_growth import STEPS, Patch, grow_patches, lattice_axes
+from correction.resample import checked_frame
+from correction.saddles import find_saddles
+from correction.target import Chessboard
+
+Predict = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+LEAST_BOARD = 12  # corners: the six squares around the discs and a little more
+SATURATED = 0.02  # fraction of pixels at full scale from which edges are displaced
+EXTENSIONS = 2  # rings of corners added around those found
+FAR_SQUARES = 512  # half side of the largest board looked at
+
+
+@dataclass(frozen=True)
+class BoardDetection:
+    """Corners of the target in a frame, N of them.
+
+    Attributes
+    ----------
+    board : Chessboard
+    index : (N, 2) int64
+        Corner (i, j) of the board.
+    position_px, sigma_px : (N, 2) float64
+        u, v and their standard deviations.
+    axes_px : (N, 2, 2) float64
+        Columns: displacement in the image by one square along the board's +x and +y.
+    refused : dict
+        Corners that were seen and not used: reason -> count.
+    """
+
+    board: Chessboard
+    index: NDArray[np.int64]
+    position_px: NDArray[np.float64]
+    sigma_px: NDArray[np.float64]
+    axes_px: NDArray[np.float64]
+    refused: dict[str, int]
+
+    @property
+    def plane_mm(self) -> NDArray[np.float64]:
+        """Positions (N, 2) of the corners on the board [mm]."""
+        return self.board.corner_mm(self.index)
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] | None = None) -> BoardDetection:
+    """Find the target without a start.
+
+    Parameters
+    ----------
+    image : (H, W) uint8, uint16 or float
+        The frame.
+    board : Chessboard
+        What is looked for.
+    mask : (H, W) bool, optional
+        True where pixels may be used.
+
+    Returns
+    -------
+    BoardDetection
+        Corners of the patch of lattice that holds the discs.
+
+    Raises
+    ------
+    FrameError
+        Not a frame.
+    TargetNotFound
+        No lattice, no discs, another board, or a saturated frame; the message says which and the cure.
+    """
+    frame, patches = _patches(image, mask)
+    for patch in patches:
+        placing = place_by_discs(frame, patch, board)
+        if placing is not None:
+            return _finish(frame, board, [(patch, placing)], mask)
+    raise TargetNotFound(
+        f"a lattice of {len(patches[0].index)} corners is in the frame, but not the {len(board.discs)} discs that"
+        " mark the origin; bring them into view, or give a prediction of the view"
+    )
+
+
+def track_board(
+    image: NDArray[Any], board: Chessboard, predict: Predict, mask: NDArray[np.bool_] | None = None
+) -> BoardDetection:
+    """Find the target with the help of a prediction.
+
+    Parameters
+    ----------
+    image, board, mask
+        As in `find_board`.
+    predict : callable
+        Board points (M, 2) [mm] -> expected pixels (M, 2); NaN where the view cannot show the point.
+
+    Returns
+    -------
+    BoardDetection
+        Corners of all patches that could be placed.
+
+    Raises
+    ------
+    FrameError
+        Not a frame.
+    TargetNotFound
+        As in `find_board`, or neither the discs nor the prediction place any patch.
+    """
+    frame, patches = _patches(image, mask)
+    index, predicted = corners_in_view(board, predict, (frame.shape[0], frame.shape[1]))
+    if len(index) == 0:
+        raise TargetNotFound("the prediction puts no corner of the board into the frame; check the nominal camera")
+    placed: list[tuple[Patch, Placing]] = []
+    for patch in patches:
+        placing = place_by_discs(frame, patch, board)
+        if placing is not None:
+            predicted = _corrected(index, predicted, patch, placing)
+            placed = [(patch, placing)]
+            patches = [other for other in patches if other is not patch]
+            break
+    for patch in patches:
+        placing = place_by_prediction(patch, index, predicted, board)
+        if placing is not None:
+            placed.append((patch, placing))
+            if len(placed) == 1:
+                predicted = _corrected(index, predicted, patch, placing)
+    if not placed:
+        raise TargetNotFound(
+            "the lattice in the frame lies more than half a square from its prediction and no disc is seen; give a"
+            " better start, or bring the discs into view"
+        )
+    return _finish(frame, board, placed, mask)
+
+
+def corners_in_view(
+    board: Chessboard, predict: Predict, shape: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Corners that a prediction puts into a frame: index (N, 2) and pixels (N, 2).
+
+    Parameters
+    ----------
+    board : Chessboard
+    predict : callable
+        Board points (M, 2) [mm] -> pixels (M, 2) or NaN.
+    shape : (int, int)
+        Rows and columns of the frame.
+    """
+    size = np.array((shape[1] - 1.0, shape[0] - 1.0))
+    index, pixels, half, before = np.empty((0, 2), np.int64), np.empty((0, 2)), 16, -1
+    while half <= FAR_SQUARES and len(index) != before:
+        before = len(index)
+        grid = np.arange(-half, half + 1)
+        every = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+        pixel = np.asarray(predict(board.corner_mm(every)), dtype=np.float64)
+        inside = ((pixel >= 0.0) & (pixel <= size)).all(axis=1)  # False for NaN
+        index, pixels = every[inside].astype(np.int64), pixel[inside]
+        half *= 2
+    return index, pixels
+
+
+def _patches(image: NDArray[Any], mask: NDArray[np.bool_] | None) -> tuple[NDArray[Any], list[Patch]]:
+    """Check the frame; return it with its patches of lattice."""
+    full = saturated_fraction(np.asarray(image))
+    frame = checked_frame(image)
+    if mask is not None and mask.shape != frame.shape:
+        raise FrameError(f"the mask has shape {mask.shape}, the frame {frame.shape}; they must agree")
+    if frame.dtype == np.float32 and not np.isfinite(frame.sum(dtype=np.float64)):
+        raise FrameError("the frame holds NaN or infinity; fill those pixels and mask them")
+    if full > SATURATED:
+        raise TargetNotFound(
+            f"{100 * full:.0f} % of the pixels are at full scale {int(frame.max())}, which displaces every edge;"
+            " expose shorter or close the aperture"
+        )
+    patches = grow_patches(find_saddles(frame, mask))
+    if not patches or len(patches[0].index) < LEAST_BOARD:
+        seen = len(patches[0].index) if patches else 0
+        raise TargetNotFound(
+            f"no chessboard in the frame (largest lattice: {seen} corners, {LEAST_BOARD} are needed); check light,"
+            " focus and that squares are at least 8 px wide"
+        )
+    return frame, patches
+
+
+def _finish(
+    frame: NDArray[Any], board: Chessboard, placed: list[tuple[Patch, Placing]], mask: NDArray[np.bool_] | None
+) -> BoardDetection:
+    """Sub-pixel fit of all placed corners, then of those that their neighbours predict."""
+    index, start, axes = _claims(placed)
+    known_index, known_axes = np.empty((0, 2), np.int64), np.empty((0, 2, 2))
+    position, sigma = np.empty((0, 2)), np.empty((0, 2))
+    tried: set[tuple[int, int]] = set()
+    refused: dict[str, int] | None = None
+    for _ in range(1 + EXTENSIONS):
+        fit = refine_corners(frame, start, axes, sign=board.corner_sign(index), mask=mask, max_shift=0.3)
+        refused = fit.counts() if refused is None else refused
+        known_index = np.concatenate((known_index, index[fit.valid]))
+        known_axes = np.concatenate((known_axes, axes[fit.valid]))
+        position = np.concatenate((position, fit.position_px[fit.valid]))
+        sigma = np.concatenate((sigma, fit.sigma_px[fit.valid]))
+        lattice_axes(known_index, position, known_axes)
+        tried.update((int(i), int(j)) for i, j in index)
+        index, start, axes = _neighbours(known_index, position, known_axes, tried)
+        if len(index) == 0:
+            break
+    refused = refused or {}
+    if len(position) < LEAST_BOARD:
+        raise TargetNotFound(f"only {len(position)} corners could be fitted ({refused}); check focus and light")
+    return BoardDetection(
+        board, known_index, position, sigma, known_axes, {r: n for r, n in refused.items() if r != "OK"}
+    )
+
+
+def _claims(
+    placed: list[tuple[Patch, Placing]],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Board index, start and axes of all placed corners; of two claims to a corner the earlier patch wins."""
+    index = np.concatenate([placing.board_index(patch.index) for patch, placing in placed])
+    start = np.concatenate([patch.position_px for patch, _ in placed])
+    axes = np.concatenate([placing.board_axes(patch.axes_px) for patch, placing in placed])
+    _, first = np.unique(index, axis=0, return_index=True)
+    first.sort()
+    return index[first], start[first], axes[first]
+
+
+def _neighbours(
+    index: NDArray[np.int64], position: NDArray[np.float64], axes: NDArray[np.float64], tried: set[tuple[int, int]]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Untried corners next to known ones: index, mean of what their neighbours predict, mean axes."""
+    claims: dict[tuple[int, int], list[int]] = {}
+    for n, (i, j) in enumerate(index.tolist()):
+        for di, dj in STEPS:
+            if (i + di, j + dj) not in tried:
+                claims.setdefault((i + di, j + dj), []).append(n)
+    keys = np.array(list(claims), dtype=np.int64).reshape(-1, 2)
+    start, mean_axes = np.empty((len(keys), 2)), np.empty((len(keys), 2, 2))
+    for k, (key, by) in enumerate(zip(keys, claims.values(), strict=True)):
+        step = (key - index[by]).astype(np.float64)
+        start[k] = (position[by] + np.einsum("nck,nk->nc", axes[by], step)).mean(axis=0)
+        mean_axes[k] = axes[by].mean(axis=0)
+    return keys, start, mean_axes
+
+
+def _corrected(
+    index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, placing: Placing
+) -> NDArray[np.float64]:
+    """Predicted pixels moved by the 2nd-order polynomial that takes them to a patch already placed."""
+    place = {(int(i), int(j)): n for n, (i, j) in enumerate(index)}
+    mine = placing.board_index(patch.index)
+    pairs = [(place[i, j], n) for n, (i, j) in enumerate(mine.tolist()) if (i, j) in place]
+    if len(pairs) < LEAST_BOARD:
+        return predicted
+    rows, columns = np.array(pairs).T
+    miss = patch.position_px[columns] - predicted[rows]
+    centre, scale = predicted.mean(axis=0), np.ptp(predicted, axis=0).max()
+    x, y = ((predicted - centre) / scale).T
+    terms = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y), axis=-1)
+    # Ridge: a small patch must not throw far corners about.
+    normal = terms[rows].T @ terms[rows] + np.diag((0.0, 0.1, 0.1, 1.0, 1.0, 1.0))
+    return np.asarray(predicted + terms @ np.linalg.solve(normal, terms[rows].T @ miss))
