@@ -1,40 +1,90 @@
 """Pairs of (backend, device) that the contract tests run on.
 
-A rig builds a closed camera for a simulated-camera configuration, and knows how to take everything down again.
+A rig makes a closed camera for a simulated-camera configuration, a second one for the same device, and takes
+everything down again.
 """
 
+import ctypes
 import importlib.util
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+import itertools
+import os
 from pathlib import Path
 
 import pytest
 
 from daq.camera import Camera
 from sim.camera.config import CameraConfig
+from sim.camera.gentl import write_producer
+from sim.camera.gige import GigeDevice
 
-Make = Callable[[CameraConfig], Camera]
-
-
-@contextmanager
-def harvesters_on_simulated_producer(folder: Path) -> Iterator[Make]:
-    if importlib.util.find_spec("harvesters") is None:
-        pytest.skip("harvesters is not installed (extra rtpiv[camera])")
-    from daq.cameras.harvesters import HarvestersCamera
-    from sim.camera.gentl import write_producer
-
-    made: list[Camera] = []
-
-    def make(config: CameraConfig) -> Camera:
-        path = write_producer(folder / f"sim{len(made)}.cti", [config])
-        made.append(HarvestersCamera(path, config.serial))
-        return made[-1]
-
-    yield make
-    for camera in made:
-        camera.close()
+_hosts = itertools.count(1)
 
 
-RIGS: dict[str, Callable[[Path], AbstractContextManager[Make]]] = {
-    "harvesters-simulated": harvesters_on_simulated_producer,
-}
+def need_harvesters():
+    if importlib.util.find_spec("harvesters") is None or importlib.util.find_spec("genicam") is None:
+        pytest.skip("harvesters or genicam is not installed (extra rtpiv[camera])")
+
+
+def need_aravis():
+    try:
+        ctypes.CDLL("libaravis-0.8.so.0")
+    except OSError:
+        pytest.skip("libaravis-0.8.so.0 is not installed (apt-get install libaravis-0.8-0)")
+
+
+def loopback_address():
+    """An address of this machine that no other test process uses: port 3956 is fixed by the standard."""
+    number = next(_hosts)
+    return f"127.{20 + os.getpid() % 200}.{1 + os.getpid() // 200 % 250}.{number}"
+
+
+class HarvestersRig:
+    def __init__(self, folder: Path) -> None:
+        need_harvesters()
+        self._folder = folder
+        self._made: list[Camera] = []
+
+    def make(self, config: CameraConfig) -> Camera:
+        return self._camera(write_producer(self._folder / f"sim{len(self._made)}.cti", [config]))
+
+    def again(self, camera: Camera) -> Camera:
+        return self._camera(camera.info.address)
+
+    def close(self) -> None:
+        for camera in self._made:
+            camera.close()
+
+    def _camera(self, path: Path | str) -> Camera:
+        from daq.cameras.harvesters import HarvestersCamera
+
+        self._made.append(HarvestersCamera(path))
+        return self._made[-1]
+
+
+class AravisRig:
+    def __init__(self, folder: Path) -> None:
+        need_aravis()
+        self._devices: list[GigeDevice] = []
+        self._made: list[Camera] = []
+
+    def make(self, config: CameraConfig) -> Camera:
+        self._devices.append(GigeDevice(config, loopback_address()))
+        return self._camera(self._devices[-1].address)
+
+    def again(self, camera: Camera) -> Camera:
+        return self._camera(camera.info.address)
+
+    def close(self) -> None:
+        for camera in self._made:
+            camera.close()
+        for device in self._devices:
+            device.close()
+
+    def _camera(self, address: str) -> Camera:
+        from daq.cameras.aravis import AravisCamera
+
+        self._made.append(AravisCamera(address))
+        return self._made[-1]
+
+
+RIGS = {"harvesters": HarvestersRig, "aravis": AravisRig}

@@ -41,14 +41,15 @@ def expected(trigger, width=WIDTH, height=HEIGHT):
 
 @pytest.fixture(scope="module", params=list(RIGS))
 def rig(request, tmp_path_factory):
-    with RIGS[request.param](tmp_path_factory.mktemp("rig")) as make:
-        yield make
+    rig = RIGS[request.param](tmp_path_factory.mktemp("rig"))
+    yield rig
+    rig.close()
 
 
 @pytest.fixture(scope="module")
 def plain(rig):
     """One camera without faults for all tests that leave it as they found it."""
-    camera = rig(PLAIN)
+    camera = rig.make(PLAIN)
     camera.open()
     yield camera
     camera.close()
@@ -67,7 +68,7 @@ def faulty(rig):
 
     def make(faults, **changes):
         settings = {"width": 64, "height": 16, "row_time_us": 20.0, "serial": f"F{next(_serials)}"} | changes
-        made = rig(CameraConfig(faults=faults, **settings))
+        made = rig.make(CameraConfig(faults=faults, **settings))
         opened.append(made)
         made.open()
         return made
@@ -306,14 +307,11 @@ def test_settings_that_vanish_are_noticed(faulty):
 
 
 def test_a_second_owner_finds_the_camera_busy(rig, tmp_path):
-    config = CameraConfig(width=64, height=16, serial="BUSY", lock_path=str(tmp_path / "lock"))
-    first, second = rig(config), None
+    first = rig.make(CameraConfig(width=64, height=16, serial="BUSY", lock_path=str(tmp_path / "lock")))
     first.open()
-    try:
-        second = rig.again(first) if hasattr(rig, "again") else rig(config)
-        with pytest.raises(CameraBusy):
-            second.open()
-    finally:
-        first.close()
+    second = rig.again(first)
+    with pytest.raises(CameraBusy):
+        second.open()
+    first.close()
     second.open()
     second.close()
