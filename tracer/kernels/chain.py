@@ -41,14 +41,16 @@ def pass_sphere(
     cosine = 1.0 - 2.0 * chi * g * g
     q = 2.0 * g * (cos_i * cos_t + chi * s[6]) * s[8]
     along = b2 * q
-    return (
+    qx, qy, qz = s[0] + ax * cosine + dx * along, s[1] + ay * cosine + dy * along, s[2] + az * cosine + dz * along
+    ex, ey, ez = dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q
+    return (  # selects of finished values: an expression in here would become a branch
         hit,
-        s[0] + ax * cosine + dx * along if hit else px,
-        s[1] + ay * cosine + dy * along if hit else py,
-        s[2] + az * cosine + dz * along if hit else pz,
-        dx * cosine - ax * q if hit else dx,
-        dy * cosine - ay * q if hit else dy,
-        dz * cosine - az * q if hit else dz,
+        qx if hit else px,
+        qy if hit else py,
+        qz if hit else pz,
+        ex if hit else dx,
+        ey if hit else dy,
+        ez if hit else dz,
     )
 
 
@@ -56,8 +58,6 @@ def pass_sphere(
 def chain_row(
     x: Array,
     y: Array,
-    first: int,
-    last: int,
     camera: Row,
     spheres: tuple[Row, ...],
     checked: bool,
@@ -65,13 +65,14 @@ def chain_row(
     status: Array,
     crossed: Array,
 ) -> None:
-    """Trace columns first..last-1 of one row.
+    """Trace a span of one row.
 
     ``x``, ``y`` (W,) are ideal image coordinates in focal lengths; ``point`` (W, 2), ``status`` (W,) and
-    ``crossed`` (W,) uint16 (bit k: sphere k of the chain was crossed) are the row's outputs.  With `checked`
-    the last piece is tested against all spheres.
+    ``crossed`` (W,) uint16 (bit k: sphere k of the chain was crossed) are the span's outputs.  With `checked`
+    the last piece is tested against all spheres.  Spans arrive as slices and are walked from 0: an index that
+    might be negative would cost the vectorisation.
     """
-    for i in range(first, last):
+    for i in range(x.shape[0]):
         scale = 1.0 / math.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
         a, b = x[i] * scale, y[i] * scale
         dx = camera[3] * a + camera[6] * b + camera[9] * scale
@@ -97,25 +98,25 @@ def chain_row(
                 bit *= 2
         t = -pz / dz
         down = dz < 0.0
-        point[i, 0] = px + t * dx if down else math.nan
-        point[i, 1] = py + t * dy if down else math.nan
+        tx, ty = px + t * dx, py + t * dy
+        point[i, 0] = tx if down else math.nan
+        point[i, 1] = ty if down else math.nan
         status[i] = RECOVERED if down else MISSED_PLANE
         crossed[i] = mask | (MARKED if again | level else 0)
 
 
 @kernel
-def direct_row(
-    x: Array, y: Array, first: int, last: int, camera: Row, point: Array, status: Array, crossed: Array
-) -> None:
-    """Columns first..last-1 of a row that no glass touches: the pinhole's line to the plane."""
-    for i in range(first, last):
+def direct_row(x: Array, y: Array, camera: Row, point: Array, status: Array, crossed: Array) -> None:
+    """Trace a span of one row that no glass touches: the pinhole's line to the plane."""
+    for i in range(x.shape[0]):
         dx = camera[3] * x[i] + camera[6] * y[i] + camera[9]
         dy = camera[4] * x[i] + camera[7] * y[i] + camera[10]
         dz = camera[5] * x[i] + camera[8] * y[i] + camera[11]
         t = -camera[2] / dz
         down = dz < 0.0
-        point[i, 0] = camera[0] + t * dx if down else math.nan
-        point[i, 1] = camera[1] + t * dy if down else math.nan
+        tx, ty = camera[0] + t * dx, camera[1] + t * dy
+        point[i, 0] = tx if down else math.nan
+        point[i, 1] = ty if down else math.nan
         status[i] = RECOVERED if down else MISSED_PLANE
         crossed[i] = 0
 
@@ -191,12 +192,14 @@ def chain_rows(
             if low < high:
                 count = insert_span(spans, count, low, high)
         done = 0
-        for k in range(count):
-            low, high = spans[k, 0], spans[k, 1]
-            direct_row(x, y, done, low, camera, point[row], status[row], crossed[row])
-            chain_row(x, y, low, high, camera, spheres, checked, point[row], status[row], crossed[row])
-            done = high
-        direct_row(x, y, done, width, camera, point[row], status[row], crossed[row])
+        for k in range(count + 1):
+            low = spans[k, 0] if k < count else width
+            p, t, c = point[row, done:low], status[row, done:low], crossed[row, done:low]
+            direct_row(x[done:low], y[done:low], camera, p, t, c)
+            if k < count:
+                done = spans[k, 1]
+                p, t, c = point[row, low:done], status[row, low:done], crossed[row, low:done]
+                chain_row(x[low:done], y[low:done], camera, spheres, checked, p, t, c)
 
 
 @kernel
