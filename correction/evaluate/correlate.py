@@ -68,6 +68,7 @@ def correlate_windows(
             rows[here],
             columns[here],
             least,
+            pair.floor,
             scratch[0],
             count[here],
             energy[here],

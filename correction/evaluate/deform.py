@@ -11,11 +11,15 @@ from tracer.rows import run_rows
 
 
 class DeformedPair(NamedTuple):
-    """Frames a, b float32 and the pixels valid in both, uint8 0 or 1; all (H, W)."""
+    """Frames a, b float32 and the pixels valid in both, uint8 0 or 1; all (H, W).
+
+    `floor` is the mean square up to which a window counts as constant.
+    """
 
     a: NDArray[np.float32]
     b: NDArray[np.float32]
     valid: NDArray[np.uint8]
+    floor: float
 
 
 def deform_pair(
@@ -23,6 +27,7 @@ def deform_pair(
     valid: NDArray[np.uint8],
     field: NDArray[np.float64],
     grid: WindowGrid,
+    floor: float,
     threads: int | None = None,
 ) -> DeformedPair:
     """Sample frame A at x - d(x)/2 and frame B at x + d(x)/2.
@@ -37,6 +42,8 @@ def deform_pair(
         Displacement [px] on the nodes of `grid`, finite everywhere.
     grid : WindowGrid
         Where the nodes lie.
+    floor : float
+        Mean square up to which a window counts as constant.
     threads : int, optional
         Threads to use.
     """
@@ -50,6 +57,7 @@ def deform_pair(
         np.empty((height, width), np.float32),
         np.empty((height, width), np.float32),
         np.ones((height, width), np.uint8),
+        floor,
     )
 
     def rows(first: int, last: int) -> None:

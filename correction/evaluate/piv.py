@@ -31,6 +31,8 @@ from correction.evaluate.vector_field import VectorField, VectorFlag
 from correction.evaluate.windows import WindowGrid, interpolated, window_grid
 from correction.resample import checked_frame, prefilter
 
+NO_TEXTURE = 1e-3  # of the frame's standard deviation; less in a window is rounding
+
 
 @dataclass(frozen=True)
 class PivSettings:
@@ -44,7 +46,8 @@ class PivSettings:
     overlap : float
         Shared part of neighbouring windows, in every pass.
     min_valid : float
-        Smallest share of valid pixels in a window that makes a vector.
+        Smallest share of pixels in a window, valid in both deformed frames, that makes a vector.  The two
+        masks move apart by the displacement, so near a mask edge this is less than the mask alone says.
     smoothing_steps : float
         Standard deviation of the predictor's Gaussian smoothing, in grid steps.
     outlier_threshold, outlier_epsilon_px : float
@@ -55,7 +58,7 @@ class PivSettings:
 
     windows_px: tuple[int, ...] = (64, 32, 32, 32)
     overlap: float = 0.5
-    min_valid: float = 0.4
+    min_valid: float = 0.3
     smoothing_steps: float = 1.0
     outlier_threshold: float = 2.0
     outlier_epsilon_px: float = 0.1
@@ -72,11 +75,12 @@ class PivSettings:
 
 @dataclass(frozen=True)
 class _Pair:
-    """Frames ready to be deformed: values float32 with masked pixels filled, one mask, spline coefficients."""
+    """Frames ready to be deformed: float32 with masked pixels filled, one mask, the mean square of no texture."""
 
     a: NDArray[np.float32]
     b: NDArray[np.float32]
     valid: NDArray[np.uint8]
+    floor: float
     nan_pixels: int
 
 
@@ -117,12 +121,12 @@ def evaluate_pair(
     shape = (pair.a.shape[0], pair.a.shape[1])
     grids = [window_grid(shape, size, settings.overlap) for size in settings.windows_px]
     coefficients = None
-    deformed = DeformedPair(pair.a, pair.b, pair.valid)
+    deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
     predictor = np.zeros((*grids[0].shape, 2))
     for number, grid in enumerate(grids):
         if number:
             coefficients = coefficients or (prefilter(pair.a, threads=threads), prefilter(pair.b, threads=threads))
-            deformed = deform_pair(coefficients, pair.valid, predictor, grids[number - 1], threads)
+            deformed = deform_pair(coefficients, pair.valid, predictor, grids[number - 1], pair.floor, threads)
             predictor = _moved(predictor, grids[number - 1], grid)
         last = number == len(grids) - 1
         measured = correlate_windows(deformed, grid, settings.min_valid, last, threads)
@@ -158,7 +162,7 @@ def _prepared(frame_a: NDArray[Any], frame_b: NDArray[Any], valid: NDArray[np.bo
     if not usable.any():
         raise PairError("no pixel is valid in both frames; check the mask (True = valid) and the frames for NaN")
     whole = bool(usable.all())
-    values = []
+    values, variance = [], []
     for name, frame in zip("AB", frames, strict=True):
         inside = frame if whole else frame[usable]
         if inside.min() == inside.max():
@@ -166,8 +170,10 @@ def _prepared(frame_a: NDArray[Any], frame_b: NDArray[Any], valid: NDArray[np.bo
                 f"frame {name} is constant ({inside.flat[0]}) over its valid pixels; it shows no particles"
             )
         plain = frame.astype(np.float32)
+        variance.append(float(inside.ravel()[::13].var(dtype=np.float64)))  # a sample will do for a floor
         values.append(plain if whole else np.where(usable, plain, np.float32(inside.mean(dtype=np.float64))))
-    return _Pair(values[0], values[1], usable.astype(np.uint8), int(np.count_nonzero(valid & ~finite)))
+    floor = NO_TEXTURE**2 * min(variance)
+    return _Pair(values[0], values[1], usable.astype(np.uint8), floor, int(np.count_nonzero(valid & ~finite)))
 
 
 def _moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -> NDArray[np.float64]:

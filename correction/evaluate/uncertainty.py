@@ -68,7 +68,9 @@ def correlation_statistics(
         field = np.zeros((size + 2 * REACH, size + 2 * REACH), np.float32)
         count, energy = np.empty(last - first, np.int64), np.empty(last - first)
         here = slice(first, last)
-        cut_windows(pair.a, pair.b, pair.valid, rows[here], columns[here], least, sums[0], count, energy, a, b)
+        cut_windows(
+            pair.a, pair.b, pair.valid, rows[here], columns[here], least, pair.floor, sums[0], count, energy, a, b
+        )
         window_sigma(a, b, energy, sums, raw, field, sigma[0, here])
         # Along columns it is the same sum over transposed windows.
         a, b = (np.ascontiguousarray(windows.transpose(0, 2, 1)) for windows in (a, b))

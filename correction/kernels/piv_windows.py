@@ -75,6 +75,7 @@ def cut_windows(
     rows: Array,
     columns: Array,
     least: int,
+    floor: float,
     sums: Array,
     count: Array,
     energy: Array,
@@ -84,7 +85,8 @@ def cut_windows(
     """Cut windows n = 0..N-1 at (rows[n], columns[n]) out of two frames into a, b (N, w, w) float32.
 
     count[n] becomes the number of valid pixels and energy[n] the root of both sums of squares multiplied;
-    windows with fewer than `least` valid pixels become 0 with energy 0.
+    windows with fewer than `least` valid pixels become 0 with energy 0.  So does the energy of a window whose
+    mean square is not above `floor` in both frames: it shows no texture.
     """
     size = a.shape[1]
     for n in range(rows.size):
@@ -97,7 +99,8 @@ def cut_windows(
         masked = count[n] < size * size
         energy_a = cut_window(frame_a, valid, masked, count[n], rows[n], columns[n], sums, a[n])
         energy_b = cut_window(frame_b, valid, masked, count[n], rows[n], columns[n], sums, b[n])
-        energy[n] = np.sqrt(energy_a * energy_b)
+        # Resampling leaves rounding noise where a frame is constant; it must not pass for texture.
+        energy[n] = np.sqrt(energy_a * energy_b) if min(energy_a, energy_b) > floor * count[n] else 0.0
 
 
 @kernel

@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+
+from correction.errors import FrameError
+from correction.evaluate.piv import PivSettings, evaluate_pair
+from correction.evaluate.preprocess import min_max_normalised, without_background
+
+
+def test_the_background_is_the_minimum_of_nine_steps_and_fewer_at_the_ends():
+    rng = np.random.default_rng(1)
+    frames = rng.integers(50, 4000, (13, 6, 7)).astype(np.uint16)
+    clean = without_background(frames)
+    assert clean.dtype == np.float32
+    for step in range(13):
+        lowest = np.array([[min(int(frames[s, y, x]) for s in range(max(0, step - 4), min(13, step + 5)))
+                            for x in range(7)] for y in range(6)])  # fmt: skip
+        assert np.array_equal(clean[step], frames[step].astype(int) - lowest)
+
+
+def test_a_static_reflection_disappears():
+    frames = np.full((9, 20, 20), 100, np.uint16)
+    frames[:, 5:9, 5:9] = 3000
+    frames[4, 12, 12] += 900
+    clean = without_background(frames)
+    assert clean[4, 12, 12] == 900
+    assert clean[4, 5:9, 5:9].max() == 0
+
+
+def test_min_max_brings_particles_to_one_height_and_leaves_empty_spots_low():
+    frame = np.full((60, 60), 100.0, np.float32)
+    for k, height in enumerate((40, 400, 4000)):
+        frame[10 + 20 * k, 10 + 20 * k] += height
+    frame[50, 10] += 3  # noise
+    result = min_max_normalised(frame, least_range=20)
+    assert [result[10 + 20 * k, 10 + 20 * k] for k in range(3)] == [1.0, 1.0, 1.0]
+    assert result[50, 10] == pytest.approx(0.15)
+    assert result.min() == 0.0
+
+
+def test_masked_and_nan_pixels_neither_spread_nor_come_back():
+    frame = np.full((30, 30), 100.0, np.float32)
+    frame[10, 10] = 200
+    frame[14, 14] = np.nan
+    valid = np.ones((30, 30), bool)
+    valid[:, 20:] = False
+    frame[:, 20:] = 1e6
+    result = min_max_normalised(frame, 20, valid)
+    assert np.isnan(result[14, 14])
+    assert np.isnan(result[:, 20:]).all()
+    assert result[10, 10] == 1.0
+    assert np.count_nonzero(np.isnan(result)) == 301
+    assert (result[:, 19][np.isfinite(result[:, 19])] == 0).all()
+
+
+def test_normalisation_moves_no_vector(particle_pair):
+    pair = particle_pair(lambda u, v: (2.4 + 0 * u, 0.7 + 0 * u), (256, 256), seed=9)
+    field = evaluate_pair(
+        *(min_max_normalised(frame, 200) for frame in pair), settings=PivSettings(uncertainty=False)
+    )
+    assert np.mean(field.u_px) == pytest.approx(2.4, abs=0.005)
+    assert np.mean(field.v_px) == pytest.approx(0.7, abs=0.005)
+    assert np.std(field.u_px) < 0.012
+
+
+def test_calls_that_make_no_sense_are_named():
+    with pytest.raises(FrameError, match="N >= 2"):
+        without_background(np.zeros((1, 4, 4)))
+    with pytest.raises(FrameError, match="reach"):
+        without_background(np.zeros((3, 4, 4)), 0)
+    with pytest.raises(FrameError, match="least_range"):
+        min_max_normalised(np.zeros((4, 4)), 0)
+    with pytest.raises(FrameError, match="2-D"):
+        min_max_normalised(np.zeros(4), 1)
+    with pytest.raises(FrameError, match="mask has shape"):
+        min_max_normalised(np.zeros((4, 4)), 1, np.ones((4, 5), bool))
