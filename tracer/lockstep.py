@@ -22,9 +22,8 @@ MAX_CHAIN = 8  # each more costs every glass pixel a full sphere; beyond, most s
 def fits_lockstep(scene: Scene) -> bool:
     """Whether a scene can be traced in lockstep."""
     table = scene.sphere_table()
-    return (
-        not scene.rods and len(table) <= MAX_CHAIN and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
-    )
+    clear = bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
+    return clear and not scene.rods and 1 <= len(table) <= MAX_CHAIN
 
 
 def trace_lockstep(
@@ -68,7 +67,7 @@ def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:
     assert sphere.medium is not None
     n, radius = sphere.medium.n(scene.wavelength_nm) / scene.n_ambient, sphere.radius_mm
     square = radius * radius
-    return (
+    numbers = (
         *sphere.centre_mm,
         square,
         1.0 / square,
@@ -77,6 +76,7 @@ def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:
         (n - 1) * (n + 1) / (n * n),
         1.0 / radius,
     )
+    return tuple(float(number) for number in numbers)  # one whole number among them is another type to compile
 
 
 def _stacked(chain: list[Sphere]) -> bool:

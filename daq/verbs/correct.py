@@ -24,6 +24,8 @@ from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
+DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
+
 
 def correct(
     frames: list[Path],
@@ -52,7 +54,7 @@ def correct(
         Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
         included, is taken as it is.
     dewarp_order : int
-        Order of the dewarp polynomial, 2 (as in the paper) or 3 (holds radial distortion).
+        Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
     square_mm : float
         Square of the target.
     method : {"quintic", "bilinear"}
@@ -151,6 +153,10 @@ def _print(
     console.print(f"scene {scene.content_hash()}: {share}")
     if dewarp is not None:
         console.print(f"dewarp: {dewarp.summary()}")
+        if dewarp.residual_rms_px > DEWARP_DOUBT_PX and dewarp.order < 5:
+            console.print(
+                f"[bold]the lens bends more than order {dewarp.order} can follow[/bold]; try --dewarp-order 5"
+            )
     if errors:
         table = Table(title="target corners in the corrected frame against the regular grid [px]")
         for name in ("frame", "region", "corners", "bias x, y", "rms x, y", "largest"):
