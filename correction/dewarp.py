@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, QhullError
 
 from correction.board_search import BoardDetection, track_board
 from correction.errors import DewarpError, FrameError
@@ -34,6 +34,7 @@ from tracer.camera import Camera
 ORDERS = (2, 3, 4, 5)
 LEAST_COVERAGE = 0.95
 GROSS = 6.0  # pairs further off than this many robust sigmas are taken out
+JUDGE_ORDER = 7  # of the polynomial against which gross errors are seen
 PROBES = 101  # frame points a side on which the coverage is counted
 
 
@@ -109,7 +110,8 @@ class Dewarp:
         left = f", {self.left_out} left out" if self.left_out else ""
         return (
             f"order {self.order}, {self.used} corners{left}, residual {self.residual_rms_px:.3f} px rms"
-            f" ({self.residual_max_px:.2f} max), coverage {100 * self.coverage:.1f} %, condition {self.condition:.1f}"
+            f" ({self.residual_max_px:.2f} max), coverage {100 * self.coverage:.1f} %,"
+            f" condition {self.condition:.1f}"
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -252,14 +254,9 @@ def fit_dewarp_pairs(
     wanted = (acquired - centre) / scale
     sigma = np.ones_like(acquired) if sigma_px is None else np.asarray(sigma_px, dtype=np.float64)
     weight = 1.0 / np.maximum(sigma, 0.3 * np.median(sigma))  # no corner is ten times as good as the others
-    keep = np.ones(len(x), dtype=bool)
-    for _ in range(5):  # take out gross errors, as seen from the fit without them
-        solution = _weighted(terms[keep], wanted[keep], weight[keep])
-        miss = (wanted - terms @ solution) * scale
-        now = ~_isolated(ideal, miss)
-        if np.count_nonzero(now) < need or np.array_equal(now, keep):
-            break
-        keep = now
+    keep = _sound(x, y, wanted, weight)
+    solution = _weighted(terms[keep], wanted[keep], weight[keep])
+    miss = (wanted - terms @ solution) * scale
     condition = float(np.linalg.cond(terms[keep] * weight[keep].mean(axis=1, keepdims=True)))
     if not condition < 1e6:
         raise DewarpError(
@@ -305,15 +302,24 @@ def _weighted(
     return np.stack(columns, axis=-1)
 
 
-def _isolated(ideal: NDArray[np.float64], miss: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Pairs (N,) whose residual (N, 2) stands out from its neighbours'.
+def _sound(
+    x: NDArray[np.float64], y: NDArray[np.float64], wanted: NDArray[np.float64], weight: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Pairs (N,) that are no gross errors.
 
-    What a polynomial of too low an order cannot follow is shared by neighbours; it is no error of the pair.
+    Judged against a polynomial of high order: what the wanted order cannot follow is no error of the pairs.
     """
-    _, near = cKDTree(ideal).query(ideal, k=min(9, len(ideal)))
-    alone = miss - np.median(miss[near], axis=1)
-    spread = 1.4826 * np.median(np.abs(alone))
-    return np.asarray((np.abs(alone) > max(GROSS * spread, 1e-6)).any(axis=1), dtype=bool)
+    keep = np.ones(len(x), dtype=bool)
+    fitting = [order for order in range(2, JUDGE_ORDER + 1) if 3 * len(powers(order)) <= len(x)]
+    terms = np.stack([x**k * y**m for k, m in powers(max(fitting, default=2))], axis=-1)
+    for _ in range(10):
+        miss = np.abs(wanted - terms @ _weighted(terms[keep], wanted[keep], weight[keep]))
+        limit = max(GROSS * 1.4826 * float(np.median(miss[keep])), 1e-9)
+        now = np.asarray((miss <= limit).all(axis=1), dtype=bool)
+        if np.count_nonzero(now) < terms.shape[1] or np.array_equal(now, keep):
+            break
+        keep = now
+    return keep
 
 
 def _on_plane(points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
