@@ -115,9 +115,9 @@ def image_figures(frame: NDArray[Any], full_scale: float, valid: NDArray[np.bool
 def _gaussian_fit(level: NDArray[np.float64], usable: NDArray[np.bool_], axis: int) -> tuple[float, float]:
     """Particle diameter [px] and signal variance from the autocorrelation at lags 1 and 2 along an axis."""
     level, usable = np.moveaxis(level, axis, 0), np.moveaxis(usable, axis, 0)
-    correlation = []
+    correlation: list[float] = []
     for lag in (1, 2):
-        shared = np.count_nonzero(usable[lag:] & usable[:-lag])
+        shared = int(np.count_nonzero(usable[lag:] & usable[:-lag]))
         correlation.append(float((level[lag:] * level[:-lag]).sum()) / max(shared, 1))
     one, two = correlation
     if not one > two > 0.0:

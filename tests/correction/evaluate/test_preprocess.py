@@ -32,9 +32,9 @@ def test_min_max_brings_particles_to_one_height_and_leaves_empty_spots_low():
         frame[10 + 20 * k, 10 + 20 * k] += height
     frame[50, 10] += 3  # noise
     result = min_max_normalised(frame, least_range=20)
-    assert [result[10 + 20 * k, 10 + 20 * k] for k in range(3)] == [1.0, 1.0, 1.0]
-    assert result[50, 10] == pytest.approx(0.15)
-    assert result.min() == 0.0
+    assert [result[10 + 20 * k, 10 + 20 * k] for k in range(3)] == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
+    assert result[50, 10] == pytest.approx(0.15, abs=1e-5)
+    assert result.min() == pytest.approx(0.0, abs=1e-5)
 
 
 def test_masked_and_nan_pixels_neither_spread_nor_come_back():
@@ -47,9 +47,9 @@ def test_masked_and_nan_pixels_neither_spread_nor_come_back():
     result = min_max_normalised(frame, 20, valid)
     assert np.isnan(result[14, 14])
     assert np.isnan(result[:, 20:]).all()
-    assert result[10, 10] == 1.0
+    assert result[10, 10] == pytest.approx(1.0, abs=1e-5)
     assert np.count_nonzero(np.isnan(result)) == 301
-    assert (result[:, 19][np.isfinite(result[:, 19])] == 0).all()
+    assert result[:, 19] == pytest.approx(np.zeros(30), abs=1e-5)
 
 
 def test_normalisation_moves_no_vector(particle_pair):
@@ -59,7 +59,7 @@ def test_normalisation_moves_no_vector(particle_pair):
     )
     assert np.mean(field.u_px) == pytest.approx(2.4, abs=0.005)
     assert np.mean(field.v_px) == pytest.approx(0.7, abs=0.005)
-    assert np.std(field.u_px) < 0.012
+    assert np.std(field.u_px) < 0.008
 
 
 def test_calls_that_make_no_sense_are_named():
