@@ -22,7 +22,7 @@ from daq.cameras.ids import IdTracker
 from daq.cameras.libaravis import CHECK_ENABLED, STATUS_SUCCESS, AravisError, call, functions
 from daq.cameras.pixels import pixel_format, unpack, warm_up
 from daq.cameras.ring import FrameRing
-from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, verify_settings
+from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.errors import CameraBusy, CameraError, CameraLost, CameraTimeout, CameraUsageError, FrameError
 from daq.frame import Frame, FrameMeta
 
@@ -138,7 +138,7 @@ class AravisCamera:
             pixels = int(nodes.get("Width")) * int(nodes.get("Height"))
             if not 0 < size <= MAX_PAYLOAD_BYTES or not 0 < pixels <= MAX_PAYLOAD_BYTES:
                 raise FrameError(f"the camera announces frames of {size} bytes and {pixels} px")
-            self._exposure_us = float(nodes.get("ExposureTime")) if nodes.has("ExposureTime") else float("nan")
+            self._exposure_us = exposure_us(nodes)
             self._counts_triggers = count_missed_triggers(nodes)
             self._stream = call("arv_device_create_stream", self._device, None, None)
         self._ring = FrameRing(buffers, pixels)

@@ -22,7 +22,7 @@ from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, Pa
 from daq.camera import Setting
 from daq.cameras.pixels import pixel_format, unpack, warm_up
 from daq.cameras.ring import FrameRing
-from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, verify_settings
+from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.cameras.wire import Message, pack_error, receive, send
 from daq.errors import CameraBusy, CameraError, CameraLost, CameraSetupError, FrameError, SettingRefused
 
@@ -218,8 +218,7 @@ class Worker:
         self._free = deque(range(slots))
         nodes = self._nodes
         self._counts_triggers = count_missed_triggers(nodes)
-        if nodes.has("ExposureTime"):
-            self._exposure_us = float(nodes.get("ExposureTime"))
+        self._exposure_us = exposure_us(nodes)
         self._incomplete.count = 0
         warm_up()
         try:

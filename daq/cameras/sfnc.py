@@ -120,6 +120,14 @@ def differing(asked: Mapping[str, Setting], got: Mapping[str, Setting], toleranc
     return ", ".join(wrong)
 
 
+def exposure_us(nodes: Nodes) -> float:
+    """Exposure time as the camera has it [us]; NaN if it does not tell."""
+    for name in ("ExposureTime", OLD_NAMES["ExposureTime"]):
+        if nodes.has(name):
+            return float(nodes.get(name))
+    return math.nan
+
+
 def count_missed_triggers(nodes: Nodes) -> bool:
     """Let the camera count triggers it had to ignore (SFNC FrameTriggerMissed); False if it cannot."""
     if not (nodes.has("CounterEventSource") and nodes.has("CounterValue")):

@@ -7,6 +7,7 @@ from power-up on the camera's own clock.
 Frame numbers and ids rise from power-up and are not reset by AcquisitionStart, as with many real cameras.
 """
 
+import logging
 import threading
 import time
 from collections import deque
@@ -22,6 +23,7 @@ from sim.camera.packing import FORMATS, pack, payload_bytes, to_format_bits
 from sim.camera.registers import RegisterMap, Value, WriteProtected
 from sim.camera.source import FrameSource, PatternSource, load_source
 
+log = logging.getLogger(__name__)
 VENDOR = "rtpiv"
 MODEL = "SimCamera"
 CACHED_FRAMES = 64
@@ -145,6 +147,9 @@ class SimCamera:
             self._wake.notify_all()
         if threading.current_thread() is not self._thread:
             self._thread.join(5.0)
+        leave = getattr(self._source, "close", None)  # only remote sources hold something open
+        if callable(leave):
+            leave()
 
     def _power_up_settings(self) -> None:
         put = self.registers.put
@@ -298,7 +303,12 @@ class SimCamera:
                 self._power_up_settings()
                 self._is_acquiring = running
         self._frames += 1
-        sensor = self._source.frame(pending.trigger_index, pending.exposure.start_ns)
+        try:
+            sensor = self._source.frame(pending.trigger_index, pending.exposure.start_ns)
+        except OSError as error:  # a remote world that ended takes its camera along
+            log.error("no picture for frame %d: %s", number, error)
+            self._lose()
+            return
         if not self._is_acquiring:
             return
         frame = self._develop(number, pending, sensor)

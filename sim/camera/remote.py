@@ -1,0 +1,129 @@
+"""Frames from another process: the simulated world lives with the bench, the camera in its transport's process.
+
+The server owns a frame source, a Unix socket and a file of one sensor image, both in a folder of its own.  The
+client asks for one exposure at a time; the server draws it into the mapped file and answers with one line.  The
+folder is private to the user, and nothing on a network can reach the socket.
+"""
+
+import json
+import mmap
+import os
+import socket
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.camera.source import FrameSource
+
+SOCKET_NAME, FRAME_NAME = "frames.sock", "frame.bin"
+DEADLINE_S = 120.0  # a renderer may think for a while
+MAX_LINE_BYTES = 4096
+
+
+class FrameServer:
+    """Serve a frame source to cameras in other processes.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Asked from the server's thread, one exposure at a time.
+    folder : path
+        Empty folder for the socket and the frame; its path must be shorter than about 90 characters.
+    width, height : int
+        Sensor size [px].
+    """
+
+    def __init__(self, source: FrameSource, folder: Path | str, width: int, height: int) -> None:
+        self.folder = Path(folder)
+        self._source = source
+        self._shape = (height, width)
+        path = self.folder / FRAME_NAME
+        with os.fdopen(os.open(path, os.O_CREAT | os.O_RDWR, 0o600), "r+b") as file:
+            file.truncate(2 * height * width)
+            self._map = mmap.mmap(file.fileno(), 2 * height * width)
+        self._frame = np.frombuffer(self._map, np.uint16).reshape(height, width)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.bind(str(self.folder / SOCKET_NAME))
+        (self.folder / SOCKET_NAME).chmod(0o600)
+        self._socket.listen(4)
+        self._drawing = threading.Lock()
+        self._clients: list[socket.socket] = []
+        threading.Thread(target=self._accept, name="frame server", daemon=True).start()
+
+    def arguments(self) -> dict[str, str]:
+        """Source arguments for a camera's configuration, beside ``source="sim.camera.remote:RemoteSource"``."""
+        return {"folder": str(self.folder)}
+
+    def close(self) -> None:
+        """Serve no more."""
+        self._socket.close()
+        for client in self._clients:
+            with suppress(OSError):  # it may have gone by itself
+                client.shutdown(socket.SHUT_RDWR)
+        for name in (SOCKET_NAME, FRAME_NAME):
+            (self.folder / name).unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._socket.accept()
+            except OSError:
+                return
+            self._clients.append(client)
+            threading.Thread(target=self._serve, args=(client,), daemon=True).start()
+
+    def _serve(self, client: socket.socket) -> None:
+        try:
+            with client, client.makefile("rb") as lines:
+                while line := lines.readline(MAX_LINE_BYTES):
+                    client.sendall(json.dumps(self._draw(line)).encode() + b"\n")
+        except OSError:
+            return
+
+    def _draw(self, line: bytes) -> dict[str, object]:
+        try:
+            asked = json.loads(line)
+            with self._drawing:
+                image = self._source.frame(int(asked["trigger_index"]), int(asked["time_ns"]))
+                self._frame[:] = image
+        except Exception as error:  # the camera's process shall know why there is no frame
+            return {"error": f"{type(error).__name__}: {error}"}
+        return {"shape": list(self._shape)}
+
+
+class RemoteSource:
+    """A frame source in another process.
+
+    Parameters
+    ----------
+    folder : path
+        Folder of its `FrameServer`.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self._folder = Path(folder)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(DEADLINE_S)
+        self._socket.connect(str(self._folder / SOCKET_NAME))
+        self._lines = self._socket.makefile("rb")
+        with (self._folder / FRAME_NAME).open("rb") as file:
+            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+    def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
+        """Ask the server for one exposure; OSError if it is gone or cannot draw."""
+        request = {"trigger_index": trigger_index, "time_ns": time_ns}
+        self._socket.sendall(json.dumps(request).encode() + b"\n")
+        line = self._lines.readline(MAX_LINE_BYTES)
+        answer = json.loads(line) if line else {"error": "the frame server is gone"}
+        if "error" in answer:
+            raise OSError(str(answer["error"]))
+        height, width = (int(side) for side in answer["shape"])
+        return np.frombuffer(self._map, np.uint16, height * width).reshape(height, width).copy()
+
+    def close(self) -> None:
+        """Leave the server."""
+        self._lines.close()
+        self._socket.close()
