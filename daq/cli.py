@@ -34,9 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     correct.add_argument("--scene", type=Path, required=True, help="scene.yaml")
     correct.add_argument("-o", "--out", type=Path, required=True, help="folder for corrected frames")
     correct.add_argument("--target-clear", type=Path, metavar="T", help="frame of the bare target, for the dewarp")
-    correct.add_argument(
-        "--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="order of its polynomial"
-    )
+    correct.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     correct.add_argument("--square-mm", type=float, default=2.5, help="square of the target (default 2.5)")
     correct.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
     correct.add_argument("--blend", type=int, default=1, metavar="K", help="join the K best views of a node")

@@ -19,7 +19,7 @@ from correction.resample import Method
 from correction.target import Chessboard
 from daq.pictures.overview import draw_overview
 from daq.pictures.seen import seen
-from daq.progress import progress
+from daq.terminal import console, progress
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -80,7 +80,7 @@ def correct(
     TargetNotFound
         The bare target cannot be read.
     """
-    console = Console()
+    screen = console()
     loaded = load_scene(scene)
     shape = loaded.camera.shape
     _refuse_same_names(frames)
@@ -120,7 +120,7 @@ def correct(
     summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
     summary["target_errors"] = [error.to_dict() for error in errors]
     (out / "correction.json").write_text(json.dumps(summary, indent=1))
-    _print(console, loaded, dewarp, corrector, frames, errors, out)
+    _print(screen, loaded, dewarp, corrector, frames, errors, out)
     return errors
 
 
@@ -136,7 +136,7 @@ def _pattern_seen(scene: Scene, board: Chessboard) -> np.ndarray[Any, np.dtype[n
 
 
 def _print(
-    console: Console,
+    screen: Console,
     scene: Scene,
     dewarp: Dewarp | None,
     corrector: Corrector,
@@ -150,11 +150,11 @@ def _print(
         for status, meaning in MEANING.items()
         if counts[status]
     )
-    console.print(f"scene {scene.content_hash()}: {share}")
+    screen.print(f"scene {scene.content_hash()}: {share}")
     if dewarp is not None:
-        console.print(f"dewarp: {dewarp.summary()}")
+        screen.print(f"dewarp: {dewarp.summary()}")
         if dewarp.residual_rms_px > DEWARP_DOUBT_PX and dewarp.order < 5:
-            console.print(
+            screen.print(
                 f"[bold]the lens bends more than order {dewarp.order} can follow[/bold]; try --dewarp-order 5"
             )
     if errors:
@@ -164,5 +164,5 @@ def _print(
         for path, error in zip(frames, errors, strict=True):
             for row in error.rows():
                 table.add_row(path.stem, *row)
-        console.print(table)
-    console.print(f"{len(frames)} frame(s), mask and overview are in {out}")
+        screen.print(table)
+    screen.print(f"{len(frames)} frame(s), mask and overview are in {out}")

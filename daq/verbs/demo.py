@@ -3,8 +3,7 @@
 from importlib import import_module
 from pathlib import Path
 
-from rich.console import Console
-
+from daq.terminal import console
 from daq.verbs.correct import correct
 from daq.verbs.trace import trace
 
@@ -22,12 +21,12 @@ def demo(out: Path) -> None:
         Folder: ``frames/`` as a camera would give them, ``trace/``, ``nominal/`` corrected with what the
         experimenter knows, ``true/`` corrected with the true scene, which nobody at a bench knows.
     """
-    console = Console()
+    screen = console()
     make_frames = import_module("sim.demo_frames").make_frames  # by name: nothing below sim imports it
-    console.rule("a camera looks through two glass balls")
-    with console.status("rendering frames with an independent renderer"):
+    screen.rule("a camera looks through two glass balls")
+    with screen.status("rendering frames with an independent renderer"):
         frames = make_frames(SCENE, SIZE_PX, SEED, out / "frames", stack=False)
-    console.rule("what the scene shows")
+    screen.rule("what the scene shows")
     trace(out / "frames" / "scene.yaml", out / "trace")
     glass = [frames.path("target_glass"), frames.path("particles_glass_a"), frames.path("particles_glass_b")]
     for title, scene, target in (
@@ -38,9 +37,9 @@ def demo(out: Path) -> None:
         ),
         ("corrected with the true scene", "truth", None),
     ):
-        console.rule(title)
+        screen.rule(title)
         folder = out / {"scene": "nominal", "truth": "true"}[scene]
         clear = frames.path(target) if target else None
         correct(glass[:1], out / "frames" / f"{scene}.yaml", folder, clear, check_target=True)
         correct(glass[1:], out / "frames" / f"{scene}.yaml", folder / "particles", clear)
-    console.print(f"[bold]Look at {out / 'true' / 'overview.png'} and {out / 'trace' / 'fig4_markers.png'}[/bold]")
+    screen.print(f"[bold]Look at {out / 'true' / 'overview.png'} and {out / 'trace' / 'fig4_markers.png'}[/bold]")

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from correction.correction_map import build_correction_map
@@ -13,6 +12,7 @@ from daq.pictures.curve import draw_curve
 from daq.pictures.drawing import draw_scene
 from daq.pictures.markers import markers
 from daq.pictures.seen import seen
+from daq.terminal import console
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view
 from tracer.ray_map import build_ray_map
@@ -36,7 +36,7 @@ def trace(scene: Path, out: Path) -> None:
         The scene file is wrong.
     """
     loaded = load_scene(scene)
-    console = Console()
+    screen = console()
     ray_map = build_ray_map(loaded)
     correction_map = build_correction_map(loaded, ray_map)
     table = Table(title=f"{scene.stem}, scene {loaded.content_hash()}")
@@ -46,20 +46,20 @@ def trace(scene: Path, out: Path) -> None:
         view: FieldOfView | None = field_of_view(loaded)
     except SceneError as error:
         view = None
-        console.print(f"no radial figures: {error}")
+        screen.print(f"no radial figures: {error}")
     if view is not None:
         for name, value in _figures(view):
             table.add_row(name, value)
     counts = np.bincount(correction_map.status.ravel(), minlength=len(NodeStatus))
     for status, meaning in MEANING.items():
         table.add_row(f"nodes {meaning}", f"{100.0 * counts[status] / correction_map.status.size:.2f} %")
-    console.print(table)
+    screen.print(table)
     out.mkdir(parents=True, exist_ok=True)
     matplotlib.image.imsave(out / "fig4_markers.png", np.clip(seen(loaded, markers()), 0.0, 1.0))
     draw_scene(out / "scene.png", loaded, scene.stem)
     if view is not None:
         draw_curve(out / "fig5_curve.png", loaded, view, scene.stem)
-    console.print(f"pictures are in {out}")
+    screen.print(f"pictures are in {out}")
 
 
 def _figures(view: FieldOfView) -> list[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""Progress with time left, shown on standard error when a person is watching."""
+"""What a person sees while a verb works: tables wide enough to read, progress with time left."""
 
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
@@ -14,6 +14,13 @@ from rich.progress import (
 )
 
 Item = TypeVar("Item")
+LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wide it is
+
+
+def console() -> Console:
+    """Return the console for results, on standard output."""
+    found = Console()
+    return found if found.is_terminal else Console(width=LEAST_WIDTH)
 
 
 def progress(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
