@@ -1,0 +1,132 @@
+"""The ``stages:`` part of a bench file.
+
+    stages:
+      controllers:
+        rail: {driver: isel_dnc, port: /dev/ttyUSB0}
+        glass: {driver: zaber_ascii, port: /dev/ttyUSB1}
+      axes:
+        rail_z:
+          controller: rail
+          channel: X                   # the controller's own name of the motor
+          carries: camera              # element of the scene that moves with it
+          along: z                     # world direction of growing position
+          steps_per_mm: 320.0          # for controllers that count steps
+          sign: 1                      # -1 if the motor runs the other way
+          offset_mm: 0.0               # axis = sign * controller + offset
+          limits_mm: [0.0, 1900.0]     # mandatory, never clipped
+          speed_mm_s: 30.0
+          acceleration_mm_s2: 100.0
+          approach: {side: from_below, distance_mm: 0.5, speed_mm_s: 2.0}
+          settle_s: 0.3
+          in_position_um: 10.0         # at most 10
+          retries: 2
+      home_order: [rail_z, glass_y]    # every axis once; homing happens on request only
+      move_order: [glass_y, rail_z]    # optional: order of the legs of a move of several axes
+
+Embed `StagesTable` in the table of a larger file; `validate` of `tracer.config` then reports every problem with
+its line.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from stages.axis import AxisSettings
+from stages.drivers import driver_class
+from stages.errors import StageUsageError
+from stages.profile import Approach
+from tracer.config import Pair, Table
+
+Positive = Annotated[float, Field(gt=0.0, le=1e7)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+
+
+class ControllerTable(Table):
+    """A controller: how to talk, and where."""
+
+    driver: str
+    port: Annotated[str, Field(min_length=1)]
+    baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
+
+
+class ApproachTable(Table):
+    """From which side an axis arrives."""
+
+    side: Literal["from_below", "from_above"]
+    distance_mm: Positive
+    speed_mm_s: Positive
+
+
+class AxisTable(Table):
+    """An axis; see the module's text."""
+
+    controller: Name
+    channel: str | int
+    carries: Name
+    along: Literal["x", "y", "z"]
+    limits_mm: Pair
+    speed_mm_s: Positive
+    acceleration_mm_s2: Positive
+    steps_per_mm: Positive | None = None
+    sign: Literal[1, -1] = 1
+    offset_mm: float = 0.0
+    approach: ApproachTable | None = None
+    settle_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.1
+    in_position_um: Annotated[float, Field(gt=0.0, le=10.0)] = 10.0
+    retries: Annotated[int, Field(ge=0, le=10)] = 2
+    home_timeout_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 180.0
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> "AxisTable":
+        self.settings()  # its own rules, once
+        return self
+
+    def settings(self) -> AxisSettings:
+        """Return the same as the axis wants it."""
+        table, approach = self.approach, None
+        if table is not None:
+            approach = Approach(table.side == "from_below", table.distance_mm, table.speed_mm_s)
+        return AxisSettings(
+            channel=str(self.channel),
+            limits_mm=(self.limits_mm[0], self.limits_mm[1]),
+            speed_mm_s=self.speed_mm_s,
+            acceleration_mm_s2=self.acceleration_mm_s2,
+            sign=self.sign,
+            offset_mm=self.offset_mm,
+            steps_per_mm=self.steps_per_mm,
+            approach=approach,
+            settle_s=self.settle_s,
+            in_position_um=self.in_position_um,
+            retries=self.retries,
+            home_timeout_s=self.home_timeout_s,
+        )
+
+
+class StagesTable(Table):
+    """All controllers and axes of a bench."""
+
+    controllers: dict[Name, ControllerTable]
+    axes: dict[Name, AxisTable]
+    home_order: list[Name]
+    move_order: list[Name] | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> "StagesTable":
+        problems = []
+        motors = [(axis.controller, str(axis.channel)) for axis in self.axes.values()]
+        for name, axis in self.axes.items():
+            if axis.controller not in self.controllers:
+                problems.append(f"axis {name} names an unknown controller {axis.controller!r}")
+            if motors.count((axis.controller, str(axis.channel))) > 1:
+                problems.append(f"axis {name} shares its channel with another axis")
+        for key, order in (("home_order", self.home_order), ("move_order", self.move_order)):
+            if order is not None and sorted(order) != sorted(self.axes):
+                problems.append(f"{key} must name every axis once")
+        for name, controller in self.controllers.items():
+            try:
+                driver_class(controller.driver)
+            except StageUsageError as error:
+                problems.append(f"controller {name}: {error}")
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self

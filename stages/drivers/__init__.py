@@ -1,0 +1,38 @@
+"""The controllers that can be driven: one line each.
+
+A bench file names a driver by its key here, or an own one as ``package.module:Class``. The class is imported
+only when it is asked for. Contract tests run on every line.
+"""
+
+import importlib
+
+from stages.controller import Controller
+from stages.errors import StageUsageError
+
+DRIVERS = {
+    "zaber_ascii": "stages.drivers.zaber_ascii:ZaberController",
+    "isel_dnc": "stages.drivers.isel_dnc:IselController",
+    "pi_gcs2": "stages.drivers.pi_gcs2:PiController",
+    "grbl": "stages.drivers.grbl:GrblController",
+}
+
+
+def driver_class(name: str) -> type[Controller]:
+    """Class of a driver.
+
+    Raises
+    ------
+    StageUsageError
+        There is no such driver.
+    """
+    dotted = DRIVERS.get(name, name)
+    module, colon, attribute = dotted.partition(":")
+    if not colon:
+        raise StageUsageError(f"driver {name!r} is unknown; known are {', '.join(DRIVERS)}, or give module:Class")
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise StageUsageError(f"driver {name!r} cannot be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Controller)):
+        raise StageUsageError(f"driver {name!r} is no Controller")
+    return found

@@ -1,0 +1,211 @@
+"""Driver for isel iMC-S8 and C142 in DNC mode.
+
+Channels are X, Y, Z. The controller is mute from the moment it takes a motion until the motion has ended, so
+`moving` only looks whether the one character has come; one motion at a time. Moves are sent as relative motions
+of the axis that is meant, with zero for the others: a wrong idea about another axis can then never move it.
+Positions are read twice.
+
+A C142 does not know the version command and answers 5; it gets no acceleration, and its 5 serves as identity. A
+limit switch (2) or a fault (9) forgets every reference. The controller has no encoder: a stalled motor is not
+noticed.
+"""
+
+from collections.abc import Sequence
+
+from stages.controller import QUIET_S, Channel, Controller, Stream
+from stages.errors import (
+    CommandRejected,
+    DeviceError,
+    LimitHit,
+    MotionStopped,
+    NoReply,
+    OutOfRange,
+    ProtocolViolation,
+    StageUsageError,
+)
+from stages.protocols import isel_dnc as dnc
+
+AXES = ("X", "Y", "Z")
+C142 = "C142"
+FASTEST_RAMP = 4000  # Hz/ms
+
+
+class IselController(Controller):
+    """One iMC-S8 or C142."""
+
+    default_baud = 19_200
+    counts_steps = True
+
+    _initialised: bool = False
+    _motion_pending: bool
+    _homing: str | None
+    _ramp: int | None
+
+    def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Begin an absolute move, sent as the difference to where the axis is."""
+        scale, index = self._scale(channel), AXES.index(channel)
+        steps = round(target_mm * scale)
+        if abs(steps) >= dnc.STEPS_LIMIT:
+            raise OutOfRange(f"{self.name} channel {channel}: {target_mm} mm is beyond the controller's 24 bit")
+        with self._lock:
+            self._refuse_while_moving()
+            self._set_ramp(scale, acceleration_mm_s2)
+            distance = steps - self._steps()[index]
+            self._stopped = False
+            if distance:
+                self._begin(self._motion(index, distance, round(speed_mm_s * scale)))
+
+    def start_home(self, channel: str) -> None:
+        """Begin the reference run of one axis."""
+        with self._lock:
+            self._refuse_while_moving()
+            if not self._initialised:
+                self._initialise()
+            self._referenced.discard(channel)
+            self._stopped = False
+            self._homing = channel
+            self._begin(dnc.Numbered("R", 1 << AXES.index(channel)))
+
+    def moving(self, channel: str) -> bool:
+        """Look whether the one character has come; never waits."""
+        with self._lock:
+            if not self._motion_pending:
+                return False
+            data = self.port.pending()
+            if not data:
+                return True
+            homed, self._motion_pending, self._homing = self._homing, False, None
+            if len(data) > 1:
+                self._suspect = True
+            try:
+                code = dnc.parse_ack(data[:1]).code
+            except ProtocolViolation:
+                self._suspect = True
+                raise
+            if code == "0":
+                self._referenced |= {homed} if homed else set()
+                return False
+            self._raise(code, f"moving {channel}")
+            return False
+
+    def position_mm(self, channel: str) -> float:
+        """Steps / scale, read twice."""
+        with self._lock:
+            self._refuse_while_moving()
+            return self._steps()[AXES.index(channel)] / self._scale(channel)
+
+    def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Raise if the speed is outside 30..10000 steps/s or the ramp outside 1..4000 Hz/ms."""
+        scale = self._scale(channel)
+        if not dnc.SLOWEST <= round(speed_mm_s * scale) <= dnc.FASTEST:
+            low, high = dnc.SLOWEST / scale, dnc.FASTEST / scale
+            raise StageUsageError(f"{self.name} channel {channel}: speed must be {low:.3g} to {high:.3g} mm/s")
+        if acceleration_mm_s2 * scale / 1000 > FASTEST_RAMP:
+            raise StageUsageError(f"{self.name} channel {channel}: acceleration is more than 4000 steps/s per ms")
+
+    def _check_channel(self, channel: Channel) -> None:
+        super()._check_channel(channel)
+        if channel.name not in AXES:
+            raise StageUsageError(f"{self.name}: channel {channel.name!r} should be X, Y or Z")
+
+    def _reset_state(self) -> None:
+        self._motion_pending = False
+        self._homing = None
+        self._ramp = None
+
+    @property
+    def _axes(self) -> int:
+        return max(AXES.index(name) for name in self._channels) + 1
+
+    def _identify(self) -> str:
+        """Version, collected until silence because nothing ends it; older answers can only stand before it."""
+        port = self.port
+        port.write(dnc.Identify().to_bytes())
+        raw = port.read(self.clock.now_s() + self.reply_timeout_s)
+        while True:
+            try:
+                raw += port.read(self.clock.now_s() + QUIET_S)
+            except NoReply:
+                break
+        if raw == b"5":
+            return C142
+        if self.identity and raw.rstrip(b"\r\n").endswith(self.identity.encode()):
+            return self.identity
+        return dnc.parse_identity(raw).text
+
+    def _set_up(self) -> None:
+        self._initialise()
+
+    def _initialise(self) -> None:
+        self._repeated(lambda: self._acknowledged(dnc.Initialise((1 << self._axes) - 1)))
+        self._initialised = True
+
+    def _stop_bytes(self) -> Sequence[bytes]:
+        return [dnc.Stop().to_bytes()] if self._motion_pending else []
+
+    def _stream(self) -> Stream:
+        return dnc.AckStream()
+
+    def _refuse_while_moving(self) -> None:
+        if self._motion_pending:
+            raise StageUsageError(f"{self.name} answers nothing while it moves; wait for the motion to end")
+
+    def _begin(self, command: dnc.Numbered | dnc.Move) -> None:
+        """Send a command whose answer comes when the motion has ended."""
+        if self._suspect:
+            self._resynchronise()
+        if self.port.pending():
+            self._resynchronise()
+        self._motion_pending = True
+        self.port.write(command.to_bytes())
+
+    def _motion(self, index: int, distance: int, speed: int) -> dnc.Move:
+        pairs = [(0, dnc.SLOWEST)] * (4 if self._axes == 3 else self._axes)
+        pairs[index] = (distance, speed)
+        return dnc.Move(tuple(pairs), absolute=False)
+
+    def _set_ramp(self, scale: float, acceleration_mm_s2: float) -> None:
+        ramp = max(1, round(acceleration_mm_s2 * scale / 1000))
+        if not self._initialised:
+            self._initialise()
+        if self.identity != C142 and ramp != self._ramp:
+            self._repeated(lambda: self._acknowledged(dnc.Numbered("J", ramp)))
+            self._ramp = ramp
+
+    def _acknowledged(self, command: dnc.Initialise | dnc.Numbered) -> None:
+        def accept(answer: object) -> str | None:
+            return answer.code if isinstance(answer, dnc.Ack) else None
+
+        code = self._transact(command.to_bytes(), accept)
+        if code != "0":
+            self._raise(code, f"taking {command.to_bytes()!r}")
+
+    def _steps(self) -> tuple[int, ...]:
+        return self._agreed(self._steps_once)
+
+    def _steps_once(self) -> tuple[int, ...]:
+        stream = dnc.PositionStream(self._axes)
+
+        def accept(answer: object) -> tuple[int, ...] | None:
+            if isinstance(answer, dnc.Ack):  # a lone character is no position; it may belong to an older command
+                raise ProtocolViolation(f"{self.name}: no position", answer.to_bytes())
+            return answer.steps if isinstance(answer, dnc.Position) else None
+
+        return self._transact(dnc.AskPosition().to_bytes(), accept, stream=stream)
+
+    def _raise(self, code: str, doing: str) -> None:
+        """Turn an error character into what it means for the axes."""
+        meaning = f"{self.name}, {doing}: {dnc.MEANING[code]} ({code})"
+        if code in "29":
+            self._referenced.clear()
+            self._initialised = False
+        if code == "2":
+            raise LimitHit(f"{meaning}; home its axes")
+        if code == "9":
+            raise DeviceError(f"{meaning}; look at the machine, then home its axes")
+        if code == "F":
+            self._suspect = True  # a late 0 or F of the interrupted motion may follow
+            raise MotionStopped(meaning)
+        if code == "R":
+            self._referenced.clear()
+        raise CommandRejected(meaning, code)

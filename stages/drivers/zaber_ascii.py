@@ -1,0 +1,190 @@
+"""Driver for Zaber devices on one line (chain), ASCII protocol, firmware 6 and 7.
+
+A channel is ``device/axis`` or just ``device``. Positions are microsteps. Speeds and accelerations go in the
+controller's units: microsteps/s x 1.6384, microsteps/s2 x 1.6384/10000 (Zaber, ASCII Protocol Manual,
+Appendix).
+
+Every command carries a number that comes back with its answer, so a late answer is recognised and skipped. With
+the flag WR or WH the position means nothing. FS, FQ, FD (stalled, encoder, driver off) and WL (unexpected
+limit) end a motion and stay until ``warnings clear``, which homing sends first.
+"""
+
+import re
+from collections.abc import Sequence
+from functools import partial
+
+from stages.controller import Channel, Controller
+from stages.errors import (
+    AxisStalled,
+    CommandRejected,
+    LimitHit,
+    MotionStopped,
+    ProtocolViolation,
+    StageUsageError,
+    WrongDevice,
+)
+from stages.protocols.zaber_ascii import AnswerStream, Command, Reply
+
+PER_SECOND = 1.6384
+LARGEST_SETTING = 2**31 - 1
+STOP_ID = 99  # answers to a stop belong to nobody and are skipped
+
+STALLED = {"FS": "stalled", "FQ": "has an encoder error", "FD": "has its driver switched off", "FE": "hit a fault"}
+LIMITS = {"WL": "ran into a limit"}
+UNREFERENCED = {"WR", "WH"}
+INTERRUPTED = {"NI", "NC"}
+
+
+class ZaberController(Controller):
+    """One line of Zaber devices."""
+
+    default_baud = 115_200
+    counts_steps = True
+    senses_stall = True
+
+    _next_id = 0
+    _profile: dict[str, tuple[int, int]]
+    _homing: set[str]
+
+    def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Begin an absolute move."""
+        steps = round(target_mm * self._scale(channel))
+        speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
+        if self._profile.get(channel) != (speed, acceleration):
+            self._profile.pop(channel, None)
+            self._repeated(lambda: self._send(channel, f"set maxspeed {speed}"))
+            self._repeated(lambda: self._send(channel, f"set accel {acceleration}"))
+            self._profile[channel] = (speed, acceleration)
+        self._stopped = False
+        self._send(channel, f"move abs {steps}")
+
+    def start_home(self, channel: str) -> None:
+        """Begin to home, after the reasons of older faults have been cleared."""
+        self._referenced.discard(channel)
+        self._repeated(lambda: self._send(channel, "warnings clear"))
+        self._stopped = False
+        self._send(channel, "home")
+        self._homing.add(channel)
+
+    def moving(self, channel: str) -> bool:
+        """Ask once; an empty command only brings the state."""
+        reply = self._repeated(lambda: self._send(channel, ""))
+        where = f"{self.name} channel {channel}"
+        if reply.flag in STALLED:
+            self._forget(channel)
+            raise AxisStalled(f"{where} {STALLED[reply.flag]} ({reply.flag}); clear the way and home it")
+        if reply.flag in LIMITS:
+            self._forget(channel)
+            raise LimitHit(f"{where} {LIMITS[reply.flag]} ({reply.flag}); home it")
+        if reply.busy:
+            return True
+        homing = channel in self._homing
+        self._homing.discard(channel)
+        if reply.flag in UNREFERENCED:
+            self._referenced.discard(channel)
+        if self._stopped or reply.flag in INTERRUPTED:
+            raise MotionStopped(f"{where} was stopped")
+        if homing and reply.flag not in UNREFERENCED:
+            self._referenced.add(channel)
+        return False
+
+    def position_mm(self, channel: str) -> float:
+        """Microsteps / scale, from a checksummed answer or from two equal ones."""
+        return self._agreed(lambda: self._integer(channel, "get pos")) / self._scale(channel)
+
+    def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Raise if a value does not fit the setting it goes to."""
+        speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
+        if not (1 <= speed <= LARGEST_SETTING and 1 <= acceleration <= 32767):
+            raise StageUsageError(
+                f"{self.name} channel {channel}: speed or acceleration is beyond what it can be set to"
+            )
+
+    def _native(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> tuple[int, int]:
+        scale = self._scale(channel)
+        # an acceleration of 0 means none at all, that is infinite, to the device
+        return round(speed_mm_s * scale * PER_SECOND), max(
+            1, round(acceleration_mm_s2 * scale * PER_SECOND / 10_000)
+        )
+
+    def _check_channel(self, channel: Channel) -> None:
+        super()._check_channel(channel)
+        if not re.fullmatch(r"[1-9]\d?(/[1-9])?", channel.name):
+            raise StageUsageError(
+                f"{self.name}: channel {channel.name!r} should be device or device/axis, such as 1/2"
+            )
+
+    def _reset_state(self) -> None:
+        self._profile = {}
+        self._homing = set()
+
+    def _forget(self, channel: str) -> None:
+        self._referenced.discard(channel)
+        self._homing.discard(channel)
+
+    def _identify(self) -> str:
+        words = []
+        for device in sorted({_address(name)[0] for name in self._channels}):
+            answers = [
+                self._reply(device, 0, f"get {what}").data for what in ("deviceid", "system.serial", "version")
+            ]
+            words.append(f"Zaber {answers[0]} serial {answers[1]} firmware {answers[2]}")
+        return ", ".join(words)
+
+    def _set_up(self) -> None:
+        for name in self._channels:
+            device, axis = _address(name)
+            count = self._repeated(partial(self._reply, device, 0, "get system.axiscount")).data
+            if not (count.isdecimal() and axis <= int(count)):
+                raise WrongDevice(f"{self.name}: device {device} has {count} axes, so there is no channel {name}")
+
+    def _remembers_reference(self, channel: str) -> bool:
+        reply = self._repeated(lambda: self._send(channel, "warnings"))
+        return not UNREFERENCED & {reply.flag, *reply.data.split()}
+
+    def _stop_bytes(self) -> Sequence[bytes]:
+        devices = sorted({_address(name)[0] for name in self._channels})
+        return [Command("stop", device, 0, STOP_ID).to_bytes() for device in devices]
+
+    def _stream(self) -> AnswerStream:
+        return AnswerStream()
+
+    def _unsolicited(self, data: bytes) -> None:
+        """Late answers and alerts are recognised by their number and address; nothing to do."""
+
+    def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
+        """Same."""
+
+    def _integer(self, channel: str, question: str) -> int:
+        data = self._send(channel, question).data
+        if not re.fullmatch(r"-?\d{1,15}", data):
+            self._suspect = True
+            raise ProtocolViolation(f"{self.name}: no whole number", data.encode())
+        return int(data)
+
+    def _send(self, channel: str, text: str) -> Reply:
+        return self._reply(*_address(channel), text)
+
+    def _reply(self, device: int, axis: int, text: str) -> Reply:
+        """Answer of the device and axis addressed, with the number of this very command."""
+        with self._lock:
+            number = self._next_id
+            self._next_id = (number + 1) % STOP_ID
+            command = Command(text, device, axis, number)
+
+            def accept(answer: object) -> Reply | None:
+                if isinstance(answer, Reply) and (answer.message_id, answer.device) == (number, device):
+                    return answer if answer.axis == axis else None
+                return None
+
+            reply = self._transact(command.to_bytes(), accept)
+            if not reply.accepted:
+                raise CommandRejected(
+                    f"{self.name} refused {text!r} for {device}/{axis}: {reply.data}", reply.data
+                )
+            return reply
+
+
+def _address(channel: str) -> tuple[int, int]:
+    device, _, axis = channel.partition("/")
+    return int(device), int(axis or 1)

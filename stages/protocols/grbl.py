@@ -1,0 +1,305 @@
+"""Grbl 1.1: G-code on small boards, 115200 8N1.
+
+Two kinds of input. LINES end with CR or LF and are answered ``ok`` or ``error:n`` each; a motion is answered
+when it is QUEUED, not when it has ended. REAL-TIME bytes have no line end, are picked out of the stream at once
+and have no answer of their own: ``?`` asks for a status report, ``!`` holds, ``~`` resumes, 0x18 resets, 0x85
+cancels a jog.
+
+Output is lines ended CR LF: ``ok``, ``error:n``, ``ALARM:n``, ``<State|MPos:x,y,z|...>``, ``$n=value``,
+``[KIND:text]`` and the banner after every reset. Reports, alarms and messages come at any time, so an answer is
+recognised by its shape, never by its place. Several ``?`` may get one report; during homing none is answered.
+
+Jogs (``$J=``) are the safe motions: out of travel they are refused with ``error:15`` instead of an alarm, and
+0x85 or ``!`` ends them without losing the position.
+
+Source: gnea/grbl, doc/markdown/{interface,commands,jogging,settings}.md, v1.1.
+"""
+
+import re
+from dataclasses import dataclass
+
+from stages.errors import ProtocolViolation
+from stages.protocols.framing import Example, Lines, text_of
+
+DOC = "gnea/grbl v1.1 doc/markdown"
+
+STATUS, HOLD, RESUME, RESET, JOG_CANCEL = 0x3F, 0x21, 0x7E, 0x18, 0x85
+REALTIME = (STATUS, HOLD, RESUME, RESET, JOG_CANCEL)
+STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
+
+ALARMS = {
+    1: "hard limit triggered, position lost",
+    2: "target outside the travel",
+    3: "reset while moving, position lost",
+    6: "reset during homing",
+    7: "door opened during homing",
+    8: "homing could not clear the switch",
+    9: "homing found no switch",
+}
+
+_NUMBER = r"-?\d{1,9}\.\d{1,6}"
+_STATUS = re.compile(
+    rf"<([A-Z][a-z]+)(?::(\d))?\|(MPos|WPos):({_NUMBER}(?:,{_NUMBER})*)((?:\|[A-Za-z]+:[^|<>]*)*)>"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line for the controller."""
+
+    text: str
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return (self.text + "\n").encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (
+            Example(b"$J=X10.0 Y-1.5\n", cls("$J=X10.0 Y-1.5"), f"{DOC}/jogging.md"),
+            Example(b"$J=G53 Y5.0\n", cls("$J=G53 Y5.0"), f"{DOC}/jogging.md"),
+            Example(b"$H\n", cls("$H"), f"{DOC}/commands.md"),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RealTime:
+    """A byte that is obeyed at once."""
+
+    code: int
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return bytes([self.code])
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented bytes."""
+        return (
+            Example(b"?", cls(STATUS), f"{DOC}/commands.md"),
+            Example(b"!", cls(HOLD), f"{DOC}/commands.md"),
+            Example(b"\x18", cls(RESET), f"{DOC}/commands.md"),
+            Example(b"\x85", cls(JOG_CANCEL), f"{DOC}/commands.md"),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Ok:
+    """The last line was taken."""
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return b"ok\r\n"
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (Example(b"ok\r\n", cls(), f"{DOC}/interface.md, Response Messages"),)
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """The last line was refused."""
+
+    code: int
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"error:{self.code}\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (Example(b"error:15\r\n", cls(15), f"{DOC}/interface.md, jog target exceeds travel"),)
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """Everything has stopped; the code says why."""
+
+    code: int
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"ALARM:{self.code}\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (Example(b"ALARM:1\r\n", cls(1), f"{DOC}/interface.md, Alarm Message"),)
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A report: state, position [mm], and whether it is the machine's or the work coordinate system's."""
+
+    state: str
+    position_mm: tuple[float, ...]
+    machine: bool = True
+    substate: int | None = None
+    extras: tuple[tuple[str, str], ...] = ()
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        state = self.state if self.substate is None else f"{self.state}:{self.substate}"
+        place = ",".join(f"{value:.3f}" for value in self.position_mm)
+        fields = "".join(f"|{name}:{value}" for name, value in self.extras)
+        return f"<{state}|{'MPos' if self.machine else 'WPos'}:{place}{fields}>\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented and recorded lines."""
+        return (
+            Example(
+                b"<Idle|MPos:0.000,-10.000,5.000|FS:0,0>\r\n",
+                cls("Idle", (0.0, -10.0, 5.0), extras=(("FS", "0,0"),)),
+                f"{DOC}/interface.md, Current Position and FS",
+            ),
+            Example(
+                b"<Hold:0|WPos:-2.500,0.000,11.000|Bf:15,128>\r\n",
+                cls("Hold", (-2.5, 0.0, 11.0), False, 0, (("Bf", "15,128"),)),
+                f"{DOC}/interface.md, sub-states, work position, buffer state",
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One line of $$."""
+
+    number: int
+    value: str
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"${self.number}={self.value}\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (
+            Example(b"$100=250.000\r\n", cls(100, "250.000"), f"{DOC}/interface.md, $$"),
+            Example(b"$13=0\r\n", cls(13, "0"), f"{DOC}/interface.md, $$"),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """A line in brackets: MSG, VER, OPT, GC ..."""
+
+    kind: str
+    text: str
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"[{self.kind}:{self.text}]\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (
+            Example(b"[MSG:Reset to continue]\r\n", cls("MSG", "Reset to continue"), f"{DOC}/interface.md"),
+            Example(
+                b"[VER:v1.1d.20161014:Some string]\r\n",
+                cls("VER", "v1.1d.20161014:Some string"),
+                f"{DOC}/interface.md",
+            ),
+            Example(b"[OPT:VL]\r\n", cls("OPT", "VL"), f"{DOC}/interface.md"),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Banner:
+    """The first line after power-up and after every reset."""
+
+    version: str
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"Grbl {self.version} ['$' for help]\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (Example(b"Grbl 1.1h ['$' for help]\r\n", cls("1.1h"), f"{DOC}/interface.md, Start Up Message"),)
+
+
+MESSAGES = (Line, RealTime, Ok, Refusal, Alarm, Status, Setting, Feedback, Banner)
+Answer = Ok | Refusal | Alarm | Status | Setting | Feedback | Banner
+
+
+def parse_answer(line: bytes) -> Answer:
+    """Read a line of the controller.
+
+    Raises
+    ------
+    ProtocolViolation
+        It is none of the lines in the module's text.
+    """
+    text = text_of(line)
+    if text == "ok":
+        return Ok()
+    if match := re.fullmatch(r"error:(\d{1,3})", text):
+        return Refusal(int(match[1]))
+    if match := re.fullmatch(r"ALARM:(\d{1,2})", text):
+        return Alarm(int(match[1]))
+    if match := re.fullmatch(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)", text):
+        return Setting(int(match[1]), match[2])
+    if match := re.fullmatch(r"\[([A-Za-z0-9]+):(.*)\]", text):
+        return Feedback(match[1], match[2])
+    if match := re.fullmatch(r"Grbl (\S+) \['\$' for help\]", text):
+        return Banner(match[1])
+    if (match := _STATUS.fullmatch(text)) and match[1] in STATES:
+        extras = tuple((name, value) for name, _, value in (f.partition(":") for f in match[5].split("|")[1:]))
+        place = tuple(float(word) for word in match[4].split(","))
+        return Status(match[1], place, match[3] == "MPos", None if match[2] is None else int(match[2]), extras)
+    raise ProtocolViolation("not a Grbl line", line)
+
+
+class CommandStream:
+    """Bytes of a host to lines and real-time bytes, in order of arrival."""
+
+    def __init__(self) -> None:
+        self._lines = Lines(b"\r\n", longest=80)
+
+    def feed(self, chunk: bytes) -> list[Line | RealTime | ProtocolViolation]:
+        """Add bytes; return what is complete now."""
+        found: list[Line | RealTime | ProtocolViolation] = []
+        for start in range(len(chunk)):
+            byte = chunk[start]
+            if byte in REALTIME:
+                found.append(RealTime(byte))
+                continue
+            try:
+                found += [Line(text_of(line)) for line in self._lines.feed(chunk[start : start + 1])]
+            except ProtocolViolation as violation:
+                found.append(violation)
+        return found
+
+
+class AnswerStream:
+    """Bytes of a controller to answers."""
+
+    def __init__(self) -> None:
+        self._lines = Lines(b"\r\n")
+
+    @property
+    def rest(self) -> bytes:
+        """Bytes of an answer that is not complete."""
+        return self._lines.rest
+
+    def feed(self, chunk: bytes) -> list[Answer | ProtocolViolation]:
+        """Add bytes; return the answers that are complete now, a violation in place of each unreadable one."""
+        try:
+            lines = self._lines.feed(chunk)
+        except ProtocolViolation as violation:
+            return [violation]
+        return [_or_violation(line) for line in lines]
+
+
+def _or_violation(line: bytes) -> Answer | ProtocolViolation:
+    try:
+        return parse_answer(line)
+    except ProtocolViolation as violation:
+        return violation
