@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tracer.bodies import Sphere
 from tracer.kernels.chain import MARKED, chain_rows
+from tracer.kernels.march import MAX_EVENTS
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.trace import Branch, pack_camera, trace
@@ -36,15 +37,20 @@ def trace_lockstep(
     """
     height, width = status.shape
     camera = pack_camera(scene.camera)
-    chain = sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
+    chain = _chain(scene)
     constants = tuple(_constants(sphere, scene) for sphere in chain)
     numbers = tuple(float(x) for x in camera)
+    table = scene.with_bodies(chain).sphere_table()
     checked, flat = not _stacked(chain), scene.camera.lens.is_ideal
 
     def work(first: int, last: int) -> None:
         x, y = np.empty(width), np.empty(width)
         spans = np.empty((len(chain) + 1, 2), np.int64)
-        chain_rows(camera, numbers, constants, checked, flat, first, last, x, y, spans, plane, status, branch)
+        bodies, trail = (table, scene.rod_table()), np.empty(MAX_EVENTS, np.int32)
+        chain_rows(
+            *(camera, numbers, constants, *bodies, trail, checked, flat, first, last, x, y, spans),
+            *(plane, status, branch),
+        )
 
     run_rows(work, height)
     names = [sphere.name for sphere in chain]
@@ -77,6 +83,17 @@ def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:
         1.0 / radius,
     )
     return tuple(float(number) for number in numbers)  # one whole number among them is another type to compile
+
+
+def _chain(scene: Scene) -> list[Sphere]:
+    """Spheres in the order of the lockstep: by height if stacked, else by power about the pinhole; no ties."""
+    eye = np.array(scene.camera.position_mm)
+
+    def power_mm2(s: Sphere) -> float:
+        return s.distance_mm(eye) * (s.distance_mm(eye) + 2.0 * s.radius_mm)
+
+    by_height = sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
+    return by_height if _stacked(by_height) else sorted(by_height, key=power_mm2)
 
 
 def _stacked(chain: list[Sphere]) -> bool:

@@ -7,9 +7,12 @@ loop over them is unrolled, and a scene with two spheres runs code made for two.
 ``tracer.kernels.sphere``.
 
 A fixed order is right as long as no ray needs another one.  Spheres whose extents in z do not overlap are
-met in order of z by every ray that keeps going down.  For the others, and for rays bent level or upwards, the
-last piece is checked against every sphere, and a ray that would meet one more is MARKED; the caller traces
-marked rays again with `march`.  So the result never depends on the order being right.
+met in order of z by every ray that keeps going down.  Others are ordered by their power |c - p|^2 - R^2 about
+the pinhole p: along any ray from p the product of the two distances to a sphere is its power, so the first
+straight piece meets disjoint spheres in that order.  The last piece is checked against every sphere.  What is
+left are pieces between two spheres, and rays with two or more are rare: those are followed by `march` as well.
+A ray that turned out to need another order, or was bent level or upwards, is MARKED, and the caller traces
+marked rays again.  So the result never depends on the order being right.
 
 Sphere tuple: centre x, y, z, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R.
 """
@@ -18,7 +21,7 @@ import math
 
 from tracer.kernels._jit import Array, kernel
 from tracer.kernels.camera import ideal_xy
-from tracer.kernels.march import MISSED_PLANE, RECOVERED
+from tracer.kernels.march import MISSED_PLANE, RECOVERED, march
 
 Row = tuple[float, ...]
 MARKED = 1 << 15  # bit of the crossing mask: this ray needs `march`
@@ -106,6 +109,32 @@ def chain_row(
 
 
 @kernel
+def check_order(x: Array, y: Array, camera: Row, table: Array, rods: Array, trail: Array, crossed: Array) -> None:
+    """Mark the rays of a span that crossed two spheres or more, but not in chain order.
+
+    ``table`` (N, 6) holds the spheres as `march` takes them, in chain order; ``trail`` (MAX_EVENTS,) is scratch.
+    """
+    for i in range(x.shape[0]):
+        mask = int(crossed[i])
+        if mask & MARKED or mask & (mask - 1) == 0:
+            continue
+        scale = 1.0 / math.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
+        a, b = x[i] * scale, y[i] * scale
+        dx = camera[3] * a + camera[6] * b + camera[9] * scale
+        dy = camera[4] * a + camera[7] * b + camera[10] * scale
+        dz = camera[5] * a + camera[8] * b + camera[11] * scale
+        _, _, _, _, _, _, _, _, _, _, events = march(
+            camera[0], camera[1], camera[2], dx, dy, dz, table, rods, trail
+        )
+        met, newest = 0, -1
+        for k in range(int(events)):
+            met = met | 1 << trail[k] if trail[k] > newest else MARKED
+            newest = trail[k]
+        if met != mask:
+            crossed[i] = mask | MARKED
+
+
+@kernel
 def direct_row(x: Array, y: Array, camera: Row, point: Array, status: Array, crossed: Array) -> None:
     """Trace a span of one row that no glass touches: the pinhole's line to the plane."""
     for i in range(x.shape[0]):
@@ -162,6 +191,9 @@ def chain_rows(
     packed: Array,
     camera: Row,
     spheres: tuple[Row, ...],
+    table: Array,
+    rods: Array,
+    trail: Array,
     checked: bool,
     flat: bool,
     first: int,
@@ -175,7 +207,8 @@ def chain_rows(
 ) -> None:
     """Trace rows first..last-1: the direct view everywhere, the chain only where glass can be met.
 
-    ``x``, ``y`` (W,) and ``spans`` (N + 1, 2) int64 are scratch; outputs as in `chain_row`, (H, W, ...).
+    ``table`` and ``trail`` as in `check_order`; ``x``, ``y`` (W,) and ``spans`` (N + 1, 2) int64 are scratch;
+    outputs as in `chain_row`, (H, W, ...).
     """
     width = x.shape[0]
     for row in range(first, last):
@@ -200,6 +233,8 @@ def chain_rows(
                 done = spans[k, 1]
                 p, t, c = point[row, low:done], status[row, low:done], crossed[row, low:done]
                 chain_row(x[low:done], y[low:done], camera, spheres, checked, p, t, c)
+                if checked:
+                    check_order(x[low:done], y[low:done], camera, table, rods, trail, c)
 
 
 @kernel

@@ -1,0 +1,156 @@
+"""The lockstep form of the tracer against `march`: same branch, same status, same plane point for every pixel."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.tracer.scenes import PAPER, TILTED, ball, camera_at, random_bodies, random_camera, scene
+from tracer.camera import Camera, Lens
+from tracer.kernels.maps import trace_rows
+from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
+from tracer.lockstep import fits_lockstep
+from tracer.ray_map import RayMap, build_ray_map
+from tracer.rows import run_rows
+from tracer.scene import Scene
+from tracer.status import RayStatus
+from tracer.trace import pack_camera, trace
+
+
+def shrunk(camera: Camera, factor: float) -> Camera:
+    """The same view on a sensor with `factor` times fewer pixels each way."""
+    width, height = (int(n / factor) for n in camera.sensor_px)
+    principal = ((width - 1) / 2.0, (height - 1) / 2.0)
+    return replace(camera, focal_px=camera.focal_px / factor, sensor_px=(width, height), principal_px=principal)
+
+
+def check(where: Scene) -> RayMap:
+    """Compare the ray map with single rays; a pixel within 1e-9 of a rim may fall on either side of it."""
+    made = build_ray_map(where)
+    height, width = where.camera.shape
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+    rays = trace(where, pixels)
+    named = np.array([" ".join(names) for names in made.branches], dtype=object)[made.branch]
+    traced = np.array([" ".join(rays.branches[key]) for key in rays.rays["key"].ravel().tolist()], dtype=object)
+    other = (named != traced.reshape(named.shape)) | (made.status != rays.rays["status"])
+    assert other.sum() <= 1, f"{other.sum()} pixels on another branch"
+    good = made.recovered & ~other
+    assert np.all(np.isnan(made.plane_mm[~made.recovered]))
+    calm = good & (rays.rays["transmittance"] > 0.5) & (rays.rays["direction"][..., 2] < -0.1)
+    apart = np.abs(made.plane_mm - rays.plane_mm)
+    assert np.max(apart[calm], initial=0.0) <= 1e-9
+    assert np.max(apart[good] / (1.0 + np.hypot(*rays.plane_mm[good].T)[:, None] ** 2), initial=0.0) <= 1e-6
+    return made
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_paper_scenes(name: str) -> None:
+    where = scene(name)
+    where = where.with_camera(shrunk(where.camera, 8.0))
+    assert fits_lockstep(where)
+    assert np.mean(check(where).recovered) > 0.6
+
+
+def test_nothing_aligned_and_lens_terms() -> None:
+    where = scene(TILTED)
+    check(where.with_camera(shrunk(where.camera, 8.0)))
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_random_scenes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    bodies = random_bodies(rng, (1, 2, 3, 5)[seed % 4])
+    check(Scene(shrunk(random_camera(rng, bodies), 4.0), tuple(bodies)))
+
+
+def test_a_lower_sphere_met_first() -> None:
+    """A slanted camera sees the large sphere before the small one whose centre stands higher."""
+    bodies = (ball("large", 0.0, 0.0, 50.0, 50.0), ball("small", 55.0, 0.0, 60.0, 5.0, 1.5))
+    where = Scene(camera_at((-600.0, 0.0, 300.0), (20.0, 0.0, 60.0), 600.0, (160, 120)), bodies)
+    made = check(where)
+    assert set(np.unique(made.branch).tolist()) >= {0}
+
+
+def test_a_third_sphere_between_two() -> None:
+    """The straight view misses the middle sphere; rays bent by the first meet it before the last."""
+    bodies = (
+        ball("first", 0.0, 0.0, 90.0, 10.0, 1.9),
+        ball("between", 13.0, 0.0, 68.0, 8.0, 1.9),
+        ball("between too", -13.0, 0.0, 68.0, 8.0, 1.9),
+        ball("last", 0.0, 0.0, 30.0, 30.0, 1.5),
+    )
+    where = Scene(camera_at((0.0, 0.0, 400.0), (0.0, 0.0, 0.0), 1200.0, (240, 240)), bodies)
+    made = check(where)
+    longest = max(len(made.branches[number]) for number in np.unique(made.branch).tolist())
+    assert longest >= 3
+
+
+def test_numbers_written_as_integers() -> None:
+    """An integer in a scene is the same number; it must not become another type in a compiled kernel."""
+    camera = camera_at((0.0, 0.0, 300.0), focal_px=150.0, sensor_px=(40, 30))
+    whole = Scene(camera, (ball("a", 0, 0, 50, 50, 2), ball("b", 70, 0, 20, 20)))
+    floats = Scene(camera, (ball("a", 0.0, 0.0, 50.0, 50.0, 2.0), ball("b", 70.0, 0.0, 20.0, 20.0)))
+    assert build_ray_map(whole).plane_mm.tobytes() == build_ray_map(floats).plane_mm.tobytes()
+
+
+def test_no_bodies() -> None:
+    where = Scene(camera_at((3.0, 4.0, 300.0), (1.0, 2.0, 0.0), 150.0, (40, 30), lens=Lens(k1=0.01)))
+    made = build_ray_map(where)
+    assert made.branches[0] == ()
+    assert np.all(made.branch == 0)
+    assert np.all(made.recovered)
+
+
+def test_a_camera_that_sees_above_the_horizon() -> None:
+    bodies = (ball("one", 0.0, 0.0, 30.0, 30.0), ball("two", 61.0, 5.0, 25.0, 25.0))
+    where = Scene(camera_at((-200.0, 0.0, 40.0), (0.0, 0.0, 45.0), 100.0, (160, 120)), bodies)
+    made = check(where)
+    assert np.mean(made.status == RayStatus.MISSED_PLANE) > 0.3
+
+
+@pytest.mark.parametrize("name", ["two_spheres_500", "pyramid_500"])
+def test_same_bits_for_any_threads(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    where = scene(name)
+    where = where.with_camera(shrunk(where.camera, 6.0))
+    made = []
+    for threads in ("1", "2", "3"):
+        monkeypatch.setenv("RTPIV_THREADS", threads)
+        each = build_ray_map(where)
+        made.append((each.plane_mm.tobytes(), each.status.tobytes(), each.branch.tobytes()))
+    assert len(set(made)) == 1
+
+
+@pytest.mark.parametrize("block", [1, 7, 24, 1000])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_same_bits_for_any_block(block: int, threads: int) -> None:
+    where = scene("pyramid_500")
+    where = where.with_camera(shrunk(where.camera, 12.0))
+    packed, spheres, rods = pack_camera(where.camera), where.sphere_table(), where.rod_table()
+    outcomes = []
+    for rows, many in ((24, 1), (block, threads)):
+        plane = np.empty((*where.camera.shape, 2))
+        status, key = np.empty(where.camera.shape, np.uint8), np.empty(where.camera.shape, np.int64)
+
+        def work(
+            first: int, last: int, outputs: tuple[np.ndarray, np.ndarray, np.ndarray] = (plane, status, key)
+        ) -> None:
+            trace_rows(packed, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), *outputs)
+
+        run_rows(work, where.camera.shape[0], block=rows, threads=many)
+        outcomes.append((plane.tobytes(), status.tobytes(), key.tobytes()))
+    assert outcomes[0] == outcomes[1]
+
+
+def test_tangents_go_with_the_map() -> None:
+    """The ray with derivatives is the same ray."""
+    where = scene(TILTED)
+    packed, spheres, rods = pack_camera(where.camera), where.sphere_table(), where.rod_table()
+    pixels = np.random.default_rng(4).uniform(0.0, 1800.0, (2000, 2))
+    rays = trace(where, pixels)
+    for (u, v), ray in zip(pixels.tolist(), rays.rays, strict=True):
+        status, x, y, *_, passed, key, events = march_pixel_tangents(u, v, packed, spheres, rods)
+        assert (status, key, events) == (ray["status"], ray["key"], ray["events"])
+        if status == RayStatus.RECOVERED:
+            assert passed == pytest.approx(float(ray["transmittance"]), abs=1e-9)
+            far = 1.0 + float(ray["x_mm"]) ** 2 + float(ray["y_mm"]) ** 2
+            assert max(abs(x - ray["x_mm"]), abs(y - ray["y_mm"])) <= 1e-9 * far
