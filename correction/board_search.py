@@ -207,8 +207,16 @@ def _finish(
     position, sigma = np.empty((0, 2)), np.empty((0, 2))
     tried: set[tuple[int, int]] = set()
     refused: dict[str, int] | None = None
-    for _ in range(1 + EXTENSIONS):
-        fit = refine_corners(frame, start, axes, sign=board.corner_sign(index), mask=mask, max_shift=0.3)
+    for extension in range(1 + EXTENSIONS):
+        fit = refine_corners(
+            frame,
+            start,
+            axes,
+            sign=board.corner_sign(index),
+            mask=mask,
+            start_error_px=5.0 if extension else 0.5,
+            max_shift=0.3,
+        )
         refused = fit.counts() if refused is None else refused
         known_index = np.concatenate((known_index, index[fit.valid]))
         known_axes = np.concatenate((known_axes, axes[fit.valid]))

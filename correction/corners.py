@@ -86,6 +86,7 @@ def refine_corners(
     window: float | ArrayLike = WINDOW,
     arm: float = ARM,
     least_px: float = LEAST_PX,
+    start_error_px: float = 5.0,
     max_shift: float = 0.45,
     max_residual: float = 0.25,
     max_sigma_px: float = 0.25,
@@ -111,6 +112,8 @@ def refine_corners(
         Half length (or one a corner) and half width of the arms in squares.
     least_px : float
         At the border of frame or mask the window shrinks to this half width in px, then the corner is refused.
+    start_error_px : float
+        How far off the starts may be; smaller is faster, larger than a sixth of a square has no effect.
     max_shift : float
         Largest move from the start in squares.
     max_residual, max_sigma_px : float
@@ -143,7 +146,20 @@ def refine_corners(
     def rows(first: int, last: int) -> None:
         scratch = corner_fit.new_scratch()
         corner_fit.fit_corners(
-            frame, usable, start, axes, reaches, arm, least_px, max_shift, first, last, scratch, out, verdict
+            frame,
+            usable,
+            start,
+            axes,
+            reaches,
+            arm,
+            least_px,
+            max_shift,
+            start_error_px,
+            first,
+            last,
+            scratch,
+            out,
+            verdict,
         )
 
     run_rows(rows, count, block=64, threads=threads)

@@ -36,7 +36,7 @@ SETTLED_PX = 5e-4  # a step that no longer matters
 TOLERANCE_RATIO = 2.0  # relative gain in the squares that belongs to a step of 1 px
 MAX_ROUNDS = 4  # moves of the window
 MAX_STEPS = 25  # steps of the optimiser in one window
-RIDGE = 1.0  # weight, in pixels of full contrast, of equal blurs and of an edge like erf
+RIDGE = 3.0  # weight, in pixels of full contrast, of equal blurs and of an edge like erf
 PLAIN = 3.2  # erf is +-1 to 6e-6 from here
 MIN_BLUR = 0.2  # [px] pixel integration alone gives 0.29; below, no pixel may lie on an edge
 INV_SQRT_2 = 0.7071067811865476
@@ -168,11 +168,12 @@ def normal_equations(
     for k in range(count):
         residual = pixels[k, 2] - gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
         total += residual * residual
-        plain = row[0] == 0.0 and row[1] == 0.0
-        for i in range(8 if plain else 0, FREE):
-            right[i] += row[i] * residual
-            for j in range(8 if plain else 0, i + 1):
-                normal[i, j] += row[i] * row[j]
+        for i in range(FREE):
+            value = row[i]
+            right[i] += value * residual
+            if value != 0.0:  # off an edge its derivatives vanish
+                for j in range(FREE):
+                    normal[i, j] += value * row[j]
     return float(total)
 
 
@@ -327,15 +328,16 @@ def covariance(
 @kernel
 def fit_corners(
     image: Array, mask: Array, start: Array, axes: Array, reaches: Array, arm: float, least_px: float,
-    max_shift: float, first: int, last: int, scratch: tuple[Array, ...], out: Array, verdict: Array,
+    max_shift: float, start_error_px: float, first: int, last: int, scratch: tuple[Array, ...], out: Array,
+    verdict: Array,
 ) -> None:  # fmt: skip
     """Fit corners first..last-1.
 
     image (H, W) float32; mask see `gather`; start (N, 2) px; axes (N, 2, 2) px per square, columns +x, +y;
     reaches (N,) half length of the window in squares; arm half width in squares; least_px the smallest half
-    window [px] to shrink to at a border; max_shift largest move from the start in squares; scratch from
-    `new_scratch`, one a thread; out (N, 10): u, v, var u, var v, cov, rms residual, A, B, blur,
-    reach used; verdict (N,) uint8.
+    window [px] to shrink to at a border; max_shift largest move from the start in squares; start_error_px
+    the expected one; scratch from `new_scratch`, one a thread; out (N, 10): u, v, var u, var v, cov, rms
+    residual, A, B, blur, reach used; verdict (N,) uint8.
     """
     pixels, pull, sums, box, small, square = scratch
     extent, inverse, total = small[0], small[1:3], small[3]
@@ -362,7 +364,7 @@ def fit_corners(
         p[:] = 0.0
         p[2] = atan2(axes[n, 1, 0], axes[n, 0, 0])
         p[3] = atan2(axes[n, 1, 1], axes[n, 0, 1])
-        blur = min(max(0.08 * thin, 0.7), 3.0)
+        blur = min(max(min(0.08 * thin, 0.5 * start_error_px), 0.7), 3.0)  # wide enough to feel the edges
         p[6], p[7] = blur, blur
         centre_u, centre_v = start[n, 0], start[n, 1]
         limit = max_shift * min(side1, side2)
