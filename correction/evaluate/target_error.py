@@ -66,8 +66,11 @@ class TargetError:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-able figures."""
-        return {name: vars(region) for name, region in self.regions.items()}
+        """JSON-able figures; regions where nothing was found have no numbers."""
+        return {
+            name: vars(region) if region.found else {"expected": region.expected, "found": 0}
+            for name, region in self.regions.items()
+        }
 
 
 def target_error(corrected: NDArray[np.float32], corrector: Corrector, board: Chessboard) -> TargetError:

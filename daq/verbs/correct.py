@@ -11,7 +11,7 @@ from rich.table import Table
 from correction.correction_map import build_correction_map
 from correction.corrector import UINT16_OFFSET, Corrector, to_uint16
 from correction.dewarp import Dewarp, fit_dewarp
-from correction.errors import FrameError
+from correction.errors import CorrectionError, FrameError
 from correction.evaluate.target_error import TargetError, target_error
 from correction.frame_file import read_frame, write_frame
 from correction.node_status import MEANING, NodeStatus
@@ -89,7 +89,11 @@ def correct(
     board = Chessboard(square_mm)
     dewarp: Dewarp | None = None
     if target_clear is not None:
-        dewarp = fit_dewarp(read_frame(target_clear, shape), loaded.camera, board, dewarp_order)
+        frame = read_frame(target_clear, shape)
+        try:
+            dewarp = fit_dewarp(frame, loaded.camera, board, dewarp_order)
+        except CorrectionError as error:
+            raise type(error)(f"{target_clear}: {error}") from None
     corrector = Corrector(build_correction_map(loaded, build_ray_map(loaded), layers=blend), dewarp, method)
     grid = corrector.map.grid
     about: dict[str, Any] = {
