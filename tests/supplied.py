@@ -51,7 +51,8 @@ def supplied(name: str) -> Supplied:
     target = (x + truth["aim"][0], y + truth["aim"][1], 0.0)
     focal_px = thin_lens_distance_mm(truth["f"], truth["L"]) / PITCH_MM
     lens = Lens(k1=truth.get("k1", 0.0) * (focal_px / 1007.5) ** 2)
-    camera = Camera(focal_px, (1007.5, 1007.5), (2016, 2016), position, look_at(position, target, truth["roll"]), lens)
+    rotation = look_at(position, target, truth["roll"])
+    camera = Camera(focal_px, (1007.5, 1007.5), (2016, 2016), position, rotation, lens)
     glass = ConstantMedium(truth["n"])
     bodies = [Sphere(f"s{i}", tuple(c), r, glass) for i, (c, r) in enumerate(truth["spheres"])]
     return Supplied(name, nominal, Scene(camera, tuple(bodies)), tuple(truth["shift_mm"]))
