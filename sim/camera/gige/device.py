@@ -297,8 +297,8 @@ class GigeDevice:
     def _resend(self, payload: bytes, sender: Address) -> None:
         target = self._target()
         wanted = gvcp.resend_request(payload)
-        if wanted is None or target is None or sender != self._owner:
-            return
+        if wanted is None or target is None or self._owner is None or sender[0] != self._owner[0]:
+            return  # clients ask from their stream's socket, so only the host can be compared
         block = next((entry for entry in self._blocks if entry.id == wanted.block_id), None)
         for number in range(wanted.first, min(wanted.last, wanted.first + MAX_RESEND_PACKETS) + 1):
             if block is None or number > block.last_packet or block.is_unsent(number):
