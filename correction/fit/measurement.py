@@ -1,0 +1,135 @@
+"""Corners measured in frames: from the bare target by search, behind glass from the present scene's prediction."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.board_search import track_board
+from correction.corners import CornerFit
+from correction.errors import TargetNotFound
+from correction.fit.prediction import Expected, expect, measure
+from correction.fit.solver import Corners
+from correction.target import Chessboard
+from tracer.camera import Camera
+from tracer.scene import Scene
+from tracer.sensitivity import TargetPose
+
+FLOOR_PX = 0.01  # no corner is better than this: lens, print and model are not
+
+
+@dataclass(frozen=True)
+class TargetFrame:
+    """A frame of the target.
+
+    Parameters
+    ----------
+    name : str
+        Said in messages.
+    image : (H, W) uint8, uint16 or float
+        The raw frame.
+    glass : bool
+        Whether the glass stood before the camera.
+    height_mm : float
+        z of the target, by its stage.
+    """
+
+    name: str
+    image: NDArray[Any]
+    glass: bool
+    height_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class MeasuredFrame:
+    """Corners of one frame, N valid ones, with what was expected and not found.
+
+    Parameters
+    ----------
+    name : str
+        Of the frame.
+    corners : Corners
+        For the solver.
+    index : (N, 2) int64
+        Corner of the board.
+    behind : (N,) bool
+        Seen through glass.
+    rim_px : (N,) float64
+        Distance to the border of the branch; infinite on the bare target.
+    sigma_px : (N, 2) float64
+        Standard deviation from the window.
+    expected_behind : int
+        Corners behind glass that the scene shows.
+    refused : dict
+        Reason -> corners that could not be measured.
+    """
+
+    name: str
+    corners: Corners
+    index: NDArray[np.int64]
+    behind: NDArray[np.bool_]
+    rim_px: NDArray[np.float64]
+    sigma_px: NDArray[np.float64]
+    expected_behind: int
+    refused: dict[str, int]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+
+def whitening(sigma_px: NDArray[np.float64], scale: NDArray[np.float64] | float = 1.0) -> NDArray[np.float64]:
+    """W (N, 2, 2) of corners with standard deviations (N, 2), floored and scaled by (N,) or a number."""
+    spread = np.hypot(sigma_px, FLOOR_PX) * np.reshape(scale, (-1, 1))
+    return np.asarray(np.eye(2) / spread[:, :, None])
+
+
+def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height: int) -> MeasuredFrame:
+    """Find the board without glass, with the help of a camera that may be rough.
+
+    Raises
+    ------
+    TargetNotFound
+        With the frame's name in front.
+    """
+
+    def predict(board_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return camera.project(np.c_[board_mm, np.full(len(board_mm), frame.height_mm)])
+
+    try:
+        found = track_board(frame.image, board, predict)
+    except TargetNotFound as error:
+        raise TargetNotFound(f"{frame.name}: {error}") from None
+    count = len(found)
+    corners = Corners(height, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
+    behind, rim = np.zeros(count, bool), np.full(count, np.inf)
+    return MeasuredFrame(frame.name, corners, found.index, behind, rim, found.sigma_px, 0, dict(found.refused))
+
+
+def glass_frame(
+    frame: TargetFrame, board: Chessboard, scene: Scene, pose: TargetPose, height: int, only_behind: bool
+) -> MeasuredFrame:
+    """Measure the corners that a scene predicts in a frame with glass."""
+    expected = expect(scene, pose, board)
+    if only_behind:
+        expected = expected.take(expected.branch != 0)
+    fit = measure(frame.image, expected, board)
+    return _measured(frame.name, board, expected, fit, height)
+
+
+def _measured(name: str, board: Chessboard, expected: Expected, fit: CornerFit, height: int) -> MeasuredFrame:
+    behind = expected.branch != 0
+    valid = fit.valid
+    node = board.corner_mm(expected.index[valid])
+    corners = Corners(height, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]))
+    reasons = {reason: count for reason, count in fit.counts().items() if reason != "OK"}
+    return MeasuredFrame(
+        name,
+        corners,
+        expected.index[valid],
+        behind[valid],
+        expected.rim_px[valid],
+        fit.sigma_px[valid],
+        int(np.count_nonzero(behind)),
+        reasons,
+    )

@@ -1,0 +1,205 @@
+"""Which lattice corner does a saddle show, when nothing is known but a rough scene?
+
+Each candidate is traced to the target with the present scene and paired with the nearest lattice corner OF
+ITS OWN KIND: seen through the local derivative of the trace, the saddle tells whether the square towards +x, +y is
+bright.  Corners of one kind lie sqrt(2) squares apart, on a lattice turned by 45 degrees, so the pairing is
+right up to 0.7 squares of error.  The cost (distance to the nearest corner, through a Cauchy loss) is a
+continuous function of the scene and is minimised as it is, pairing anew at every step, with the knee of the
+loss drawn in from rough to fine.  Several starts escape from pairings shifted by a corner; such a scene
+bends light so differently elsewhere that it never gathers the inliers of the right one.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.contact import pushed_apart
+from correction.fit.solver import Corners, Residuals, Solution, free_rates, landed, minimise
+from correction.fit.unknowns import Bench
+from correction.saddles import Saddles
+from correction.target import Chessboard
+from tracer.kernels.march import DIRECT
+from tracer.sensitivity import SPHERE
+
+KNEES_PX = (12.0, 4.0, 1.0)  # of the loss, in corrected pixels, from rough to fine
+INLIER_PX = 1.0
+SQUEEZED = 5.0  # a raw pixel that covers more corrected pixels than this shows no squares
+WIDER = 1.15  # candidates are looked for in spheres wider by this
+ENOUGH = 0.6  # share of inliers at which no further start is tried; a wrong scene gathers a quarter
+MOST_STARTS = 48
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Saddles of one frame.
+
+    Parameters
+    ----------
+    height : int
+        Number of the target's height.
+    pixel : (N, 2) float64
+        u, v.
+    bright : (N, 2) float64
+        Image direction of the bright squares.
+    inside : (N,) bool
+        Within the outline of the nominal glass, made a little wider.
+    bare : (N,) bool
+        On the lattice as it would be seen without glass.
+    """
+
+    height: int
+    pixel: NDArray[np.float64]
+    bright: NDArray[np.float64]
+    inside: NDArray[np.bool_]
+    bare: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Start:
+    """Outcome of one start.
+
+    Parameters
+    ----------
+    solution : Solution
+        Where it ended.
+    inliers, candidates : int
+        Candidates within INLIER_PX of their corner, and all whose ray lands where squares can be seen.
+    rms_px : float
+        Root mean square distance of the inliers, corrected px, both axes together.
+    """
+
+    solution: Solution
+    inliers: int
+    candidates: int
+    rms_px: float
+
+    @property
+    def share(self) -> float:
+        """Share of inliers."""
+        return self.inliers / max(self.candidates, 1)
+
+
+def candidates_of(
+    saddles: Saddles, bench: Bench, full: NDArray[np.float64], height: int, board: Chessboard
+) -> Candidates:
+    """Choose the saddles that may be seen through glass.
+
+    Saddles that fit the bare lattice and lie well outside the nominal glass say nothing about it.
+    """
+    bright = saddles.edges.sum(axis=1)
+    everything = Corners(height, False, saddles.position_px, np.zeros((len(saddles), 2)), 1.0)
+    rays = landed(bench, full, everything)
+    node = nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board)
+    bare = np.linalg.norm(rays.point_mm - node, axis=1) < 0.1 * board.square_mm
+    wide = np.array(full)
+    wide[bench.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
+    inside = landed(bench, wide, Corners(height, True, everything.pixel, everything.node_mm, 1.0)).key != DIRECT
+    chosen = inside | ~bare
+    return Candidates(height, saddles.position_px[chosen], bright[chosen], inside[chosen], bare[chosen])
+
+
+def nearest_nodes(
+    point_mm: NDArray[np.float64],
+    pixel_rate: NDArray[np.float64],
+    bright: NDArray[np.float64],
+    board: Chessboard,
+) -> NDArray[np.float64]:
+    """Nearest lattice corner of the right kind (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
+    towards = (pixel_rate @ bright[:, :, None])[:, :, 0]
+    odd = np.where(towards[:, 0] * towards[:, 1] > 0.0, 1.0, 0.0)
+    x, y = point_mm.T / board.square_mm
+    p = 2.0 * np.rint((x + y - odd) / 2.0) + odd
+    q = 2.0 * np.rint((x - y - odd) / 2.0) + odd
+    return np.asarray(np.stack((p + q, p - q), axis=-1) * 0.5 * board.square_mm)
+
+
+def paired_residuals(
+    bench: Bench, x: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
+) -> Residuals:
+    """Distance of each candidate to its nearest corner, in corrected or raw pixels, whichever are coarser.
+
+    Near a rim a ray turns wildly with every number of the scene, and would dominate: there the distance is
+    measured in raw pixels, and where the view is squeezed too much it is not asked at all.
+    """
+    full = bench.full(x)
+    corners = Corners(candidates.height, True, candidates.pixel, np.zeros_like(candidates.pixel), 1.0)
+    rays = landed(bench, full, corners)
+    off = rays.point_mm - nearest_nodes(rays.point_mm, rays.pixel_rate, candidates.bright, board)
+    spread = np.sqrt((rays.pixel_rate**2).sum(axis=(1, 2)))  # of a pixel, on the plane
+    scale = np.maximum(spread, pitch_mm)[:, None]
+    off[spread > SQUEEZED * pitch_mm] = np.nan
+    return Residuals(off / scale, free_rates(bench, full, corners, rays) / scale[:, :, None])
+
+
+def pair_from(
+    bench: Bench,
+    x: NDArray[np.float64],
+    frames: Sequence[Candidates],
+    board: Chessboard,
+    pitch_mm: float,
+    knees_px: Sequence[float] = KNEES_PX,
+) -> Start:
+    """Minimise the distance to the nearest corners from one start."""
+
+    def evaluate(at: NDArray[np.float64]) -> list[Residuals]:
+        return [paired_residuals(bench, at, frame, board, pitch_mm) for frame in frames]
+
+    for knee in knees_px:
+        solution = minimise(bench, evaluate, x, knee=knee, steps=25, tolerance=1e-2)
+        x = solution.x
+    square = np.concatenate([(part.value**2).sum(axis=1) for part in evaluate(x)])
+    square = square[np.isfinite(square)]
+    near = square[square < INLIER_PX**2]
+    return Start(solution, len(near), len(square), float(np.sqrt(near.mean())) if len(near) else float("nan"))
+
+
+def starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> Iterator[NDArray[np.float64]]:
+    """Full vectors to start from, MOST_STARTS of them.
+
+    First as given, then the glass as one moved by half a square along each axis, then every sphere on its
+    own by up to 0.4 squares and n by up to 0.01 (fixed seed: the same frames give the same fit).
+    """
+    rng = np.random.default_rng(0)
+    count = len(bench.scene.spheres)
+    moves = [np.zeros((1, 3)), *(0.5 * sign * np.eye(3)[[axis]] for axis in range(3) for sign in (1.0, -1.0))]
+    for number in range(MOST_STARTS):
+        moved = np.array(full)
+        rows = moved[bench.glass].reshape(-1, len(SPHERE))
+        if number < len(moves):
+            rows[:, :3] += board.square_mm * moves[number]
+        else:
+            rows[:, :3] += board.square_mm * rng.uniform(-0.4, 0.4, (count, 3))
+            rows[:, 4] += rng.uniform(-0.01, 0.01)
+        rows[:, :4] = pushed_apart(np.c_[rows, np.zeros(count)])[:, :4]
+        yield moved
+
+
+def pair(
+    bench: Bench,
+    full: NDArray[np.float64],
+    frames: Sequence[Candidates],
+    board: Chessboard,
+    pitch_mm: float,
+) -> list[Start]:
+    """Try starts until one explains the frames; best first.
+
+    Parameters
+    ----------
+    bench : Bench
+        With the glass free.
+    full : (F,) float64
+        Full vector to start around.
+    frames : sequence of Candidates
+        Frames with glass.
+    board : Chessboard
+    pitch_mm : float
+        A corrected pixel on the plane.
+    """
+    tried: list[Start] = []
+    for start in starts(bench, full, board):
+        tried.append(pair_from(bench, bench.free(start), frames, board, pitch_mm))
+        if tried[-1].share >= ENOUGH:
+            break
+    return sorted(tried, key=lambda start: -start.inliers)

@@ -1,0 +1,170 @@
+"""Where a scene shows every corner of the target, on every sheet, and the measurement there.
+
+The inverse of the ray map on a raster whose nodes are the lattice corners gives each corner's pixel on
+every sheet, exactly, with the local derivative: one square along the board's +x and +y as it appears in the
+frame.  That is all a sub-pixel fit needs to know: window, orientation and shade follow from it.  Windows
+stay inside one branch, clear of the rim by a few pixels, because the scene is not yet exact.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.correction_map import build_correction_map
+from correction.corners import CornerFit, refine_corners
+from correction.grid import PlaneGrid
+from correction.target import Chessboard
+from tracer.bodies import Body, Rod
+from tracer.camera import Vector3
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+from tracer.sensitivity import TargetPose
+
+LEAST_SQUARE_PX = 8.0  # narrowest view of a square that is worth a corner
+LARGEST_SQUARE_PX = 600.0
+LAYERS = 3  # sheets on which one corner is looked for
+WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most
+RIM_PX = 2  # windows stay this far from the border of their branch
+WINDOW = 0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Corners that a scene shows in a frame, N of them (one lattice corner may be there on several sheets).
+
+    Parameters
+    ----------
+    index : (N, 2) int64
+        Corner of the board.
+    pixel : (N, 2) float64
+        Acquired pixel u, v.
+    axes_px : (N, 2, 2) float64
+        Columns: displacement by one square along the board's +x, +y.
+    branch : (N,) uint16
+        Number of the branch in `branches`; 0 is the direct view.
+    rim_px : (N,) float64
+        Distance to the border of the branch.
+    branches : tuple of tuple of str
+        Names of the spheres crossed.
+    usable : (H, W) bool
+        Pixels that windows may use.
+    """
+
+    index: NDArray[np.int64]
+    pixel: NDArray[np.float64]
+    axes_px: NDArray[np.float64]
+    branch: NDArray[np.uint16]
+    rim_px: NDArray[np.float64]
+    branches: tuple[tuple[str, ...], ...]
+    usable: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Expected":
+        """Return the corners where `chosen`."""
+        return replace(
+            self,
+            index=self.index[chosen],
+            pixel=self.pixel[chosen],
+            axes_px=self.axes_px[chosen],
+            branch=self.branch[chosen],
+            rim_px=self.rim_px[chosen],
+        )
+
+
+def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
+    """Predict every corner on every sheet.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    pose : TargetPose
+        Where the target stands.
+    board : Chessboard
+
+    Raises
+    ------
+    SceneError
+        The target stands where a body is.
+    """
+    seen_from_target = in_target_frame(scene, pose)
+    ray_map = build_ray_map(seen_from_target)
+    grid = _lattice(seen_from_target, board)
+    found = build_correction_map(
+        seen_from_target,
+        ray_map,
+        grid,
+        layers=LAYERS if scene.spheres else 1,
+        min_magnification=LEAST_SQUARE_PX,
+        max_magnification=LARGEST_SQUARE_PX,
+    )
+    seen = np.isfinite(found.pixel[..., 0])
+    _, rows, columns = np.nonzero(seen)
+    middle = (grid.shape[0] - 1) // 2
+    index = np.stack((columns - middle, middle - rows), axis=-1)
+    axes = found.jacobian[seen].astype(np.float64).reshape(-1, 2, 2) * np.array([1.0, -1.0])
+    branch = np.where(ray_map.recovered, ray_map.branch, np.uint16(len(ray_map.branches)))
+    kernel = np.ones((3, 3), np.uint8)
+    within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
+    away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)
+    pixel = found.pixel[seen]
+    at = np.rint(pixel).astype(np.int64)
+    rim = away[at[:, 1], at[:, 0]].astype(np.float64)
+    return Expected(index, pixel, axes, found.branch[seen], rim, found.branches, away > RIM_PX)
+
+
+def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> CornerFit:
+    """Fit all expected corners in the raw frame."""
+    return refine_corners(
+        frame,
+        expected.pixel,
+        expected.axes_px,
+        sign=board.corner_sign(expected.index),
+        mask=expected.usable,
+        window=WINDOW,
+    )
+
+
+def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
+    """Return the scene in the coordinates of a target, whose plane is then z = 0.
+
+    Raises
+    ------
+    SceneError
+        A body reaches through the target.
+    """
+    origin, axes = np.array(pose.origin_mm), np.array(pose.axes)
+    if not origin.any() and np.array_equal(axes, np.eye(3)):
+        return scene
+
+    def point(world: Vector3) -> Vector3:
+        x, y, z = axes @ (np.array(world) - origin)
+        return float(x), float(y), float(z)
+
+    bodies: list[Body] = []
+    for body in scene.bodies:
+        if isinstance(body, Rod):
+            bodies.append(replace(body, start_mm=point(body.start_mm), end_mm=point(body.end_mm)))
+        else:
+            bodies.append(replace(body, centre_mm=point(body.centre_mm)))
+    camera = scene.camera
+    a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in camera.rotation_matrix @ axes.T)
+    camera = replace(camera, position_mm=point(camera.position_mm), rotation=(a, b, c))
+    return replace(scene, camera=camera, bodies=tuple(bodies))
+
+
+def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:
+    """Raster whose nodes are the lattice corners around the bare view, with corner (0, 0) in its middle."""
+    width, height = scene.camera.sensor_px
+    border = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+    ways = scene.camera.directions(border)
+    x, y, z = scene.camera.position_mm
+    reach = np.abs(np.array([x, y]) - z * ways[:, :2] / ways[:, 2:]).max()
+    half = int(np.ceil(WIDER * reach / board.square_mm))
+    a = board.square_mm
+    return PlaneGrid((-half * a, half * a), a, (2 * half + 1, 2 * half + 1))

@@ -1,0 +1,232 @@
+"""Robust least squares over corners, with exact derivatives and without root finding.
+
+A corner measured at pixel u that shows lattice point X_k has the residual
+
+    e = W J^-1 (X(u; theta) - X_k),        J = dX/du,        W^T W = covariance^-1 of u
+
+the reprojection error in sigmas, to first order: tracing goes from pixels to the plane, so no inverse has to
+be iterated.  Its derivative is W J^-1 dX/dtheta (the missing term is proportional to the residual itself).
+Far from the solution J says little; there e = (X - X_k) / scale is used, on the plane.
+
+The cost is  sum rho(|e|^2) + x . x + walls,  rho(s) = c^2 log(1 + s/c^2) (Cauchy) on data only: priors are
+Gaussian.  Minimised by Levenberg-Marquardt on the normal equations with iteratively reweighted corners.
+Why not scipy's least_squares: its loss bends priors as well, its set of residuals must not change, and here
+rays leave and enter the glass from step to step.  A ray that does not land costs as much as one LOST
+sigmas off and pulls nowhere.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.contact import WALL_MM, walls
+from correction.fit.unknowns import Bench, left_jacobian
+from tracer.sensitivity import CAMERA, Landings, landings_through
+
+LOST = 12.0  # [residual units] what a ray that lands nowhere costs
+STEPS = 40
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Measured corners of one frame.
+
+    Parameters
+    ----------
+    height : int
+        Number of the target's height in the bench.
+    glass : bool
+        Whether the glass stood before the camera.
+    pixel : (N, 2) float64
+        Acquired pixels.
+    node_mm : (N, 2) float64
+        Their points on the target.
+    whiten : (N, 2, 2) float64 or float
+        W; a number means: residuals on the plane, in units of that many mm.
+    """
+
+    height: int
+    glass: bool
+    pixel: NDArray[np.float64]
+    node_mm: NDArray[np.float64]
+    whiten: NDArray[np.float64] | float
+
+    def __len__(self) -> int:
+        return len(self.pixel)
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Corners":
+        """Return the corners where `chosen`."""
+        whiten = self.whiten if isinstance(self.whiten, float) else self.whiten[chosen]
+        return replace(self, pixel=self.pixel[chosen], node_mm=self.node_mm[chosen], whiten=whiten)
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals (N, 2), derivatives (N, 2, P) by the free vector; NaN where the ray does not land."""
+
+    value: NDArray[np.float64]
+    rate: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a minimisation ended.
+
+    Parameters
+    ----------
+    x : (P,) float64
+        Free vector.
+    cost : float
+        Value of the cost.
+    normal : (P, P) float64
+        Normal matrix of the data, without priors and walls.
+    settled : bool
+        Whether the last step was negligible.
+    steps : int
+        Steps taken.
+    """
+
+    x: NDArray[np.float64]
+    cost: float
+    normal: NDArray[np.float64]
+    settled: bool
+    steps: int
+
+
+def landed(bench: Bench, full: NDArray[np.float64], corners: Corners) -> Landings:
+    """Landing points of the corners' pixels on their target."""
+    spheres = bench.spheres(full) if corners.glass else np.zeros((0, 6))
+    rods = bench.scene.rod_table() if corners.glass else np.zeros((0, 7))
+    pose = bench.pose(full, corners.height)
+    return landings_through(bench.camera(full), spheres, rods, corners.pixel, pose, bench.scene.n_ambient)
+
+
+def free_rates(bench: Bench, full: NDArray[np.float64], corners: Corners, rays: Landings) -> NDArray[np.float64]:
+    """Derivatives (N, 2, P) [mm per sigma] of the landing points by the free vector."""
+    rate, a = rays.rate, bench.columns
+    camera, place = len(CAMERA), bench.place(corners.height)
+    turn = rate[:, :, 3:6] @ left_jacobian(full[3:6])
+    total = rate[:, :, :3] @ a[:3] + turn @ a[3:6] + rate[:, :, 6:camera] @ a[6:camera]
+    pose = rate[:, :, -6:]
+    total += pose[:, :, :3] @ a[place][:3] + pose[:, :, 3:] @ left_jacobian(full[place][3:]) @ a[place][3:]
+    if corners.glass:
+        total += rate[:, :, camera:-6] @ a[bench.glass]
+    return np.asarray(total)
+
+
+def residuals(bench: Bench, x: NDArray[np.float64], corners: Corners) -> Residuals:
+    """Residuals of corners at the free vector x."""
+    full = bench.full(x)
+    rays = landed(bench, full, corners)
+    off = rays.point_mm - corners.node_mm
+    rate = free_rates(bench, full, corners, rays)
+    if isinstance(corners.whiten, float):
+        return Residuals(off / corners.whiten, rate / corners.whiten)
+    j = rays.pixel_rate
+    det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]
+    inverse = np.stack((j[:, 1, 1], -j[:, 0, 1], -j[:, 1, 0], j[:, 0, 0]), axis=-1).reshape(-1, 2, 2)
+    to_sigma = corners.whiten @ (inverse / det[:, None, None])
+    return Residuals((to_sigma @ off[:, :, None])[:, :, 0], to_sigma @ rate)
+
+
+Evaluate = Callable[[NDArray[np.float64]], list[Residuals]]
+
+
+def normal_equations(
+    bench: Bench, x: NDArray[np.float64], parts: Sequence[Residuals], knee: float
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Cost with walls, gradient (P,) of data and priors, normal matrix (P, P) of data alone."""
+    free = len(x)
+    cost, gradient, normal = float(x @ x), x.copy(), np.zeros((free, free))
+    for part in parts:
+        square = (part.value**2).sum(axis=1)
+        seen = np.isfinite(square)
+        cost += float(np.count_nonzero(~seen)) * knee**2 * np.log1p(LOST**2 / knee**2)
+        cost += float(np.sum(knee**2 * np.log1p(square[seen] / knee**2)))
+        root = np.sqrt(1.0 / (1.0 + square[seen] / knee**2))
+        flat = (part.rate[seen] * root[:, None, None]).reshape(-1, free)
+        gradient += flat.T @ (part.value[seen] * root[:, None]).ravel()
+        normal += flat.T @ flat
+    depth, _ = _walls(bench, x)
+    return cost + float(np.sum(np.maximum(depth, 0.0) ** 2)), gradient, normal
+
+
+def _walls(bench: Bench, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P)."""
+    depth, rate = walls(bench.spheres(bench.full(x)))
+    return depth / WALL_MM, rate.reshape(len(depth), -1) @ bench.columns[bench.glass] / WALL_MM
+
+
+def _step(
+    gradient: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    damping: float,
+    depth: NDArray[np.float64],
+    rate: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], float]:
+    """Damped step that does not run through walls: those that it would enter push back beforehand.
+
+    Returns the step and the decrease of the cost that the linear model promises.
+    """
+    eye = np.eye(len(gradient))
+    active = depth > 0.0
+    for _ in range(6):
+        a = rate[active]
+        matrix = normal + eye + a.T @ a
+        slope = gradient + a.T @ depth[active]
+        step = -np.linalg.solve(matrix + damping * np.diag(np.diag(normal + eye)), slope)
+        entered = depth + rate @ step > 0.0
+        if not np.any(entered & ~active):
+            break
+        active |= entered
+    return step, float(-slope @ step)
+
+
+def minimise(
+    bench: Bench,
+    evaluate: Evaluate,
+    x: NDArray[np.float64],
+    *,
+    knee: float,
+    steps: int = STEPS,
+    tolerance: float = 1e-5,
+) -> Solution:
+    """Levenberg-Marquardt from x.
+
+    Parameters
+    ----------
+    bench : Bench
+        What is free.
+    evaluate : callable
+        x -> residuals of every frame.
+    x : (P,) float64
+        Start.
+    knee : float
+        c of the loss, in residual units.
+    steps : int
+        Most steps.
+    tolerance : float
+        A step below this many posterior sigmas in every number is negligible.
+    """
+    x = np.array(x, dtype=np.float64)
+    cost, gradient, normal = normal_equations(bench, x, evaluate(x), knee)
+    damping = 1e-4
+    for count in range(steps):
+        step, decrement = _step(gradient, normal, damping, *_walls(bench, x))
+        if decrement <= tolerance**2:
+            return Solution(x, cost, normal, True, count)
+        trial = normal_equations(bench, x + step, evaluate(x + step), knee)
+        if trial[0] <= cost:
+            small = cost - trial[0] <= 1e-9 * cost and decrement <= 1e-6 * cost
+            x = x + step
+            cost, gradient, normal = trial
+            damping = max(0.1 * damping, 1e-12)
+            if small:
+                return Solution(x, cost, normal, True, count + 1)
+        else:
+            damping = max(10.0 * damping, 1e-6)
+            if damping > 1e10:
+                return Solution(x, cost, normal, True, count + 1)
+    return Solution(x, cost, normal, False, steps)

@@ -1,0 +1,270 @@
+"""What a scene fit may change, as one vector of numbers measured in their own sigmas.
+
+All numbers of the bench stand in one FULL vector:
+
+    camera (14) | 5 of each sphere in front of the plane | 6 of each height of the target
+
+in the units of `tracer.sensitivity`.  The FREE vector x is shorter and in units of the prior's sigmas:
+
+    full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
+
+so "fixed" is a column that A lacks, and spheres of one glass share one column for n.  Rotations are rotation
+vectors from the nominal pose; the tracer's derivatives turn about the world's axes at the present pose,
+which the left Jacobian of the rotation group turns into derivatives by the vector (Sola et al.,
+arXiv:1812.01537, eq. 145):
+
+    J(w) = I + (1 - cos |w|)/|w|^2 [w] + (|w| - sin |w|)/|w|^3 [w]^2
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tracer.bodies import Sphere
+from tracer.camera import Camera, Lens, Vector3
+from tracer.fit_section import FOCAL_SHARE, FitTable
+from tracer.media import AirMedium, ConstantMedium, Medium, SellmeierMedium, ShiftedMedium
+from tracer.scene import Scene
+from tracer.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
+
+LENS = ("k1", "k2", "k3", "p1", "p2")
+SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The numbers of a bench around its nominal scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Nominal scene; its values are the centres of the priors.
+    heights_mm : tuple of float
+        Heights of the target, each once; number 0 is z = 0, which defines the world.
+    names : tuple of str
+        Free numbers.
+    full_names : tuple of str
+        All numbers.
+    start : (F,) float64
+        The full vector of the nominal scene.
+    columns : (F, P) float64
+        A: change of the full vector per sigma of each free number.
+    """
+
+    scene: Scene
+    heights_mm: tuple[float, ...]
+    names: tuple[str, ...]
+    full_names: tuple[str, ...]
+    start: NDArray[np.float64]
+    columns: NDArray[np.float64]
+
+    @property
+    def glass(self) -> slice:
+        """Place of the spheres' numbers in the full vector."""
+        return slice(len(CAMERA), len(CAMERA) + len(SPHERE) * len(self.scene.spheres))
+
+    def place(self, height: int) -> slice:
+        """Place of a height's pose in the full vector."""
+        first = self.glass.stop + len(TARGET) * height
+        return slice(first, first + len(TARGET))
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """Prior sigma of each free number in its own unit (P,)."""
+        return np.asarray(np.abs(self.columns).max(axis=0))
+
+    def full(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the full vector (F,) at x (P,)."""
+        return np.asarray(self.start + self.columns @ x)
+
+    def free(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return x (P,) of a full vector that `full` made."""
+        size = (self.columns**2).sum(axis=0)
+        return np.asarray((full - self.start) @ self.columns / size)
+
+    def only(self, prefixes: Sequence[str]) -> "Bench":
+        """Return the same bench with only those numbers free whose name begins with one of `prefixes`."""
+        kept = [i for i, name in enumerate(self.names) if name.startswith(tuple(prefixes))]
+        return replace(self, names=tuple(self.names[i] for i in kept), columns=self.columns[:, kept])
+
+    def around(self, full: NDArray[np.float64]) -> "Bench":
+        """Return the same bench with another centre for its fixed numbers and priors."""
+        return replace(self, start=full)
+
+    def camera(self, full: NDArray[np.float64]) -> Camera:
+        """Return the camera of a full vector."""
+        x, y, z, *turn, focal, cu, cv = full[:9].tolist()
+        rotation = self.scene.camera.rotation_matrix @ Rotation.from_rotvec(turn).as_matrix().T
+        lens = Lens(*full[9:14].tolist())
+        return replace(
+            self.scene.camera,
+            position_mm=(x, y, z),
+            rotation=_rows(rotation),
+            focal_px=focal,
+            principal_px=(cu, cv),
+            lens=lens,
+        )
+
+    def spheres(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the kernels' sphere table (N, 6) of a full vector; overlap is allowed."""
+        table = self.scene.sphere_table()
+        table[:, :5] = full[self.glass].reshape(-1, len(SPHERE))
+        table[:, 4] /= self.scene.n_ambient
+        return table
+
+    def pose(self, full: NDArray[np.float64], height: int) -> TargetPose:
+        """Return the target's pose at one of the heights."""
+        x, y, z, *turn = full[self.place(height)].tolist()
+        return TargetPose((x, y, z), _rows(Rotation.from_rotvec(turn).as_matrix().T))
+
+    def moved(self, full: NDArray[np.float64]) -> Scene:
+        """Return the scene of a full vector.
+
+        Raises
+        ------
+        SceneError
+            Bodies overlap: make it legal first (`correction.fit.contact`).
+        """
+        rows = iter(full[self.glass].reshape(-1, len(SPHERE)).tolist())
+        old_rows = iter(self.start_of_glass().tolist())
+        bodies = []
+        for body in self.scene.bodies:
+            if not isinstance(body, Sphere) or body not in self.scene.spheres:
+                bodies.append(body)
+                continue
+            x, y, z, radius, n = next(rows)
+            nominal = next(old_rows)[4]
+            medium = None if body.medium is None else shifted(body.medium, n - nominal)
+            bodies.append(replace(body, centre_mm=(x, y, z), radius_mm=radius, medium=medium))
+        return replace(self.scene, camera=self.camera(full), bodies=tuple(bodies))
+
+    def start_of_glass(self) -> NDArray[np.float64]:
+        """Numbers of the nominal spheres (N, 5), n absolute."""
+        table = self.scene.sphere_table()[:, :5]
+        table[:, 4] *= self.scene.n_ambient
+        return table
+
+
+def bench_of(scene: Scene, heights_mm: Sequence[float], priors: FitTable, focal_free: bool = False) -> Bench:
+    """Number everything and decide what is free.
+
+    Parameters
+    ----------
+    scene : Scene
+        Nominal scene.
+    heights_mm : sequence of float
+        Heights of the target in the frames; 0 is added.
+    priors : FitTable
+        The scene file's ``fit:`` section.
+    focal_free : bool
+        Whether the focal length is free if the section does not say: the bare target was seen at several heights.
+    """
+    heights = distinct_heights(heights_mm)
+    start, columns, names = _Columns(), [], []
+    sigma = priors.camera
+    focal = sigma.focal_px
+    if focal is None:
+        focal = FOCAL_SHARE * scene.camera.focal_px if focal_free else 0.0
+    camera = scene.camera
+    values = [*camera.position_mm, 0.0, 0.0, 0.0, camera.focal_px, *camera.principal_px, *camera.lens.terms()]
+    turn = float(np.deg2rad(sigma.rotation_deg))
+    sigmas = [*[sigma.position_mm] * 3, *[turn] * 3, focal, *[sigma.principal_px] * 2]
+    sigmas += [getattr(sigma, term) for term in LENS]
+    start.add([f"camera.{part}" for part in CAMERA], values, sigmas)
+    n_ambient = scene.n_ambient
+    for sphere, row in zip(scene.spheres, scene.sphere_table(), strict=True):
+        known = priors.sphere(sphere.name)
+        names_here = [f"{sphere.name}.{part}" for part in SPHERE]
+        spread = [0.0] * 5 if sphere.medium is None else [*[known.centre_mm] * 3, known.radius_mm, 0.0]
+        start.add(names_here, [*row[:4], row[4] * n_ambient], spread)
+    for height in heights:
+        known_z = 0.0 if height == 0.0 else 1.0
+        target = priors.target
+        tilt = float(np.deg2rad(target.rotation_deg))
+        spread = [*[target.sideways_mm] * 2, target.z_mm, *[tilt] * 3]
+        label = f"target{height:+g}mm"
+        start.add(
+            [f"{label}.{part}" for part in TARGET], [0.0, 0.0, height, 0, 0, 0], [s * known_z for s in spread]
+        )
+    for place, spread_of in enumerate(start.sigmas):
+        if spread_of > 0.0:
+            column = np.zeros(len(start.names))
+            column[place] = spread_of
+            columns.append(column)
+            names.append(start.names[place])
+    for name, medium in _glasses(scene).items():
+        spread_of = priors.index(medium.name)
+        if spread_of > 0.0:
+            column = np.zeros(len(start.names))
+            for sphere in scene.spheres:
+                if sphere.medium == medium:
+                    column[start.names.index(f"{sphere.name}.n")] = spread_of
+            columns.append(column)
+            names.append(name)
+    matrix = np.stack(columns, axis=1) if columns else np.zeros((len(start.names), 0))
+    return Bench(scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix)
+
+
+def distinct_heights(heights_mm: Sequence[float]) -> tuple[float, ...]:
+    """Return 0 and the other heights, each once, in order."""
+    found = [0.0]
+    for height in sorted(heights_mm):
+        if all(abs(height - other) > SAME_HEIGHT_MM for other in found):
+            found.append(float(height))
+    return tuple(found)
+
+
+def left_jacobian(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Left Jacobian (3, 3) of a rotation vector (3,)."""
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-4:
+        return np.asarray(np.eye(3) + cross / 2.0 + cross @ cross / 6.0)
+    half = (1.0 - np.cos(angle)) / angle**2
+    third = (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + half * cross + third * cross @ cross)
+
+
+def shifted(medium: Medium, change: float) -> Medium:
+    """Return the medium with n changed by `change`, dispersion kept."""
+    if change == 0.0:
+        return medium
+    if isinstance(medium, ConstantMedium):
+        return ConstantMedium(medium.index + change, medium.name)
+    if isinstance(medium, SellmeierMedium | AirMedium):
+        return ShiftedMedium(medium, change, medium.name)
+    return replace(medium, offset=medium.offset + change)
+
+
+def _glasses(scene: Scene) -> dict[str, Medium]:
+    """Name of the free number -> medium; spheres of equal media are of one glass."""
+    found: dict[str, Medium] = {}
+    for sphere in scene.spheres:
+        if sphere.medium is not None and sphere.medium not in found.values():
+            label = sphere.medium.name or "+".join(s.name for s in scene.spheres if s.medium == sphere.medium)
+            found[f"glass {label}.n"] = sphere.medium
+    return found
+
+
+class _Columns:
+    """Names, values and sigmas while the full vector grows."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.values: list[float] = []
+        self.sigmas: list[float] = []
+
+    def add(self, names: Sequence[str], values: Sequence[float], sigmas: Sequence[float]) -> None:
+        """Add numbers at the end."""
+        self.names += names
+        self.values += [float(value) for value in values]
+        self.sigmas += [float(sigma) for sigma in sigmas]
+
+
+def _rows(matrix: NDArray[np.float64]) -> tuple[Vector3, Vector3, Vector3]:
+    a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in matrix)
+    return a, b, c
