@@ -3,73 +3,118 @@
 Lockstep serves scenes of a few transparent spheres that are nowhere optically thinner than the room: every
 scene of the paper.  Anything else (supports, opaque balls, bubbles, a whole bed) goes through ``march``,
 pixel by pixel.  Both give the same map to rounding; a test holds them together.
+
+Branches are numbered beforehand: number k < 2^N means "of the N spheres from the highest centre down, those
+whose bit is set in k, in this order", whether or not a ray takes it.  What rays meet in another order is
+traced again by ``march``, which names it.
 """
 
-from itertools import pairwise
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracer.bodies import Sphere
-from tracer.kernels.chain import MARKED, chain_rows
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.chain import (
+    BALL,
+    RAY_NUMBERS,
+    SKIP_LEFT_BEHIND,
+    SKIP_SILHOUETTES,
+    TRIP_NUMBERS,
+    UNKNOWN,
+    chain_rows,
+)
+from tracer.kernels.march import DIRECT, next_key
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.trace import Branch, pack_camera, trace
 
-MAX_CHAIN = 8  # each more costs every glass pixel a full sphere; beyond, most spheres are missed by most rays
+MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
+ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND
 
 
 def fits_lockstep(scene: Scene) -> bool:
     """Whether a scene can be traced in lockstep."""
     table = scene.sphere_table()
-    clear = bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
-    return clear and not scene.rods and 1 <= len(table) <= MAX_CHAIN
+    return (
+        not scene.rods
+        and 0 < len(table) <= MAX_CHAIN
+        and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
+    )
 
 
 def trace_lockstep(
-    scene: Scene, plane: NDArray[np.float64], status: NDArray[np.uint8], branch: NDArray[np.uint16]
+    scene: Scene,
+    plane: NDArray[np.float64],
+    status: NDArray[np.uint8],
+    branch: NDArray[np.uint16],
+    skips: int = ALL_SKIPS,
 ) -> tuple[Branch, ...]:
     """Trace every pixel into plane (H, W, 2), status (H, W) and branch (H, W); return the branches.
 
-    Branch number k < 2^N means: of the N spheres in chain order, those whose bit is set in k.  Branches
-    that rays take in another order follow behind.
+    `skips` says which bodies may be passed over without a look; the result has the same bits for any.
     """
     height, width = status.shape
     camera = pack_camera(scene.camera)
-    chain = _chain(scene)
-    constants = tuple(_constants(sphere, scene) for sphere in chain)
-    numbers = tuple(float(x) for x in camera)
-    table = scene.with_bodies(chain).sphere_table()
-    checked, flat = not _stacked(chain), scene.camera.lens.is_ideal
+    chain = sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
+    balls = np.array([_constants(sphere, scene) for sphere in chain])
+    flat, keys, numbers = scene.camera.lens.is_ideal, *_sequences(len(chain))
+    point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
         x, y = np.empty(width), np.empty(width)
-        spans = np.empty((len(chain) + 1, 2), np.int64)
-        bodies, trail = (table, scene.rod_table()), np.empty(MAX_EVENTS, np.int32)
+        spans, wanted = np.empty((2 * len(chain) + 1, 2), np.int64), np.empty(len(chain), np.int64)
+        rays, trips = np.empty(RAY_NUMBERS), np.empty(TRIP_NUMBERS, np.int64)
+        scratch = (x, y, spans, wanted, rays, trips)
         chain_rows(
-            *(camera, numbers, constants, *bodies, trail, checked, flat, first, last, x, y, spans),
-            *(plane, status, branch),
+            camera, balls, flat, skips, keys, numbers, first, last, *scratch, unknown, point, status, branch
         )
 
     run_rows(work, height)
     names = [sphere.name for sphere in chain]
     branches = [tuple(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in range(1 << len(names))]
-    rows, columns = np.nonzero(branch >= MARKED)
-    if len(rows):
-        again = trace(scene, np.stack((columns, rows), axis=-1))
-        plane[rows, columns] = again.plane_mm
-        status[rows, columns] = again.rays["status"]
-        for key, sequence in sorted(again.branches.items(), key=lambda item: item[1]):
-            if sequence not in branches:
-                branches.append(sequence)
-            taken = again.rays["key"] == key
-            branch[rows[taken], columns[taken]] = branches.index(sequence)
+    _name_unknown(scene, np.nonzero(unknown)[0], branches, plane, status, branch)
     return tuple(branches)
 
 
+def _name_unknown(
+    scene: Scene,
+    lines: NDArray[np.int64],
+    branches: list[Branch],
+    plane: NDArray[np.float64],
+    status: NDArray[np.uint8],
+    branch: NDArray[np.uint16],
+) -> None:
+    """Trace the pixels without a branch number, all in the rows `lines`, by `march` and append their branches."""
+    if not len(lines):
+        return
+    rows, columns = np.nonzero(branch[lines] == UNKNOWN)
+    rows = lines[rows]
+    again = trace(scene, np.stack((columns, rows), axis=-1))
+    plane[rows, columns] = again.plane_mm
+    status[rows, columns] = again.rays["status"]
+    for key, sequence in sorted(again.branches.items(), key=lambda item: item[1]):
+        if sequence not in branches:
+            branches.append(sequence)
+        taken = again.rays["key"] == key
+        branch[rows[taken], columns[taken]] = branches.index(sequence)
+
+
+def _sequences(bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Branch keys of all ascending sequences of 0..bodies-1, ascending, and their numbers."""
+    found = {}
+    for length in range(bodies + 1):
+        for sequence in combinations(range(bodies), length):
+            key = DIRECT
+            for body in sequence:
+                key = next_key.py_func(key, body)  # type: ignore[attr-defined]
+            found[key] = sum(1 << body for body in sequence)
+    keys = np.array(sorted(found), np.int64)
+    return keys, np.array([found[int(key)] for key in keys], np.int64)
+
+
 def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:
-    """Sphere tuple of ``tracer.kernels.chain``."""
+    """Row of ``balls`` of ``tracer.kernels.chain``."""
     assert sphere.medium is not None
     n, radius = sphere.medium.n(scene.wavelength_nm) / scene.n_ambient, sphere.radius_mm
     square = radius * radius
@@ -81,21 +126,8 @@ def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:
         1.0 / n,
         (n - 1) * (n + 1) / (n * n),
         1.0 / radius,
+        sphere.lowest_mm,
+        sphere.highest_mm,
     )
-    return tuple(float(number) for number in numbers)  # one whole number among them is another type to compile
-
-
-def _chain(scene: Scene) -> list[Sphere]:
-    """Spheres in the order of the lockstep: by height if stacked, else by power about the pinhole; no ties."""
-    eye = np.array(scene.camera.position_mm)
-
-    def power_mm2(s: Sphere) -> float:
-        return s.distance_mm(eye) * (s.distance_mm(eye) + 2.0 * s.radius_mm)
-
-    by_height = sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
-    return by_height if _stacked(by_height) else sorted(by_height, key=power_mm2)
-
-
-def _stacked(chain: list[Sphere]) -> bool:
-    """Whether no two spheres share any z, so that every ray going down meets them in this order."""
-    return all(low.highest_mm <= high.lowest_mm for high, low in pairwise(chain))
+    assert len(numbers) == BALL
+    return numbers

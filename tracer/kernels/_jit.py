@@ -44,7 +44,14 @@ def _cache_dir() -> Path:
 numba.config.CACHE_DIR = str(_cache_dir())  # type: ignore[attr-defined]
 
 
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+
+
 def kernel(function: F) -> F:
     """Compile `function` with the house options; ``.py_func`` stays reachable."""
-    options: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
-    return cast("F", numba.njit(**options)(function))
+    return cast("F", numba.njit(**_OPTIONS)(function))
+
+
+def kernel_inlined(function: F) -> F:
+    """Compile like `kernel`, but always into its caller: one call left in a loop stops its vectorisation."""
+    return cast("F", numba.njit(forceinline=True, **_OPTIONS)(function))

@@ -1,240 +1,351 @@
 """Many neighbouring rays at once through a few spheres: the fast form of ``tracer.kernels.march``.
 
-The rays of a row go through all spheres in one fixed order, front to back, without a branch: every sphere
-is computed for every ray and the result is taken or left by a select, so that the compiler puts 4 or 8 rays
-into one vector instruction.  The spheres arrive as a TUPLE of tuples: their number is part of the type, the
-loop over them is unrolled, and a scene with two spheres runs code made for two.  The arithmetic is that of
-``tracer.kernels.sphere``.
+A block is up to LANES neighbouring pixels of one row.  Its rays go from body to body together, round by
+round, in one structure of arrays: every pass is a loop over the block without a branch in which hits are
+taken by selects, so that the compiler puts 4 or 8 rays into one vector instruction.  A round is
 
-A fixed order is right as long as no ray needs another one.  Spheres whose extents in z do not overlap are
-met in order of z by every ray that keeps going down.  Others are ordered by their power |c - p|^2 - R^2 about
-the pinhole p: along any ray from p the product of the two distances to a sphere is its power, so the first
-straight piece meets disjoint spheres in that order.  The last piece is checked against every sphere.  What is
-left are pieces between two spheres, and rays with two or more are rare: those are followed by `march` as well.
-A ray that turned out to need another order, or was bent level or upwards, is MARKED, and the caller traces
-marked rays again.  So the result never depends on the order being right.
+    look   at every sphere that can still be met: keep the nearest foot point ahead, as `march` does;
+    turn   at every sphere that some ray met: all rays are turned, those that met it keep the result.
 
-Sphere tuple: centre x, y, z, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R.
+When one sphere alone can be met, looking and turning are one pass.  The number of spheres is data, so the
+same machine code serves every scene.  A sphere is not looked at when
+
+    first round    its silhouette (`glass_span`, exact) does not reach into the block;
+    later rounds   it is the only one met in the round before (a body just left cannot be met again), or it lies
+                   wholly above all spheres just met while every ray of the block goes down.
+
+Directions D are not normalised (Q = |D|^2 is kept by every turn), which saves a root.  With the symbols of
+``tracer.kernels.sphere``, L = sqrt Q, m in units of D:
+
+    L cos i = sqrt((1 - b^2/R^2) Q),   L cos t = sqrt((1 - b^2/(n R)^2) Q),   L g = (1 - 1/n^2) Q / (L cos t + L cos i/n)
+    cos delta = 1 - 2 (b/R)^2 (L g)^2/Q,   L q = 2 (L g) (L^2 cos i cos t + Q b^2/(n R^2)) / (Q R)
+    D' = D cos delta - a L q,   a' = a cos delta + D b^2 L q/Q.
+
+All columns of a block lie in ONE array, STEP apart: the compiler then knows by itself that they do not
+overlap, where eight arrays would need more overlap tests at run time than it is willing to make.
+
+``balls`` (N, BALL): centre x, y, z, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R, lowest z, highest z.
+``rays`` (RAY_NUMBERS,) float64 and ``trips`` (TRIP_NUMBERS,) int64 are the block.
 """
 
 import math
 
-from tracer.kernels._jit import Array, kernel
+from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import ideal_xy
-from tracer.kernels.march import MISSED_PLANE, RECOVERED, march
+from tracer.kernels.march import DIRECT, MISSED_PLANE, RECOVERED, next_key
 
-Row = tuple[float, ...]
-MARKED = 1 << 15  # bit of the crossing mask: this ray needs `march`
-
-
-@kernel
-def pass_sphere(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, s: Row
-) -> tuple[bool, float, float, float, float, float, float]:
-    """Whether the ray meets the sphere, and the ray after it (unchanged if not)."""
-    wx, wy, wz = px - s[0], py - s[1], pz - s[2]
-    m = -(wx * dx + wy * dy + wz * dz)
-    ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
-    b2 = ax * ax + ay * ay + az * az
-    hit = (b2 < s[3]) & (m > 0.0)
-    cos_i = math.sqrt(max((s[3] - b2) * s[4], 0.0))
-    cos_t = math.sqrt(max(1.0 - b2 * s[5], 0.0))
-    g = s[7] / (cos_t + cos_i * s[6])
-    chi = b2 * s[4]
-    cosine = 1.0 - 2.0 * chi * g * g
-    q = 2.0 * g * (cos_i * cos_t + chi * s[6]) * s[8]
-    along = b2 * q
-    qx, qy, qz = s[0] + ax * cosine + dx * along, s[1] + ay * cosine + dy * along, s[2] + az * cosine + dz * along
-    ex, ey, ez = dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q
-    return (  # selects of finished values: an expression in here would become a branch
-        hit,
-        qx if hit else px,
-        qy if hit else py,
-        qz if hit else pz,
-        ex if hit else dx,
-        ey if hit else dy,
-        ez if hit else dz,
-    )
+LANES = 256  # rays of a block: 30 kB, what the first-level cache holds
+BALL = 11
+STEP = LANES + 40  # columns a power of two apart would fight for the same lines of that cache
+PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR = (k * STEP for k in range(9))
+RAY_NUMBERS = 9 * STEP
+LAST, PICK, KEY = (k * STEP for k in range(3))
+TRIP_NUMBERS = 3 * STEP
+NOBODY = -1
+UNKNOWN = 1 << 15  # branch number of a ray whose sequence of spheres is not in the table: `march` names it
+SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; the result must not change
 
 
 @kernel
-def chain_row(
-    x: Array,
-    y: Array,
-    camera: Row,
-    spheres: tuple[Row, ...],
-    checked: bool,
-    point: Array,
-    status: Array,
-    crossed: Array,
-) -> None:
-    """Trace a span of one row.
-
-    ``x``, ``y`` (W,) are ideal image coordinates in focal lengths; ``point`` (W, 2), ``status`` (W,) and
-    ``crossed`` (W,) uint16 (bit k: sphere k of the chain was crossed) are the span's outputs.  With `checked`
-    the last piece is tested against all spheres.  Spans arrive as slices and are walked from 0: an index that
-    might be negative would cost the vectorisation.
-    """
+def begin_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
+    """Put the rays of a span with ideal image coordinates x, y (n,) [focal lengths], n <= LANES, into the block."""
+    ox, oy, oz = camera[0], camera[1], camera[2]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11 = camera[9], camera[10], camera[11]
     for i in range(x.shape[0]):
-        scale = 1.0 / math.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
-        a, b = x[i] * scale, y[i] * scale
-        dx = camera[3] * a + camera[6] * b + camera[9] * scale
-        dy = camera[4] * a + camera[7] * b + camera[10] * scale
-        dz = camera[5] * a + camera[8] * b + camera[11] * scale
-        px, py, pz = camera[0], camera[1], camera[2]
-        mask, bit, newest = 0, 1, 0
-        level = False
-        for sphere in spheres:
-            hit, px, py, pz, dx, dy, dz = pass_sphere(px, py, pz, dx, dy, dz, sphere)
-            mask |= bit if hit else 0
-            newest = bit if hit else newest
-            level |= not dz < 0.0
-            bit *= 2
-        again = False
-        if checked:
-            bit = 1
-            for sphere in spheres:
-                wx, wy, wz = px - sphere[0], py - sphere[1], pz - sphere[2]
-                m = -(wx * dx + wy * dy + wz * dz)
-                ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
-                again |= (m > 0.0) & (ax * ax + ay * ay + az * az < sphere[3]) & (bit != newest)
-                bit *= 2
-        t = -pz / dz
-        down = dz < 0.0
-        tx, ty = px + t * dx, py + t * dy
-        point[i, 0] = tx if down else math.nan
-        point[i, 1] = ty if down else math.nan
-        status[i] = RECOVERED if down else MISSED_PLANE
-        crossed[i] = mask | (MARKED if again | level else 0)
+        dx = c3 * x[i] + c6 * y[i] + c9
+        dy = c4 * x[i] + c7 * y[i] + c10
+        dz = c5 * x[i] + c8 * y[i] + c11
+        square = dx * dx + dy * dy + dz * dz
+        rays[PX + i], rays[PY + i], rays[PZ + i] = ox, oy, oz
+        rays[DX + i], rays[DY + i], rays[DZ + i] = dx, dy, dz
+        rays[QQ + i], rays[IQ + i] = square, 1.0 / square
+    for i in range(x.shape[0]):
+        trips[LAST + i] = NOBODY
+        trips[KEY + i] = DIRECT
+
+
+@kernel_inlined
+def foot_of(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, inverse: float
+) -> tuple[float, float, float, float, float]:
+    """Distance m to the foot point [|D|], the foot point a and b^2 of a ray from p relative to a centre."""
+    m = -(px * dx + py * dy + pz * dz) * inverse
+    ax, ay, az = px + m * dx, py + m * dy, pz + m * dz
+    return m, ax, ay, az, ax * ax + ay * ay + az * az
 
 
 @kernel
-def check_order(x: Array, y: Array, camera: Row, table: Array, rods: Array, trail: Array, crossed: Array) -> None:
-    """Mark the rays of a span that crossed two spheres or more, but not in chain order.
+def clear_picks(count: int, rays: Array, trips: Array) -> None:
+    """Forget what was looked at."""
+    for i in range(count):
+        rays[NEAR + i] = math.inf
+        trips[PICK + i] = NOBODY
 
-    ``table`` (N, 6) holds the spheres as `march` takes them, in chain order; ``trail`` (MAX_EVENTS,) is scratch.
-    """
-    for i in range(x.shape[0]):
-        mask = int(crossed[i])
-        if mask & MARKED or mask & (mask - 1) == 0:
-            continue
-        scale = 1.0 / math.sqrt(x[i] * x[i] + y[i] * y[i] + 1.0)
-        a, b = x[i] * scale, y[i] * scale
-        dx = camera[3] * a + camera[6] * b + camera[9] * scale
-        dy = camera[4] * a + camera[7] * b + camera[10] * scale
-        dz = camera[5] * a + camera[8] * b + camera[11] * scale
-        _, _, _, _, _, _, _, _, _, _, events = march(
-            camera[0], camera[1], camera[2], dx, dy, dz, table, rods, trail
+
+@kernel
+def look(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
+    """Note sphere k for the rays whose nearest sphere ahead it is so far; whether there are any."""
+    cx, cy, cz, r2 = balls[k, 0], balls[k, 1], balls[k, 2], balls[k, 3]
+    some = 0
+    for i in range(count):
+        m, _, _, _, b2 = foot_of(
+            rays[PX + i] - cx,
+            rays[PY + i] - cy,
+            rays[PZ + i] - cz,
+            rays[DX + i],
+            rays[DY + i],
+            rays[DZ + i],
+            rays[IQ + i],
         )
-        met, newest = 0, -1
-        for k in range(int(events)):
-            met = met | 1 << trail[k] if trail[k] > newest else MARKED
-            newest = trail[k]
-        if met != mask:
-            crossed[i] = mask | MARKED
+        nearer = (b2 < r2) & (m > 0.0) & (m < rays[NEAR + i]) & (trips[LAST + i] != k)
+        near = m if nearer else rays[NEAR + i]
+        rays[NEAR + i] = near
+        trips[PICK + i] = k if nearer else trips[PICK + i]
+        some += nearer
+    return some != 0
 
 
 @kernel
-def direct_row(x: Array, y: Array, camera: Row, point: Array, status: Array, crossed: Array) -> None:
-    """Trace a span of one row that no glass touches: the pinhole's line to the plane."""
-    for i in range(x.shape[0]):
-        dx = camera[3] * x[i] + camera[6] * y[i] + camera[9]
-        dy = camera[4] * x[i] + camera[7] * y[i] + camera[10]
-        dz = camera[5] * x[i] + camera[8] * y[i] + camera[11]
-        t = -camera[2] / dz
+def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Array) -> tuple[bool, bool]:
+    """Turn the rays that picked sphere k, or with `alone` all that meet it; whether any, and whether all go down."""
+    cx, cy, cz, r2, ir2, kt = balls[k, 0], balls[k, 1], balls[k, 2], balls[k, 3], balls[k, 4], balls[k, 5]
+    nu, gk, ir = balls[k, 6], balls[k, 7], balls[k, 8]
+    some, level = 0, 0
+    for i in range(count):
+        dx, dy, dz = rays[DX + i], rays[DY + i], rays[DZ + i]
+        px, py, pz = rays[PX + i], rays[PY + i], rays[PZ + i]
+        square, inverse = rays[QQ + i], rays[IQ + i]
+        m, ax, ay, az, b2 = foot_of(px - cx, py - cy, pz - cz, dx, dy, dz, inverse)
+        hit = (b2 < r2) & (m > 0.0) & (trips[LAST + i] != k) & (alone | (trips[PICK + i] == k))
+        chi = b2 * ir2
+        cos_i = math.sqrt(max((r2 - b2) * ir2, 0.0) * square)
+        cos_t = math.sqrt(max(1.0 - b2 * kt, 0.0) * square)
+        g = gk * square / (cos_t + cos_i * nu)
+        gi = g * inverse
+        cosine = 1.0 - 2.0 * chi * g * gi
+        q = 2.0 * gi * (cos_i * cos_t + chi * nu * square) * ir
+        along = b2 * q * inverse
+        qx, qy, qz = cx + ax * cosine + dx * along, cy + ay * cosine + dy * along, cz + az * cosine + dz * along
+        ex, ey, ez = dx * cosine - ax * q, dy * cosine - ay * q, dz * cosine - az * q
+        # Selects of finished values: an expression inside a select would become a branch.
+        qx, qy, qz = qx if hit else px, qy if hit else py, qz if hit else pz
+        ex, ey, ez = ex if hit else dx, ey if hit else dy, ez if hit else dz
+        rays[PX + i], rays[PY + i], rays[PZ + i] = qx, qy, qz
+        rays[DX + i], rays[DY + i], rays[DZ + i] = ex, ey, ez
+        key = next_key(trips[KEY + i], k)
+        trips[KEY + i] = key if hit else trips[KEY + i]
+        trips[LAST + i] = k if hit else trips[LAST + i]
+        some += hit
+        level += not ez < 0.0
+    return some != 0, level == 0
+
+
+@kernel
+def end_block(count: int, rays: Array, point: Array, status: Array) -> None:
+    """Take the rays to the plane: point (2 n,) x and y in turn, status (n,)."""
+    for i in range(count):
+        dz = rays[DZ + i]
+        t = -rays[PZ + i] / dz
+        tx, ty = rays[PX + i] + t * rays[DX + i], rays[PY + i] + t * rays[DY + i]
         down = dz < 0.0
-        tx, ty = camera[0] + t * dx, camera[1] + t * dy
-        point[i, 0] = tx if down else math.nan
-        point[i, 1] = ty if down else math.nan
+        point[2 * i] = tx if down else math.nan
+        point[2 * i + 1] = ty if down else math.nan
         status[i] = RECOVERED if down else MISSED_PLANE
-        crossed[i] = 0
 
 
 @kernel
-def glass_span(row: int, x: Array, y: Array, flat: bool, camera: Row, sphere: Row) -> tuple[int, int]:
-    """Columns [first, last) of a row between which the direct rays can meet a sphere, a pixel wider each way.
+def number_branches(count: int, trips: Array, keys: Array, numbers: Array, branch: Array) -> int:
+    """Branch numbers (n,) of the block's keys, from ascending `keys` and their `numbers`; how many are UNKNOWN."""
+    known, number, unknown = DIRECT, 0, 0
+    for i in range(count):
+        key = trips[KEY + i]
+        if key != known:  # keys come in long runs
+            low, high = 0, keys.shape[0]
+            while low < high:
+                middle = (low + high) // 2
+                if keys[middle] < key:
+                    low = middle + 1
+                else:
+                    high = middle
+            known = key
+            number = numbers[low] if low < keys.shape[0] and keys[low] == key else UNKNOWN
+        unknown += 1 if number == UNKNOWN else 0
+        branch[i] = number
+    return unknown
+
+
+@kernel
+def follow_block(
+    low: int, count: int, skips: int, balls: Array, spans: Array, rays: Array, trips: Array, wanted: Array
+) -> None:
+    """Take the block of columns low..low+count-1 through the spheres; spans (N, 2), scratch wanted (N,) int64."""
+    bodies = balls.shape[0]
+    for k in range(bodies):
+        reached = (spans[k, 0] < low + count) & (spans[k, 1] > low)
+        wanted[k] = 1 if reached or not skips & SKIP_SILHOUETTES else 0
+    for _ in range(4 * bodies + 4):  # more than any ray can use but one that rounding keeps at a tangent
+        candidates, single = 0, NOBODY
+        for k in range(bodies):
+            if wanted[k]:
+                candidates += 1
+                single = k
+        if candidates == 0:
+            return
+        met, only, bottom, all_down = 0, NOBODY, math.inf, True
+        if candidates == 1:
+            some, all_down = turn(single, True, balls, count, rays, trips)
+            met = 1 if some else 0
+            only, bottom = single, balls[single, 9]
+            top = balls[single, 10]
+        else:
+            top = -math.inf
+            clear_picks(count, rays, trips)
+            for k in range(bodies):
+                if wanted[k]:
+                    wanted[k] = 1 if look(k, balls, count, rays, trips) else 0
+            for k in range(bodies):
+                if wanted[k]:
+                    some, all_down = turn(k, False, balls, count, rays, trips)  # the last one speaks for all
+                    if some:
+                        met += 1
+                        only, bottom, top = k, min(bottom, balls[k, 9]), max(top, balls[k, 10])
+        if met == 0:
+            return
+        for k in range(bodies):
+            above = all_down and balls[k, 9] >= top
+            behind = (met == 1 and k == only) or (above and skips & SKIP_LEFT_BEHIND)
+            wanted[k] = 0 if behind else 1
+    for i in range(count):
+        trips[KEY + i] = NOBODY
+
+
+@kernel
+def direct_row(x: Array, y: Array, camera: Array, point: Array, status: Array, branch: Array) -> None:
+    """Trace a span of one row that no glass touches: the pinhole's line to the plane."""
+    ox, oy, oz = camera[0], camera[1], camera[2]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11 = camera[9], camera[10], camera[11]
+    for i in range(x.shape[0]):
+        dz = c5 * x[i] + c8 * y[i] + c11
+        t = -oz / dz
+        tx = ox + t * (c3 * x[i] + c6 * y[i] + c9)
+        ty = oy + t * (c4 * x[i] + c7 * y[i] + c10)
+        down = dz < 0.0
+        point[2 * i] = tx if down else math.nan
+        point[2 * i + 1] = ty if down else math.nan
+        status[i] = RECOVERED if down else MISSED_PLANE
+    for i in range(x.shape[0]):
+        branch[i] = 0
+
+
+@kernel
+def glass_span(x: Array, y: Array, flat: bool, camera: Array, balls: Array, k: int) -> tuple[int, int]:
+    """Columns [first, last) of a row between which the direct rays can meet sphere k, a pixel wider each way.
 
     With w = pinhole - centre, a ray d meets it if (w . d)^2 > (w . w - R^2) d . d and w . d < 0.  On a row of
     an ideal camera (`flat`: y is the same in all columns, x is linear) d is linear in x and the bounds are the
     roots of a quadratic; else the row is searched.
     """
-    wx, wy, wz = camera[0] - sphere[0], camera[1] - sphere[1], camera[2] - sphere[2]
-    outside = wx * wx + wy * wy + wz * wz - sphere[3]
+    wx, wy, wz = camera[0] - balls[k, 0], camera[1] - balls[k, 1], camera[2] - balls[k, 2]
+    outside = wx * wx + wy * wy + wz * wz - balls[k, 3]
     u = camera[3] * wx + camera[4] * wy + camera[5] * wz  # w in camera axes
     v = camera[6] * wx + camera[7] * wy + camera[8] * wz
     w = camera[9] * wx + camera[10] * wy + camera[11] * wz
     width = x.shape[0]
-    if flat:
-        k = v * y[0] + w
-        a = u * u - outside
-        b = u * k
-        c = k * k - outside * (y[0] * y[0] + 1.0)
-        if a < 0.0:  # the usual case, an ellipse: inside between the roots
-            root = b * b - a * c
-            if root < 0.0:
-                return 0, 0
-            low, high = (-b + math.sqrt(root)) / a, (-b - math.sqrt(root)) / a
-            step = x[1] - x[0] if width > 1 else 1.0
-            first = int(max(0.0, min(width, math.floor((low - x[0]) / step))))
-            last = int(max(0.0, min(width, math.ceil((high - x[0]) / step) + 1.0)))
-            return first, max(first, last)
+    if flat and u * u < outside:  # the usual case, an ellipse: inside between the roots
+        rest = v * y[0] + w
+        a, b, c = u * u - outside, u * rest, rest * rest - outside * (y[0] * y[0] + 1.0)
+        root = b * b - a * c
+        # Rounding of the root, a few parts in 1e16 of its terms: a row that just misses is still a row.
+        root += 1e-14 * (b * b + abs(a * c))
+        if root < 0.0:
+            return 0, 0
+        low, high = (-b + math.sqrt(root)) / a, (-b - math.sqrt(root)) / a
+        step = x[1] - x[0] if width > 1 else 1.0
+        first = int(max(0.0, min(width, math.floor((low - x[0]) / step) - 1.0)))
+        last = int(max(0.0, min(width, math.ceil((high - x[0]) / step) + 2.0)))
+        return first, max(first, last)
     first, last = width, 0
     for i in range(width):
         dot = u * x[i] + v * y[i] + w
-        if dot < 0.0 and dot * dot > outside * (x[i] * x[i] + y[i] * y[i] + 1.0):
-            first, last = min(first, i), i + 1
+        d2 = x[i] * x[i] + y[i] * y[i] + 1.0
+        # As above; for d itself, not its square root, so that no pixel at the rim is lost to rounding.
+        meets = (dot < 0.0) & (dot * dot * (1.0 + 1e-13) > outside * d2)
+        first = min(first, i if meets else width)
+        last = max(last, i + 1 if meets else 0)
     return max(0, first - 1), max(max(0, first - 1), min(width, last + 1))
 
 
 @kernel
+def place_row(row: int, flat: bool, camera: Array, x: Array, y: Array) -> None:
+    """Ideal image coordinates x, y (W,) of a row; of an ideal camera x is the same in every row and stays."""
+    if flat:
+        level = (row - camera[14]) / camera[12]
+        for i in range(x.shape[0]):
+            y[i] = level
+    else:
+        for i in range(x.shape[0]):
+            x[i], y[i], _, _, _, _ = ideal_xy(float(i), float(row), camera)
+
+
+@kernel
 def chain_rows(
-    packed: Array,
-    camera: Row,
-    spheres: tuple[Row, ...],
-    table: Array,
-    rods: Array,
-    trail: Array,
-    checked: bool,
+    camera: Array,
+    balls: Array,
     flat: bool,
+    skips: int,
+    keys: Array,
+    numbers: Array,
     first: int,
     last: int,
     x: Array,
     y: Array,
     spans: Array,
+    wanted: Array,
+    rays: Array,
+    trips: Array,
+    unknown: Array,
     point: Array,
     status: Array,
-    crossed: Array,
+    branch: Array,
 ) -> None:
     """Trace rows first..last-1: the direct view everywhere, the chain only where glass can be met.
 
-    ``table`` and ``trail`` as in `check_order`; ``x``, ``y`` (W,) and ``spans`` (N + 1, 2) int64 are scratch;
-    outputs as in `chain_row`, (H, W, ...).
+    Scratch: ``x``, ``y`` (W,), ``spans`` (2 N + 1, 2) and ``wanted`` (N,) int64, ``rays``, ``trips``.  Outputs:
+    ``unknown`` (H,) int64 pixels a row without a branch number, ``point`` (H, 2 W), ``status``, ``branch`` (H, W).
     """
-    width = x.shape[0]
+    width, bodies = x.shape[0], balls.shape[0]
+    if flat:
+        for i in range(width):
+            x[i] = (i - camera[13]) / camera[12]
+    joined = spans[bodies:]
     for row in range(first, last):
-        if flat:
-            for i in range(width):
-                x[i] = (i - packed[13]) / packed[12]
-                y[i] = (row - packed[14]) / packed[12]
-        else:
-            for i in range(width):
-                x[i], y[i], _, _, _, _ = ideal_xy(float(i), float(row), packed)
+        place_row(row, flat, camera, x, y)
         count = 0
-        for sphere in spheres:
-            low, high = glass_span(row, x, y, flat, camera, sphere)
+        for k in range(bodies):
+            low, high = glass_span(x, y, flat, camera, balls, k)
+            if not skips & SKIP_SILHOUETTES:
+                low, high = 0, width
+            spans[k, 0], spans[k, 1] = low, high
             if low < high:
-                count = insert_span(spans, count, low, high)
+                count = insert_span(joined, count, low, high)
+        p, s, b = point[row], status[row], branch[row]
+        unknown[row] = 0
         done = 0
-        for k in range(count + 1):
-            low = spans[k, 0] if k < count else width
-            p, t, c = point[row, done:low], status[row, done:low], crossed[row, done:low]
-            direct_row(x[done:low], y[done:low], camera, p, t, c)
-            if k < count:
-                done = spans[k, 1]
-                p, t, c = point[row, low:done], status[row, low:done], crossed[row, low:done]
-                chain_row(x[low:done], y[low:done], camera, spheres, checked, p, t, c)
-                if checked:
-                    check_order(x[low:done], y[low:done], camera, table, rods, trail, c)
+        for j in range(count + 1):
+            low = joined[j, 0] if j < count else width
+            direct_row(x[done:low], y[done:low], camera, p[2 * done : 2 * low], s[done:low], b[done:low])
+            if j == count:
+                break
+            done = joined[j, 1]
+            while low < done:
+                high = min(low + LANES, done)
+                begin_block(x[low:high], y[low:high], camera, rays, trips)
+                follow_block(low, high - low, skips, balls, spans, rays, trips, wanted)
+                end_block(high - low, rays, p[2 * low : 2 * high], s[low:high])
+                unknown[row] += number_branches(high - low, trips, keys, numbers, b[low:high])
+                low = high
 
 
 @kernel
