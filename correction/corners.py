@@ -131,38 +131,35 @@ def refine_corners(
     FrameError
         Not a frame, NaN in it, or shapes that do not belong together.
     """
-    frame = checked_frame(image).astype(np.float32, copy=False)
+    pixels = checked_frame(image).astype(np.float32, copy=False)
     start = np.ascontiguousarray(start_px, dtype=np.float64).reshape(-1, 2)
     count = len(start)
     axes = np.ascontiguousarray(np.broadcast_to(np.asarray(axes_px, dtype=np.float64), (count, 2, 2)))
     reaches = np.ascontiguousarray(np.broadcast_to(np.asarray(window, dtype=np.float64), (count,)))
     usable = np.ones((1, 1), np.uint8) if mask is None else np.ascontiguousarray(mask, dtype=np.uint8)
-    if mask is not None and usable.shape != frame.shape:
-        raise FrameError(f"the mask has shape {usable.shape}, the frame {frame.shape}; they must agree")
-    if not np.isfinite(frame.sum(dtype=np.float64)):
+    if mask is not None and usable.shape != pixels.shape:
+        raise FrameError(f"the mask has shape {usable.shape}, the frame {pixels.shape}; they must agree")
+    if not np.isfinite(pixels.sum(dtype=np.float64)):
         raise FrameError("the frame holds NaN or infinity; fill those pixels and mask them")
     out, verdict = np.full((count, 10), np.nan), np.zeros(count, np.uint8)
 
-    def rows(first: int, last: int) -> None:
-        scratch = corner_fit.new_scratch()
-        corner_fit.fit_corners(
-            frame,
-            usable,
-            start,
-            axes,
-            reaches,
-            arm,
-            least_px,
-            max_shift,
-            start_error_px,
-            first,
-            last,
-            scratch,
-            out,
-            verdict,
-        )
+    def fit(some: NDArray[np.intp], error_px: float) -> None:
+        starts, frames, lengths = start[some], axes[some], reaches[some]
+        results, verdicts = np.full((len(some), 10), np.nan), np.zeros(len(some), np.uint8)
 
-    run_rows(rows, count, block=64, threads=threads)
+        def rows(first: int, last: int) -> None:
+            corner_fit.fit_corners(
+                pixels, usable, starts, frames, lengths, arm, least_px, max_shift, error_px,
+                first, last, corner_fit.new_scratch(), results, verdicts,
+            )  # fmt: skip
+
+        run_rows(rows, len(some), block=64, threads=threads)
+        out[some], verdict[some] = results, verdicts
+
+    fit(np.arange(count), start_error_px)
+    # A start too far for the blur of the first guess is often within reach of twice the blur.
+    again = np.flatnonzero((verdict == CornerReason.LOST) | (verdict == CornerReason.MOVED))
+    fit(again, 2.0 * start_error_px)
     return _judge(out, verdict, sign, max_residual, max_sigma_px)
 
 

@@ -16,11 +16,15 @@ half length `reach` and half width `arm` squares in the affine frame of the view
 set of pixels, moved to the fitted corner and fitted again until it stays.
 
 Covariance: frames have noise of different size on edges and plains, and blur correlates neighbours, so
-sigma^2 (J^T J)^-1 would be too small.  With a_i = (J^T J)^-1 J_i r_i, the pull of pixel i on p,
+sigma^2 (J^T J)^-1 would be wrong.  With the pull of pixel i on p, a_i = (J^T J)^-1 J_i r_i / (1 - h_i),
+where its leverage h_i = J_i^T (J^T J)^-1 J_i makes up for the part of the noise that the fit swallowed,
 
-    cov = n / (n - 12) sum_ij k(i - j) a_i a_j,      k a triangle of base 2 BLOCK px in each direction
+    cov = sum_ij k(i - j) a_i a_j,      k a triangle of base 2 BLOCK px in each direction
 
-(White, Econometrica 48, 817 (1980); Conley, J. Econometrics 92, 1 (1999)), summed as squares of block sums.
+(White, Econometrica 48, 817 (1980); MacKinnon, White, J. Econometrics 29, 305 (1985), HC3; Conley,
+J. Econometrics 92, 1 (1999)), summed as squares of block sums.  A wider block knows more correlation and
+loses more to the fit, whose pulls sum to zero.  Block 2 measured: errors are 1.05 sigma in noise that is
+white, as a camera's, 1.3 sigma in noise blurred by 0.5 px.
 """
 
 from math import atan2, cos, erf, exp, hypot, sin, sqrt
@@ -31,7 +35,7 @@ from tracer.kernels._jit import Array, kernel
 
 FREE = 13  # px, py, angle 1, angle 2, curvature 1, 2, blur 1, 2, A, B, slope u, slope v, edge shape
 SIDE = 121  # largest bounding box of a window [px]
-BLOCK = 5  # block of pixels taken as correlated [px]
+BLOCK = 2  # block of pixels taken as correlated [px]
 SETTLED_PX = 5e-4  # a step that no longer matters
 TOLERANCE_RATIO = 2.0  # relative gain in the squares that belongs to a step of 1 px
 MAX_ROUNDS = 4  # moves of the window
@@ -296,6 +300,14 @@ def covariance(
     for k in range(count):
         residual = pixels[k, 2] - gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
         place = int(pixels[k, 3])
+        leverage = 0.0
+        for i in range(FREE):
+            value = row[i]
+            for j in range(i):
+                value -= lower[i, j] * step[j]
+            step[i] = value / lower[i, i]
+            leverage += step[i] * step[i]
+        residual /= max(1.0 - leverage, 0.1)
         for axis in range(2):
             value = 0.0
             for i in range(FREE):
@@ -320,7 +332,7 @@ def covariance(
             uu += a * a
             vv += b * b
             uv += a * b
-    scale = count / (BLOCK * BLOCK * max(count - FREE, 1.0))
+    scale = 1.0 / (BLOCK * BLOCK)
     out[0], out[1], out[2] = uu * scale, vv * scale, uv * scale
     return True
 
@@ -364,7 +376,7 @@ def fit_corners(
         p[:] = 0.0
         p[2] = atan2(axes[n, 1, 0], axes[n, 0, 0])
         p[3] = atan2(axes[n, 1, 1], axes[n, 0, 1])
-        blur = min(max(min(0.08 * thin, 0.5 * start_error_px), 0.7), 3.0)  # wide enough to feel the edges
+        blur = min(max(min(0.16 * thin, 0.5 * start_error_px), 0.7), 6.0)  # wide enough to feel the edges
         p[6], p[7] = blur, blur
         centre_u, centre_v = start[n, 0], start[n, 1]
         limit = max_shift * min(side1, side2)

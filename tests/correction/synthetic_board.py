@@ -1,0 +1,42 @@
+"""A board as a camera would see it: edges integrated over pixels, lens blur in front of the pixels.
+
+Written for the tests alone.  Squares are painted by signed distances in the image plane: to first order the
+distance of a pixel to a lattice line is its board coordinate over the gradient of that coordinate, which is
+exact for straight lines and good to 1e-4 px for the gently curved ones here.
+"""
+
+import numpy as np
+from scipy.special import erf
+
+
+def soft_board(to_board, shape, square_mm=2.5, blur_px=0.6, low=300.0, high=3100.0, discs=(), disc_mm=1.0):
+    """Noise-free image (float); to_board maps pixels (..., 2) to board millimetres (..., 2)."""
+    v, u = np.mgrid[0 : shape[0], 0 : shape[1]].astype(float)
+    pixels = np.stack((u, v), -1)
+    here = to_board(pixels)
+    step = 0.05
+    du = (to_board(pixels + (step, 0.0)) - to_board(pixels - (step, 0.0))) / (2 * step)
+    dv = (to_board(pixels + (0.0, step)) - to_board(pixels - (0.0, step))) / (2 * step)
+    spread = np.sqrt(blur_px**2 + 1 / 12) * np.sqrt(2)
+    wave = np.ones(shape)
+    for k in range(2):
+        slope = np.hypot(du[..., k], dv[..., k])
+        line = np.round(here[..., k] / square_mm)
+        distance = (here[..., k] - line * square_mm) / slope
+        wave *= np.where(line % 2 == 0, 1.0, -1.0) * erf(distance / spread)
+    bright = 0.5 - 0.5 * wave  # square (0, 0) has both distances positive and is dark
+    for i, j in discs:
+        offset = here - (np.array((i, j)) + 0.5) * square_mm
+        radius = np.hypot(offset[..., 0], offset[..., 1])
+        along = offset / np.maximum(radius, 1e-9)[..., None]
+        slope = np.hypot((along * du).sum(-1), (along * dv).sum(-1))
+        inside = 0.5 - 0.5 * erf((radius - disc_mm / 2) / slope / spread)
+        bright = np.where(radius < square_mm / 2, bright + inside * (1 - 2 * ((i + j) % 2 == 1)), bright)
+    return low + (high - low) * bright
+
+
+def photographed(image, seed, gain=0.1, read=6.0):
+    """Photon noise of variance gain * counts, read noise, rounding to 12 bit in uint16."""
+    rng = np.random.default_rng(seed)
+    noisy = image + rng.normal(size=image.shape) * np.sqrt(gain * np.maximum(image, 0) + read**2)
+    return np.clip(np.round(noisy), 0, 4095).astype(np.uint16)
