@@ -267,13 +267,23 @@ class Controller(ABC):
         `accept` returns None for answers to skip and may raise.  Surplus answers make the link suspect.
         """
         with self._lock:
+            self._clear_line()
+            return self._converse(data, accept, timeout_s, stream)
+
+    def _send(self, data: bytes) -> None:
+        """Send what is answered when its motion has ended, or not at all."""
+        with self._lock:
+            self._clear_line()
+            self.port.write(data)
+
+    def _clear_line(self) -> None:
+        """See that nothing older can be taken for the next answer."""
+        if self._suspect:
+            self._resynchronise()
+        if early := self.port.pending():
+            self._unsolicited(early)
             if self._suspect:
                 self._resynchronise()
-            if early := self.port.pending():
-                self._unsolicited(early)
-                if self._suspect:
-                    self._resynchronise()
-            return self._converse(data, accept, timeout_s, stream)
 
     def _converse(
         self,

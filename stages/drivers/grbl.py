@@ -63,10 +63,9 @@ class GrblController(Controller):
             self._referenced.clear()
             if self._alarm is not None:
                 self._reset()
-            elif self._suspect or self.port.pending():
-                self._resynchronise()
+            self._clear_line()
             self._stopped = False
-            self._homing = True
+            self._homing = True  # before the bytes, so that a stop from another thread sends the right one
             self._pushed = grbl.AnswerStream()
             self.port.write(grbl.Line("$H").to_bytes())
 

@@ -152,11 +152,8 @@ class IselController(Controller):
 
     def _begin(self, command: dnc.Numbered | dnc.Move) -> None:
         """Send a command whose answer comes when the motion has ended."""
-        if self._suspect:
-            self._resynchronise()
-        if self.port.pending():
-            self._resynchronise()
-        self._motion_pending = True
+        self._clear_line()
+        self._motion_pending = True  # before the bytes, so that a stop from another thread is never taken for idle
         self.port.write(command.to_bytes())
 
     def _motion(self, index: int, distance: int, speed: int) -> dnc.Move:

@@ -55,7 +55,7 @@ class PiController(Controller):
         self._profile.pop(channel, None)
         self._repeated(lambda: self._command("SVO", channel, "1"))
         self._homing.add(channel)
-        self._command("FRF", channel)
+        self._send(gcs.Command("FRF", (channel,)).to_bytes())  # not every firmware answers ERR? meanwhile
 
     def moving(self, channel: str) -> bool:
         """Ask by byte 5, twice if the answer is no; then ask for errors."""

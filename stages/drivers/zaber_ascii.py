@@ -52,23 +52,23 @@ class ZaberController(Controller):
         speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
         if self._profile.get(channel) != (speed, acceleration):
             self._profile.pop(channel, None)
-            self._repeated(lambda: self._send(channel, f"set maxspeed {speed}"))
-            self._repeated(lambda: self._send(channel, f"set accel {acceleration}"))
+            self._repeated(lambda: self._tell(channel, f"set maxspeed {speed}"))
+            self._repeated(lambda: self._tell(channel, f"set accel {acceleration}"))
             self._profile[channel] = (speed, acceleration)
         self._stopped = False
-        self._send(channel, f"move abs {steps}")
+        self._tell(channel, f"move abs {steps}")
 
     def start_home(self, channel: str) -> None:
         """Begin to home, after the reasons of older faults have been cleared."""
         self._referenced.discard(channel)
-        self._repeated(lambda: self._send(channel, "warnings clear"))
+        self._repeated(lambda: self._tell(channel, "warnings clear"))
         self._stopped = False
-        self._send(channel, "home")
+        self._tell(channel, "home")
         self._homing.add(channel)
 
     def moving(self, channel: str) -> bool:
         """Ask once; an empty command only brings the state."""
-        reply = self._repeated(lambda: self._send(channel, ""))
+        reply = self._repeated(lambda: self._tell(channel, ""))
         where = f"{self.name} channel {channel}"
         if reply.flag in STALLED:
             self._forget(channel)
@@ -139,7 +139,7 @@ class ZaberController(Controller):
                 raise WrongDevice(f"{self.name}: device {device} has {count} axes, so there is no channel {name}")
 
     def _remembers_reference(self, channel: str) -> bool:
-        reply = self._repeated(lambda: self._send(channel, "warnings"))
+        reply = self._repeated(lambda: self._tell(channel, "warnings"))
         return not UNREFERENCED & {reply.flag, *reply.data.split()}
 
     def _stop_bytes(self) -> Sequence[bytes]:
@@ -156,13 +156,13 @@ class ZaberController(Controller):
         """Same."""
 
     def _integer(self, channel: str, question: str) -> int:
-        data = self._send(channel, question).data
+        data = self._tell(channel, question).data
         if not re.fullmatch(r"-?\d{1,15}", data):
             self._suspect = True
             raise ProtocolViolation(f"{self.name}: no whole number", data.encode())
         return int(data)
 
-    def _send(self, channel: str, text: str) -> Reply:
+    def _tell(self, channel: str, text: str) -> Reply:
         return self._reply(*_address(channel), text)
 
     def _reply(self, device: int, axis: int, text: str) -> Reply:

@@ -1,0 +1,49 @@
+"""Clocks of the simulated world.
+
+A `VirtualClock` moves only when somebody waits on it: a campaign of hours takes milliseconds and is the same
+every time, but only one thread may use it. A `ScaledClock` runs some times faster than the wall clock and
+serves any number of threads; emulators on pseudo-terminals use it. Both satisfy `stages.clock.Clock`.
+"""
+
+import time
+
+
+class VirtualClock:
+    """Time that passes by waiting."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._now_s = start_s
+
+    def now_s(self) -> float:
+        """Seconds of the simulated world."""
+        return self._now_s
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Let time pass, at once."""
+        self._now_s += max(duration_s, 0.0)
+
+    def advance_to(self, time_s: float) -> None:
+        """Let time pass up to a moment; the past changes nothing."""
+        self._now_s = max(self._now_s, time_s)
+
+
+class ScaledClock:
+    """The wall clock, faster.
+
+    Parameters
+    ----------
+    speed : float
+        Simulated seconds per second.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self._speed = speed
+        self._start_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Seconds of the simulated world."""
+        return (time.monotonic() - self._start_s) * self._speed
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Sleep until that much simulated time has passed."""
+        time.sleep(max(duration_s, 0.0) / self._speed)

@@ -1,0 +1,317 @@
+"""A Grbl 1.1 board with up to three motors.
+
+Real-time bytes act at once; lines are obeyed in order. ``ok`` to a motion means queued; a dwell (G4) and
+everything after it wait for the queue. While homing, and in the alarm of a hard limit, no report is given;
+after that alarm only a reset is heard, and one that comes before ``[MSG:Reset to continue]`` is thrown away.
+
+Homing seeks the switch, leaves it, finds it again slowly and stops ``$27`` away from it; the direction is set
+by ``$23``. Machine coordinates then run from -travel to 0. Nobody watches the rotors.
+"""
+
+import re
+from collections import deque
+from collections.abc import Mapping
+
+from sim.emulators.device import Clock, Emulator
+from sim.motion import Motor
+from stages.errors import ProtocolViolation
+from stages.protocols import grbl
+
+NAMES = ("X", "Y", "Z")
+MESSAGE_DELAY_S = 0.05
+VERSION = "1.1h"
+
+_WORD = re.compile(r"([A-Z])(-?\d*\.?\d+)")
+
+
+class GrblEmulator(Emulator):
+    """One board.
+
+    Parameters
+    ----------
+    motors : mapping of str to Motor
+        X, Y, Z.
+    settings : mapping of int to float
+        Settings ($n) other than the board's defaults.
+    """
+
+    def __init__(
+        self, motors: Mapping[str, Motor], clock: Clock, settings: Mapping[int, float] | None = None
+    ) -> None:
+        super().__init__(motors, clock)
+        self._stream = grbl.CommandStream()
+        self._lines: deque[str] = deque()
+        self.settings: dict[int, float] = {
+            0: 10, 1: 255, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0, 20: 1, 21: 1, 22: 1,
+            23: 7, 24: 25.0, 25: 1500.0, 26: 250, 27: 1.0, 30: 1000, 31: 0, 32: 0,
+        }  # fmt: skip
+        for index, name in enumerate(NAMES):
+            screw = self.motors[name].mechanics if name in self.motors else None
+            self.settings[100 + index] = screw.steps_per_rev / screw.lead_mm if screw else 250.0
+            self.settings[110 + index] = 3000.0
+            self.settings[120 + index] = 100.0
+            self.settings[130 + index] = screw.high_switch_mm - screw.low_switch_mm if screw else 200.0
+        self.settings.update(settings or {})
+        self._zero = dict.fromkeys(self.motors, 0)
+        self._state = "Alarm" if self.settings[22] else "Idle"
+        self._mute = False  # in the alarm of a hard limit
+        self._message_s: float | None = None
+        self._queue: deque[tuple[dict[str, float], float]] = deque()
+        self._homing: deque[str] = deque()
+        self._phase = ""
+        for name, motor in self.motors.items():
+            motor.listener = self.hear(name)
+
+    def power_up(self) -> None:
+        """Say what a board says when its port is opened with DTR."""
+        self._greet()
+
+    # ---- input ---------------------------------------------------------------------------------
+
+    def _take(self, data: bytes) -> None:
+        for command in self._stream.feed(data):
+            if isinstance(command, grbl.RealTime):
+                self._real_time(command.code)
+            elif self._mute:
+                continue
+            elif isinstance(command, ProtocolViolation):
+                self.say(grbl.Refusal(11).to_bytes())
+            else:
+                self._lines.append(command.text.upper().replace(" ", ""))
+        self._work()
+
+    def _tick(self, now_s: float) -> None:
+        if self._message_s is not None and now_s >= self._message_s:
+            self.say(grbl.Feedback("MSG", "Reset to continue").to_bytes(), self._message_s)
+            self._message_s = None
+        self._work()
+
+    def _work(self) -> None:
+        """Obey waiting lines until one has to wait."""
+        while self._lines and self._state != "Home" and not self._mute:
+            if self._lines[0].startswith(("G4", "$H", "$$", "$I")) and self._state in ("Run", "Jog"):
+                if self._lines[0].startswith("G4"):
+                    return
+                self._lines.popleft()
+                self.say(grbl.Refusal(8).to_bytes())
+                continue
+            self._obey(self._lines.popleft())
+
+    def _real_time(self, code: int) -> None:
+        if code == grbl.STATUS:
+            if not self._mute and self._state != "Home":
+                self.say(self._report().to_bytes())
+        elif code == grbl.RESET:
+            self._reset()
+        elif code == grbl.JOG_CANCEL and self._state == "Jog":
+            self._queue.clear()
+            for index, name in enumerate(NAMES):
+                if name in self.motors:
+                    self.motors[name].brake(self.settings[120 + index] * self.settings[100 + index])
+
+    def _report(self) -> grbl.Status:
+        place = tuple(self._place_mm(name) for name in NAMES)
+        return grbl.Status(self._state, place, extras=(("FS", "0,0"),))
+
+    def _place_mm(self, name: str) -> float:
+        if name not in self.motors:
+            return 0.0
+        return (self.motors[name].steps - self._zero[name]) / self.settings[100 + NAMES.index(name)]
+
+    def _reset(self) -> None:
+        if self._mute and self._message_s is not None:
+            return  # thrown away
+        moving = any(motor.running for motor in self.motors.values())
+        for motor in self.motors.values():
+            motor.halt()
+        self._lines.clear()
+        self._queue.clear()
+        if self._state == "Home" or moving:
+            self.say(grbl.Alarm(6 if self._state == "Home" else 3).to_bytes())
+            self._state = "Alarm"
+        self._homing.clear()
+        self._mute = False
+        self._greet()
+
+    def _greet(self) -> None:
+        self.say(grbl.Banner(VERSION).to_bytes())
+        if self._state == "Alarm":
+            self.say(grbl.Feedback("MSG", "'$H'|'$X' to unlock").to_bytes())
+
+    # ---- lines ---------------------------------------------------------------------------------
+
+    def _obey(self, line: str) -> None:
+        answer: grbl.Ok | grbl.Refusal | None = grbl.Ok()
+        if line == "$I":
+            self.say(grbl.Feedback("VER", f"{VERSION}.20190830:").to_bytes())
+            self.say(grbl.Feedback("OPT", "V,15,128").to_bytes())
+        elif line == "$$":
+            for number, value in sorted(self.settings.items()):
+                whole = number < 100 and number not in (11, 12, 24, 25, 27)
+                text = f"{value:.0f}" if whole else f"{value:.3f}"
+                self.say(grbl.Setting(number, text).to_bytes())
+        elif line == "$X":
+            self._state = "Idle" if self._state == "Alarm" else self._state
+            self.say(grbl.Feedback("MSG", "Caution: Unlocked").to_bytes())
+        elif line == "$H":
+            answer = self._home()
+        elif match := re.fullmatch(r"\$(\d+)=(-?\d+\.?\d*)", line):
+            answer = self._set(int(match[1]), float(match[2]))
+        elif line.startswith("$J="):
+            answer = self._motion(line[3:], jog=True)
+        elif line.startswith("$"):
+            answer = grbl.Refusal(3)
+        elif self._state in ("Alarm", "Jog"):
+            answer = grbl.Refusal(9)
+        elif not line.startswith("G4"):
+            answer = self._motion(line, jog=False)
+        if answer is not None:
+            self.say(answer.to_bytes())
+
+    def _set(self, number: int, value: float) -> grbl.Ok | grbl.Refusal:
+        if number not in self.settings:
+            return grbl.Refusal(3)
+        if number == 20 and value and not self.settings[22]:
+            return grbl.Refusal(10)
+        self.settings[number] = value
+        return grbl.Ok()
+
+    def _motion(self, text: str, jog: bool) -> grbl.Ok | grbl.Refusal:
+        if self._state == "Alarm":
+            return grbl.Refusal(9)
+        words = _WORD.findall(text)
+        if "".join(letter + number for letter, number in words) != text:
+            return grbl.Refusal(2)
+        modes = {float(number) for letter, number in words if letter == "G"}
+        feed = next((float(number) for letter, number in words if letter == "F"), 0.0)
+        inch = 25.4 if 20.0 in modes else 1.0
+        if feed <= 0.0 and not (0.0 in modes and not jog):
+            return grbl.Refusal(22)
+        targets = {}
+        for letter, number in words:
+            if letter in self.motors:
+                base = self._end_mm(letter) if 91.0 in modes else 0.0
+                targets[letter] = base + float(number) * inch
+        if not targets:
+            return grbl.Refusal(16 if jog else 26)
+        for name, target_mm in targets.items():
+            travel_mm = self.settings[130 + NAMES.index(name)]
+            if self.settings[20] and not -travel_mm <= target_mm <= 0.0:
+                return grbl.Refusal(15) if jog else self._soft_limit()
+        self._queue.append((targets, feed * inch / 60.0 if feed else 1e9))
+        if self._state == "Idle":
+            self._state = "Jog" if jog else "Run"
+            self._start_next()
+        return grbl.Ok()
+
+    def _soft_limit(self) -> grbl.Refusal:
+        self._alarm(2)
+        return grbl.Refusal(9)
+
+    def _end_mm(self, name: str) -> float:
+        """Where a motor will be after everything queued."""
+        for targets, _ in reversed(self._queue):
+            if name in targets:
+                return targets[name]
+        return self._place_mm(name)
+
+    def _start_next(self) -> None:
+        while self._queue:
+            targets, speed_mm_s = self._queue.popleft()
+            way_mm = {name: abs(target - self._place_mm(name)) for name, target in targets.items()}
+            longest_mm = max(way_mm.values())
+            started = False
+            for name, target_mm in targets.items():
+                index = NAMES.index(name)
+                scale = self.settings[100 + index]
+                steps = round(target_mm * scale) + self._zero[name]
+                if steps != self.motors[name].steps:
+                    share = way_mm[name] / longest_mm
+                    top = min(speed_mm_s, self.settings[110 + index] / 60.0) * scale * share
+                    self.motors[name].go(
+                        steps, max(top, 1.0), self.settings[120 + index] * scale * max(share, 1e-3)
+                    )
+                    started = True
+            if started:
+                return
+        self._state = "Idle"
+
+    # ---- events --------------------------------------------------------------------------------
+
+    def rest(self, axis: str) -> None:
+        """A motor has come to rest by itself."""
+        if self._state == "Home":
+            self._homing_rest(axis)
+        elif not any(motor.running for motor in self.motors.values()) and self._state in ("Run", "Jog"):
+            self._start_next()
+
+    def edge(self, axis: str, name: str, upwards: bool) -> None:
+        """A motor's carriage crosses an edge."""
+        if name not in ("low", "high"):
+            return
+        closing = upwards == (name == "high")
+        if self._state == "Home":
+            if closing and self._phase in ("seek", "locate"):
+                self.motors[axis].halt()
+                self._pull_off(axis)
+        elif closing and self.settings[21]:
+            for motor in self.motors.values():
+                motor.halt()
+            self._alarm(1)
+
+    def _alarm(self, code: int) -> None:
+        self._state, self._mute, self._message_s = "Alarm", True, self.event_s + MESSAGE_DELAY_S
+        self._queue.clear()
+        self._lines.clear()
+        self.say(grbl.Alarm(code).to_bytes())
+
+    # ---- homing --------------------------------------------------------------------------------
+
+    def _home(self) -> grbl.Refusal | None:
+        if not self.settings[22]:
+            return grbl.Refusal(5)
+        self._state = "Home"
+        self._homing = deque(reversed([name for name in NAMES if name in self.motors]))
+        self._home_next()
+        return None
+
+    def _home_next(self) -> None:
+        if not self._homing:
+            self._state = "Idle"
+            self.say(grbl.Ok().to_bytes())
+            self._work()
+            return
+        self._phase = "seek"
+        self._towards(self._homing[0], self.settings[25])
+
+    def _downwards(self, axis: str) -> bool:
+        return bool(int(self.settings[23]) >> NAMES.index(axis) & 1)
+
+    def _towards(self, axis: str, rate_mm_min: float) -> None:
+        index, motor = NAMES.index(axis), self.motors[axis]
+        if motor.closed("low" if self._downwards(axis) else "high"):  # already on it: leave it first
+            self._pull_off(axis)
+            return
+        scale = self.settings[100 + index]
+        far = float("-inf") if self._downwards(axis) else float("inf")
+        motor.go(far, rate_mm_min / 60.0 * scale, self.settings[120 + index] * scale, self.event_s)
+
+    def _pull_off(self, axis: str) -> None:
+        index, motor = NAMES.index(axis), self.motors[axis]
+        scale = self.settings[100 + index]
+        self._phase = {"seek": "leave", "locate": "pull off"}[self._phase]
+        away = self.settings[27] * scale * (1.0 if self._downwards(axis) else -1.0)
+        speed, ramp = self.settings[25] / 60.0 * scale, self.settings[120 + index] * scale
+        motor.go(motor.steps + round(away), speed, ramp, self.event_s)
+
+    def _homing_rest(self, axis: str) -> None:
+        if self._phase == "leave":
+            self._phase = "locate"
+            self._towards(axis, self.settings[24])
+        elif self._phase == "pull off":
+            index = NAMES.index(axis)
+            off_mm = self.settings[27]
+            place_mm = off_mm - self.settings[130 + index] if self._downwards(axis) else -off_mm
+            self._zero[axis] = self.motors[axis].steps - round(place_mm * self.settings[100 + index])
+            self._homing.popleft()
+            self._home_next()

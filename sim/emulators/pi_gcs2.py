@@ -1,0 +1,234 @@
+"""A PI controller with General Command Set 2.0, one servo axis per motor.
+
+Positions are mm, made from the counts of an encoder on the motor with the firmware's own counts per mm. The
+reference run goes below the reference edge and up onto it; there the position is `reference_mm`. During it only
+queries and stops are taken. An axis that cannot follow switches its servo off and leaves error -1024. A
+stop leaves error 10, moving or not. Errors wait until ERR? takes them.
+"""
+
+from collections.abc import Callable, Mapping
+
+from sim.emulators.device import Clock, Emulator
+from sim.motion import Motor
+from stages.errors import ProtocolViolation
+from stages.protocols import pi_gcs2 as gcs
+
+HELP = "CSV? *IDN? SAI? SVO SVO? FRF FRF? MOV MVR MOV? POS? ONT? VEL VEL? ACC DEC TMN? TMX? HLT STP ERR? HLP?"
+ON_SWITCH = 216
+
+
+class _Axis:
+    """One servo axis."""
+
+    def __init__(self, motor: Motor, counts_per_mm: float, reference_mm: float, travel_mm: float) -> None:
+        self.motor = motor
+        motor.listener = self
+        self.counts_per_mm = counts_per_mm
+        self.reference_mm = reference_mm
+        self.travel_mm = travel_mm
+        self.zero = 0  # encoder count at position 0
+        self.servo = self.referenced = False
+        self.referencing = ""
+        self.speed_mm_s, self.ramp_mm_s2 = 10.0, 100.0
+        self.target_mm = 0.0
+        self.error = gcs.NO_ERROR
+
+    @property
+    def position_mm(self) -> float:
+        return (self.motor.encoder_steps - self.zero) / self.counts_per_mm
+
+    def go(self, target: float, speed_mm_s: float) -> None:
+        self.motor.go(target, speed_mm_s * self.counts_per_mm, self.ramp_mm_s2 * self.counts_per_mm)
+
+    def move(self, target_mm: float) -> None:
+        self.target_mm = target_mm
+        offset = self.motor.steps - self.motor.encoder_steps  # the servo makes lost pulses up
+        self.go(round(target_mm * self.counts_per_mm) + self.zero + offset, self.speed_mm_s)
+
+    def reference(self) -> None:
+        self.referenced = False
+        if self.motor.closed("index"):
+            self.referencing = "down"
+            self.go(float("-inf"), self.speed_mm_s)
+        else:
+            self._up()
+
+    def stop(self) -> None:
+        self.referencing = ""
+        self.motor.brake(self.ramp_mm_s2 * self.counts_per_mm)
+
+    def on_edge(self, name: str, upwards: bool) -> None:
+        if name == "blocked":
+            self._fail(gcs.MOTION_ERROR)
+            self.servo = False
+        elif name == "index" and self.referencing == "down" and not upwards:
+            self.motor.halt()
+            self._up()
+        elif name == "index" and self.referencing == "up" and upwards:
+            self.motor.halt()
+            self.zero = self.motor.encoder_steps - round(self.reference_mm * self.counts_per_mm)
+            self.target_mm, self.referenced, self.referencing = self.reference_mm, True, ""
+        elif (name == "low" and not upwards) or (name == "high" and upwards):
+            self._fail(ON_SWITCH)
+
+    def on_rest(self) -> None:
+        return
+
+    def _up(self) -> None:
+        self.referencing = "up"
+        self.go(float("inf"), self.speed_mm_s / 10.0)
+
+    def _fail(self, error: int) -> None:
+        self.motor.halt()
+        self.referencing, self.error = "", error
+
+
+class PiEmulator(Emulator):
+    """One controller.
+
+    Parameters
+    ----------
+    motors : mapping of str to Motor
+        Motors by axis name.
+    counts_per_mm : float
+        The firmware's scale; by default that of the motors' lead and steps, as the vendor would set it.
+    reference_mm, travel_mm : float
+        Position of the reference edge, and of the upper end of the commandable range.
+    """
+
+    def __init__(
+        self,
+        motors: Mapping[str, Motor],
+        clock: Clock,
+        counts_per_mm: float | None = None,
+        reference_mm: float | None = None,
+        travel_mm: float | None = None,
+    ) -> None:
+        super().__init__(motors, clock)
+        self._stream = gcs.CommandStream()
+        self._error = gcs.NO_ERROR
+        self._axes: dict[str, _Axis] = {}
+        for name, motor in self.motors.items():
+            screw = motor.mechanics
+            vendor = counts_per_mm or screw.steps_per_rev / screw.lead_mm
+            way_mm = travel_mm if travel_mm is not None else screw.high_switch_mm - screw.low_switch_mm
+            at_mm = reference_mm if reference_mm is not None else screw.index_mm - screw.low_switch_mm
+            self._axes[name] = _Axis(motor, vendor, at_mm, way_mm)
+
+    def _take(self, data: bytes) -> None:
+        for command in self._stream.feed(data):
+            if isinstance(command, gcs.SingleByte):
+                self._single(command.code)
+            elif isinstance(command, ProtocolViolation):
+                self._error = gcs.UNKNOWN_COMMAND
+            elif command.is_query:
+                self._query(command)
+            elif command.name not in ("STP", "HLT") and any(axis.referencing for axis in self._axes.values()):
+                self._error = gcs.NOT_ALLOWED
+            else:
+                self._error = self._obey(command) or self._error
+
+    def _tick(self, now_s: float) -> None:
+        for axis in self._axes.values():
+            if axis.error:
+                self._error, axis.error = axis.error, gcs.NO_ERROR
+
+    def _answer(self, *lines: str) -> None:
+        self.say(gcs.Answer(lines).to_bytes())
+
+    def _single(self, code: int) -> None:
+        if code == gcs.MOVING:
+            mask = sum(axis.motor.running << bit for bit, axis in enumerate(self._axes.values()))
+            self._answer(f"{mask:X}")
+        elif code == gcs.READY:
+            busy = any(axis.referencing for axis in self._axes.values())
+            self._answer((gcs.BUSY_BYTE if busy else gcs.READY_BYTE).decode("latin-1"))
+        elif code == gcs.STOP_ALL:
+            for axis in self._axes.values():
+                axis.stop()
+            self._error = gcs.STOPPED
+
+    def _query(self, command: gcs.Command) -> None:
+        plain = {
+            "*IDN?": "(c)2019 Physik Instrumente (PI) GmbH & Co. KG, C-663.12, 0118040001, 1.2.1.0",
+            "CSV?": "2.0",
+        }
+        per_axis: dict[str, Callable[[_Axis], str]] = {
+            "POS?": lambda axis: f"{axis.position_mm:.7f}",
+            "MOV?": lambda axis: f"{axis.target_mm:.7f}",
+            "ONT?": lambda axis: str(int(not axis.motor.running and axis.servo)),
+            "SVO?": lambda axis: str(int(axis.servo)),
+            "FRF?": lambda axis: str(int(axis.referenced)),
+            "VEL?": lambda axis: f"{axis.speed_mm_s:.6f}",
+            "TMN?": lambda axis: "0.0000000",
+            "TMX?": lambda axis: f"{axis.travel_mm:.7f}",
+            "RON?": lambda axis: "1",
+        }
+        if command.name in plain:
+            self._answer(plain[command.name])
+        elif command.name == "ERR?":
+            self._answer(str(self._error))
+            self._error = gcs.NO_ERROR
+        elif command.name == "SAI?":
+            self._answer(*self._axes)
+        elif command.name == "HLP?":
+            self._answer(*HELP.split())
+        elif command.name not in per_axis:
+            self._error = gcs.UNKNOWN_COMMAND
+        elif any(name not in self._axes for name in command.arguments):
+            self._error = gcs.BAD_AXIS
+        else:
+            show = per_axis[command.name]
+            self._answer(*(f"{name}={show(self._axes[name])}" for name in command.arguments or self._axes))
+
+    def _obey(self, command: gcs.Command) -> int:
+        if command.name in ("STP", "HLT"):
+            for name, axis in self._axes.items():
+                if command.name == "STP" or not command.arguments or name in command.arguments:
+                    axis.stop()
+            return gcs.STOPPED
+        if command.name == "FRF":
+            return self._reference(command.arguments or tuple(self._axes))
+        if command.name not in ("SVO", "MOV", "MVR", "VEL", "ACC", "DEC"):
+            return gcs.UNKNOWN_COMMAND
+        wishes = list(zip(command.arguments[::2], command.arguments[1::2], strict=False))
+        if len(command.arguments) % 2 or not wishes:
+            return 1
+        try:
+            numbers = [(name, gcs.number(text)) for name, text in wishes]
+        except ProtocolViolation:
+            return 1
+        if any(name not in self._axes for name, _ in numbers):
+            return gcs.BAD_AXIS
+        for name, number in numbers:
+            if error := self._set(command.name, self._axes[name], number):
+                return error
+        return gcs.NO_ERROR
+
+    def _reference(self, names: tuple[str, ...]) -> int:
+        if any(name not in self._axes for name in names):
+            return gcs.BAD_AXIS
+        if not all(self._axes[name].servo for name in names):
+            return gcs.NOT_ALLOWED
+        for name in names:
+            self._axes[name].reference()
+        return gcs.NO_ERROR
+
+    def _set(self, what: str, axis: _Axis, number: float) -> int:
+        if what == "SVO":
+            axis.servo = bool(number)
+        elif what in ("VEL", "ACC", "DEC"):
+            if not 0.0 < number <= 1e5:
+                return 8
+            if what == "VEL":
+                axis.speed_mm_s = number
+            else:
+                axis.ramp_mm_s2 = number
+        elif not (axis.servo and axis.referenced):
+            return gcs.NOT_ALLOWED
+        else:
+            target_mm = number if what == "MOV" else axis.target_mm + number
+            if not -1e-6 <= target_mm <= axis.travel_mm + 1e-6:
+                return gcs.OUT_OF_LIMITS
+            axis.move(target_mm)
+        return gcs.NO_ERROR

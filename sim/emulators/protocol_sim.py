@@ -1,0 +1,90 @@
+"""pyserial's handler for ``sim://NAME``: the line of that name, in this process, without a device file.
+
+pyserial finds this module by its own rule (``protocol_<scheme>`` in a listed package) when such a URL is
+opened. Lines are put up by name in `LINES`. On a `VirtualClock` a read that finds nothing lets time pass
+instead of waiting.
+"""
+
+import time
+
+import serial
+from typing_extensions import Buffer
+
+from sim.clock import VirtualClock
+from sim.emulators.line import Line
+
+LINES: dict[str, Line] = {}
+
+
+class SimSerial(serial.SerialBase):
+    """One end of a simulated line with the manners of a serial port."""
+
+    _line: Line | None = None
+    _rest = b""
+
+    def open(self) -> None:
+        """Claim the line."""
+        name = str(self.port).removeprefix("sim://")
+        line = LINES.get(name)
+        if line is None:
+            raise serial.SerialException(2, f"there is no simulated line {name!r}")
+        if line.dead:
+            raise serial.SerialException(2, f"simulated line {name!r} is unplugged")
+        with line.lock:
+            if line.opened:
+                raise serial.SerialException(11, f"simulated line {name!r} is open elsewhere")
+            line.opened = True
+        self._line, self._rest, self.is_open = line, b"", True  # the rest of an earlier owner is not ours
+
+    def close(self) -> None:
+        """Give the line back."""
+        if self.is_open and self._line is not None:
+            self._line.opened = False
+        self.is_open = False
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read now."""
+        self._rest += self._alive().receive()
+        return len(self._rest)
+
+    def read(self, size: int = 1) -> bytes:
+        """Return what is there, waiting up to the timeout for the first byte."""
+        line = self._alive()
+        end_s = line.clock.now_s() + (self.timeout or 0.0)
+        while not self.in_waiting and line.clock.now_s() < end_s:
+            if isinstance(line.clock, VirtualClock):
+                next_s = line.next_s()
+                line.clock.advance_to(min(end_s, end_s if next_s is None else next_s))
+            else:
+                time.sleep(0.0005)
+            self._alive()
+        data, self._rest = self._rest[:size], self._rest[size:]
+        return data
+
+    def write(self, data: Buffer) -> int:
+        """Send everything."""
+        sent = bytes(data)
+        self._alive().send(sent)
+        return len(sent)
+
+    def _alive(self) -> Line:
+        if not self.is_open or self._line is None:
+            raise serial.PortNotOpenError()
+        if self._line.dead:
+            raise serial.SerialException("device reports readiness to read but returned no data")
+        return self._line
+
+    def _reconfigure_port(self) -> None:
+        """A simulated line has no rate."""
+
+    def _update_dtr_state(self) -> None:
+        """Nor modem lines."""
+
+    def _update_rts_state(self) -> None:
+        """Same."""
+
+
+def serial_class_for_url(url: str) -> tuple[str, type[SimSerial]]:
+    """What pyserial asks a handler for."""
+    return url, SimSerial

@@ -1,0 +1,217 @@
+"""Zaber devices, firmware 7, as their owners know them.
+
+A motor's channel is ``device/axis``. Positions count microsteps from the home sensor; units on the wire are the
+vendor's: speed in microsteps/s x 1.6384, acceleration in microsteps/s2 x 1.6384/10000.
+
+Home: back onto the sensor (the low switch), off it again slowly, zero there. So the last motion of homing is
+forwards. An encoder watches the rotor: a held rotor stops the motion with FS. The far switch gives WL. After
+power-up WR is set until homed.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import ClassVar
+
+from sim.emulators.device import Clock, Emulator
+from sim.motion import Motor
+from stages.protocols.zaber_ascii import Alert, Command, CommandStream, Reply
+
+RANK = ("FD", "FQ", "FS", "WL", "WR", "WH", "NC", "NI")  # the reply shows the first that is set
+STALL_STEPS = 200
+
+
+class _Axis:
+    """One axis: settings, flags, and the state of its motion."""
+
+    def __init__(self, motor: Motor, say: Callable[[bool, float], None]) -> None:
+        self.motor = motor
+        motor.listener = self
+        self.zero = 0
+        self.flags = {"WR"}
+        self.phase = "rest"
+        self._say = say
+        self.settings = {
+            "maxspeed": 153_600,
+            "accel": 205,
+            "limit.min": 0,
+            "limit.max": 10_000_000,
+            "resolution": 64,
+        }
+
+    @property
+    def position(self) -> int:
+        return self.motor.encoder_steps - self.zero
+
+    @property
+    def flag(self) -> str:
+        return next((flag for flag in RANK if flag in self.flags), "--")
+
+    def speed(self) -> float:
+        return self.settings["maxspeed"] / 1.6384
+
+    def ramp(self) -> float:
+        return self.settings["accel"] * 10_000 / 1.6384 if self.settings["accel"] else 1e9
+
+    def home(self) -> None:
+        self.flags -= {"FS", "WL", "NI"}
+        if self.motor.closed("low"):
+            self._leave_sensor()
+        else:
+            self.phase = "to sensor"
+            self.motor.go(float("-inf"), self.speed(), self.ramp())
+
+    def move(self, position: float) -> None:
+        self.phase = "move"
+        self.flags -= {"NI"}
+        # the encoder's count is what positions mean; pulses lost earlier are made up for
+        self.motor.go(
+            position + self.zero + self.motor.steps - self.motor.encoder_steps, self.speed(), self.ramp()
+        )
+
+    def stop(self) -> None:
+        if self.motor.running:
+            self.flags |= {"NI"} | ({"WR"} if self.phase in ("to sensor", "off sensor") else set())
+            self.phase = "stop"
+            self.motor.brake(self.ramp())
+
+    def on_edge(self, name: str, upwards: bool) -> None:
+        if name == "blocked":
+            self._end({"FS", "WR"})
+        elif name == "low" and self.phase == "to sensor":
+            self.motor.halt()
+            self._leave_sensor()
+        elif name == "low" and self.phase == "off sensor":
+            self.zero = self.motor.encoder_steps
+            self.flags -= {"WR", "WH"}
+            self._end(set())
+        elif (name == "high" and upwards) or (name == "low" and not upwards):
+            self._end({"WL"})
+
+    def on_rest(self) -> None:
+        self._end(set())
+
+    def _leave_sensor(self) -> None:
+        self.phase = "off sensor"
+        self.motor.go(float("inf"), self.speed() / 20, self.ramp())
+
+    def _end(self, flags: set[str]) -> None:
+        self.motor.halt()
+        self.flags |= flags
+        self.phase = "rest"
+        self._say(False, self.motor.time_s)
+
+
+class ZaberEmulator(Emulator):
+    """A chain of Zaber devices.
+
+    Parameters
+    ----------
+    motors : mapping of str to Motor
+        ``device/axis`` (or ``device``) -> motor.
+    checksums : bool
+        Devices set to append checksums to everything they say.
+    """
+
+    READ_ONLY: ClassVar[dict[str, str]] = {
+        "deviceid": "50081", "version": "7.33", "version.build": "14571", "device.hw.modified": "0",
+        "comm.packet.size.max": "80", "comm.command.packets.max": "1", "comm.word.size.max": "50",
+        "get.settings.max": "10", "peripheralid": "0", "system.platform": "30050301",
+    }  # fmt: skip
+
+    def __init__(self, motors: Mapping[str, Motor], clock: Clock, checksums: bool = True) -> None:
+        super().__init__(motors, clock)
+        self._checked = checksums
+        self._stream = CommandStream()
+        self._alerts = False
+        self._axes: dict[tuple[int, int], _Axis] = {}
+        for channel, motor in self.motors.items():
+            device, _, axis = channel.partition("/")
+            key = int(device), int(axis or 1)
+            self._axes[key] = _Axis(motor, lambda busy, time_s, key=key: self._alert(key, time_s))  # type: ignore[misc]
+
+    def axis(self, device: int, axis: int) -> _Axis:
+        """One axis, for tests that look inside."""
+        return self._axes[device, axis]
+
+    def _take(self, data: bytes) -> None:
+        for command in self._stream.feed(data):
+            for device in sorted({key[0] for key in self._axes}):
+                if command.device in (0, device):
+                    self._answer(device, command)
+
+    def _alert(self, key: tuple[int, int], time_s: float) -> None:
+        if self._alerts:
+            self.say(Alert(*key, False, self._axes[key].flag, "", self._checked).to_bytes(), time_s)
+
+    def _answer(self, device: int, command: Command) -> None:
+        axes = {axis: box for (owner, axis), box in self._axes.items() if owner == device}
+        if command.axis and command.axis not in axes:
+            accepted, data, addressed = False, "BADAXIS", list(axes.values())
+        else:
+            addressed = [axes[command.axis]] if command.axis else list(axes.values())
+            accepted, data = self._obey(command.text.split(), device, addressed, command.axis)
+        busy = any(box.motor.running for box in addressed)
+        flag = min(
+            (box.flag for box in addressed), key=lambda flag: RANK.index(flag) if flag in RANK else len(RANK)
+        )
+        reply = Reply(device, command.axis, accepted, busy, flag, data, command.message_id, self._checked)
+        self.say(reply.to_bytes())
+
+    def _obey(self, words: list[str], device: int, axes: list[_Axis], axis: int) -> tuple[bool, str]:
+        match words:
+            case []:
+                return True, "0"
+            case ["home"]:
+                for box in axes:
+                    box.home()
+                return True, "0"
+            case ["stop"]:
+                for box in axes:
+                    box.stop()
+                return True, "0"
+            case ["move", "abs" | "rel" as kind, number] if _whole(number):
+                return self._move(kind, int(number), axes)
+            case ["warnings"]:
+                flags = [flag for flag in RANK if any(flag in box.flags for box in axes)]
+                return True, " ".join([f"{len(flags):02d}", *flags])
+            case ["warnings", "clear"]:
+                for box in axes:
+                    box.flags &= {"WR", "WH"}
+                return True, "0"
+            case ["get", name]:
+                return self._get(name, device, axes, axis)
+            case ["set", "comm.alert", "0" | "1" as value]:
+                self._alerts = value == "1"
+                return True, "0"
+            case ["set", name, number] if _whole(number) and name in axes[0].settings:
+                for box in axes:
+                    box.settings[name] = int(number)
+                return True, "0"
+        return False, "BADCOMMAND"
+
+    def _move(self, kind: str, number: int, axes: list[_Axis]) -> tuple[bool, str]:
+        for box in axes:
+            target = number + (box.position if kind == "rel" else 0)
+            if not box.settings["limit.min"] <= target <= box.settings["limit.max"]:
+                return False, "BADDATA"
+        for box in axes:
+            box.move(number + (box.position if kind == "rel" else 0))
+        return True, "0"
+
+    def _get(self, name: str, device: int, axes: list[_Axis], axis: int) -> tuple[bool, str]:
+        if name == "pos":
+            return True, " ".join(str(box.position) for box in axes)
+        if name == "system.serial":
+            return True, str(70_000 + device)
+        if name == "system.axiscount":
+            return True, str(len(axes) if not axis else 1)
+        if name == "comm.alert":
+            return True, str(int(self._alerts))
+        if name in self.READ_ONLY:
+            return True, self.READ_ONLY[name]
+        if name in axes[0].settings:
+            return True, " ".join(str(box.settings[name]) for box in axes)
+        return False, "BADCOMMAND"
+
+
+def _whole(text: str) -> bool:
+    return text.removeprefix("-").isdecimal() and len(text) < 12
