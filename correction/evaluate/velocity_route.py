@@ -1,0 +1,139 @@
+"""The velocity route: correlate the raw frames, then carry the vectors through the glass.
+
+Kang et al. (2004) compared two ways: correct the images and correlate (the image route), or correlate the
+distorted images and correct the vectors.  Their vector formula uses the map's gradient and is exact for small
+displacements only; Minor et al. (2007) found terms missing in it.  Here neither is needed: the raw vector
+(u - d/2 -> u + d/2) is traced at both ends, and
+
+    plane displacement = X(u + d/2) - X(u - d/2),      plane position = midpoint of the two,
+
+is exact for any displacement and any glass.  The route keeps windows of constant size on the sensor: it
+resolves more where the view is magnified and less where it shrinks, and never resamples the frames.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.errors import PairError
+from correction.evaluate.piv import PivSettings, evaluate_pair
+from correction.evaluate.vector_field import VectorField
+from tracer.ray_map import RayMap
+from tracer.scene import Scene
+from tracer.sensitivity import landings
+from tracer.trace import trace
+
+RAW_SETTINGS = PivSettings(windows_px=(128, 64, 32, 32))  # a ball magnifies displacements two- to threefold
+LEAST_MAGNIFICATION = 0.5  # of the view, sensor px a corrected px: the limit of the correction map
+
+
+@dataclass(frozen=True)
+class PlaneVectors:
+    """Vectors on the investigation plane, N of them, not on a grid.
+
+    Parameters
+    ----------
+    place_mm : (N, 2) float64
+        Plane position.
+    shift_mm : (N, 2) float64
+        Plane displacement.
+    sigma_mm : (N, 2) float64
+        Standard uncertainty of the displacement, from that of the raw vector through the map's gradient.
+    pixel : (N, 2) float64
+        Raw window centre.
+    branch : (N,) uint16
+        Branch of the ray map.
+    """
+
+    place_mm: NDArray[np.float64]
+    shift_mm: NDArray[np.float64]
+    sigma_mm: NDArray[np.float64]
+    pixel: NDArray[np.float64]
+    branch: NDArray[np.uint16]
+
+
+def velocity_route(
+    frame_a: NDArray[Any],
+    frame_b: NDArray[Any],
+    scene: Scene,
+    ray_map: RayMap,
+    settings: PivSettings | None = None,
+) -> PlaneVectors:
+    """Correlate two raw frames and trace the vectors onto the plane.
+
+    Parameters
+    ----------
+    frame_a, frame_b : (H, W)
+        Frames as acquired.
+    scene : Scene
+        The scene, with the camera's true pose and lens terms (a dewarp has no place here).
+    ray_map : RayMap
+        Its ray map.
+    settings : PivSettings, optional
+        Of the correlation; default RAW_SETTINGS.
+
+    Returns
+    -------
+    PlaneVectors
+        Vectors whose two ends stay on one branch, where the view is not squeezed below 0.5.
+
+    Raises
+    ------
+    StaleMap
+        The map belongs to another scene.
+    PairError
+        The frames do not make a pair.
+    """
+    ray_map.check(scene)
+    if not ray_map.recovered.any():
+        raise PairError("no ray of this scene reaches the plane; look at the scene with rtpiv trace")
+    settings = settings or RAW_SETTINGS
+    parts = [
+        _on_plane(evaluate_pair(frame_a, frame_b, mask, settings=settings), number, scene)
+        for number, mask in _usable_branches(ray_map, scene, settings.windows_px[-1])
+    ]
+    if not parts:
+        raise PairError("no branch of this scene fills a window; look at the scene with rtpiv trace")
+    return PlaneVectors(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _usable_branches(ray_map: RayMap, scene: Scene, window_px: int) -> list[tuple[int, NDArray[np.bool_]]]:
+    """Pixels of each branch that are worth correlating, for branches that fill a few windows.
+
+    Only one branch is valid at a time, so no window mixes two pictures of the plane.  Left out are pixels whose
+    view is squeezed too much, and those on the far side of a fold (the sign of the map's determinant is not that
+    of the larger part), where the picture runs backwards.
+    """
+    scale = scene.camera.position_mm[2] / scene.camera.focal_px
+    by_v: NDArray[np.float64] = np.asarray(np.gradient(ray_map.plane_mm, axis=0))
+    by_u: NDArray[np.float64] = np.asarray(np.gradient(ray_map.plane_mm, axis=1))
+    det = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
+    with np.errstate(invalid="ignore"):
+        largest = np.maximum(np.hypot(by_u[..., 0], by_u[..., 1]), np.hypot(by_v[..., 0], by_v[..., 1]))
+        calm = largest < scale / LEAST_MAGNIFICATION
+    found = []
+    for number in np.unique(ray_map.branch[ray_map.recovered]):
+        mask = ray_map.recovered & (ray_map.branch == number) & calm
+        mask &= np.sign(det) == (1.0 if (det[mask] > 0).sum() * 2 > mask.sum() else -1.0)
+        if mask.sum() > 8 * window_px**2:
+            found.append((int(number), mask))
+    return found
+
+
+def _on_plane(
+    field: VectorField, number: int, scene: Scene
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint16]]:
+    """Trace both ends of every measured vector of a branch."""
+    centre = field.grid_px[field.valid]
+    shift = np.stack((field.u_px, field.v_px), axis=-1)[field.valid]
+    sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[field.valid]
+    first, last = trace(scene, centre - 0.5 * shift), trace(scene, centre + 0.5 * shift)
+    rate = landings(scene, centre).pixel_rate
+    good = first.recovered & last.recovered & (first.rays["key"] == last.rays["key"])
+    good &= np.isfinite(rate).all(axis=(1, 2))
+    sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate[good] ** 2, sigma[good] ** 2))
+    middle = 0.5 * (first.plane_mm + last.plane_mm)[good]
+    step = (last.plane_mm - first.plane_mm)[good]
+    return middle, step, sigma_mm, centre[good], np.full(int(good.sum()), number, np.uint16)
