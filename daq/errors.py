@@ -10,8 +10,16 @@
         +-- CameraTimeout      no frame came in time; the camera is alive
         +-- CameraLost         the cable or the camera: no answer; open it again
         +-- FrameError         the camera delivered something that cannot be the frame it announced
+    +-- RunError           what has to do with plans and runs
+        +-- RunUsageError      the caller (also a ValueError); nothing has moved, nothing was written
+        |   +-- PlanError          a plan that this bench cannot or must not carry out
+        |   +-- ResumeRefused      a run that must not be continued with this plan, bench or scene
+        +-- DiskError          the disk: full, too slow, not writable; the run can be resumed
+        +-- FramesLost         frames were exposed and are gone; the message says where; the run can be resumed
+        +-- BadBalance         the counts of a run contradict each other: a bug, or a camera that cannot count
+        +-- RunInterrupted     somebody asked for it; the run can be resumed
 
-The command line prints these as one sentence and exits with code 3.
+The command line prints these as one sentence and exits with code 3 (RunUsageError: 2, RunInterrupted: 4).
 """
 
 
@@ -53,3 +61,35 @@ class CameraLost(CameraError):  # noqa: N818
 
 class FrameError(CameraError):
     """A frame's size, format or layout contradicts its data; it is not used."""
+
+
+class RunError(DaqError):
+    """Root of the part about plans and runs."""
+
+
+class RunUsageError(RunError, ValueError):
+    """A request that makes no sense; nothing has moved and nothing was written."""
+
+
+class PlanError(RunUsageError):
+    """The plan asks for what this bench cannot or must not do; the message says which step and why."""
+
+
+class ResumeRefused(RunUsageError):  # noqa: N818
+    """The run cannot be continued as asked: another plan, bench or scene, or nothing left to do."""
+
+
+class DiskError(RunError):
+    """The disk is full, too slow or not writable; make room, then resume the run."""
+
+
+class FramesLost(RunError):  # noqa: N818
+    """Frames were exposed and are gone; what was written stays, and the run can be resumed."""
+
+
+class BadBalance(RunError):  # noqa: N818
+    """Triggered frames do not equal written + incomplete + rejected + lost."""
+
+
+class RunInterrupted(RunError):  # noqa: N818
+    """The run was ended on request before its last step; resume it when you like."""
