@@ -1,6 +1,6 @@
 """PIV against its open peers: accuracy, speed, and agreement on real pairs, in one run on the same cores.
 
-    python -m benchmarks.piv [-o FOLDER] [--peer openpiv=PYTHON] [--peer fluidimage=PYTHON] [--peer pivtools=PYTHON]
+    python -m benchmarks.piv [-o FOLDER] [--peer openpiv=PYTHON] [--peer fluidimage=...] [--peer pivtools=...]
 
 PYTHON is the interpreter of an environment in which that peer is installed; a peer without one is skipped by
 name.  Peers run in processes of their own, one thread each, and are tools of this benchmark only.  Every

@@ -52,27 +52,30 @@ def _tables(size: int) -> tuple[Floats, NDArray[np.int64]]:
     return np.array([np.cos(angle), np.sin(angle)], np.float32), frequency[-frequency % size]
 
 
-def correlation_planes(a: Floats, b: Floats) -> Floats:
+def workspace(size: int) -> Floats:
+    """Scratch for `correlation_planes` with windows of this size."""
+    return np.empty((3, size * size * BLOCK if _power_of_two(size) else 0), np.float32)
+
+
+def correlation_planes(a: Floats, b: Floats, work: Floats, out: Floats) -> None:
     """Periodic cross-correlation of each pair of windows.
 
     Parameters
     ----------
     a, b : ndarray of float32, shape (N, w, w)
         Windows, N at most 32 where w is a power of two.
-
-    Returns
-    -------
-    ndarray of float32, shape (N, w, w)
+    work : ndarray of float32
+        From `workspace(w)`.
+    out : ndarray of float32, shape (N, w, w)
         sum_x a(x) b(x + s) at [s_v, s_u], negative displacements counted from the end.
     """
     size = a.shape[1]
     if _power_of_two(size):
-        planes = np.empty_like(a)
-        correlate_pairs(a, b, *_tables(size), np.empty((3, size * size * BLOCK), np.float32), planes)
-        return planes
+        correlate_pairs(a, b, *_tables(size), work, out)
+        return
     spectrum_a, spectrum_b = fft.rfft2(a), fft.rfft2(b)
     multiply_conjugate(spectrum_a.reshape(-1), spectrum_b.reshape(-1))
-    return np.asarray(fft.irfft2(spectrum_a, s=(size, size), overwrite_x=True))
+    out[:] = fft.irfft2(spectrum_a, s=(size, size), overwrite_x=True)
 
 
 def correlate_windows(
@@ -104,26 +107,20 @@ def correlate_windows(
     least = least_valid(grid, min_valid)
 
     def some(first: int, last: int) -> None:
-        a, b = np.empty((2, last - first, size, size), np.float32)
-        here = slice(first, last)
-        scratch = np.empty((2, size), np.float32)
-        cut_windows(
-            pair.a,
-            pair.b,
-            pair.valid,
-            rows[here],
-            columns[here],
-            least,
-            pair.floor,
-            scratch[0],
-            count[here],
-            energy[here],
-            a,
-            b,
-        )
-        find_peaks(correlation_planes(a, b), a, b, energy[here], with_ratio, scratch, found[here])
+        a, b, planes = np.empty((3, chunk, size, size), np.float32)
+        scratch, work = np.empty((2, size), np.float32), workspace(size)
+        for start in range(first, last, chunk):
+            here = slice(start, min(start + chunk, last))
+            n = here.stop - start
+            cut_windows(
+                pair.a, pair.b, pair.valid, rows[here], columns[here], least, pair.floor,
+                scratch, count[here], energy[here], a[:n], b[:n],
+            )  # fmt: skip
+            correlation_planes(a[:n], b[:n], work, planes[:n])
+            find_peaks(planes[:n], a[:n], b[:n], energy[here], with_ratio, scratch, found[here])
 
-    run_rows(some, ny * nx, block=chunk, threads=threads)
+    # Several chunks a call: memory is handed out once for all of them.
+    run_rows(some, ny * nx, block=8 * chunk, threads=threads)
     shaped = found.reshape(ny, nx, 4)
     return Measured(
         shaped[..., :2],

@@ -62,21 +62,26 @@ def correlation_statistics(
     sigma = np.empty((2, ny * nx))
     least = least_valid(grid, min_valid)
 
+    chunk = max(1, CHUNK_BYTES // (4 * size * size))
+
     def some(first: int, last: int) -> None:
-        a, b = np.empty((2, last - first, size, size), np.float32)
+        a, b, turned_a, turned_b = np.empty((4, chunk, size, size), np.float32)
         sums, raw = np.empty((3, size), np.float32), np.empty(size + 2, np.float32)
         field = np.zeros((size + 2 * REACH, size + 2 * REACH), np.float32)
-        count, energy = np.empty(last - first, np.int64), np.empty(last - first)
-        here = slice(first, last)
-        cut_windows(
-            pair.a, pair.b, pair.valid, rows[here], columns[here], least, pair.floor, sums[0], count, energy, a, b
-        )
-        window_sigma(a, b, energy, sums, raw, field, sigma[0, here])
-        # Along columns it is the same sum over transposed windows.
-        a, b = (np.ascontiguousarray(windows.transpose(0, 2, 1)) for windows in (a, b))
-        window_sigma(a, b, energy, sums, raw, field, sigma[1, here])
+        count, energy = np.empty(chunk, np.int64), np.empty(chunk)
+        for start in range(first, last, chunk):
+            here = slice(start, min(start + chunk, last))
+            n = here.stop - start
+            cut_windows(
+                pair.a, pair.b, pair.valid, rows[here], columns[here], least, pair.floor,
+                sums[:2], count, energy, a[:n], b[:n],
+            )  # fmt: skip
+            window_sigma(a[:n], b[:n], energy, sums, raw, field, sigma[0, here])
+            # Along columns it is the same sum over transposed windows.
+            turned_a[:n], turned_b[:n] = a[:n].transpose(0, 2, 1), b[:n].transpose(0, 2, 1)
+            window_sigma(turned_a[:n], turned_b[:n], energy, sums, raw, field, sigma[1, here])
 
-    run_rows(some, ny * nx, block=max(1, CHUNK_BYTES // (4 * size * size)), threads=threads)
+    run_rows(some, ny * nx, block=8 * chunk, threads=threads)
     return gain * np.ascontiguousarray(sigma.reshape(2, ny, nx).transpose(1, 2, 0))
 
 

@@ -14,57 +14,78 @@ NAN = np.float32(np.nan)
 
 
 @kernel
-def cut_window(
-    frame: Array, valid: Array, masked: bool, count: int, row: int, column: int, sums: Array, out: Array
-) -> float:
-    """Copy one window of frame (H, W) to out (w, w), mean over valid pixels removed, masked pixels 0.
-
-    `count` valid pixels are in it.  sums is (w,) float32 scratch.  Returns the sum of squares.
-    """
-    size = out.shape[0]
-    for k in range(size):
-        sums[k] = np.float32(0.0)
-    for j in range(size):
-        line, mask = frame[row + j, column : column + size], valid[row + j, column : column + size]
-        target = out[j]
-        if masked:
-            for k in range(size):
-                target[k] = line[k] if mask[k] else np.float32(0.0)
-                sums[k] += target[k]
-        else:
-            for k in range(size):
-                target[k] = line[k]
-                sums[k] += line[k]
+def total_of(sums: Array) -> float:
+    """Sum of sums (w,) float32 in float64."""
     total = 0.0
-    for k in range(size):
-        total += sums[k]
-        sums[k] = np.float32(0.0)
-    mean = np.float32(total / count)
-    for j in range(size):
-        mask = valid[row + j, column : column + size]
-        target = out[j]
-        if masked:
-            for k in range(size):
-                target[k] = target[k] - mean if mask[k] else np.float32(0.0)
-                sums[k] += target[k] * target[k]
-        else:
-            for k in range(size):
-                target[k] -= mean
-                sums[k] += target[k] * target[k]
-    total = 0.0
-    for k in range(size):
+    for k in range(sums.size):
         total += sums[k]
     return total
 
 
 @kernel
-def count_valid(valid: Array, row: int, column: int, size: int) -> int:
-    """Number of valid pixels (uint8, 0 or 1) in a window."""
-    count = 0
+def count_valid(valid: Array, row: int, column: int, sums: Array) -> int:
+    """Number of valid pixels (uint8, 0 or 1) in a window; sums is (w,) float32 scratch."""
+    size = sums.size
+    for k in range(size):
+        sums[k] = np.float32(0.0)
     for j in range(row, row + size):
-        for k in range(column, column + size):
-            count += valid[j, k]
-    return count
+        line = valid[j, column : column + size]
+        for k in range(size):
+            sums[k] += np.float32(line[k])
+    return int(total_of(sums))
+
+
+@kernel
+def cut_whole(frame: Array, row: int, column: int, level: np.float32, sums: Array, out: Array) -> float:
+    """Copy one window of frame (H, W) to out (w, w) and remove its mean; returns the sum of squares.
+
+    `level` is near the mean, which keeps the sum of squares exact; sums is (2, w) float32 scratch.
+    """
+    size = out.shape[0]
+    plain, square = sums[0], sums[1]
+    for k in range(size):
+        plain[k] = np.float32(0.0)
+        square[k] = np.float32(0.0)
+    for j in range(size):
+        line, target = frame[row + j, column : column + size], out[j]
+        for k in range(size):
+            value = line[k] - level
+            target[k] = value
+            plain[k] += value
+            square[k] += value * value
+    total = total_of(plain)
+    mean = np.float32(total / (size * size))
+    flat = out.reshape(size * size)
+    for k in range(flat.size):
+        flat[k] -= mean
+    return total_of(square) - total * total / (size * size)
+
+
+@kernel
+def cut_masked(frame: Array, valid: Array, count: int, row: int, column: int, sums: Array, out: Array) -> float:
+    """Copy one window of frame (H, W) to out (w, w), mean over `count` valid pixels removed, the others 0.
+
+    sums is (2, w) float32 scratch.  Returns the sum of squares.
+    """
+    size = out.shape[0]
+    zero = np.float32(0.0)
+    plain, square = sums[0], sums[1]
+    for k in range(size):
+        plain[k] = zero
+        square[k] = zero
+    for j in range(size):
+        line, mask = frame[row + j, column : column + size], valid[row + j, column : column + size]
+        for k in range(size):
+            plain[k] += line[k] if mask[k] else zero
+    mean = np.float32(total_of(plain) / count)
+    for j in range(size):
+        line, mask = frame[row + j, column : column + size], valid[row + j, column : column + size]
+        target = out[j]
+        for k in range(size):
+            value = line[k] - mean if mask[k] else zero
+            target[k] = value
+            square[k] += value * value
+    return total_of(square)
 
 
 @kernel
@@ -86,19 +107,25 @@ def cut_windows(
 
     count[n] becomes the number of valid pixels and energy[n] the root of both sums of squares multiplied;
     windows with fewer than `least` valid pixels become 0 with energy 0.  So does the energy of a window whose
-    mean square is not above `floor` in both frames: it shows no texture.
+    mean square is not above `floor` in both frames: it shows no texture.  sums is (2, w) float32 scratch.
     """
     size = a.shape[1]
     for n in range(rows.size):
-        count[n] = count_valid(valid, rows[n], columns[n], size)
+        row, column = rows[n], columns[n]
+        count[n] = count_valid(valid, row, column, sums[0])
         energy[n] = 0.0
         if count[n] < least:
             a[n] = np.float32(0.0)
             b[n] = np.float32(0.0)
             continue
-        masked = count[n] < size * size
-        energy_a = cut_window(frame_a, valid, masked, count[n], rows[n], columns[n], sums, a[n])
-        energy_b = cut_window(frame_b, valid, masked, count[n], rows[n], columns[n], sums, b[n])
+        if count[n] == size * size:
+            middle_a = frame_a[row + size // 2, column + size // 2]
+            energy_a = cut_whole(frame_a, row, column, middle_a, sums, a[n])
+            middle_b = frame_b[row + size // 2, column + size // 2]
+            energy_b = cut_whole(frame_b, row, column, middle_b, sums, b[n])
+        else:
+            energy_a = cut_masked(frame_a, valid, count[n], row, column, sums, a[n])
+            energy_b = cut_masked(frame_b, valid, count[n], row, column, sums, b[n])
         # Resampling leaves rounding noise where a frame is constant; it must not pass for texture.
         energy[n] = np.sqrt(energy_a * energy_b) if min(energy_a, energy_b) > floor * count[n] else 0.0
 
@@ -174,10 +201,7 @@ def lag_mean(a: Array, b: Array, dx: int, dy: int, sums: Array) -> float:
         there = b[j + dy, first + dx : first + dx + width]
         for k in range(width):
             sums[k] += here[k] * there[k]
-    total = 0.0
-    for k in range(width):
-        total += sums[k]
-    return total / (width * (size - abs(dy)))
+    return total_of(sums[:width]) / (width * (size - abs(dy)))
 
 
 @kernel
