@@ -9,7 +9,7 @@ whose bit is set in k, in this order", whether or not a ray takes it.  What rays
 traced again by ``march``, which names it.
 """
 
-from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,12 +24,12 @@ from tracer.kernels.chain import (
     UNKNOWN,
     chain_rows,
 )
-from tracer.kernels.march import DIRECT, next_key
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.trace import Branch, pack_camera, trace
 
 MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
+LINE = 64  # bytes of a cache line
 ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND
 
 
@@ -58,16 +58,16 @@ def trace_lockstep(
     camera = pack_camera(scene.camera)
     chain = sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
     balls = np.array([_constants(sphere, scene) for sphere in chain])
-    flat, keys, numbers = scene.camera.lens.is_ideal, *_sequences(len(chain))
+    flat = scene.camera.lens.is_ideal
     point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
         x, y = np.empty(width), np.empty(width)
         spans, wanted = np.empty((2 * len(chain) + 1, 2), np.int64), np.empty(len(chain), np.int64)
-        rays, trips = np.empty(RAY_NUMBERS), np.empty(TRIP_NUMBERS, np.int64)
+        rays, trips = _aligned(RAY_NUMBERS, np.float64), _aligned(TRIP_NUMBERS, np.int64)
         scratch = (x, y, spans, wanted, rays, trips)
         chain_rows(
-            camera, balls, flat, skips, keys, numbers, first, last, *scratch, unknown, point, status, branch
+            camera, balls, flat, skips, first, last, *scratch, unknown, point, status, branch
         )
 
     run_rows(work, height)
@@ -100,17 +100,11 @@ def _name_unknown(
         branch[rows[taken], columns[taken]] = branches.index(sequence)
 
 
-def _sequences(bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Branch keys of all ascending sequences of 0..bodies-1, ascending, and their numbers."""
-    found = {}
-    for length in range(bodies + 1):
-        for sequence in combinations(range(bodies), length):
-            key = DIRECT
-            for body in sequence:
-                key = next_key.py_func(key, body)  # type: ignore[attr-defined]
-            found[key] = sum(1 << body for body in sequence)
-    keys = np.array(sorted(found), np.int64)
-    return keys, np.array([found[int(key)] for key in keys], np.int64)
+def _aligned(count: int, dtype: type) -> NDArray[Any]:
+    """Uninitialised numbers of 8 bytes that begin at a cache line: vectors across two lines cost twice."""
+    memory = np.empty(8 * count + LINE, np.uint8)
+    start = -memory.ctypes.data % LINE
+    return memory[start : start + 8 * count].view(dtype)
 
 
 def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:

@@ -32,17 +32,19 @@ import math
 
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import ideal_xy
-from tracer.kernels.march import DIRECT, MISSED_PLANE, RECOVERED, next_key
+from tracer.kernels.march import MISSED_PLANE, RECOVERED
 
-LANES = 256  # rays of a block: 30 kB, what the first-level cache holds
+LANES = 256  # rays of a block: 24 kB, what the first-level cache holds
 BALL = 11
 STEP = LANES + 40  # columns a power of two apart would fight for the same lines of that cache
 PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR = (k * STEP for k in range(9))
 RAY_NUMBERS = 9 * STEP
-LAST, PICK, KEY = (k * STEP for k in range(3))
-TRIP_NUMBERS = 3 * STEP
+PICK, TRIP = (k * STEP for k in range(2))
+TRIP_NUMBERS = 2 * STEP
 NOBODY = -1
-UNKNOWN = 1 << 15  # branch number of a ray whose sequence of spheres is not in the table: `march` names it
+BITS, ALL_BITS = 4, 15  # a trip is the numbers + 1 of the bodies met, four bits each, the latest lowest
+MOST_EVENTS = 15  # what 60 bits hold; longer trips are left to `march`
+UNKNOWN = 1 << 15  # branch number of a ray that met spheres in another order: `march` names it
 SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; the result must not change
 
 
@@ -61,8 +63,7 @@ def begin_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) ->
         rays[DX + i], rays[DY + i], rays[DZ + i] = dx, dy, dz
         rays[QQ + i], rays[IQ + i] = square, 1.0 / square
     for i in range(x.shape[0]):
-        trips[LAST + i] = NOBODY
-        trips[KEY + i] = DIRECT
+        trips[TRIP + i] = 0
 
 
 @kernel_inlined
@@ -98,7 +99,7 @@ def look(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
             rays[DZ + i],
             rays[IQ + i],
         )
-        nearer = (b2 < r2) & (m > 0.0) & (m < rays[NEAR + i]) & (trips[LAST + i] != k)
+        nearer = (b2 < r2) & (m > 0.0) & (m < rays[NEAR + i]) & (trips[TRIP + i] & ALL_BITS != k + 1)
         near = m if nearer else rays[NEAR + i]
         rays[NEAR + i] = near
         trips[PICK + i] = k if nearer else trips[PICK + i]
@@ -117,7 +118,7 @@ def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Arra
         px, py, pz = rays[PX + i], rays[PY + i], rays[PZ + i]
         square, inverse = rays[QQ + i], rays[IQ + i]
         m, ax, ay, az, b2 = foot_of(px - cx, py - cy, pz - cz, dx, dy, dz, inverse)
-        hit = (b2 < r2) & (m > 0.0) & (trips[LAST + i] != k) & (alone | (trips[PICK + i] == k))
+        hit = (b2 < r2) & (m > 0.0) & (trips[TRIP + i] & ALL_BITS != k + 1) & (alone | (trips[PICK + i] == k))
         chi = b2 * ir2
         cos_i = math.sqrt(max((r2 - b2) * ir2, 0.0) * square)
         cos_t = math.sqrt(max(1.0 - b2 * kt, 0.0) * square)
@@ -133,9 +134,9 @@ def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Arra
         ex, ey, ez = ex if hit else dx, ey if hit else dy, ez if hit else dz
         rays[PX + i], rays[PY + i], rays[PZ + i] = qx, qy, qz
         rays[DX + i], rays[DY + i], rays[DZ + i] = ex, ey, ez
-        key = next_key(trips[KEY + i], k)
-        trips[KEY + i] = key if hit else trips[KEY + i]
-        trips[LAST + i] = k if hit else trips[LAST + i]
+        trip = trips[TRIP + i]
+        longer = trip << BITS | (k + 1)
+        trips[TRIP + i] = longer if hit else trip
         some += hit
         level += not ez < 0.0
     return some != 0, level == 0
@@ -155,22 +156,38 @@ def end_block(count: int, rays: Array, point: Array, status: Array) -> None:
 
 
 @kernel
-def number_branches(count: int, trips: Array, keys: Array, numbers: Array, branch: Array) -> int:
-    """Branch numbers (n,) of the block's keys, from ascending `keys` and their `numbers`; how many are UNKNOWN."""
-    known, number, unknown = DIRECT, 0, 0
+def branch_number(trip: int) -> int:
+    """Number of a trip, bit k for body k, if its bodies come in order; else UNKNOWN."""
+    if trip < 0:
+        return UNKNOWN
+    number, later = 0, ALL_BITS + 1
+    while trip > 0:
+        body = trip & ALL_BITS
+        if body >= later:
+            return UNKNOWN
+        number |= 1 << (body - 1)
+        later = body
+        trip >>= BITS
+    return number
+
+
+@kernel
+def number_branches(count: int, trips: Array, branch: Array) -> int:
+    """Write the branch numbers (n,) of the block's rays; return how many are UNKNOWN."""
+    others = 0
     for i in range(count):
-        key = trips[KEY + i]
-        if key != known:  # keys come in long runs
-            low, high = 0, keys.shape[0]
-            while low < high:
-                middle = (low + high) // 2
-                if keys[middle] < key:
-                    low = middle + 1
-                else:
-                    high = middle
-            known = key
-            number = numbers[low] if low < keys.shape[0] and keys[low] == key else UNKNOWN
-        unknown += 1 if number == UNKNOWN else 0
+        others += trips[TRIP + i] != trips[TRIP]
+    number = branch_number(trips[TRIP])
+    if others == 0:
+        for i in range(count):
+            branch[i] = number
+        return count if number == UNKNOWN else 0
+    known, unknown = trips[TRIP], 0
+    for i in range(count):
+        if trips[TRIP + i] != known:  # they come in long runs
+            known = trips[TRIP + i]
+            number = branch_number(known)
+        unknown += number == UNKNOWN
         branch[i] = number
     return unknown
 
@@ -184,7 +201,7 @@ def follow_block(
     for k in range(bodies):
         reached = (spans[k, 0] < low + count) & (spans[k, 1] > low)
         wanted[k] = 1 if reached or not skips & SKIP_SILHOUETTES else 0
-    for _ in range(4 * bodies + 4):  # more than any ray can use but one that rounding keeps at a tangent
+    for _ in range(MOST_EVENTS + 1):
         candidates, single = 0, NOBODY
         for k in range(bodies):
             if wanted[k]:
@@ -217,7 +234,7 @@ def follow_block(
             behind = (met == 1 and k == only) or (above and skips & SKIP_LEFT_BEHIND)
             wanted[k] = 0 if behind else 1
     for i in range(count):
-        trips[KEY + i] = NOBODY
+        trips[TRIP + i] = NOBODY
 
 
 @kernel
@@ -295,8 +312,6 @@ def chain_rows(
     balls: Array,
     flat: bool,
     skips: int,
-    keys: Array,
-    numbers: Array,
     first: int,
     last: int,
     x: Array,
@@ -344,7 +359,7 @@ def chain_rows(
                 begin_block(x[low:high], y[low:high], camera, rays, trips)
                 follow_block(low, high - low, skips, balls, spans, rays, trips, wanted)
                 end_block(high - low, rays, p[2 * low : 2 * high], s[low:high])
-                unknown[row] += number_branches(high - low, trips, keys, numbers, b[low:high])
+                unknown[row] += number_branches(high - low, trips, b[low:high])
                 low = high
 
 
