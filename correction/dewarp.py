@@ -11,7 +11,7 @@ distortion is inverted needs order 5.  The direction is ideal -> acquired, becau
 corrected frame asks for the acquired pixel of each ideal one; nothing is inverted afterwards.
 
 The coefficients come from least squares weighted by the sigma of each corner, in normalised coordinates:
-the condition number of the matrix, reported, is then about 10 for a full frame instead of 1e12 in pixels.
+the condition number of the matrix, reported, is then 4 to 150 for a full frame instead of 1e7 to 1e14 in pixels.
 
 A polynomial says nothing outside its points.  Coverage is the part of the frame within the hull of the
 points, each widened by half its spacing (the corner speaks for its surroundings); below 95 % the fit is

@@ -15,8 +15,9 @@ def soft_board(to_board, shape, square_mm=2.5, blur_px=0.6, low=300.0, high=3100
     pixels = np.stack((u, v), -1)
     here = to_board(pixels)
     step = 0.05
-    du = (to_board(pixels + (step, 0.0)) - to_board(pixels - (step, 0.0))) / (2 * step)
-    dv = (to_board(pixels + (0.0, step)) - to_board(pixels - (0.0, step))) / (2 * step)
+    right, down = np.array((step, 0.0)), np.array((0.0, step))
+    du = (to_board(pixels + right) - to_board(pixels - right)) / (2 * step)
+    dv = (to_board(pixels + down) - to_board(pixels - down)) / (2 * step)
     spread = np.sqrt(blur_px**2 + 1 / 12) * np.sqrt(2)
     wave = np.ones(shape)
     for k in range(2):
