@@ -99,13 +99,16 @@ class RayMap:
         return cls(plane, status, branch, branches, scene_hash)
 
 
-def build_ray_map(scene: Scene) -> RayMap:
+def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
     """Trace every pixel of the sensor to the investigation plane.
 
     Parameters
     ----------
     scene : Scene
         The scene.
+    out : RayMap, optional
+        An earlier map of a sensor of this size whose arrays are written again, so that `out` is worth nothing
+        afterwards.  Fresh memory costs more than the rays: the system clears every page first.
 
     Returns
     -------
@@ -113,10 +116,12 @@ def build_ray_map(scene: Scene) -> RayMap:
         Float64, the same bits for any number of threads.
     """
     height, width = scene.camera.shape
-    plane = np.empty((height, width, 2))
-    status = np.empty((height, width), np.uint8)
-    if fits_lockstep(scene):
+    if out is not None and out.status.shape == (height, width):
+        plane, status, branch = out.plane_mm, out.status, out.branch
+    else:
+        plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)
         branch = np.empty((height, width), np.uint16)
+    if fits_lockstep(scene):
         branches = trace_lockstep(scene, plane, status, branch)
         return RayMap(plane, status, branch, branches, scene.content_hash())
     key = np.empty((height, width), np.int64)

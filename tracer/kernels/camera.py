@@ -6,7 +6,20 @@ principal u, v; lens k1, k2, k3, p1, p2 (acquired -> ideal, equations in ``trace
 
 import math
 
-from tracer.kernels._jit import Array, kernel
+from tracer.kernels._jit import Array, kernel, kernel_inlined
+
+
+@kernel_inlined
+def undistorted(
+    x: float, y: float, k1: float, k2: float, k3: float, p1: float, p2: float
+) -> tuple[float, float, float, float]:
+    """Ideal image coordinates of acquired ones, the radial factor and its derivative by r^2."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)
+    a = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    b = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return a, b, radial, slope
 
 
 @kernel
@@ -17,20 +30,21 @@ def ideal_xy(u: float, v: float, camera: Array) -> tuple[float, ...]:
     k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
     if k1 == 0.0 and k2 == 0.0 and k3 == 0.0 and p1 == 0.0 and p2 == 0.0:
         return x, y, 1.0 / focal, 0.0, 0.0, 1.0 / focal
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)  # d radial / d r2
+    ideal_x, ideal_y, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
     xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
     xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
     yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
-    return (
-        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        xx / focal,
-        xy / focal,
-        xy / focal,
-        yy / focal,
-    )
+    return ideal_x, ideal_y, xx / focal, xy / focal, xy / focal, yy / focal
+
+
+@kernel
+def ideal_row(row: int, camera: Array, x: Array, y: Array) -> None:
+    """Ideal image coordinates x, y (W,) of all pixels of a row, in units of the focal length."""
+    focal, centre, level = camera[12], camera[13], (row - camera[14]) / camera[12]
+    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    for i in range(x.shape[0]):
+        a, b, _, _ = undistorted((i - centre) / focal, level, k1, k2, k3, p1, p2)
+        x[i], y[i] = a, b
 
 
 @kernel

@@ -31,7 +31,7 @@ overlap, where eight arrays would need more overlap tests at run time than it is
 import math
 
 from tracer.kernels._jit import Array, kernel, kernel_inlined
-from tracer.kernels.camera import ideal_xy
+from tracer.kernels.camera import ideal_row
 from tracer.kernels.march import MISSED_PLANE, RECOVERED
 
 LANES = 256  # rays of a block: 24 kB, what the first-level cache holds
@@ -302,8 +302,7 @@ def place_row(row: int, flat: bool, camera: Array, x: Array, y: Array) -> None:
         for i in range(x.shape[0]):
             y[i] = level
     else:
-        for i in range(x.shape[0]):
-            x[i], y[i], _, _, _, _ = ideal_xy(float(i), float(row), camera)
+        ideal_row(row, camera, x, y)
 
 
 @kernel
