@@ -125,7 +125,12 @@ def snell(d: Vector, normal: Vector, ratio: mpf) -> tuple[Vector, mpf] | None:
 
 
 def follow(scene: Scene, o: Vector, d: Vector) -> Seen:
-    """Trace a ray from a point outside all spheres to the plane z = 0."""
+    """Trace a ray from a point outside all spheres to the plane z = 0.
+
+    The direction is taken as given but for its length, which in float64 is 1 only to rounding.
+    """
+    length = mpmath.sqrt(dot(d, d))
+    d = tuple(x / length for x in d)
     balls = glasses(scene)
     branch: list[str] = []
     worst, path, passed = mpf(0), mpf(0), mpf(1)
