@@ -1,0 +1,264 @@
+"""The parts of the evaluator against slow, obvious versions of themselves."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from correction.evaluate.correlate import correlation_planes, workspace
+from correction.evaluate.deform import deform_pair
+from correction.evaluate.outliers import filled, outliers, smoothed
+from correction.evaluate.uncertainty import pass_gain
+from correction.evaluate.windows import interpolated, window_grid
+from correction.kernels import piv_deform, piv_fft, piv_median, piv_statistics, piv_windows
+from correction.resample import prefilter, sample
+
+
+def windows(n, size, seed=0):
+    return np.random.default_rng(seed).normal(size=(2, n, size, size)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("n", "size"), [(32, 32), (7, 32), (17, 64), (3, 16), (5, 24), (2, 25)])
+def test_correlation_planes_equal_the_definition(n, size):
+    a, b = windows(n, size)
+    planes = np.empty_like(a)
+    correlation_planes(a, b, workspace(size), planes)
+    for k in (0, n - 1):
+        for dv, du in [(0, 0), (0, 1), (3, -2), (-5, 4), (size // 2, 1)]:
+            shifted = np.roll(b[k].astype(float), (-dv, -du), (0, 1))
+            assert planes[k, dv, du] == pytest.approx((a[k] * shifted).sum(), abs=2e-5 * size * size)
+
+
+def test_transform_kernels_as_plain_python():
+    a, b = windows(3, 8)
+    planes, plain = np.empty_like(a), np.empty_like(a)
+    correlation_planes(a, b, workspace(8), planes)
+    angle = -2 * np.pi * np.arange(4) / 8
+    turn = np.array([np.cos(angle), np.sin(angle)], np.float32)
+    # Bit-reversed frequencies 0 4 2 6 1 5 3 7; their negatives 0 4 6 2 7 3 5 1 stand at these indices.
+    negative = np.array([0, 1, 3, 2, 7, 6, 5, 4])
+    piv_fft.correlate_pairs.py_func(a, b, turn, negative, workspace(8), plain)
+    assert np.abs(planes - plain).max() < 1e-4
+
+
+def test_butterflies_undo_each_other():
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(2, 3 * piv_fft.BLOCK)).astype(np.float32)
+    first, second = a.copy(), b.copy()
+    for apart, together in (
+        (piv_fft.apart, piv_fft.together),
+        (piv_fft.apart.py_func, piv_fft.together.py_func),
+    ):
+        apart(a, b, np.float32(0.6), np.float32(0.8))
+        together(a, b, np.float32(0.6), np.float32(0.8))
+        a /= 2
+        b /= 2
+        assert np.abs(a - first).max() < 1e-5
+        assert np.abs(b - second).max() < 1e-5
+
+
+@pytest.mark.parametrize("amplitude_px", [0.0, 2.0, 9.0])
+def test_deformation_equals_sampling_point_by_point(amplitude_px):
+    rng = np.random.default_rng(3)
+    frames = rng.uniform(0, 1000, (2, 140, 150)).astype(np.float32)
+    coefficients = prefilter(frames[0]), prefilter(frames[1])
+    grid = window_grid((140, 150), 32, 0.5)
+    y, x = np.meshgrid(grid.y_px, grid.x_px, indexing="ij")
+
+    def field(u, v):  # quadratic: the interpolation between nodes is exact inside
+        return np.stack([amplitude_px * (0.3 + (u / 150) * (v / 140)), amplitude_px * (-0.7 + v / 140)], -1)
+
+    valid = np.ones((140, 150), np.uint8)
+    valid[60:63, 70:90] = 0
+    out = deform_pair(coefficients, valid, field(x, y), grid, 0.0)
+    v, u = np.mgrid[:140, :150]
+    inner = (slice(32, 108), slice(32, 118))
+    everything_valid = np.ones((140, 150), bool)
+    for result, source, scale in ((out.a, coefficients[0], -0.5), (out.b, coefficients[1], 0.5)):
+        positions = np.stack([u, v], -1) + scale * field(u, v)
+        expected = sample(source, positions)
+        seen = np.isfinite(expected)
+        assert (
+            np.abs(result - expected)[inner][seen[inner]].max() < 0.3
+        )  # of 1000, white noise: the steepest there is
+        low = np.floor(positions + 1e-4).astype(int)
+        for dv in (0, 1):
+            for du in (0, 1):
+                row, column = np.clip(low[..., 1] + dv, 0, 139), np.clip(low[..., 0] + du, 0, 149)
+                everything_valid &= valid[row, column] != 0
+    if amplitude_px:
+        assert np.array_equal(out.valid[inner] != 0, everything_valid[inner])
+    assert out.valid.max() == 1
+
+
+def test_row_kernel_as_plain_python():
+    rng = np.random.default_rng(5)
+    coefficients = rng.normal(size=(12, 16)).astype(np.float32)
+    refined = np.broadcast_to(np.linspace(-1.7, 2.6, 16, dtype=np.float32), (2, 5, 16)).copy()
+    cell, weight = np.zeros(12, np.int64), np.full((12, 4), 0.25, np.float32)
+    results = []
+    for kernel in (piv_deform.deform_rows, piv_deform.deform_rows.py_func):
+        out, out_valid = np.zeros((12, 16), np.float32), np.ones((12, 16), np.uint8)
+        kernel(coefficients, np.ones((12, 16), np.uint8), True, refined, cell, weight, np.float32(0.5), 0, 12,
+               np.empty((2, 16), np.int32), np.empty((2, 16), np.float32), out, out_valid)  # fmt: skip
+        results.append((out, out_valid))
+    assert np.abs(results[0][0] - results[1][0]).max() < 1e-5
+    assert np.array_equal(results[0][1], results[1][1])
+
+
+def test_windows_lose_the_mean_of_valid_pixels_only():
+    rng = np.random.default_rng(7)
+    frames = rng.uniform(100, 4000, (2, 40, 40)).astype(np.float32)
+    valid = (rng.uniform(size=(40, 40)) > 0.3).astype(np.uint8)
+    valid[:8, :8] = 1
+    rows, columns = np.array([0, 9, 30]), np.array([0, 4, 30])
+    valid[30:38, 30:38] = 0
+    for kernel in (piv_windows.cut_windows, piv_windows.cut_windows.py_func):
+        a, b = np.empty((2, 3, 8, 8), np.float32)
+        count, energy = np.empty(3, np.int64), np.empty(3)
+        kernel(*frames, valid, rows, columns, 5, 0.0, np.empty((2, 8), np.float32), count, energy, a, b)
+        for n in range(2):
+            mask = valid[rows[n] :, columns[n] :][:8, :8] != 0
+            parts = [frame[rows[n] :, columns[n] :][:8, :8].astype(float) for frame in frames]
+            expected = [np.where(mask, part - part[mask].mean(), 0) for part in parts]
+            assert np.abs(a[n] - expected[0]).max() < 2e-3
+            assert np.abs(b[n] - expected[1]).max() < 2e-3
+            assert count[n] == mask.sum()
+            root = np.sqrt((expected[0] ** 2).sum() * (expected[1] ** 2).sum())
+            assert energy[n] == pytest.approx(root, rel=1e-5)
+        assert (count[2], energy[2], np.abs(a[2]).max()) == (0, 0.0, 0.0)
+
+
+def test_peak_and_second_peak_of_a_drawn_plane():
+    v, u = np.mgrid[:32, :32]
+
+    def bump(height, x, y):
+        return height * np.exp(-((u - x) ** 2 + (v - y) ** 2) / 3.0)
+
+    a = bump(1.0, 14.0, 14.0) + bump(0.8, 8.0, 21.0)
+    b = bump(1.0, 14.3, 13.6) + bump(0.8, 8.3, 20.6)
+    pair = [(w - w.mean()).astype(np.float32)[None] for w in (a, b)]
+    planes = np.empty((1, 32, 32), np.float32)
+    correlation_planes(*pair, workspace(32), planes)
+    local = (planes[0] == ndimage.maximum_filter(planes[0], 3, mode="wrap")) * planes[0]
+    heights = np.sort(local[local > 0])[::-1]
+    for kernel in (piv_windows.find_peaks, piv_windows.find_peaks.py_func):
+        out = np.empty((1, 4))
+        kernel(planes, *pair, np.array([1.0]), True, np.empty((2, 32), np.float32), out)
+        assert out[0, 0] == pytest.approx(0.3, abs=0.01)
+        assert out[0, 1] == pytest.approx(-0.4, abs=0.01)
+        assert out[0, 2] == pytest.approx(heights[0], rel=1e-6)
+        assert out[0, 3] == pytest.approx(heights[0] / heights[1], rel=1e-5)
+
+
+def test_three_points_is_exact_for_a_gaussian_and_sane_without_logarithm():
+    for kernel in (piv_windows.three_points, piv_windows.three_points.py_func):
+        samples = [np.exp(-((k - 0.37) ** 2) / 2.5) for k in (-1, 0, 1)]
+        assert kernel(*samples) == pytest.approx(0.37, abs=1e-12)
+        assert kernel(-0.5, 1.0, 0.5) == pytest.approx(0.25)
+        assert kernel(1.0, 1.0, 1.0) == 0.0
+        assert kernel(3.0, 1.0, 0.5) == 0.0
+        assert -1.0 <= kernel(0.99, 1.0, 0.01) <= 1.0
+
+
+def test_normalised_residual_equals_numpy_medians():
+    rng = np.random.default_rng(9)
+    field = rng.normal(size=(9, 8, 2))
+    usable = rng.uniform(size=(9, 8)) > 0.2
+    everything = np.ones((9, 8), bool)
+    for kernel in (piv_median.normalised_residual, piv_median.normalised_residual.py_func):
+        residual = np.full((9, 8), -1.0)
+        kernel(field, usable, everything, 2, 0.1, 5, 0, 9, np.empty(25), residual)
+        for j, i in [(0, 0), (4, 4), (8, 3), (3, 7)]:
+            near = usable.copy()
+            near[j, i] = False
+            near[[k for k in range(9) if abs(k - j) > 2]] = False
+            near[:, [k for k in range(8) if abs(k - i) > 2]] = False
+            median = np.median(field[near], axis=0)
+            spread = np.median(np.abs(field[near] - median), axis=0) + 0.1
+            assert residual[j, i] == pytest.approx(np.hypot(*((field[j, i] - median) / spread)))
+
+
+def test_outliers_are_found_alone_in_clusters_and_at_edges_but_gradients_are_not():
+    y, x = np.mgrid[:20, :24]
+    field = np.stack([1.5 * y + 0.2 * x, 0.3 * x - 0.9 * y], -1)  # px a node: far beyond epsilon
+    field += np.random.default_rng(1).normal(0, 0.01, field.shape)
+    everything = np.ones((20, 24), bool)
+    assert not outliers(field, everything, 2.0, 0.1).any()
+    wrong = np.zeros_like(everything)
+    wrong[[5, 5, 6, 12, 0, 19], [5, 6, 5, 12, 10, 23]] = True
+    field[wrong] += (7.0, -5.0)
+    assert np.array_equal(outliers(field, everything, 2.0, 0.1), wrong)
+
+
+def test_gaps_are_filled_along_the_gradient():
+    y, x = np.mgrid[:16, :16]
+    field = np.stack([1.5 * y + 0.2 * x, 0.3 * x - 0.9 * y], -1).astype(float)
+    valid = np.hypot(x - 6, y - 8) < 5
+    fill, near = filled(np.where(valid[..., None], field, np.nan), valid)
+    assert np.array_equal(fill[valid], field[valid])
+    ring = near & ~valid
+    assert ring.any()
+    assert np.abs(fill[ring] - field[ring]).max() < 0.35  # a nearest value is off by 1.5 and more
+    assert np.isfinite(fill).all()
+    assert not near[0, 15]
+
+
+def test_smoothing_keeps_planes_and_damps_noise():
+    y, x = np.mgrid[:30, :30]
+    plane = np.stack([0.4 * y - 0.2 * x, 0.1 * x], -1)
+    valid = np.ones((30, 30), bool)
+    valid[10:14, 10:14] = False
+    assert np.abs(smoothed(plane, valid, 1.0) - plane).max() < 0.03
+    noise = np.random.default_rng(2).normal(size=(30, 30, 2))
+    assert smoothed(noise, valid, 1.0)[4:-4, 4:-4].std() < 0.45
+
+
+def test_interpolation_between_nodes_is_exact_for_quadratics_and_continues_linearly():
+    nodes = np.arange(8) * 16.0 + 15.5
+    inside = np.linspace(nodes[1], nodes[-2], 50)
+    values = 0.01 * nodes**2 - nodes
+    assert interpolated(values, 0, nodes, inside, 16) == pytest.approx(0.01 * inside**2 - inside, abs=1e-9)
+    outside = np.array([0.0, 7.0, 140.0])
+    assert interpolated(3 * nodes + 1, 0, nodes, outside, 16) == pytest.approx(3 * outside + 1)
+    one = interpolated(np.array([4.0]), 0, np.array([15.5]), np.arange(32.0), 16)
+    assert one == pytest.approx(np.full(32, 4.0))
+
+
+def test_windows_are_centred_in_the_frame():
+    grid = window_grid((100, 70), 32, 0.5)
+    assert grid.row.tolist() == [2, 18, 34, 50, 66]
+    assert grid.column.tolist() == [3, 19, 35]
+    assert grid.y_px[0] == 17.5
+
+
+def test_covariance_sums_against_numpy():
+    rng = np.random.default_rng(4)
+    size, reach = 12, piv_statistics.REACH
+    field = np.zeros((size + 2 * reach,) * 2, np.float32)
+    inner = rng.normal(size=(size, size))
+    field[reach:-reach, reach:-reach] = inner
+    for kernel in (piv_statistics.covariance, piv_statistics.covariance.py_func):
+        value = kernel(field, -2, 3, np.empty(size, np.float32))
+        assert value == pytest.approx((inner[:-3, 2:] * inner[3:, :-2]).sum(), rel=1e-5)
+
+
+def test_sigma_without_correlation_is_nan_and_of_identical_windows_is_small():
+    a, b = windows(2, 32)
+    energy, out = np.array([1.0, 1.0]), np.empty(2)
+    sums, raw = np.empty((3, 32), np.float32), np.empty(34, np.float32)
+    field = np.zeros((40, 40), np.float32)
+    piv_statistics.window_sigma(a, b, energy, sums, raw, field, out)
+    assert np.isnan(out).all() or (out[np.isfinite(out)] > 0.1).all()
+    smooth = ndimage.gaussian_filter(a, (0, 1, 1))
+    smooth -= smooth.mean((1, 2), keepdims=True)
+    piv_statistics.window_sigma(smooth, smooth, energy, sums, raw, field, out)
+    assert np.isnan(out).all() or np.nanmax(out) < 1e-3
+    piv_statistics.window_sigma(smooth, smooth, np.zeros(2), sums, raw, field, out)
+    assert np.isnan(out).all()
+
+
+def test_pass_gain_grows_with_passes_and_falls_with_smoothing():
+    assert pass_gain(32, 16, 1.0, 1) == 1.0
+    gains = [pass_gain(32, 16, 1.0, passes) for passes in (2, 3, 6)]
+    assert 1.0 < gains[0] < gains[1] < gains[2] < 1.1
+    assert pass_gain(32, 16, 0.5, 3) > 1.2
