@@ -1,8 +1,8 @@
 """The stages of a bench file, simulated: true mechanics behind emulators that speak the controllers' protocols.
 
 For every axis the world holds a `Mechanics` of its own.  What the bench file does not tell (lead, play, errors,
-where the carriage stands at power-up) comes from a `SimAxisTable` or from defaults; the scale of a defaulted
-screw is derived from ``steps_per_mm``, so to find out whether that number is right, give lead_mm and steps_per_rev.
+where the carriage stands at power-up) comes from a `SimAxisTable` or from defaults.  The scale of a defaulted
+screw is derived from ``steps_per_mm``: to find out whether that number is right, give lead_mm and steps_per_rev.
 
 `true_mm` is where an axis really is, in the coordinate of the bench file:
 
@@ -32,7 +32,6 @@ from tracer.config import Table
 MARGIN_MM = 5.0  # between the limits of the bench file and the switches
 USUAL_LEAD_MM = 4.0
 USUAL_STEPS_PER_MM = 400.0
-GROWS_FROM_HIGH_SWITCH = ("grbl",)  # controllers whose zero is at the upper end
 
 
 class SimAxisTable(Table):
@@ -74,7 +73,7 @@ class SimulatedStages:
         self.lines: dict[str, Line] = {}
         self._zero_mm: dict[str, float] = {}
         for name, axis in config.axes.items():
-            upper_zero = config.controllers[axis.controller].driver in GROWS_FROM_HIGH_SWITCH
+            upper_zero = emulator_class(config.controllers[axis.controller].driver).zero_at_top
             mechanics = _mechanics(axis, (axes or {}).get(name, SimAxisTable()), upper_zero)
             self.motors[name] = Motor(mechanics)
             self._zero_mm[name] = mechanics.high_switch_mm if upper_zero else mechanics.low_switch_mm

@@ -68,6 +68,7 @@ class Controller(ABC):
     """
 
     default_baud: ClassVar[int]
+    example_channels: ClassVar[tuple[str, str]]  # two valid names, for messages and contract tests
     hold_dtr: ClassVar[bool] = False
     counts_steps: ClassVar[bool] = False  # the protocol speaks steps, so every channel needs steps_per_mm
     homes_together: ClassVar[bool] = False  # one command homes every channel

@@ -5,7 +5,8 @@ arithmetic.
 """
 
 import importlib
-from typing import Any
+
+from sim.emulators.device import Emulator
 
 EMULATORS = {
     "zaber_ascii": "sim.emulators.zaber_ascii:ZaberEmulator",
@@ -15,7 +16,8 @@ EMULATORS = {
 }
 
 
-def emulator_class(driver: str) -> Any:  # noqa: ANN401 - imported by name
+def emulator_class(driver: str) -> type[Emulator]:
     """Class of the emulator that speaks the protocol of a driver."""
     module, _, name = EMULATORS[driver].partition(":")
-    return getattr(importlib.import_module(module), name)
+    found: type[Emulator] = getattr(importlib.import_module(module), name)
+    return found

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import NamedTuple, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 from sim.motion import Motor
 
@@ -32,6 +32,8 @@ class Emulator(ABC):
     clock : Clock
         Time of the world.
     """
+
+    zero_at_top: ClassVar[bool] = False  # the controller's coordinate is zero at the upper switch
 
     def __init__(self, motors: Mapping[str, Motor], clock: Clock) -> None:
         self.motors = dict(motors)

@@ -35,6 +35,8 @@ class GrblEmulator(Emulator):
         Settings ($n) other than the board's defaults.
     """
 
+    zero_at_top = True
+
     def __init__(
         self, motors: Mapping[str, Motor], clock: Clock, settings: Mapping[int, float] | None = None
     ) -> None:

@@ -41,6 +41,7 @@ class GrblController(Controller):
     """One Grbl board."""
 
     default_baud = 115_200
+    example_channels = ("X", "Y")
     hold_dtr = True
     homes_together = True
 

@@ -34,6 +34,7 @@ class IselController(Controller):
     """One iMC-S8 or C142."""
 
     default_baud = 19_200
+    example_channels = ("X", "Y")
     counts_steps = True
 
     _initialised: bool = False

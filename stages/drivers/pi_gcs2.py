@@ -31,6 +31,7 @@ class PiController(Controller):
     """One PI controller."""
 
     default_baud = 115_200
+    example_channels = ("1", "2")
     senses_stall = True
 
     _axes: tuple[str, ...] = ()

@@ -39,6 +39,7 @@ class ZaberController(Controller):
     """One line of Zaber devices."""
 
     default_baud = 115_200
+    example_channels = ("1/1", "1/2")
     counts_steps = True
     senses_stall = True
 
