@@ -135,17 +135,28 @@ def test_peak_and_second_peak_of_a_drawn_plane():
         return height * np.exp(-((u - x) ** 2 + (v - y) ** 2) / 3.0)
 
     a = bump(1.0, 14.0, 14.0) + bump(0.8, 8.0, 21.0)
-    b = bump(1.0, 14.3, 13.6) + bump(0.8, 8.3, 20.6)
+    b = bump(1.0, 16.3, 12.6) + bump(0.8, 10.3, 19.6)
     pair = [(w - w.mean()).astype(np.float32)[None] for w in (a, b)]
     planes = np.empty((1, 32, 32), np.float32)
     correlation_planes(*pair, workspace(32), planes)
     local = (planes[0] == ndimage.maximum_filter(planes[0], 3, mode="wrap")) * planes[0]
     heights = np.sort(local[local > 0])[::-1]
+
+    def shared(du, dv):
+        """Mean product over the pixels that both windows share at this displacement."""
+        row, column = slice(max(0, -dv), 32 - max(0, dv)), slice(max(0, -du), 32 - max(0, du))
+        moved = slice(row.start + dv, row.stop + dv), slice(column.start + du, column.stop + du)
+        return np.mean(pair[0][0, row, column].astype(float) * pair[1][0][moved])
+
+    def vertex(three):
+        square, linear, _ = np.polyfit([-1, 0, 1], np.log(three), 2)
+        return -linear / (2 * square)
+
     for kernel in (piv_windows.find_peaks, piv_windows.find_peaks.py_func):
         out = np.empty((1, 4))
         kernel(planes, *pair, np.array([1.0]), True, np.empty((2, 32), np.float32), out)
-        assert out[0, 0] == pytest.approx(0.3, abs=0.01)
-        assert out[0, 1] == pytest.approx(-0.4, abs=0.01)
+        assert out[0, 0] == pytest.approx(2 + vertex([shared(k, -1) for k in (1, 2, 3)]), abs=1e-4)
+        assert out[0, 1] == pytest.approx(-1 + vertex([shared(2, k) for k in (-2, -1, 0)]), abs=1e-4)
         assert out[0, 2] == pytest.approx(heights[0], rel=1e-6)
         assert out[0, 3] == pytest.approx(heights[0] / heights[1], rel=1e-5)
 
