@@ -79,7 +79,7 @@ class Page:
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
-            f"<title>{title}</title><style>{_STYLE.read_text(encoding='utf-8')}</style></head><body><h1>{title}</h1>"
+            f"<title>{title}</title><style>{style}</style></head><body><h1>{title}</h1>"
             + "".join(self._parts)
             + "</body></html>\n"
         )
