@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 
+import mpmath
 import numpy as np
 import pytest
+from mpmath import mpf
 
-from tests.tracer.scenes import PAPER, TILTED, ball, camera_at, random_bodies, random_camera, scene
+from tests.tracer.reference import follow_pixel
+from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, random_bodies, random_camera, scene
 from tracer.camera import Camera, Lens
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
@@ -54,6 +57,46 @@ def test_paper_scenes(name: str) -> None:
 def test_nothing_aligned_and_lens_terms() -> None:
     where = scene(TILTED)
     check(where.with_camera(shrunk(where.camera, 8.0)))
+
+
+@pytest.mark.parametrize("name", [*PAPER, TILTED])
+def test_whole_sensors_against_fifty_digits(name: str) -> None:
+    """Pixels of the full map: centre 1e-12 mm, rim 1e-11, last 1 % 1e-5; bent scenes as the single rays."""
+    where = scene(name)
+    made = build_ray_map(where)
+    height, width = where.camera.shape
+    pixels = np.rint(aimed_pixels(where, np.random.default_rng(11), 700)).astype(int)
+    pixels = np.clip(pixels, 0, (width - 1, height - 1))
+    aligned = name not in ("pyramid_500", TILTED)
+    bounds = {0.9: 1e-12 if aligned else 1e-9, 0.99: 1e-11 if aligned else 1e-9, 1.0: 1e-5}
+    counted = dict.fromkeys(bounds, 0)
+    for u, v in pixels.tolist():
+        seen = follow_pixel(where, float(u), float(v))
+        assert made.branches[made.branch[v, u]] == seen.branch
+        assert (made.status[v, u] == RayStatus.RECOVERED) == (seen.status == "recovered")
+        if seen.status != "recovered" or abs(seen.direction[2]) < 0.05:
+            continue
+        place = next(limit for limit in bounds if seen.worst <= limit)
+        x, y = made.plane_mm[v, u].tolist()
+        assert mpmath.hypot(seen.x - mpf(x), seen.y - mpf(y)) <= bounds[place]
+        counted[place] += 1
+    assert min(counted.values()) >= 5
+
+
+@pytest.mark.parametrize("distance", [1e3, 1e6])
+def test_far_cameras(distance: float) -> None:
+    """A unit in the last place of a slanted direction, at that distance, is what the map may be off."""
+    height = 25.0 * distance
+    camera = camera_at((0.0, 0.0, height), focal_px=4.0 / 3.0 * height, sensor_px=(96, 96))
+    where = Scene(camera, (ball("near", 0.0, 0.0, 25.0, 25.0), ball("far", 0.0, 0.0, 75.0, 25.0)))
+    made = build_ray_map(where)
+    for u, v in np.random.default_rng(1).integers(0, 96, (150, 2)).tolist():
+        seen = follow_pixel(where, float(u), float(v))
+        if seen.worst > 0.9:
+            continue
+        assert made.branches[made.branch[v, u]] == seen.branch
+        x, y = made.plane_mm[v, u].tolist()
+        assert mpmath.hypot(seen.x - mpf(x), seen.y - mpf(y)) <= 10.0 * height * 2.0**-52
 
 
 @pytest.mark.parametrize("seed", range(24))
