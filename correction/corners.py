@@ -19,7 +19,7 @@ from correction.kernels import corner_fit
 from correction.resample import checked_frame
 from tracer.rows import run_rows
 
-WINDOW = 0.45  # half length of the arms in squares; see docs of `refine_corners` for the measurement
+WINDOW = 0.45  # half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
 ARM = 0.15  # half width of the arms in squares, clear of discs of up to half a square
 LEAST_PX = 4.0  # smallest half window: below, twelve numbers are not worth fitting
 SATURATED_LEVELS = (255, 1023, 4095, 16383, 65535, 65520)  # full scale of 8, 10, 12, 14, 16 bit, 12 in 16 bit

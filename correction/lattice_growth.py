@@ -87,9 +87,11 @@ def _sign(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> int:
     bright = edges[0] + edges[1]
     bright = bright / np.hypot(*bright)
     # The bisector of the axes is compared in length-free form, so sheared squares count as well.
-    return 1 if abs(bright @ (one + two)) * np.hypot(*(one - two)) > abs(bright @ (one - two)) * np.hypot(
-        *(one + two)
-    ) else -1
+    return (
+        1
+        if abs(bright @ (one + two)) * np.hypot(*(one - two)) > abs(bright @ (one - two)) * np.hypot(*(one + two))
+        else -1
+    )
 
 
 def _seeds(saddles: Saddles, tree: cKDTree) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -117,9 +119,7 @@ def _seeds(saddles: Saddles, tree: cKDTree) -> tuple[NDArray[np.float64], NDArra
     return axes, good
 
 
-def _grow(
-    saddles: Saddles, tree: cKDTree, seed: int, axes: NDArray[np.float64], free: NDArray[np.bool_]
-) -> Patch:
+def _grow(saddles: Saddles, tree: cKDTree, seed: int, axes: NDArray[np.float64], free: NDArray[np.bool_]) -> Patch:
     """Grow one patch from a seed; corners taken are no longer free."""
     sign = _sign(saddles.edges[seed], axes)
     found: dict[Index, tuple[int, NDArray[np.float64], int]] = {}
@@ -128,7 +128,9 @@ def _grow(
         free[seed] = False
     frontier = list(found)
     while frontier:
-        steps = [(at, step) for at in frontier for step in STEPS if (at[0] + step[0], at[1] + step[1]) not in found]
+        steps = [
+            (at, step) for at in frontier for step in STEPS if (at[0] + step[0], at[1] + step[1]) not in found
+        ]
         frontier = []
         if not steps:
             break

@@ -61,7 +61,9 @@ class Chessboard:
             raise BoardError("the origin needs at least two discs, each in a square of its own")
         shapes = {self._shape(turn) for turn in QUARTER_TURNS}
         if len(shapes) < len(QUARTER_TURNS):
-            raise BoardError("the discs look the same after a turn of the board; place them so that no turn repeats")
+            raise BoardError(
+                "the discs look the same after a turn of the board; place them so that no turn repeats"
+            )
 
     def _shape(self, turn: tuple[Square, Square]) -> frozenset[tuple[int, int, bool]]:
         """Disc squares after a turn, relative to their lowest column and row, with their shade."""
