@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from daq.camera import CameraInfo, Counters, Setting
 from daq.cameras.aravis_nodes import AravisNodes
+from daq.cameras.formats import pixel_format
 from daq.cameras.gvcp_probe import is_controlled, local_address
 from daq.cameras.ids import IdTracker
 from daq.cameras.libaravis import CHECK_ENABLED, STATUS_SUCCESS, AravisError, call, functions
-from daq.cameras.pixels import pixel_format, unpack, warm_up
+from daq.cameras.pixels import unpack, warm_up
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.errors import CameraBusy, CameraError, CameraLost, CameraTimeout, CameraUsageError, FrameError

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from daq.camera import CameraInfo, Counters, Setting
+from daq.cameras.formats import pixel_format
 from daq.cameras.ids import IdTracker
-from daq.cameras.pixels import pixel_format
 from daq.cameras.ring import FrameRing
 from daq.cameras.wire import Message, raise_error, receive, send
 from daq.errors import CameraError, CameraLost, CameraSetupError, CameraTimeout, CameraUsageError, FrameError
@@ -106,7 +106,7 @@ class HarvestersCamera:
         return values
 
     def arm(self, buffers: int = 24) -> None:
-        """Allocate `buffers` frames of shared memory and start the acquisition."""
+        """Allocate `buffers` frames of shared memory, as many raw ones, and start the acquisition."""
         self._require_disarmed()
         values = self.settings()
         try:
@@ -119,7 +119,7 @@ class HarvestersCamera:
         self._counts = {}
         self._delivered = self._dropped = 0
         try:
-            self._call("arm", ring=ring.name, slots=buffers, pixels=pixels)
+            self._call("arm", OPEN_S, ring=ring.name, slots=buffers, pixels=pixels)
         except CameraError:
             ring.close()
             raise

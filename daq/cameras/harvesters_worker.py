@@ -20,14 +20,14 @@ from genicam import genapi, gentl
 from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
 
 from daq.camera import Setting
-from daq.cameras.pixels import pixel_format, unpack, warm_up
+from daq.cameras.formats import pixel_format
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.cameras.wire import Message, pack_error, receive, send
 from daq.errors import CameraBusy, CameraError, CameraLost, CameraSetupError, FrameError, SettingRefused
 
 FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
-PRODUCER_BUFFERS = 8
+MIN_PRODUCER_BUFFERS = 3
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 
 
@@ -115,6 +115,7 @@ class Worker:
         self._underrun_before = 0
         self._counts_triggers = False
         self._exposure_us = float("nan")
+        self._unpack: Callable[..., Any]
         self._calls: dict[str, Callable[..., Any]] = {
             "open": self._open,
             "configure": self._configure,
@@ -213,7 +214,10 @@ class Worker:
         return values
 
     def _arm(self, ring: str, slots: int, pixels: int) -> Message:
+        from daq.cameras.pixels import unpack, warm_up  # loads compiled kernels: not before they are needed
+
         assert self._acquirer is not None
+        self._unpack = unpack
         self._ring = FrameRing(slots, pixels, ring)
         self._free = deque(range(slots))
         nodes = self._nodes
@@ -222,7 +226,8 @@ class Worker:
         self._incomplete.count = 0
         warm_up()
         try:
-            self._acquirer.num_buffers = PRODUCER_BUFFERS
+            # As many raw frames again: they bridge the time in which the system lets this process wait.
+            self._acquirer.num_buffers = max(MIN_PRODUCER_BUFFERS, slots)
             self._acquirer.start()
         except BaseException:
             self._drop_ring()
@@ -248,7 +253,7 @@ class Worker:
         try:
             form = pixel_format(int(buffer.pixel_format))
             raw = np.frombuffer(buffer.raw_buffer, np.uint8)[: _delivered_bytes(buffer)]
-            image = unpack(raw, form, buffer.width, buffer.height, _padding(buffer), self._ring.slot(slot))
+            image = self._unpack(raw, form, buffer.width, buffer.height, _padding(buffer), self._ring.slot(slot))
             message = {"frame": slot, "height": image.shape[0], "width": image.shape[1], "format": form.name}
         except FrameError as error:
             self._free.append(slot)

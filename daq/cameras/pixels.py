@@ -1,58 +1,16 @@
-"""Pixel formats: what bytes a frame needs and how they become grey values.
+"""Camera bytes to grey values.
 
 Sizes come from the wire and are never trusted: a frame is unpacked only after its bytes were counted.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.cameras.formats import FORMATS, PixelFormat
 from daq.errors import FrameError
 from daq.kernels.unpack import unpack_8, unpack_12p, unpack_12packed, unpack_16
 
 MAX_SIDE_PX = 1 << 16
-
-
-@dataclass(frozen=True, slots=True)
-class PixelFormat:
-    """One format: SFNC name, PFNC code, bits a pixel takes on the wire, bits it can use."""
-
-    name: str
-    code: int
-    wire_bits: int
-    significant_bits: int
-
-
-FORMATS = {
-    entry.name: entry
-    for entry in (
-        PixelFormat("Mono8", 0x01080001, 8, 8),
-        PixelFormat("Mono10", 0x01100003, 16, 10),
-        PixelFormat("Mono12", 0x01100005, 16, 12),
-        PixelFormat("Mono12p", 0x010C0047, 12, 12),
-        PixelFormat("Mono12Packed", 0x010C0006, 12, 12),
-        PixelFormat("Mono16", 0x01100007, 16, 16),
-    )
-}
-BY_CODE = {entry.code: entry for entry in FORMATS.values()}
-
-
-def pixel_format(name_or_code: str | int) -> PixelFormat:
-    """Look a format up by SFNC name or PFNC code.
-
-    Raises
-    ------
-    FrameError
-        If this format cannot be unpacked; set PixelFormat to one of `FORMATS`.
-    """
-    found = FORMATS.get(name_or_code) if isinstance(name_or_code, str) else BY_CODE.get(name_or_code)
-    if found is None:
-        shown = name_or_code if isinstance(name_or_code, str) else hex(name_or_code)
-        raise FrameError(
-            f"pixel format {shown} cannot be unpacked; set PixelFormat to one of {', '.join(FORMATS)}"
-        )
-    return found
 
 
 def warm_up() -> None:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from daq.cameras.pixels import BY_CODE, FORMATS, pixel_format, unpack
+from daq.cameras.formats import BY_CODE, FORMATS, pixel_format
+from daq.cameras.pixels import unpack
 from daq.errors import FrameError
 from daq.kernels import unpack as kernels
 
