@@ -63,7 +63,8 @@ def regions_of(field: VectorField, correction_map: CorrectionMap, scene: Scene) 
     """
     recovered = correction_map.recovered
     branch = np.where(recovered, correction_map.branch[0].astype(np.int64) + 1, 0)
-    columns, rows = np.rint(field.x_px).astype(int), np.rint(field.y_px).astype(int)
+    # An even window lies around x + 1/2: its anchor is the pixel after the centre.
+    columns, rows = np.ceil(field.x_px).astype(int), np.ceil(field.y_px).astype(int)
     size = (field.window_px, field.window_px)
     lowest = cv2.erode(np.where(branch == 0, 65535, branch).astype(np.uint16), np.ones(size, np.uint8))
     highest = cv2.dilate(branch.astype(np.uint16), np.ones(size, np.uint8))

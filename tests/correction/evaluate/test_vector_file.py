@@ -1,0 +1,66 @@
+"""Vectors on disk: read back by a reader of its own, y up, units said."""
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from correction.evaluate.vector_field import VectorField, VectorFlag
+from correction.evaluate.vector_file import write_netcdf, write_vtk
+from correction.grid import PlaneGrid
+
+GRID = PlaneGrid((-10.0, 5.0), 0.1, (100, 120))
+
+
+@pytest.fixture
+def field():
+    shape = (3, 4)
+    values = np.arange(12.0).reshape(shape)
+    flags = np.zeros(shape, np.uint8)
+    flags[0, 0], flags[1, 2] = VectorFlag.MASKED, VectorFlag.REPLACED
+    u = np.where(flags == VectorFlag.MASKED, np.nan, values)
+    return VectorField(
+        x_px=np.array([15.5, 31.5, 47.5, 63.5]),
+        y_px=np.array([15.5, 31.5, 47.5]),
+        u_px=u,
+        v_px=2.0 * u,
+        flags=flags,
+        peak_ratio=values + 1.0,
+        correlation=values / 12.0,
+        sigma_u_px=0.01 * values,
+        sigma_v_px=0.02 * values,
+        valid_fraction=np.ones(shape),
+        window_px=32,
+        step_px=16,
+        nan_pixels=0,
+    )
+
+
+def test_netcdf_holds_mm_with_y_up(tmp_path, field):
+    path = tmp_path / "vectors.nc"
+    write_netcdf(path, field, GRID, {"scene_hash": "abc"})
+    with netcdf_file(path, mmap=False) as file:
+        assert file.dimensions == {"y": 3, "x": 4, "t": 1}
+        assert np.allclose(file.variables["x"][:], -10.0 + 0.1 * field.x_px)
+        assert np.allclose(file.variables["y"][:], 5.0 - 0.1 * field.y_px)
+        u, v = file.variables["u"][:, :, 0], file.variables["v"][:, :, 0]
+        assert np.allclose(u, 0.1 * field.u_px, equal_nan=True)
+        assert np.allclose(v, -0.1 * field.v_px, equal_nan=True)
+        assert file.variables["u"].units == b"mm"
+        assert file.variables["chc"][:, :, 0].tolist() == field.valid.astype(int).tolist()
+        assert file.variables["mask"][0, 0, 0] == 1
+        assert file.scene_hash == b"abc"
+        assert file.Conventions == b"CF-1.8"
+    assert [p.name for p in tmp_path.iterdir()] == ["vectors.nc"]
+
+
+def test_vtk_lists_points_and_vectors(tmp_path, field):
+    path = tmp_path / "vectors.vtk"
+    write_vtk(path, field, GRID)
+    lines = path.read_text().splitlines()
+    assert lines[0].startswith("# vtk DataFile")
+    assert "DIMENSIONS 4 3 1" in lines
+    points = lines[lines.index("POINTS 12 double") + 1 :][:12]
+    assert [float(x) for x in points[5].split()] == pytest.approx([-10.0 + 3.15, 5.0 - 3.15, 0.0])
+    vectors = lines[lines.index("VECTORS displacement double") + 1 :][:12]
+    assert vectors[0].split()[0] == "nan"
+    assert [float(x) for x in vectors[5].split()] == pytest.approx([0.5, -1.0, 0.0])
