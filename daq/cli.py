@@ -27,6 +27,13 @@ def _parser() -> argparse.ArgumentParser:
         "-o", "--out", type=Path, default=Path("trace"), help="folder for pictures (default: trace)"
     )
 
+    calibrate = verbs.add_parser("calibrate", help="the bench's true geometry from frames of its target")
+    calibrate.add_argument("folder", type=Path, metavar="FOLDER", help="holds target_clear.tif, target_glass.tif")
+    calibrate.add_argument("--scene", type=Path, required=True, help="nominal scene.yaml; may have a fit section")
+    calibrate.add_argument("-o", "--out", type=Path, required=True, help="folder for the fitted scene and report")
+    calibrate.add_argument("--square-mm", type=float, default=2.5, help="square of the target (default 2.5)")
+    calibrate.add_argument("--disc-mm", type=float, default=1.0, help="disc of the target (default 1.0)")
+
     correct = verbs.add_parser("correct", help="frames as if the glass were not there")
     correct.add_argument(
         "frames", type=Path, nargs="+", metavar="FRAME", help="acquired frames (.tif, .png, .bmp)"

@@ -1,4 +1,4 @@
-"""Which lattice corner does a saddle show, when nothing is known but a rough scene?
+"""Pair saddles with the lattice corners that they show, when nothing is known but a rough scene.
 
 Each candidate is traced to the target with the present scene and paired with the nearest lattice corner OF
 ITS OWN KIND: seen through the local derivative of the trace, the saddle tells whether the square towards +x, +y is

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import build_correction_map
 from correction.corners import CornerFit, refine_corners
+from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
 from correction.target import Chessboard
 from tracer.bodies import Body, Rod
@@ -23,7 +23,7 @@ from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
 
-LEAST_SQUARE_PX = 8.0  # narrowest view of a square that is worth a corner
+LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
 LARGEST_SQUARE_PX = 600.0
 LAYERS = 3  # sheets on which one corner is looked for
 WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most

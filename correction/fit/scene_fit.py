@@ -17,6 +17,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board_search import SATURATED
+from correction.corners import saturated_fraction
+from correction.errors import FrameError
 from correction.fit.contact import largest_overlap_mm, pushed_apart
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame, whitening
@@ -30,10 +33,10 @@ from tracer.scene import Scene
 from tracer.sensitivity import SPHERE
 
 KNEE = 3.0  # sigmas at which a corner begins to lose its say
-OUTLIER = 6.0  # sigmas at which it has none
+OUTLIER = 5.0  # sigmas at which it has none
 PASSES = 2
 RMS_LIMIT_PX = 0.3
-SHARE_LIMIT = 0.85
+SHARE_LIMIT = 0.75
 OVERLAP_LIMIT_MM = 0.02
 PRIOR_LIMIT = 5.0
 
@@ -197,6 +200,13 @@ class _Fit:
             raise ViewsMissing("a frame of the bare target at z = 0 is needed: it defines the world; take one")
         if nominal.spheres and not self.glass_frames:
             raise ViewsMissing("the scene has spheres but no frame shows the target through them; take one")
+        for frame in frames:
+            share = saturated_fraction(frame.image)
+            if share > SATURATED:
+                raise FrameError(
+                    f"{frame.name}: {100.0 * share:.0f} % of the pixels are saturated, which displaces every edge;"
+                    " expose shorter or close the aperture"
+                )
         self.board, self.say, self.history = board, say, list[str]()
         heights = [f.height_mm for f in frames]
         bare_heights = len({f.height_mm for f in self.bare_frames})
@@ -244,8 +254,8 @@ class _Fit:
                 "camera prior",
                 pull,
                 PRIOR_LIMIT,
-                f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and the camera section of"
-                " the scene, or allow more in its fit section",
+                f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and the camera section"
+                " of the scene, or allow more in its fit section",
             )
 
     def glass(self) -> None:
@@ -282,8 +292,9 @@ class _Fit:
         inside, undisturbed = candidates.inside, candidates.inside & candidates.bare
         if not inside.any() or undisturbed.sum() > 0.9 * inside.sum():
             raise GlassNotSeen(
-                f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the spheres should be lie"
-                " on the bare lattice; give a frame that shows the target through the glass, or correct the scene"
+                f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the spheres should"
+                " be lie on the bare lattice; give a frame that shows the target through the glass, or correct the"
+                " scene"
             )
 
     def measure_glass(self, only_behind: bool) -> None:
@@ -309,11 +320,11 @@ class _Fit:
         solution = self.solve(self.bench, self.bench.free(self.full), measured)
         kept = [self.inliers(self.bench, solution.x, frame) for frame in measured]
         used = [_taken(frame, which) for frame, which in zip(measured, kept, strict=True)]
-        solution = self.solve(self.bench, solution.x, used, knee=1e3)
+        solution = self.solve(self.bench, solution.x, used)
         self.full = self.bench.full(solution.x)
         self.note(f"all together: {self.rms(self.bench, solution, used)}")
         scene, pushed = legal_scene(self.bench, self.full)
-        covariance = np.linalg.inv(solution.normal + np.eye(len(solution.x)))
+        covariance = np.asarray(np.linalg.inv(solution.normal + np.eye(len(solution.x))), dtype=np.float64)
         corners = self.corners(solution.x, measured, kept)
         fit = SceneFit(
             scene,
@@ -332,9 +343,7 @@ class _Fit:
         check(fit)
         return fit
 
-    def solve(
-        self, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame], knee: float = KNEE
-    ) -> Solution:
+    def solve(self, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> Solution:
         """Fit measured corners; then again with the sigmas that their residuals ask for."""
         for _ in range(2):
             data = [self.weighted(frame) for frame in frames]
@@ -342,7 +351,7 @@ class _Fit:
             def evaluate(at: NDArray[np.float64], data: list[Corners] = data) -> list[Residuals]:
                 return [residuals(bench, at, corners) for corners in data]
 
-            solution = minimise(bench, evaluate, x, knee=knee)
+            solution = minimise(bench, evaluate, x, knee=KNEE)
             x = solution.x
             self.rescale(frames, evaluate(x))
         return solution

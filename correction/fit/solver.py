@@ -181,7 +181,7 @@ def _step(
         if not np.any(entered & ~active):
             break
         active |= entered
-    return step, float(-slope @ step)
+    return np.asarray(step, dtype=np.float64), float(-slope @ step)
 
 
 def minimise(

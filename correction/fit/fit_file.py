@@ -1,0 +1,42 @@
+"""Store what a fit found beside its scene: numbers, sigmas, covariance, corners.
+
+``scene.yaml`` is what the tracer reads.  The fit file keeps the rest, for whoever carries uncertainty on:
+the free numbers by name with values and covariance in their own units, and every corner with its residual.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from correction.fit.scene_fit import SceneFit
+from tracer.map_file import save_arrays
+
+KIND = "scene fit"
+
+
+def save_fit(path: Path | str, fit: SceneFit) -> None:
+    """Write a fit, atomically.
+
+    Header: ``names``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``.  Arrays: ``values`` (P,),
+    ``covariance`` (P, P) in the units of the names, ``corner_frame`` (N,), ``corner_index`` (N, 2),
+    ``corner_px``, ``residual_px`` (N, 2), ``behind``, ``inlier`` (N,).
+    """
+    unit, corners = fit.bench.sigma, fit.corners
+    header = {
+        "names": list(fit.names),
+        "scene_hash": fit.scene.content_hash(),
+        "nominal_hash": fit.bench.scene.content_hash(),
+        "frames": list(fit.frames),
+        "history": list(fit.history),
+    }
+    arrays = {
+        "values": fit.values,
+        "covariance": fit.covariance * np.outer(unit, unit),
+        "corner_frame": corners.frame.astype(np.int32),
+        "corner_index": corners.index.astype(np.int32),
+        "corner_px": corners.pixel,
+        "residual_px": corners.residual_px,
+        "behind": corners.behind.astype(np.uint8),
+        "inlier": corners.inlier.astype(np.uint8),
+    }
+    save_arrays(path, KIND, header, {name: np.ascontiguousarray(array) for name, array in arrays.items()})
