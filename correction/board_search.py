@@ -21,11 +21,15 @@ from correction.errors import FrameError, TargetNotFound
 from correction.lattice_growth import STEPS, Patch, grow_patches, lattice_axes
 from correction.resample import checked_frame
 from correction.saddles import find_saddles
+from correction.smooth_lattice import on_smooth_map
 from correction.target import Chessboard
 
 Predict = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 LEAST_BOARD = 12  # corners: the six squares around the discs and a little more
+NEAR_DISCS = 6  # squares around the origin in which discs and prediction are compared
+FURTHEST = 4.0  # squares by which discs may correct a prediction
+MOST_FOREIGN = 0.2  # of the corners may lie off the smooth view of the others
 SATURATED = 0.02  # fraction of pixels at full scale from which edges are displaced
 EXTENSIONS = 2  # rings of corners added around those found
 FAR_SQUARES = 512  # half side of the largest board looked at
@@ -89,10 +93,9 @@ def find_board(image: NDArray[Any], board: Chessboard, mask: NDArray[np.bool_] |
         No lattice, no discs, another board, or a saturated frame; the message says which and the cure.
     """
     frame, patches = _patches(image, mask)
-    for patch in patches:
-        placing = place_by_discs(frame, patch, board)
-        if placing is not None:
-            return _finish(frame, board, [(patch, placing)], mask)
+    marked = _with_discs(frame, patches, board)
+    if marked is not None:
+        return _finish(frame, board, [marked], mask, discs_count=True)
     raise TargetNotFound(
         f"a lattice of {len(patches[0].index)} corners is in the frame, but not the {len(board.discs)} discs that"
         " mark the origin; bring them into view, or give a prediction of the view"
@@ -128,13 +131,11 @@ def track_board(
     if len(index) == 0:
         raise TargetNotFound("the prediction puts no corner of the board into the frame; check the nominal camera")
     placed: list[tuple[Patch, Placing]] = []
-    for patch in patches:
-        placing = place_by_discs(frame, patch, board)
-        if placing is not None:
-            predicted = _corrected(index, predicted, patch, placing)
-            placed = [(patch, placing)]
-            patches = [other for other in patches if other is not patch]
-            break
+    marked = _with_discs(frame, patches, board)
+    if marked is not None and _plausible(index, predicted, *marked):
+        placed = [marked]
+        predicted = _corrected(index, predicted, *marked)
+        patches = [patch for patch in patches if patch is not marked[0]]
     for patch in patches:
         placing = place_by_prediction(patch, index, predicted, board)
         if placing is not None:
@@ -146,7 +147,7 @@ def track_board(
             "the lattice in the frame lies more than half a square from its prediction and no disc is seen; give a"
             " better start, or bring the discs into view"
         )
-    return _finish(frame, board, placed, mask)
+    return _finish(frame, board, placed, mask, discs_count=False)
 
 
 def corners_in_view(
@@ -199,10 +200,25 @@ def _patches(image: NDArray[Any], mask: NDArray[np.bool_] | None) -> tuple[NDArr
 
 
 def _finish(
-    frame: NDArray[Any], board: Chessboard, placed: list[tuple[Patch, Placing]], mask: NDArray[np.bool_] | None
+    frame: NDArray[Any],
+    board: Chessboard,
+    placed: list[tuple[Patch, Placing]],
+    mask: NDArray[np.bool_] | None,
+    discs_count: bool,
 ) -> BoardDetection:
-    """Sub-pixel fit of all placed corners, then of those that their neighbours predict."""
+    """Sub-pixel fit of all placed corners, then of those that their neighbours predict.
+
+    discs_count: the indices hang on the discs alone, so the corners around them must be part of the result.
+    """
     index, start, axes = _claims(placed)
+    smooth = on_smooth_map(index, start, axes)
+    foreign = int(np.count_nonzero(~smooth))
+    if foreign > MOST_FOREIGN * len(index) or (discs_count and not _holds_discs(index[smooth], board)):
+        raise TargetNotFound(
+            f"{foreign} of {len(index)} corners do not lie on one smooth view of the board, as if seen through"
+            " glass; take it away, or mask it and give a prediction of the view"
+        )
+    index, start, axes = index[smooth], start[smooth], axes[smooth]
     known_index, known_axes = np.empty((0, 2), np.int64), np.empty((0, 2, 2))
     position, sigma = np.empty((0, 2)), np.empty((0, 2))
     tried: set[tuple[int, int]] = set()
@@ -228,11 +244,52 @@ def _finish(
         if len(index) == 0:
             break
     refused = refused or {}
+    smooth = on_smooth_map(known_index, position, known_axes)
+    foreign += int(np.count_nonzero(~smooth))
+    known_index, known_axes, position, sigma = (
+        known_index[smooth],
+        known_axes[smooth],
+        position[smooth],
+        sigma[smooth],
+    )
     if len(position) < LEAST_BOARD:
         raise TargetNotFound(f"only {len(position)} corners could be fitted ({refused}); check focus and light")
-    return BoardDetection(
-        board, known_index, position, sigma, known_axes, {r: n for r, n in refused.items() if r != "OK"}
-    )
+    refused = {reason: n for reason, n in refused.items() if reason != "OK"}
+    if foreign:
+        refused["FOREIGN"] = foreign
+    return BoardDetection(board, known_index, position, sigma, known_axes, refused)
+
+
+def _with_discs(frame: NDArray[Any], patches: list[Patch], board: Chessboard) -> tuple[Patch, Placing] | None:
+    """Patch that holds the discs and its placing, if it is a main part of what is seen.
+
+    Discs in a small patch apart from the main lattice are seen through something, or on another board.
+    """
+    for patch in patches:
+        if 2 * len(patch.index) < len(patches[0].index):
+            break
+        placing = place_by_discs(frame, patch, board)
+        if placing is not None:
+            return patch, placing
+    return None
+
+
+def _holds_discs(index: NDArray[np.int64], board: Chessboard) -> bool:
+    """True if all four corners of every disc square are among the corners (N, 2)."""
+    have = {(int(i), int(j)) for i, j in index}
+    return all((i + a, j + b) in have for i, j in board.discs for a in (0, 1) for b in (0, 1))
+
+
+def _plausible(index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, placing: Placing) -> bool:
+    """True if the discs put the board within a few squares of its prediction, and turned as predicted."""
+    place = {(int(i), int(j)): p for (i, j), p in zip(index, predicted, strict=True)}
+    axes = placing.board_axes(patch.axes_px)
+    miss, along = [], []
+    for (i, j), p, own in zip(placing.board_index(patch.index).tolist(), patch.position_px, axes, strict=True):
+        if (i, j) in place and (i + 1, j) in place and max(abs(i), abs(j)) <= NEAR_DISCS:
+            miss.append(np.abs(np.linalg.solve(own, place[i, j] - p)).max())
+            along.append(float(own[:, 0] @ (place[i + 1, j] - place[i, j])) > 0.0)
+    return bool(miss) and float(np.median(miss)) < FURTHEST and float(np.mean(along)) > 0.5
 
 
 def _claims(

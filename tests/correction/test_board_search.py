@@ -195,6 +195,20 @@ def test_supplied_boards_without_and_with_a_start(scene, least, limit_px):
     assert np.array_equal(found.index, tracked.index)
 
 
+@pytest.mark.parametrize("scene", ["one_sphere", "two_spheres"])
+def test_glass_left_in_front_is_never_counted_as_bare_board(scene):
+    path = FRAMES / scene / "target_glass.tif"
+    if not path.exists():
+        pytest.skip(f"supplied frame {scene}/target_glass is not here")
+    image, project = tifffile.imread(path), true_projection(scene)
+    with pytest.raises(TargetNotFound, match=r"glass|discs"):
+        find_board(image, BOARD)
+    found = track_board(image, BOARD, nominal_projection(scene))
+    error = np.abs(found.position_px - project(found.plane_mm)).max(axis=1)
+    assert len(found) > {"one_sphere": 850, "two_spheres": 3700}[scene]
+    assert np.mean(error < 0.2) > 0.99
+
+
 @pytest.mark.parametrize("name", ["target_clear_z-20mm", "target_clear_z+20mm"])
 def test_supplied_z_stack(name):
     path = FRAMES / "two_spheres" / f"{name}.tif"
