@@ -29,6 +29,7 @@ from stages.port import Port
 
 QUIET_S = 0.12  # silence that ends draining
 REPEATS = 3  # times a question is asked
+FENCES = 6  # times a controller is asked to identify itself before it is given up
 
 T = TypeVar("T")
 
@@ -122,7 +123,7 @@ class Controller(ABC):
                 self._suspect = self._stopped = False
                 self._reset_state()
                 self._port.drain(QUIET_S)
-                identity = self._repeated(self._identify)
+                identity = self._agreed(self._identify)
                 if not first_time and identity != self.identity:
                     raise WrongDevice(
                         f"{self.name}: {identity!r} answers where {self.identity!r} was; check the cables"
@@ -317,23 +318,22 @@ class Controller(ABC):
 
     def _resynchronise(self) -> None:
         """Drain, then make the controller identify itself; afterwards no older answer can be under way."""
-        for attempt in range(REPEATS):
+        identity = self.identity
+        for _ in range(FENCES):
             self._drained(self.port.drain(QUIET_S))
             self._suspect = False
             try:
                 identity = self._identify()
+                if not self._suspect and identity == (self.identity or identity):
+                    return
             except (NoReply, ProtocolViolation):
-                self._suspect = True
-                if attempt == REPEATS - 1:
-                    raise
-                continue
-            if identity != self.identity:
-                self._suspect = True
-                raise WrongDevice(
-                    f"{self.name}: {identity!r} answers where {self.identity!r} was; check the cables"
-                )
-            if not self._suspect:
-                return
+                identity = self.identity
+            self._suspect = (
+                True  # late answers to earlier fences, or the rest of a damaged one before the identity
+            )
+        if identity != self.identity:
+            raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
+        raise NoReply(f"{self.name} gives no clear answer; is it switched on, is the cable good?")
 
     def _repeated(self, ask: Callable[[], T]) -> T:
         """Ask a question again when its answer was late or damaged; never for commands that move."""

@@ -15,6 +15,7 @@ from stages.protocols import pi_gcs2 as gcs
 
 HELP = "CSV? *IDN? SAI? SVO SVO? FRF FRF? MOV MVR MOV? POS? ONT? VEL VEL? ACC DEC TMN? TMX? HLT STP ERR? HLP?"
 ON_SWITCH = 216
+REFERENCE_MM_S = 20.0  # a parameter of its own, not VEL
 
 
 class _Axis:
@@ -49,7 +50,7 @@ class _Axis:
         self.referenced = False
         if self.motor.closed("index"):
             self.referencing = "down"
-            self.go(float("-inf"), self.speed_mm_s)
+            self.go(float("-inf"), REFERENCE_MM_S)
         else:
             self._up()
 
@@ -76,7 +77,7 @@ class _Axis:
 
     def _up(self) -> None:
         self.referencing = "up"
-        self.go(float("inf"), self.speed_mm_s / 10.0)
+        self.go(float("inf"), REFERENCE_MM_S / 10.0)
 
     def _fail(self, error: int) -> None:
         self.motor.halt()

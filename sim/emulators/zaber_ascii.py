@@ -29,12 +29,14 @@ class _Axis:
         self.flags = {"WR"}
         self.phase = "rest"
         self._say = say
+        screw = motor.mechanics
         self.settings = {
             "maxspeed": 153_600,
             "accel": 205,
             "limit.min": 0,
-            "limit.max": 10_000_000,
+            "limit.max": int((screw.high_switch_mm - screw.low_switch_mm) / screw.lead_mm * screw.steps_per_rev),
             "resolution": 64,
+            "limit.approach.maxspeed": 100_000,
         }
 
     @property
@@ -45,8 +47,8 @@ class _Axis:
     def flag(self) -> str:
         return next((flag for flag in RANK if flag in self.flags), "--")
 
-    def speed(self) -> float:
-        return self.settings["maxspeed"] / 1.6384
+    def speed(self, setting: str = "maxspeed") -> float:
+        return self.settings[setting] / 1.6384
 
     def ramp(self) -> float:
         return self.settings["accel"] * 10_000 / 1.6384 if self.settings["accel"] else 1e9
@@ -57,7 +59,7 @@ class _Axis:
             self._leave_sensor()
         else:
             self.phase = "to sensor"
-            self.motor.go(float("-inf"), self.speed(), self.ramp())
+            self.motor.go(float("-inf"), self.speed("limit.approach.maxspeed"), self.ramp())
 
     def move(self, position: float) -> None:
         self.phase = "move"
@@ -91,7 +93,7 @@ class _Axis:
 
     def _leave_sensor(self) -> None:
         self.phase = "off sensor"
-        self.motor.go(float("inf"), self.speed() / 20, self.ramp())
+        self.motor.go(float("inf"), self.speed("limit.approach.maxspeed") / 20, self.ramp())
 
     def _end(self, flags: set[str]) -> None:
         self.motor.halt()

@@ -59,7 +59,7 @@ class GrblController(Controller):
     def start_home(self, channel: str) -> None:
         """Begin to home every axis; the answer comes at the end."""
         with self._lock:
-            if self._settings.get(HOMING_ENABLED) == 0:
+            if self._settings[HOMING_ENABLED] == 0:
                 raise StageUsageError(f"{self.name}: homing is switched off; set $22=1 on the board")
             self._referenced.clear()
             if self._alarm is not None:
@@ -127,14 +127,12 @@ class GrblController(Controller):
         return self._converse(grbl.Line("$I").to_bytes(), accept)
 
     def _set_up(self) -> None:
-        self._settings = self._repeated(self._read_settings)
-        if self._settings.get(REPORT_INCHES):
+        self._settings = self._agreed(self._read_settings)
+        if self._settings[REPORT_INCHES]:
             raise WrongDevice(f"{self.name} reports inches; set $13=0 on the board")
         for channel in self._channels.values():
             number = STEPS + AXES.index(channel.name)
-            own = self._settings.get(number)
-            if own is None:
-                raise WrongDevice(f"{self.name} has no setting ${number}; is it Grbl 1.1?")
+            own = self._settings[number]
             if channel.steps_per_mm is not None and abs(own - channel.steps_per_mm) > 1e-3 * own:
                 raise WrongDevice(
                     f"{self.name} {channel.name}: ${number} is {own:g} steps/mm, the bench file says "
@@ -150,7 +148,8 @@ class GrblController(Controller):
             return True if isinstance(answer, grbl.Ok) else None
 
         self._transact(grbl.Line("$$").to_bytes(), accept, timeout_s=2.0)
-        if STEPS not in found:
+        needed = (group + AXES.index(name) for group in (STEPS, RATE, ACCELERATION) for name in self._channels)
+        if not {HOMING_ENABLED, REPORT_INCHES, *needed} <= found.keys():
             self._suspect = True
             raise ProtocolViolation(f"{self.name}: the list of settings is not complete")
         return found

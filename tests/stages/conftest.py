@@ -1,0 +1,85 @@
+"""A bench of two axes on one controller, for any driver, with its simulated world."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import pytest
+
+from sim.clock import VirtualClock
+from sim.emulators.line import Line
+from sim.faults_serial import FaultSchedule
+from sim.stage_bench import SimAxisTable, SimulatedStages
+from stages.config import StagesTable
+from stages.drivers import DRIVERS
+from stages.stage import Stage
+from tests.stages.benches import stages_table
+
+
+class HookedClock(VirtualClock):
+    """A virtual clock that calls something when a moment has come."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.hooks: list[tuple[float, Callable[[], None]]] = []
+
+    def at(self, time_s: float, action: Callable[[], None]) -> None:
+        self.hooks.append((time_s, action))
+
+    def sleep_s(self, duration_s: float) -> None:
+        super().sleep_s(duration_s)
+        due = [hook for hook in self.hooks if hook[0] <= self.now_s()]
+        self.hooks = [hook for hook in self.hooks if hook not in due]
+        for _, action in due:
+            action()
+
+
+@dataclass
+class Bench:
+    """Stage, world and clock of a test."""
+
+    stage: Stage
+    world: SimulatedStages
+    clock: HookedClock
+    line: Line
+    table: StagesTable
+    opened: list[Stage] = field(default_factory=list)
+
+    @property
+    def controller(self):
+        return self.stage.controllers["box"]
+
+    def again(self) -> Stage:
+        """A new program on the same devices."""
+        self.stage.close()
+        self.stage = Stage.open(self.table, self.clock)
+        self.opened.append(self.stage)
+        return self.stage
+
+
+@pytest.fixture
+def bench():
+    """Factory of benches; every stage is closed at the end."""
+    made: list[Bench] = []
+
+    def make(driver: str, faults=(), seed: int = 0, backlash_um: float = 50.0, sim=None, **changes) -> Bench:
+        clock = HookedClock()
+        table = stages_table(driver, **changes)
+        mechanics = {name: SimAxisTable(backlash_um=backlash_um, **(sim or {})) for name in table.axes}
+        schedule = faults if isinstance(faults, FaultSchedule) else FaultSchedule(faults, seed)
+        world = SimulatedStages(table, clock, mechanics, {"box": schedule})
+        table = world.put_up(f"test{len(made)}_")
+        stage = Stage(table, clock)
+        result = Bench(stage, world, clock, world.lines["box"], table, [stage])
+        made.append(result)
+        stage.connect("box")
+        return result
+
+    yield make
+    for result in made:
+        for stage in result.opened:
+            stage.close()
+
+
+def pytest_generate_tests(metafunc):
+    if "driver" in metafunc.fixturenames:
+        metafunc.parametrize("driver", DRIVERS)

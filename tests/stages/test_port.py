@@ -1,0 +1,172 @@
+"""The port on real pseudo-terminals: unplugging, sharing, deadlines, threads."""
+
+import subprocess
+import sys
+import threading
+import time
+from contextlib import ExitStack
+
+import pytest
+
+from sim.clock import ScaledClock
+from sim.stage_bench import SimAxisTable, SimulatedStages
+from stages.axis import AxisState
+from stages.clock import SYSTEM_CLOCK
+from stages.errors import DeviceLost, MotionStopped, NoReply, NotReferenced, PortUnavailable, StageError
+from stages.port import Port
+from stages.stage import Stage
+from tests.stages.benches import stages_table
+
+SPEED = 25.0  # the simulated world runs that much faster than the wall clock
+
+
+@pytest.fixture
+def served():
+    """Factory: the stages of a driver behind a device file, the world running by itself."""
+    with ExitStack() as stack:
+
+        def make(driver: str, speed: float = SPEED) -> tuple[Stage, SimulatedStages]:
+            table = stages_table(driver)
+            world = SimulatedStages(
+                table, ScaledClock(speed), {name: SimAxisTable(backlash_um=50.0) for name in "ab"}
+            )
+            stage = stack.enter_context(Stage.open(stack.enter_context(world.serve())))
+            return stage, world
+
+        yield make
+
+
+def homed(stage):
+    stage.home()
+    stage.move({"a": 40.0})
+
+
+def test_a_device_file_behaves_like_the_controller(served, driver):
+    stage, world = served(driver)
+    homed(stage)
+    datum_mm = world.true_mm("a")
+    for target_mm in (42.0, 41.0):
+        stage.move({"a": target_mm})
+        assert world.true_mm("a") - datum_mm == pytest.approx(target_mm - 40.0, abs=0.010)
+
+
+def test_pulled_out_in_motion(served, driver):
+    """Error within half a second, position unknown, absolute moves refused."""
+    stage, world = served(driver, speed=1.0)
+    stage.axis("a").trust_reference()
+    stage.axis("a").controller._referenced.add(stage.axis("a").settings.channel)  # homing would take its real time
+    line = world.lines["box"]
+    if driver in ("isel_dnc", "pi_gcs2", "grbl"):  # these refuse to move unreferenced: make the world agree
+        reference(world, driver)
+    pulled = []
+
+    def pull():
+        pulled.append(time.monotonic())
+        line.unplug()
+
+    timer = threading.Timer(0.4, pull)
+    timer.start()
+    with pytest.raises(DeviceLost, match="plug it in"):
+        stage.move({"a": 110.0})
+    assert time.monotonic() - pulled[0] <= 0.5
+    assert stage.axis("a").state is AxisState.LOST
+    with pytest.raises(DeviceLost):
+        stage.move({"a": 50.0})
+    assert stage.where_mm()["a"] is None
+    timer.join()
+
+
+def reference(world, driver):
+    """Reference the emulated firmware without the travel."""
+    emulator = world.lines["box"].emulator
+    if driver == "isel_dnc":
+        emulator.feed(b"@0n3\r")
+    elif driver == "pi_gcs2":
+        for axis in emulator._axes.values():
+            axis.servo = axis.referenced = True
+    else:
+        emulator.feed(b"$X\n")
+        emulator._zero = dict.fromkeys(emulator._zero, 45_000)
+    emulator.said()
+
+
+def test_stop_from_another_thread_gets_through(served, driver):
+    stage, world = served(driver)
+    homed(stage)
+    threading.Timer(0.1, stage.stop).start()
+    begun_s = time.monotonic()
+    with pytest.raises(MotionStopped):
+        stage.move({"a": 110.0})
+    assert time.monotonic() - begun_s < 3.0
+    time.sleep(0.05)
+    rests_mm = world.true_mm("a")
+    time.sleep(0.1)
+    assert world.true_mm("a") == rests_mm < 109.0
+
+
+def test_a_second_process_is_refused(served):
+    stage, _ = served("zaber_ascii")
+    path = stage.controllers["box"].port.url
+    script = "import sys; from stages.port import Port; Port(sys.argv[1], 115200)"
+    other = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, timeout=60)
+    assert other.returncode != 0
+    assert "in use by another process" in other.stderr
+    homed(stage)
+
+
+def test_a_port_that_is_not_there_says_so():
+    with pytest.raises(PortUnavailable, match="does not exist"):
+        Port("/dev/ttyNOBODY", 9600)
+    with pytest.raises(PortUnavailable, match="does not exist"):
+        Port("sim://nobody", 9600)
+    with pytest.raises(PortUnavailable):
+        Port("nonsense://x", 9600)
+
+
+def test_reading_ends_at_its_deadline():
+    port = Port("loop://", 9600)
+    begun_s = time.monotonic()
+    with pytest.raises(NoReply):
+        port.read(SYSTEM_CLOCK.now_s() + 0.1)
+    assert 0.08 < time.monotonic() - begun_s < 1.0
+    port.write(b"abc")
+    assert port.read(SYSTEM_CLOCK.now_s() + 1.0).startswith(b"a")
+    port.write(b"def")
+    assert port.drain(0.05).endswith(b"def")
+    assert port.trace[0].sent
+    port.close()
+    with pytest.raises(DeviceLost):
+        port.write(b"x")
+
+
+@pytest.mark.parametrize("failure", [OSError(5, "EIO"), "termios", "serial", TypeError("closed")])
+def test_every_way_to_vanish_is_one_error(mocker, failure):
+    import termios
+
+    import serial
+
+    error = {"termios": termios.error(5, "EIO"), "serial": serial.SerialException("gone")}.get(
+        failure if isinstance(failure, str) else "", failure
+    )
+    port = Port("loop://", 9600)
+    mocker.patch.object(type(port._serial), "in_waiting", property(mocker.Mock(side_effect=error)))
+    with pytest.raises(DeviceLost, match="loop://"):
+        port.pending()
+    assert port.lost
+    mocker.stopall()
+    with pytest.raises(DeviceLost):  # once lost, lost
+        port.write(b"x")
+    port.close()
+
+
+def test_the_driver_of_nobody_gives_up_in_time():
+    table = stages_table("pi_gcs2")
+    stage = Stage(table)
+    controller = stage.controllers["box"]
+    begun_s = time.monotonic()
+    with pytest.raises(StageError):
+        controller.connect("loop://")  # answers everything with an echo
+    assert time.monotonic() - begun_s < 10.0
+    assert controller.lost
+    with pytest.raises((DeviceLost, NotReferenced)):
+        stage.move({"a": 50.0})
