@@ -209,6 +209,7 @@ def test_glass_left_in_front_is_never_counted_as_bare_board(scene):
     assert np.mean(error < 0.2) > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["target_clear_z-20mm", "target_clear_z+20mm"])
 def test_supplied_z_stack(name):
     path = FRAMES / "two_spheres" / f"{name}.tif"
