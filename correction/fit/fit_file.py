@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from correction.fit.scene_fit import SceneFit
+from correction.fit.result import SceneFit
 from tracer.map_file import save_arrays
 
 KIND = "scene fit"

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap, build_correction_map
-from correction.fit.scene_fit import SceneFit
+from correction.fit.result import SceneFit
 from correction.fit.solver import Corners, free_rates, landed
 from correction.grid import PlaneGrid, grid_of
 from tracer.errors import MapFileError

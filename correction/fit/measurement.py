@@ -1,6 +1,6 @@
 """Corners measured in frames: from the bare target by search, behind glass from the present scene's prediction."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,17 @@ class MeasuredFrame:
 
     def __len__(self) -> int:
         return len(self.index)
+
+    def taken(self, which: NDArray[np.bool_]) -> "MeasuredFrame":
+        """Return the frame with the chosen corners only."""
+        return replace(
+            self,
+            corners=self.corners.take(which),
+            index=self.index[which],
+            behind=self.behind[which],
+            rim_px=self.rim_px[which],
+            sigma_px=self.sigma_px[which],
+        )
 
 
 def whitening(sigma_px: NDArray[np.float64], scale: NDArray[np.float64] | float = 1.0) -> NDArray[np.float64]:

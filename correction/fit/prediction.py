@@ -25,6 +25,7 @@ from tracer.sensitivity import TargetPose
 
 LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
 LARGEST_SQUARE_PX = 600.0
+MOST_UNEQUAL = 5.0  # stretch along to stretch across; above, a fold is so near that no window is affine
 LAYERS = 3  # sheets on which one corner is looked for
 WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most
 RIM_PX = 2  # windows stay this far from the border of their branch
@@ -113,9 +114,12 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
     away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)
     pixel = found.pixel[seen]
+    stretch = np.linalg.svd(axes, compute_uv=False)
+    affine = stretch[:, 0] <= MOST_UNEQUAL * stretch[:, 1]
     at = np.rint(pixel).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64)
-    return Expected(index, pixel, axes, found.branch[seen], rim, found.branches, away > RIM_PX)
+    every = Expected(index, pixel, axes, found.branch[seen], rim, found.branches, away > RIM_PX)
+    return every.take(affine)
 
 
 def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> CornerFit:

@@ -19,7 +19,7 @@ from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.evaluate.target_error import TargetError, target_error
 from correction.fit.prediction import expect
-from correction.fit.scene_fit import FittedCorners, SceneFit
+from correction.fit.result import FittedCorners, SceneFit
 from correction.target import Chessboard
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from correction.fit.scene_fit import SceneFit
+from correction.fit.result import SceneFit
 
 LEARNED = 1.0
 TIED = 0.97

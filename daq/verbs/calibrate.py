@@ -17,7 +17,8 @@ from correction.fit.errors import ViewsMissing
 from correction.fit.fit_file import save_fit
 from correction.fit.map_sigma import MapSigma, map_sigma
 from correction.fit.measurement import TargetFrame
-from correction.fit.scene_fit import SceneFit, fit_scene
+from correction.fit.result import SceneFit
+from correction.fit.scene_fit import fit_scene
 from correction.fit.table2 import Sense1, aligned, computed_against_acquired, corrected_against_grid
 from correction.fit.weakness import Weakness, weaknesses
 from correction.frame_file import FRAME_ENDINGS, read_frame

@@ -1,0 +1,156 @@
+"""From measured corners to estimate and covariance.
+
+Corners weigh by their own sigma, times one factor for each region (direct, behind glass) that makes the
+median residual agree with it: behind glass ghosts and curved edges add errors that no single window shows.
+Corners beyond OUTLIER sigmas are put aside and reported; those beyond KNEE lose their say gradually.  The
+covariance is (N + 1)^-1 in units of the prior's sigmas, N the normal matrix of the corners used.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.contact import largest_overlap_mm, pushed_apart
+from correction.fit.measurement import MeasuredFrame, whitening
+from correction.fit.result import FittedCorners, SceneFit
+from correction.fit.solver import Corners, Residuals, Solution, minimise, normal_equations, residuals
+from correction.fit.unknowns import Bench
+from tracer.scene import Scene
+from tracer.sensitivity import SPHERE
+
+KNEE = 3.0  # sigmas at which a corner begins to lose its say
+OUTLIER = 5.0  # sigmas at which it has none
+FULL_SAY = 1e6
+ENOUGH = 20  # corners from which a region's sigma can be judged
+
+
+class Adjustment:
+    """Weighs measured corners and fits them; keeps the factor of each region's sigma between fits."""
+
+    def __init__(self) -> None:
+        self.scales = {False: 1.0, True: 1.0}
+
+    def solve(self, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> Solution:
+        """Fit measured corners; then again with the sigmas that their residuals ask for."""
+        for _ in range(2):
+            data = [self.weighted(frame) for frame in frames]
+
+            def evaluate(at: NDArray[np.float64], data: list[Corners] = data) -> list[Residuals]:
+                return [residuals(bench, at, corners) for corners in data]
+
+            solution = minimise(bench, evaluate, x, knee=KNEE)
+            x = solution.x
+            self.rescale(frames, evaluate(x))
+        return solution
+
+    def weighted(self, frame: MeasuredFrame) -> Corners:
+        """Corners with their present sigmas."""
+        scale = np.where(frame.behind, self.scales[True], self.scales[False])
+        return replace(frame.corners, whiten=whitening(frame.sigma_px, scale))
+
+    def rescale(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> None:
+        """Let the median residual of each region be what its sigmas say (Rayleigh: median r^2 = 2 ln 2)."""
+        square = np.concatenate([(part.value**2).sum(axis=1) for part in parts])
+        behind = np.concatenate([frame.behind for frame in frames])
+        for region in (False, True):
+            chosen = square[(behind == region) & np.isfinite(square)]
+            if len(chosen) > ENOUGH:
+                self.scales[region] *= float(np.sqrt(np.median(chosen) / (2.0 * np.log(2.0))))
+
+    def reprojection(
+        self, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
+    ) -> NDArray[np.float64]:
+        """Residuals (N, 2) in raw px."""
+        eye = [replace(f.corners, whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
+        return np.concatenate([residuals(bench, x, corners).value for corners in eye])
+
+    def rms(self, bench: Bench, solution: Solution, frames: Sequence[MeasuredFrame]) -> str:
+        """Median distance and rms within the outlier limit, in words."""
+        off = np.linalg.norm(self.reprojection(bench, solution.x, frames), axis=1)
+        middle = float(np.nanmedian(off))
+        near = off[off < OUTLIER * middle]
+        per_axis = float(np.sqrt(np.mean(near**2) / 2.0))
+        return f"rms {per_axis:.3f} px per axis, {len(off) - len(near)} beyond {OUTLIER:g} sigma"
+
+    def inliers(self, bench: Bench, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:
+        """Corners within OUTLIER sigmas."""
+        value = residuals(bench, x, self.weighted(frame)).value
+        return np.asarray(np.linalg.norm(value, axis=1) < OUTLIER)  # False for NaN
+
+    def corners(
+        self,
+        bench: Bench,
+        x: NDArray[np.float64],
+        measured: Sequence[MeasuredFrame],
+        kept: Sequence[NDArray[np.bool_]],
+    ) -> FittedCorners:
+        """Every corner with its residual."""
+        return FittedCorners(
+            np.concatenate([np.full(len(frame), number) for number, frame in enumerate(measured)]),
+            np.concatenate([frame.index for frame in measured]),
+            np.concatenate([frame.corners.pixel for frame in measured]),
+            self.reprojection(bench, x, measured),
+            np.concatenate([frame.behind for frame in measured]),
+            np.concatenate(list(kept)),
+            np.concatenate([frame.rim_px for frame in measured]),
+        )
+
+    def estimate(
+        self, bench: Bench, full: NDArray[np.float64], measured: Sequence[MeasuredFrame], history: Sequence[str]
+    ) -> SceneFit:
+        """Fit everything that is free to everything measured, starting from a full vector (F,).
+
+        Parameters
+        ----------
+        bench : Bench
+            What is free.
+        full : (F,) float64
+            Start.
+        measured : sequence of MeasuredFrame
+            All frames.
+        history : sequence of str
+            What happened before.
+        """
+        solution = self.solve(bench, bench.free(full), measured)
+        kept = [self.inliers(bench, solution.x, frame) for frame in measured]
+        used = [frame.taken(which) for frame, which in zip(measured, kept, strict=True)]
+        solution = self.solve(bench, solution.x, used)
+        # The loss halves the say of honest corners at the edge of it; their information counts in full.
+        parts = [residuals(bench, solution.x, self.weighted(frame)) for frame in used]
+        _, _, normal = normal_equations(bench, solution.x, parts, FULL_SAY)
+        scene, pushed = legal_scene(bench, bench.full(solution.x))
+        corners = self.corners(bench, solution.x, measured, kept)
+        return SceneFit(
+            scene,
+            bench,
+            solution.x,
+            np.asarray(np.linalg.inv(normal + np.eye(len(solution.x))), dtype=np.float64),
+            normal,
+            tuple(frame.name for frame in measured),
+            corners,
+            sum(frame.expected_behind for frame in measured),
+            int(np.count_nonzero(corners.behind & corners.inlier)),
+            _counts(measured),
+            pushed,
+            (*history, f"all together: {self.rms(bench, solution, used)}"),
+        )
+
+
+def legal_scene(bench: Bench, full: NDArray[np.float64]) -> tuple[Scene, float]:
+    """Return the scene of a full vector with overlaps pushed apart, and the largest overlap [mm]."""
+    spheres = bench.spheres(full)
+    overlap = largest_overlap_mm(spheres)
+    moved = np.array(full)
+    moved[bench.glass].reshape(-1, len(SPHERE))[:, :3] = pushed_apart(spheres)[:, :3]
+    return bench.moved(moved), overlap
+
+
+def _counts(frames: Sequence[MeasuredFrame]) -> dict[str, int]:
+    """Sum of the refusals of all frames."""
+    total: dict[str, int] = {}
+    for frame in frames:
+        for reason, count in frame.refused.items():
+            total[reason] = total.get(reason, 0) + count
+    return total

@@ -1,0 +1,137 @@
+"""What a scene fit hands back, and the gates that it must pass."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.errors import FitFailed
+from correction.fit.unknowns import Bench
+from tracer.scene import Scene
+
+RMS_LIMIT_PX = 0.3  # a right fit leaves 0.02-0.07, a wrong one at least several times this
+SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
+OVERLAP_LIMIT_MM = 0.02
+PRIOR_LIMIT = 5.0  # sigmas
+
+
+@dataclass(frozen=True)
+class FittedCorners:
+    """Corners of all frames with their residuals, N in total.
+
+    Parameters
+    ----------
+    frame : (N,) int64
+        Number of the frame in `SceneFit.frames`.
+    index : (N, 2) int64
+        Corner of the board.
+    pixel, residual_px : (N, 2) float64
+        Where it was measured, and measured minus fitted, in raw px.
+    behind, inlier : (N,) bool
+        Seen through glass; used by the fit.
+    rim_px : (N,) float64
+        Distance to the border of the branch.
+    """
+
+    frame: NDArray[np.int64]
+    index: NDArray[np.int64]
+    pixel: NDArray[np.float64]
+    residual_px: NDArray[np.float64]
+    behind: NDArray[np.bool_]
+    inlier: NDArray[np.bool_]
+    rim_px: NDArray[np.float64]
+
+    def rms_px(self, behind: bool) -> NDArray[np.float64]:
+        """Root mean square residual per axis (2,) of the inliers of a region."""
+        chosen = self.inlier & (self.behind == behind)
+        return np.asarray(np.sqrt((self.residual_px[chosen] ** 2).mean(axis=0)))
+
+
+@dataclass(frozen=True)
+class SceneFit:
+    """A fitted scene and how sure it is.
+
+    Parameters
+    ----------
+    scene : Scene
+        The fitted scene.
+    bench : Bench
+        What was free, around the nominal scene.
+    x : (P,) float64
+        The free vector in units of the prior's sigmas.
+    covariance : (P, P) float64
+        Of x.
+    normal : (P, P) float64
+        Normal matrix of the data alone.
+    frames : tuple of str
+        Names of the frames.
+    corners : FittedCorners
+        Every corner.
+    expected_behind, paired_behind : int
+        Corners behind glass that the fitted scene shows, and those measured and used.
+    refused : dict
+        Reason -> corners that could not be measured.
+    pushed_mm : float
+        Overlap removed at the end.
+    history : tuple of str
+        What happened, one line a step.
+    """
+
+    scene: Scene
+    bench: Bench
+    x: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    frames: tuple[str, ...]
+    corners: FittedCorners
+    expected_behind: int
+    paired_behind: int
+    refused: dict[str, int]
+    pushed_mm: float
+    history: tuple[str, ...] = field(default=())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Free numbers."""
+        return self.bench.names
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Fitted values (P,) in the units of their names: mm, rad, px."""
+        full = self.bench.full(self.x)
+        first = np.argmax(self.bench.columns != 0.0, axis=0)
+        return np.asarray(full[first])
+
+    @property
+    def sigmas(self) -> NDArray[np.float64]:
+        """Standard deviations (P,) of `values`."""
+        return np.asarray(self.bench.sigma * np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def share(self) -> float:
+        """Share of the visible corners behind glass that were measured and used."""
+        return self.paired_behind / max(self.expected_behind, 1)
+
+
+def check(fit: SceneFit) -> None:
+    """Hold a fit against its gates.
+
+    Raises
+    ------
+    FitFailed
+        Naming gate, value and limit.
+    """
+    cure = "check that the scene lists every sphere, its radius and glass, and that nothing moved between frames"
+    if fit.corners.behind.any():
+        rms = float(fit.corners.rms_px(behind=True).max())
+        if not rms <= RMS_LIMIT_PX:
+            raise FitFailed("rms behind glass [px]", rms, RMS_LIMIT_PX, cure)
+        if fit.share < SHARE_LIMIT:
+            raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
+    if fit.pushed_mm > OVERLAP_LIMIT_MM:
+        raise FitFailed("overlap of bodies [mm]", fit.pushed_mm, OVERLAP_LIMIT_MM, cure)
+    pull = float(np.abs(fit.x).max(initial=0.0))
+    if pull > PRIOR_LIMIT:
+        name = fit.names[int(np.argmax(np.abs(fit.x)))]
+        text = f"{name} had to move that many of its sigmas; check its value, or allow more in the fit section"
+        raise FitFailed("distance from the prior [sigma]", pull, PRIOR_LIMIT, text)
