@@ -24,19 +24,21 @@ are about to merge (FOLD).
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.grid import PlaneGrid, grid_of
-from correction.kernels.inverse import direct_rows, pixel_tangents, scatter_starts, solve_rows
+from correction.kernels.inverse import direct_rows
+from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
+from correction.kernels.sheets import RUN, code_rows, count_useful, join_runs, list_runs, scatter_sheet
 from correction.node_status import NodeStatus
 from tracer.errors import MapFileError, StaleMap
+from tracer.kernels.chain import BALL
 from tracer.kernels.march import KEY_MASK, next_key
+from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
 from tracer.map_file import load_arrays, save_arrays
 from tracer.ray_map import RayMap
 from tracer.rows import run_rows
@@ -44,6 +46,8 @@ from tracer.scene import Scene
 from tracer.trace import DIRECT, Branch, pack_camera
 
 KIND = "correction map"
+NODES_PER_CALL = 4096  # whole groups, so that threads change no group
+NO_BALLS = np.empty((0, BALL))
 MIN_MAGNIFICATION = 0.5  # one sensor pixel may cover two corrected pixels, not more
 MAX_MAGNIFICATION = 16.0  # within 0.2 corrected pixels of the fold behind a 100 mm ball at L = 250 mm
 
@@ -181,6 +185,7 @@ def build_correction_map(
     layers: int = 1,
     min_magnification: float = MIN_MAGNIFICATION,
     max_magnification: float = MAX_MAGNIFICATION,
+    out: CorrectionMap | None = None,
 ) -> CorrectionMap:
     """Invert the ray map exactly.
 
@@ -196,6 +201,8 @@ def build_correction_map(
         Views kept a node, best first; 1 is the best view only.
     min_magnification, max_magnification : float
         Limits of the local magnification, sensor px per corrected px.
+    out : CorrectionMap, optional
+        An earlier map of this size whose arrays are written again, so that `out` is worth nothing afterwards.
 
     Raises
     ------
@@ -204,7 +211,7 @@ def build_correction_map(
     """
     ray_map.check(scene)
     grid = grid or grid_of(scene.camera)
-    work = _Inversion(scene, ray_map, grid, layers, min_magnification, max_magnification)
+    work = _Inversion(scene, ray_map, grid, layers, (min_magnification, max_magnification), out)
     work.direct()
     work.glass()
     return work.result()
@@ -214,174 +221,168 @@ class _Inversion:
     """The arrays of a correction map while it grows, sheet by sheet."""
 
     def __init__(
-        self, scene: Scene, ray_map: RayMap, grid: PlaneGrid, layers: int, least: float, most: float
+        self,
+        scene: Scene,
+        ray_map: RayMap,
+        grid: PlaneGrid,
+        layers: int,
+        limits: tuple[float, float],
+        out: CorrectionMap | None,
     ) -> None:
         height, width = grid.shape
-        self.ray_map, self.grid, self.limits = ray_map, grid, (least, most)
+        self.scene, self.ray_map, self.grid, self.least = scene, ray_map, grid, limits[0]
         self.size = scene.camera.sensor_px
         self.tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
-        self.numbers = {sphere.name: index for index, sphere in enumerate(scene.spheres)}
+        self.lockstep = fits_lockstep(scene)
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
-        self.status = np.zeros((height, width), np.uint8)
-        self.pixel = np.full((layers, height, width, 2), np.nan)
-        self.jacobian = np.full((layers, height, width, 4), np.nan, np.float32)
-        self.weight = np.zeros((layers, height, width), np.float32)
-        self.transmittance = np.zeros((layers, height, width), np.float32)
-        self.branch = np.zeros((layers, height, width), np.uint16)
+        self.limits = np.array([*limits, *self.size], dtype=np.float64)
+        if out is not None and out.pixel.shape == (layers, height, width, 2):
+            self.status, self.pixel, self.jacobian = out.status, out.pixel, out.jacobian
+            self.weight, self.transmittance, self.branch = out.weight, out.transmittance, out.branch
+            return
+        self.status = np.empty((height, width), np.uint8)
+        self.pixel = np.empty((layers, height, width, 2))
+        self.jacobian = np.empty((layers, height, width, 4), np.float32)
+        self.weight = np.empty((layers, height, width), np.float32)
+        self.transmittance = np.empty((layers, height, width), np.float32)
+        self.branch = np.empty((layers, height, width), np.uint16)
 
     def direct(self) -> None:
-        """Project the nodes that are seen without glass."""
-        width, height = self.size
+        """Project the nodes that are seen without glass, and write every other node for the first time."""
+        height, width = self.grid.shape
+        place, discs = self._node_camera(), sphere_discs(self.tables[1])
+        lens_free = self.scene.camera.lens.is_ideal
+        size = np.array(self.size, dtype=np.float64)
+        maps = (
+            self.status,
+            self.pixel.reshape(len(self.pixel), height, 2 * width),
+            self.jacobian.reshape(len(self.pixel), height, 4 * width),
+            *self._rest(),
+        )
 
         def work(first: int, last: int) -> None:
+            x, y = np.arange(width, dtype=np.float64), np.empty(width)
+            x = (x - place[13]) / place[12]
+            spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
+            scratch = (x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
             direct_rows(
-                *self.tables,
+                place,
+                self.tables,
+                discs,
+                self.lockstep,
+                lens_free,
                 self.grid_numbers,
+                size,
                 first,
                 last,
-                width,
-                height,
-                self.pixel[0],
-                self.jacobian[0],
-                self.status,
+                *scratch,
+                maps,
             )
 
-        run_rows(work, self.grid.shape[0])
-        seen = self.status == NodeStatus.RECOVERED
-        j = self.jacobian[0]
-        area = np.abs(j[..., 0] * j[..., 3] - j[..., 1] * j[..., 2])
-        self.weight[0] = np.where(seen, np.minimum(1.0, area), 0.0)
-        self.transmittance[0] = seen
+        run_rows(work, height)
+
+    def _rest(self) -> tuple[NDArray[Any], ...]:
+        return self.weight, self.transmittance, self.branch
+
+    def _node_camera(self) -> NDArray[np.float64]:
+        """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
+        x, y, z = self.scene.camera.position_mm
+        (x0, y0), pitch = self.grid.origin_mm, self.grid.pitch_mm
+        straight = [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0]
+        return np.array([x, y, z, *straight, z / pitch, (x - x0) / pitch, (y0 - y) / pitch, *[0.0] * 5])
 
     def glass(self) -> None:
-        """Solve every branch that some pixel sees."""
-        rows, columns = np.nonzero((self.ray_map.branch != 0) & self.ray_map.recovered)
-        number = self.ray_map.branch[rows, columns]
-        for taken in np.unique(number):
-            chosen = number == taken
-            self.branch_sheets(int(taken), rows[chosen], columns[chosen])
-
-    def branch_sheets(self, number: int, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> None:
-        """Cut the pixels of one branch into sheets and solve each."""
-        pixels = np.stack((columns, rows), axis=-1)
-        tangents = np.empty((len(pixels), 6))
+        """Cut the sensor into sheets and solve each that is worth it."""
+        height, width = self.ray_map.status.shape
+        plane = self.ray_map.plane_mm.reshape(height, 2 * width)
+        branch, status = self.ray_map.branch, self.ray_map.status
+        code, counts = np.empty((height, width), np.uint32), np.empty(height, np.int64)
+        longest = 2.0 * self.grid.pitch_mm / self.least
 
         def work(first: int, last: int) -> None:
-            pixel_tangents(*self.tables, pixels, first, last, tangents)
+            code_rows(*self.tables, longest, first, last, plane, branch, status, code, counts)
 
-        run_rows(work, len(pixels), block=8192)
-        det = tangents[:, 2] * tangents[:, 5] - tangents[:, 3] * tangents[:, 4]
-        top, left = rows.min(), columns.min()
-        box = np.zeros((rows.max() - top + 1, columns.max() - left + 1), bool)
-        for sign in (-1.0, 1.0):
-            chosen = det * sign > 0.0
-            box[:] = False
-            box[rows[chosen] - top, columns[chosen] - left] = True
-            labels, _ = ndimage.label(box, np.ones((3, 3)))
-            of_pixel = np.where(chosen, labels[rows - top, columns - left], 0)
-            order = np.argsort(of_pixel, kind="stable")
-            cuts = np.searchsorted(of_pixel[order], np.arange(1, of_pixel.max(initial=0) + 2))
-            for first, last in pairwise(cuts):
-                members = order[first:last]
-                self.sheet(number, sign, pixels[members], tangents[members])
-
-    def sheet(self, number: int, sign: float, pixels: NDArray[np.int64], tangents: NDArray[np.float64]) -> None:
-        """Solve the nodes that one sheet may show and keep the best views."""
-        low, high = self._node_box(tangents)
-        if np.any(high <= low):
-            return
-        shape = (int(high[0] - low[0]), int(high[1] - low[1]))
-        start, away = np.empty((*shape, 2)), np.full(shape, np.inf)
-        least, most = self.limits
-        row0, column0 = int(low[0]), int(low[1])
-        scatter_starts(pixels, tangents, self.grid_numbers, row0, column0, 0.5 * least, start, away)
-        pixel, jacobian = np.empty((*shape, 2)), np.empty((*shape, 4), np.float32)
-        quality = np.zeros((*shape, 2), np.float32)
-        status = np.full(shape, NodeStatus.RIM, np.uint8)
-        key = self._key(number)
-        width, height = self.size
-
-        def work(first: int, last: int) -> None:
-            solve_rows(
-                *self.tables,
+        run_rows(work, height)
+        begin = np.concatenate(([0], np.cumsum(counts)))
+        runs = np.empty((int(begin[-1]), RUN), np.int64)
+        run_rows(lambda first, last: list_runs(code, first, last, begin, runs), height)
+        parent, useful = np.empty(len(runs), np.int64), np.zeros(len(runs), np.int64)
+        join_runs(begin, runs, parent)
+        count_useful(code, runs, parent, useful)
+        order = np.argsort(parent, kind="stable")
+        heads = np.nonzero(useful)[0]
+        firsts = np.searchsorted(parent[order], heads)
+        lasts = np.searchsorted(parent[order], heads, side="right")
+        shape = self.grid.shape
+        stamps, away, start = np.zeros(shape, np.int32), np.empty(shape), np.empty((*shape, 2))
+        nodes = np.empty(shape[0] * shape[1], np.int32)
+        # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
+        for stamp, sheet in enumerate(np.lexsort((heads, runs[heads, 3])), start=1):
+            members = runs[order[firsts[sheet] : lasts[sheet]]]
+            found = scatter_sheet(
+                plane,
+                branch,
+                code,
+                members,
+                self.tables,
                 self.grid_numbers,
-                row0,
-                column0,
+                stamp,
+                stamps,
+                away,
+                start,
+                nodes,
+            )
+            if found:
+                self._solve(int(members[0, 3]), start, nodes[:found])
+
+    def _solve(self, code: int, start: NDArray[np.float64], nodes: NDArray[np.int32]) -> None:
+        """Solve the nodes of one sheet and keep the best views."""
+        number, sign = code >> 1, -1.0 if code & 1 else 1.0
+        numbers = {sphere.name: index for index, sphere in enumerate(self.scene.spheres)}
+        sequence = np.array([numbers[name] for name in self.ray_map.branches[number]], np.int64)
+        key = DIRECT
+        for body in sequence.tolist():
+            key = next_key(key, body) & KEY_MASK
+        balls, trip = (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
+        maps = (self.status, self.pixel, self.jacobian, *self._rest())
+
+        def work(first: int, last: int) -> None:
+            scratch = (
+                np.empty(NEWTON_NUMBERS),
+                np.empty(GROUP, np.int64),
+                np.empty((2, GROUP)),
+                np.empty((1, 2), np.int64),
+                np.empty(len(balls), np.int64),
+                *block_scratch(),
+            )
+            solve_nodes(
+                self.tables,
+                self.grid_numbers,
+                balls,
+                sequence,
+                trip,
+                key,
+                number,
+                sign,
+                self.limits,
+                start,
+                nodes,
                 first,
                 last,
-                width,
-                height,
-                key,
-                sign,
-                least,
-                most,
-                start,
-                away,
-                pixel,
-                jacobian,
-                quality,
-                status,
+                *scratch,
+                maps,
             )
 
-        run_rows(work, shape[0])
-        window = (slice(row0, row0 + shape[0]), slice(column0, column0 + shape[1]))
-        self._keep(window, number, pixel, jacobian, quality, status)
-
-    def _key(self, number: int) -> int:
-        """Branch key that the kernels compute for a branch of the ray map."""
-        key = DIRECT
-        for name in self.ray_map.branches[number]:
-            key = next_key(key, self.numbers[name]) & KEY_MASK
-        return key
-
-    def _node_box(self, tangents: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First and last + 1 node (row, column) within reach of a sheet's pixels."""
-        pitch = self.grid.pitch_mm
-        centre = self.grid.to_px(tangents[:, :2])[:, ::-1]
-        reach = np.abs(tangents[:, 2:]).reshape(-1, 2, 2).sum(axis=2)[:, ::-1] / pitch
-        least = 0.5 * self.limits[0]
-        close = reach.max(axis=1) < 4.0 / least  # others see the plane too small to start from
-        if not close.any():
-            return np.zeros(2, np.int64), np.zeros(2, np.int64)
-        low = np.floor((centre - reach)[close].min(axis=0))
-        high = np.ceil((centre + reach)[close].max(axis=0)) + 1
-        limit = np.array(self.grid.shape)
-        return np.clip(low, 0, limit).astype(np.int64), np.clip(high, 0, limit).astype(np.int64)
-
-    def _keep(
-        self,
-        window: tuple[slice, slice],
-        number: int,
-        pixel: NDArray[np.float64],
-        jacobian: NDArray[np.float32],
-        quality: NDArray[np.float32],
-        status: NDArray[np.uint8],
-    ) -> None:
-        """Insert a sheet's views into the layers, best first, and note why the others failed."""
-        view: dict[str, NDArray[Any]] = {
-            "pixel": pixel,
-            "jacobian": jacobian,
-            "transmittance": quality[..., 0],
-            "weight": quality[..., 1],
-            "branch": np.full(status.shape, number, np.uint16),
-        }
-        good = status == NodeStatus.RECOVERED
-        for layer in range(self.pixel.shape[0]):
-            better = good & (view["weight"] > self.weight[layer][window])
-            for name, values in view.items():
-                kept = getattr(self, name)[layer][window]
-                kept[better], values[better] = values[better], kept[better].copy()
-            good = better | (good & (view["weight"] > 0.0))
-        overall = self.status[window]
-        seen = np.isfinite(self.pixel[0][window][..., 0])
-        tried = ~seen & (status != NodeStatus.RIM)
-        overall[tried] = status[tried]
-        overall[seen] = NodeStatus.RECOVERED
+        run_rows(work, len(nodes), block=NODES_PER_CALL)
 
     def result(self) -> CorrectionMap:
         """Return the finished map: weights normalised, nothing finite where there is no view."""
-        total = self.weight.sum(axis=0)
-        self.weight /= np.where(total > 0.0, total, 1.0)
+
+        def work(first: int, last: int) -> None:
+            total = self.weight[:, first:last].sum(axis=0)
+            self.weight[:, first:last] /= np.where(total > 0.0, total, np.float32(1.0))
+
+        run_rows(work, self.grid.shape[0])
         return CorrectionMap(
             self.grid,
             self.status,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tracer.bodies import Sphere
 from tracer.kernels.chain import (
     BALL,
+    BITS,
     RAY_NUMBERS,
     SKIP_LEFT_BEHIND,
     SKIP_SILHOUETTES,
@@ -56,16 +57,13 @@ def trace_lockstep(
     """
     height, width = status.shape
     camera = pack_camera(scene.camera)
-    chain = sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
-    balls = np.array([_constants(sphere, scene) for sphere in chain])
-    flat = scene.camera.lens.is_ideal
+    chain, balls, flat = _chain(scene), pack_chain(scene), scene.camera.lens.is_ideal
     point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
         x, y = np.empty(width), np.empty(width)
         spans, wanted = np.empty((2 * len(chain) + 1, 2), np.int64), np.empty(len(chain), np.int64)
-        rays, trips = _aligned(RAY_NUMBERS, np.float64), _aligned(TRIP_NUMBERS, np.int64)
-        scratch = (x, y, spans, wanted, rays, trips)
+        scratch = (x, y, spans, wanted, *block_scratch())
         chain_rows(
             camera, balls, flat, skips, first, last, *scratch, unknown, point, status, branch
         )
@@ -98,6 +96,36 @@ def _name_unknown(
             branches.append(sequence)
         taken = again.rays["key"] == key
         branch[rows[taken], columns[taken]] = branches.index(sequence)
+
+
+def block_scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Scratch ``rays`` and ``trips`` of one block."""
+    return _aligned(RAY_NUMBERS, np.float64), _aligned(TRIP_NUMBERS, np.int64)
+
+
+def pack_chain(scene: Scene) -> NDArray[np.float64]:
+    """Spheres for ``tracer.kernels.chain`` (N, BALL), from the highest centre down."""
+    return np.array([_constants(sphere, scene) for sphere in _chain(scene)])
+
+
+def chain_trip(scene: Scene, sequence: NDArray[np.int64]) -> int:
+    """Trip of a ray that crosses the spheres of `sequence`, numbers in the sphere table."""
+    chain = _chain(scene)
+    trip = 0
+    for number in sequence.tolist():
+        trip = trip << BITS | (chain.index(scene.spheres[number]) + 1)
+    return trip
+
+
+def sphere_discs(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows of ``balls`` (N, BALL) in the order of a sphere table with all that a silhouette needs."""
+    discs = np.zeros((len(table), BALL))
+    discs[:, :3], discs[:, 3] = table[:, :3], table[:, 3] ** 2
+    return discs
+
+
+def _chain(scene: Scene) -> list[Sphere]:
+    return sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
 
 
 def _aligned(count: int, dtype: type) -> NDArray[Any]:

@@ -6,14 +6,20 @@ are d pixel / d node, four numbers: du/dcolumn, du/drow, dv/dcolumn, dv/drow.
 
 import math
 
+import numpy as np
+
 from correction.node_status import BLOCKED, FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, RIM
-from tracer.kernels._jit import Array, kernel
-from tracer.kernels.camera import ideal_xy, pixel_ray_tangents
-from tracer.kernels.march import ROD, land, march_pixel_tangents, next_body
+from tracer.kernels._jit import Array, kernel, kernel_inlined
+from tracer.kernels.camera import undistorted
+from tracer.kernels.chain import LANES, PICK, begin_block, clear_picks, glass_span, insert_span, look, place_row
+from tracer.kernels.march import RECOVERED as TRACED
+from tracer.kernels.march import ROD, march_pixel_tangents, next_body
 
 MAX_STEPS = 25
 TOLERANCE_PX = 1e-6  # last Newton step; it is still applied, which leaves about its square
 SETTLED_PX = 1e-10
+EDGE_PX = 1e-9  # beside the outermost pixel centre and still on it
+FREE, BEHIND_GLASS, BEHIND_BODY = 0, 1, 2
 
 
 @kernel
@@ -33,192 +39,276 @@ def stretch(uc: float, ur: float, vc: float, vr: float) -> tuple[float, ...]:
 
 
 @kernel
-def direct_rows(
-    camera: Array,
-    spheres: Array,
-    rods: Array,
-    grid: Array,
-    first: int,
-    last: int,
-    width: int,
-    height: int,
-    pixel: Array,
-    jacobian: Array,
-    status: Array,
+def hide_nodes(
+    row: int,
+    place: Array,
+    tables: tuple[Array, Array, Array],
+    discs: Array,
+    lockstep: bool,
+    x: Array,
+    y: Array,
+    spans: Array,
+    rays: Array,
+    trips: Array,
+    hidden: Array,
 ) -> None:
-    """See the nodes of rows first..last-1 without glass: pixel (h, w, 2), Jacobian (h, w, 4), status (h, w).
+    """Note in hidden (w,) uint8 which nodes of a row a body hides from the pinhole: FREE, BEHIND_GLASS, BEHIND_BODY.
 
-    Nodes behind a body are left to the glass with the status they keep if no glass shows them.
+    ``place`` is a camera whose pixels are the nodes: it stands in the pinhole and looks straight down, so that
+    a sphere's shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.  Only nodes in
+    shadows are asked for.  ``discs`` (N, BALL), of which centre and R^2 count, in the order of the sphere table.
     """
-    px, py, pz = camera[0], camera[1], camera[2]
-    for row in range(first, last):
-        y = grid[1] - row * grid[2]
-        for column in range(pixel.shape[1]):
-            x = grid[0] + column * grid[2]
-            wx, wy, wz = x - px, y - py, -pz
-            cx = camera[3] * wx + camera[4] * wy + camera[5] * wz
-            cy = camera[6] * wx + camera[7] * wy + camera[8] * wz
-            cz = camera[9] * wx + camera[10] * wy + camera[11] * wz
-            status[row, column] = OUT_OF_FRAME
-            if not cz > 0.0:
-                continue
-            u, v = camera[13] + camera[12] * cx / cz, camera[14] + camera[12] * cy / cz
-            u, v = acquired_pixel(u, v, cx / cz, cy / cz, camera)
-            inside = 0.0 <= u <= width - 1.0 and 0.0 <= v <= height - 1.0
-            length = math.sqrt(wx * wx + wy * wy + wz * wz)
-            body = next_body(px, py, pz, wx / length, wy / length, wz / length, -1, spheres, rods)
-            if body == -1:
-                if inside:
-                    status[row, column] = RECOVERED
-                    pixel[row, column, 0], pixel[row, column, 1] = u, v
-                    dx, dy, dz, ux, uy, uz, vx, vy, vz = pixel_ray_tangents(u, v, camera)
-                    _, _, xu, xv, yu, yv = land(
-                        px, py, pz, dx, dy, dz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ux, uy, uz, vx, vy, vz
-                    )
-                    ux_, uy_, vx_, vy_ = inverse_2x2(xu, xv, yu, yv)
-                    jacobian[row, column, 0], jacobian[row, column, 1] = ux_ * grid[2], -uy_ * grid[2]
-                    jacobian[row, column, 2], jacobian[row, column, 3] = vx_ * grid[2], -vy_ * grid[2]
-            elif inside:
-                status[row, column] = BLOCKED if body == ROD or spheres[body, 5] != 0.0 else RIM
-
-
-@kernel
-def acquired_pixel(u: float, v: float, x: float, y: float, camera: Array) -> tuple[float, ...]:
-    """Acquired pixel of ideal image coordinates x, y; (u, v) is the ideal pixel.  Newton on the lens terms."""
-    for _ in range(MAX_STEPS):
-        a, b, au, av, bu, bv = ideal_xy(u, v, camera)
-        if a == x and b == y:
-            break
-        ua, ub, va, vb = inverse_2x2(au, av, bu, bv)
-        du, dv = ua * (x - a) + ub * (y - b), va * (x - a) + vb * (y - b)
-        u, v = u + du, v + dv
-        if abs(du) + abs(dv) < SETTLED_PX:
-            break
-    return u, v
-
-
-@kernel
-def pixel_tangents(
-    camera: Array,
-    spheres: Array,
-    rods: Array,
-    pixels: Array,
-    first: int,
-    last: int,
-    out: Array,
-) -> None:
-    """Plane point and its derivatives of pixels (N, 2) int: out (N, 6) x, y, dx/du, dx/dv, dy/du, dy/dv."""
-    for i in range(first, last):
-        _, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
-            float(pixels[i, 0]), float(pixels[i, 1]), camera, spheres, rods
-        )
-        out[i, 0], out[i, 1] = x, y
-        out[i, 2], out[i, 3], out[i, 4], out[i, 5] = xu, xv, yu, yv
-
-
-@kernel
-def scatter_starts(
-    pixels: Array, tangents: Array, grid: Array, row0: int, column0: int, least: float, start: Array, away: Array
-) -> None:
-    """Give each node the pixel of one sheet from which Newton starts.
-
-    Every pixel covers, to first order, the parallelogram of the plane that its own square and half of its
-    neighbours' squares see; nodes in there may start from it, and the nearest pixel wins.  At the border of
-    a sheet this reaches one pixel beyond it; Newton decides whether the sheet really goes on there.
-    Pixels whose smallest magnification is below `least` are left out: they would cover the whole plane.
-    ``start`` (h, w, 2) and ``away`` (h, w, squared distance, inf where there is none) cover the nodes from
-    (row0, column0) on.
-    """
-    for i in range(pixels.shape[0]):
-        x, y = tangents[i, 0], tangents[i, 1]
-        xu, xv, yu, yv = tangents[i, 2], tangents[i, 3], tangents[i, 4], tangents[i, 5]
-        ux, uy, vx, vy = inverse_2x2(xu, xv, yu, yv)
-        low, _ = stretch(ux * grid[2], uy * grid[2], vx * grid[2], vy * grid[2])
-        if not low >= least:
-            continue
-        c, r = (x - grid[0]) / grid[2] - column0, (grid[1] - y) / grid[2] - row0
-        c_half, r_half = (abs(xu) + abs(xv)) / grid[2], (abs(yu) + abs(yv)) / grid[2]
-        c_first, c_last = max(0, math.ceil(c - c_half)), min(away.shape[1] - 1, math.floor(c + c_half))
-        r_first, r_last = max(0, math.ceil(r - r_half)), min(away.shape[0] - 1, math.floor(r + r_half))
-        for row in range(r_first, r_last + 1):
-            ey = -(row - r) * grid[2]
-            for column in range(c_first, c_last + 1):
-                ex = (column - c) * grid[2]
-                du, dv = ux * ex + uy * ey, vx * ex + vy * ey
-                if abs(du) <= 1.0 and abs(dv) <= 1.0 and du * du + dv * dv < away[row, column]:
-                    away[row, column] = du * du + dv * dv
-                    start[row, column, 0] = pixels[i, 0] + du
-                    start[row, column, 1] = pixels[i, 1] + dv
-
-
-@kernel
-def solve_rows(
-    camera: Array,
-    spheres: Array,
-    rods: Array,
-    grid: Array,
-    row0: int,
-    column0: int,
-    first: int,
-    last: int,
-    width: int,
-    height: int,
-    key: int,
-    sign: float,
-    least: float,
-    most: float,
-    start: Array,
-    away: Array,
-    pixel: Array,
-    jacobian: Array,
-    quality: Array,
-    status: Array,
-) -> None:
-    """Newton on traced rays for the nodes of one sheet that have a start.
-
-    A sheet is a connected part of one branch with one sign of the Jacobian determinant.  Outputs cover the
-    same nodes as ``start``: pixel (h, w, 2), Jacobian (h, w, 4), quality (h, w, 2) = transmittance and weight,
-    status (h, w) = RECOVERED or why not.  The weight is T min(1, |det J|) / (1 + events).
-    """
-    for row in range(first, last):
-        y = grid[1] - (row + row0) * grid[2]
-        for column in range(start.shape[1]):
-            if away[row, column] == math.inf:
-                continue
-            x = grid[0] + (column + column0) * grid[2]
-            u, v = start[row, column, 0], start[row, column, 1]
-            du = dv = 0.0
-            status[row, column] = FOLD
-            for _ in range(MAX_STEPS):
-                s, a, b, au, av, bu, bv, passed, k, events = march_pixel_tangents(u, v, camera, spheres, rods)
-                ux, uy, vx, vy = inverse_2x2(au, av, bu, bv)
-                if s != RECOVERED or k != key or not (au * bv - av * bu) * sign > 0.0:
-                    du, dv = 0.5 * du, 0.5 * dv  # stepped off the sheet: go half the way back
-                    if abs(du) + abs(dv) < TOLERANCE_PX:
-                        break
-                    u, v = u - du, v - dv
-                    continue
-                du, dv = ux * (x - a) + uy * (y - b), vx * (x - a) + vy * (y - b)
-                size = max(abs(du), abs(dv))
-                if size > 2.0:
-                    du, dv = 2.0 * du / size, 2.0 * dv / size
-                u, v = u + du, v + dv
-                if size <= TOLERANCE_PX:
-                    status[row, column] = RECOVERED
-                    break
-            if status[row, column] != RECOVERED:
-                continue
-            uc, ur, vc, vr = ux * grid[2], -uy * grid[2], vx * grid[2], -vy * grid[2]
-            low, high = stretch(uc, ur, vc, vr)
-            if not (0.0 <= u <= width - 1.0 and 0.0 <= v <= height - 1.0):
-                status[row, column] = OUT_OF_FRAME
-            elif low < least:
-                status[row, column] = LOW_MAGNIFICATION
-            elif high > most:
-                status[row, column] = FOLD
+    camera, spheres, rods = tables
+    width, bodies = x.shape[0], discs.shape[0]
+    place_row(row, True, place, x, y)
+    count = 0
+    joined = spans[bodies:]
+    for k in range(bodies):
+        low, high = glass_span(x, y, True, place, discs, k)
+        if low < high:
+            count = insert_span(joined, count, low, high)
+    if rods.shape[0] > 0:
+        joined[0, 0], joined[0, 1] = 0, width
+        count = 1
+    for i in range(width):
+        hidden[i] = FREE
+    for j in range(count):
+        low = joined[j, 0]
+        while low < joined[j, 1]:
+            high = min(low + LANES, joined[j, 1])
+            if lockstep:
+                begin_block(x[low:high], y[low:high], place, rays, trips)
+                clear_picks(high - low, rays, trips)
+                for k in range(bodies):
+                    look(k, discs, high - low, rays, trips)
+                for i in range(high - low):
+                    hidden[low + i] = BEHIND_GLASS if trips[PICK + i] >= 0 else FREE
             else:
-                pixel[row, column, 0], pixel[row, column, 1] = u, v
-                jacobian[row, column, 0], jacobian[row, column, 1] = uc, ur
-                jacobian[row, column, 2], jacobian[row, column, 3] = vc, vr
-                quality[row, column, 0] = passed
-                quality[row, column, 1] = passed * min(1.0, abs(uc * vr - ur * vc)) / (1.0 + events)
+                for i in range(low, high):
+                    dx, dy = x[i], -y[i]
+                    unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
+                    body = next_body(
+                        camera[0], camera[1], camera[2], dx * unit, dy * unit, -unit, -1, spheres, rods
+                    )
+                    if body != -1:
+                        opaque = body == ROD or spheres[body, 5] != 0.0
+                        hidden[i] = BEHIND_BODY if opaque else BEHIND_GLASS
+            low = high
+
+
+@kernel
+def direct_rows(
+    place: Array,
+    tables: tuple[Array, Array, Array],
+    discs: Array,
+    lockstep: bool,
+    flat: bool,
+    grid: Array,
+    size: Array,
+    first: int,
+    last: int,
+    x: Array,
+    y: Array,
+    spans: Array,
+    rays: Array,
+    trips: Array,
+    hidden: Array,
+    lens: Array,
+    maps: tuple[Array, ...],
+) -> None:
+    """See the nodes of rows first..last-1 without glass: the first layer of all maps.
+
+    Nodes behind a body are left to the glass with the status they keep if no glass shows them.  ``maps`` as in
+    `keep_view`, but pixel (K, h, 2 w) and Jacobian (K, h, 4 w) with their numbers in turn; further layers are
+    cleared.  ``size`` (2,) sensor width and height; ``lens`` (6, w) is scratch.  Others see `hide_nodes`.
+    """
+    status, pixel, jacobian, weight, transmittance, branch = maps
+    camera = tables[0]
+    px, py, pz = camera[0], camera[1], camera[2]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11, focal, u0, v0 = camera[9], camera[10], camera[11], camera[12], camera[13], camera[14]
+    x0, y0, pitch, right, bottom = grid[0], grid[1], grid[2], size[0] - 1.0, size[1] - 1.0
+    width = status.shape[1]
+    nan, nan32, none, one = math.nan, np.float32(math.nan), np.float32(0.0), np.float32(1.0)
+    for row in range(first, last):
+        hide_nodes(row, place, tables, discs, lockstep, x, y, spans, rays, trips, hidden)
+        wy = y0 - row * pitch - py
+        if not flat:
+            acquire_row(wy, grid, camera, lens)
+        p, q, s = pixel[0, row], jacobian[0, row], status[row]
+        w, t, r = weight[0, row], transmittance[0, row], branch[0, row]
+        lu, lv, lens_ua, lens_ub, lens_va, lens_vb = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
+        for i in range(width):
+            wx = x0 + i * pitch - px
+            cz = c9 * wx + c10 * wy - c11 * pz
+            inverse = 1.0 / cz
+            a, b = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+            u, v = u0 + focal * a, v0 + focal * b
+            ua, ub, va, vb = focal, 0.0, 0.0, focal
+            if not flat:
+                u, v, ua, ub, va, vb = lu[i], lv[i], lens_ua[i], lens_ub[i], lens_va[i], lens_vb[i]
+            step = pitch * inverse
+            ac, ar = (c3 - a * c9) * step, -(c4 - a * c10) * step
+            bc, br = (c6 - b * c9) * step, -(c7 - b * c10) * step
+            uc, ur, vc, vr = ua * ac + ub * bc, ua * ar + ub * br, va * ac + vb * bc, va * ar + vb * br
+            # Without lens terms the outermost nodes ARE the outermost pixels: rounding must not lose them.
+            near_u, near_v = min(max(u, 0.0), right), min(max(v, 0.0), bottom)
+            inside = (cz > 0.0) & (abs(u - near_u) <= EDGE_PX) & (abs(v - near_v) <= EDGE_PX)
+            u, v = near_u, near_v
+            seen = inside & (hidden[i] == FREE)
+            code = BLOCKED if hidden[i] == BEHIND_BODY else RIM
+            code = RECOVERED if hidden[i] == FREE else code
+            s[i] = code if inside else OUT_OF_FRAME
+            p[2 * i] = u if seen else nan
+            p[2 * i + 1] = v if seen else nan
+            q[4 * i], q[4 * i + 1] = np.float32(uc) if seen else nan32, np.float32(ur) if seen else nan32
+            q[4 * i + 2], q[4 * i + 3] = np.float32(vc) if seen else nan32, np.float32(vr) if seen else nan32
+            worth = np.float32(min(1.0, abs(uc * vr - ur * vc)))
+            w[i] = worth if seen else none
+            t[i] = one if seen else none
+        for i in range(width):
+            r[i] = 0
+        for layer in range(1, pixel.shape[0]):
+            pixel[layer, row, :] = nan
+            jacobian[layer, row, :] = nan32
+            weight[layer, row, :] = none
+            transmittance[layer, row, :] = none
+            branch[layer, row, :] = 0
+
+
+@kernel
+def acquire_row(wy: float, grid: Array, camera: Array, lens: Array) -> None:
+    """Acquired pixels of the nodes of a row that lies wy from the pinhole: Newton on the lens terms.
+
+    ``lens`` (6, w) receives u, v and their derivatives by the ideal image coordinates (du/da, du/db, dv/da,
+    dv/db); NaN where the lens formula does not settle.  A node that has settled stays while others go on.
+    """
+    px, pz, x0, pitch = camera[0], camera[2], grid[0], grid[2]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11, focal, u0, v0 = camera[9], camera[10], camera[11], camera[12], camera[13], camera[14]
+    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    settled = SETTLED_PX / focal
+    x, y, ua, ub, va, vb = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
+    for i in range(x.shape[0]):
+        wx = x0 + i * pitch - px
+        inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
+        x[i], y[i] = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+        ua[i] = math.inf
+    for _ in range(MAX_STEPS):
+        moving = 0
+        for i in range(x.shape[0]):
+            wx = x0 + i * pitch - px
+            inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
+            a, b = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+            xi, yi = x[i], y[i]
+            ai, bi, radial, slope = undistorted(xi, yi, k1, k2, k3, p1, p2)
+            xx = radial + 2.0 * xi * xi * slope + 2.0 * p1 * yi + 6.0 * p2 * xi
+            xy = 2.0 * xi * yi * slope + 2.0 * p1 * xi + 2.0 * p2 * yi
+            yy = radial + 2.0 * yi * yi * slope + 6.0 * p1 * yi + 2.0 * p2 * xi
+            r = 1.0 / (xx * yy - xy * xy)
+            dx, dy = (yy * (a - ai) - xy * (b - bi)) * r, (xx * (b - bi) - xy * (a - ai)) * r
+            goes = ua[i] == math.inf
+            done = abs(dx) + abs(dy) < settled
+            x[i], y[i] = xi + dx if goes else xi, yi + dy if goes else yi
+            ua_new = focal * yy * r if done else math.inf
+            ua[i] = ua_new if goes else ua[i]
+            ub[i], vb[i] = -focal * xy * r if goes else ub[i], focal * xx * r if goes else vb[i]
+            moving += goes & (not done)
+        if moving == 0:
+            break
+    for i in range(x.shape[0]):
+        good = ua[i] < math.inf
+        x[i] = u0 + focal * x[i] if good else math.nan
+        y[i] = v0 + focal * y[i]
+        va[i] = ub[i]
+
+
+@kernel
+def solve_node(
+    x: float, y: float, u: float, v: float, key: int, sign: float, tables: tuple[Array, Array, Array]
+) -> tuple[float, ...]:
+    """Careful Newton for one node: converged, u, v, Jacobian d plane / d pixel, transmittance.
+
+    It steps back where it has left the sheet, a connected part of one branch with one sign of the determinant.
+    """
+    du = dv = 0.0
+    for _ in range(MAX_STEPS):
+        s, a, b, au, av, bu, bv, passed, k, _ = march_pixel_tangents(u, v, tables[0], tables[1], tables[2])
+        if s != TRACED or k != key or not (au * bv - av * bu) * sign > 0.0:
+            du, dv = 0.5 * du, 0.5 * dv  # stepped off the sheet: go half the way back
+            if abs(du) + abs(dv) < TOLERANCE_PX:
+                break
+            u, v = u - du, v - dv
+            continue
+        ux, uy, vx, vy = inverse_2x2(au, av, bu, bv)
+        du, dv = ux * (x - a) + uy * (y - b), vx * (x - a) + vy * (y - b)
+        size = max(abs(du), abs(dv))
+        if size > 2.0:
+            du, dv = 2.0 * du / size, 2.0 * dv / size
+        u, v = u + du, v + dv
+        if size <= TOLERANCE_PX:
+            return 1.0, u, v, au, av, bu, bv, passed
+    return 0.0, u, v, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+@kernel_inlined
+def keep_view(
+    converged: bool,
+    u: float,
+    v: float,
+    xu: float,
+    xv: float,
+    yu: float,
+    yv: float,
+    passed: float,
+    number: int,
+    events: int,
+    limits: Array,
+    pitch: float,
+    row: int,
+    column: int,
+    maps: tuple[Array, ...],
+) -> None:
+    """Insert one view of a node into its layers, best first, or note why it cannot be kept.
+
+    ``limits`` (4,): smallest and largest magnification, sensor width and height; ``maps`` see below:
+    status (h, w), pixel (K, h, w, 2), Jacobian (K, h, w, 4), weight, transmittance and branch (K, h, w).
+    """
+    status, pixel, jacobian, weight, transmittance, branch = maps
+    ux, uy, vx, vy = inverse_2x2(xu, xv, yu, yv)
+    uc, ur, vc, vr = ux * pitch, -uy * pitch, vx * pitch, -vy * pitch
+    low, high = stretch(uc, ur, vc, vr)
+    verdict = RECOVERED
+    if not converged:
+        verdict = FOLD
+    elif not (0.0 <= u <= limits[2] - 1.0 and 0.0 <= v <= limits[3] - 1.0):
+        verdict = OUT_OF_FRAME
+    elif low < limits[0]:
+        verdict = LOW_MAGNIFICATION
+    elif high > limits[1]:
+        verdict = FOLD
+    if verdict != RECOVERED:
+        if status[row, column] != RECOVERED:
+            status[row, column] = verdict
+        return
+    worth = np.float32(passed * min(1.0, abs(uc * vr - ur * vc)) / (1.0 + events))  # as it is stored
+    layers = pixel.shape[0]
+    place = 0
+    while place < layers and not worth > weight[place, row, column]:
+        place += 1
+    if place == layers:
+        return
+    for layer in range(layers - 1, place, -1):
+        for k in range(2):
+            pixel[layer, row, column, k] = pixel[layer - 1, row, column, k]
+        for k in range(4):
+            jacobian[layer, row, column, k] = jacobian[layer - 1, row, column, k]
+        weight[layer, row, column] = weight[layer - 1, row, column]
+        transmittance[layer, row, column] = transmittance[layer - 1, row, column]
+        branch[layer, row, column] = branch[layer - 1, row, column]
+    pixel[place, row, column, 0], pixel[place, row, column, 1] = u, v
+    jacobian[place, row, column, 0], jacobian[place, row, column, 1] = uc, ur
+    jacobian[place, row, column, 2], jacobian[place, row, column, 3] = vc, vr
+    weight[place, row, column], transmittance[place, row, column] = worth, passed
+    branch[place, row, column] = number
+    status[row, column] = RECOVERED

@@ -50,7 +50,7 @@ SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; t
 
 @kernel
 def begin_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
-    """Put the rays of a span with ideal image coordinates x, y (n,) [focal lengths], n <= LANES, into the block."""
+    """Put the rays of a span with ideal image coordinates x, y (n,) into the block, n <= LANES."""
     ox, oy, oz = camera[0], camera[1], camera[2]
     c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
     c9, c10, c11 = camera[9], camera[10], camera[11]
@@ -109,7 +109,7 @@ def look(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
 
 @kernel
 def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Array) -> tuple[bool, bool]:
-    """Turn the rays that picked sphere k, or with `alone` all that meet it; whether any, and whether all go down."""
+    """Turn the rays that picked sphere k (`alone`: all that meet it); whether any did, and whether all go down."""
     cx, cy, cz, r2, ir2, kt = balls[k, 0], balls[k, 1], balls[k, 2], balls[k, 3], balls[k, 4], balls[k, 5]
     nu, gk, ir = balls[k, 6], balls[k, 7], balls[k, 8]
     some, level = 0, 0
