@@ -60,9 +60,54 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--velocity", action="store_true", help="also carry raw vectors through the glass")
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
 
+    _bench_verbs(verbs)
+
     demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
     demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
     return parser
+
+
+def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Verbs that use a bench: what moves, what sees, and runs of both."""
+    acquire = verbs.add_parser("acquire", help="carry a plan out on a bench, correcting frames as they arrive")
+    acquire.add_argument("plan", type=Path, metavar="PLAN", help="plan.yaml")
+    _bench_options(acquire)
+    acquire.add_argument("-o", "--out", type=Path, default=Path("runs"), help="folder of runs (default: runs)")
+    acquire.add_argument("--dry-run", action="store_true", help="print what it would do, open nothing")
+    acquire.add_argument("--home", action="store_true", help="home every axis first, in the configured order")
+    acquire.add_argument("--no-correct", dest="correct", action="store_false", help="raw frames only")
+    acquire.add_argument("--scene", type=Path, help="scene for the correction, such as a fitted one")
+    acquire.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
+    acquire.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
+    acquire.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
+    acquire.add_argument("--live-queue", type=int, default=4, metavar="N", help="frames that may wait (default 4)")
+
+    resume = verbs.add_parser("resume", help="go on with a run that was interrupted")
+    resume.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
+    resume.add_argument("--home", action="store_true", help="home every axis first, in the configured order")
+
+    stage = verbs.add_parser("stage", help="where the axes are; home, move or jog them")
+    stage.add_argument("action", choices=("where", "home", "move", "jog"))
+    stage.add_argument("axes", nargs="*", metavar="AXIS[=MM]", help="move: axis=mm; jog: axis=+-mm; home: axis")
+    _bench_options(stage)
+
+    camera = verbs.add_parser("camera", help="list cameras, or take a frame")
+    camera.add_argument("action", choices=("list", "snap"))
+    _bench_options(camera)
+    camera.add_argument("-o", "--out", type=Path, default=Path("snap.tif"), help="file (default: snap.tif)")
+
+    doctor = verbs.add_parser("doctor", help="what this computer has, and what a bench still lacks")
+    doctor.add_argument("--bench", type=Path, help="bench.yaml to check as well")
+
+    emulate = verbs.add_parser("emulate", help="the simulated bench for other programs, until Ctrl-C")
+    emulate.add_argument("bench", type=Path, metavar="BENCH", help="bench.yaml with a simulation section")
+    emulate.add_argument("--shows", choices=("chessboard", "particles"), default="chessboard", help="on the stage")
+    emulate.add_argument("--for-s", type=float, help="end by itself after this time")
+
+
+def _bench_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--bench", type=Path, default=Path("bench.yaml"), help="bench file (default: bench.yaml)")
+    parser.add_argument("--simulate", action="store_true", help="its simulation in place of the hardware")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,10 +132,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _exit_code(error: Exception) -> int | None:
     """Exit code of an error that a person can cure; None for a bug."""
     from correction.errors import CorrectionError
+    from daq.errors import CameraUsageError, DaqError, RunInterrupted, RunUsageError
+    from stages.errors import StageError, StageUsageError
     from tracer.errors import TracerError
 
-    if isinstance(error, TracerError | CorrectionError):
+    if isinstance(error, RunInterrupted):
+        return INTERRUPTED
+    if isinstance(error, TracerError | CorrectionError | RunUsageError | StageUsageError | CameraUsageError):
         return USAGE
+    if isinstance(error, DaqError | StageError):
+        return DEVICE
     return None
 
 

@@ -1,0 +1,172 @@
+"""`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from correction.resample import Method
+from daq.bench import idle_stage
+from daq.bench_file import Bench, load_bench
+from daq.errors import PlanError
+from daq.forecast import Forecast, forecast
+from daq.live import watch
+from daq.pipeline import LIVE_QUEUE
+from daq.plan import Plan, load_plan
+from daq.run_folder import RunFolder
+from daq.session import Request, begin, carry_out, check_disk
+from daq.terminal import console
+
+SHOWN_STEPS = 40
+
+
+def acquire(
+    plan: Path,
+    bench: Path = Path("bench.yaml"),
+    out: Path = Path("runs"),
+    simulate: bool = False,
+    dry_run: bool = False,
+    home: bool = False,
+    correct: bool = True,
+    scene: Path | None = None,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    method: Method = "quintic",
+    live_queue: int = LIVE_QUEUE,
+) -> Path | None:
+    """Carry a plan out on a bench.
+
+    Parameters
+    ----------
+    plan, bench : Path
+        plan.yaml and bench.yaml.
+    out : Path
+        Folder in which the run gets a folder of its own.
+    simulate : bool
+        Use the bench's simulation in place of the hardware.
+    dry_run : bool
+        Print steps, travel, time, disk and violations; open nothing.
+    home : bool
+        Home every axis first, in the configured order.
+    correct : bool
+        Correct frames as they arrive.
+    scene : Path, optional
+        Scene for the correction, such as a fitted one; default is the bench's.
+    target_clear, dewarp_order
+        As for `correct`.
+    method : {"quintic", "bilinear"}
+        Interpolation of the correction.
+    live_queue : int
+        Frames that may wait to be corrected; 1 for the lowest latency.
+
+    Returns
+    -------
+    Path or None
+        Folder of the run; None after a dry run.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A file is wrong, or the plan violates limits or keep-out; nothing has moved.
+    RunInterrupted
+        Ended on request; resume it.
+    """
+    screen = console()
+    request = Request(bench, plan, simulate, correct, scene, target_clear, dewarp_order, method, live_queue)
+    loaded = load_bench(bench)
+    steps = load_plan(plan, loaded)
+    said = forecast(loaded, idle_stage(loaded), steps.steps)
+    print_forecast(screen, loaded, steps, said, with_steps=dry_run)
+    if said.violations:
+        first = said.violations[0]
+        raise PlanError(
+            f"{plan}: {len(said.violations)} of its moves are not allowed; "
+            f"step {first.step} ({first.tag}): {first.text}"
+        )
+    if dry_run:
+        return None
+    out.mkdir(parents=True, exist_ok=True)
+    check_disk(out, said.raw_bytes + (said.corrected_bytes if correct else 0))
+    folder = begin(request, loaded, steps, out)
+    screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
+    run_and_report(screen, request, loaded, steps, folder, home)
+    return folder.path
+
+
+def run_and_report(
+    screen: Console, request: Request, bench: Bench, plan: Plan, folder: RunFolder, home: bool
+) -> dict[str, Any]:
+    """Do what is left of a run, say what came of it, or how to go on."""
+    try:
+        with watch(Console(stderr=True)) as watcher:
+            done = carry_out(request, bench, plan, folder, home, watcher)
+    except BaseException:
+        print(f"the run is in {folder.path}; go on with: rtpiv resume {folder.path}", file=sys.stderr)
+        raise
+    print_done(screen, folder, done)
+    return done
+
+
+def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, with_steps: bool) -> None:
+    """Say what a plan will do."""
+    if with_steps:
+        table = Table(title=f"steps of {plan.name}")
+        for name in ("step", "frames", "tag", "view", "axes away from the scene's place in mm"):
+            table.add_column(name)
+        home = bench.home_mm
+        for step in plan.steps[:SHOWN_STEPS]:
+            away = ", ".join(f"{n} {mm:+.3f}" for n, mm in step.positions_mm if mm != home[n])
+            last = f"{step.first_frame}..{step.numbers[-1]}" if step.frames > 1 else str(step.first_frame)
+            table.add_row(str(step.index), last, step.tag, step.view, away or "-")
+        screen.print(table)
+        if len(plan.steps) > SHOWN_STEPS:
+            screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
+    travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
+    screen.print(
+        f"{len(plan.steps)} steps, {said.frames} frames, about {said.duration_s:.0f} s; "
+        f"travel in mm: {travel or 'none'}; "
+        f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
+    )
+    for violation in said.violations:
+        screen.print(f"[bold]not allowed[/bold] step {violation.step} ({violation.tag}): {violation.text}")
+
+
+def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:
+    """Say what a finished run has brought."""
+    books = done["conservation"]
+    screen.print(
+        f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
+        f"+ {books['rejected']} rejected + {books['lost']} lost"
+    )
+    for flow in done["flow"]:
+        latency = flow["latency_ms"]
+        if latency is not None:
+            screen.print(
+                f"{flow['corrected_live']} corrected as they arrived, latency p50 {latency['p50']:.0f} ms, "
+                f"p99 {latency['p99']:.0f} ms; {flow['skipped_live']} skipped and corrected after the run"
+            )
+    path = folder.path / "displacements.json"
+    if path.exists():
+        _print_displacements(screen, path)
+    screen.print(f"[bold]{folder.path}[/bold]")
+
+
+def _print_displacements(screen: Console, path: Path) -> None:
+    import json
+
+    table = Table(title="displacement of the target in mm")
+    for name in ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um"):
+        table.add_column(name)
+    for entry in json.loads(path.read_text(encoding="utf-8")):
+        commanded = entry["commanded_mm"]
+
+        def off(vector: list[float] | None, commanded: list[float] = commanded) -> str:
+            if vector is None:
+                return "not known on a real bench"
+            return ", ".join(f"{1e3 * (v - c):+.1f}" for v, c in zip(vector, commanded, strict=True))
+
+        shown = ", ".join(f"{c:+.4f}" for c in commanded)
+        table.add_row(entry["tag"], shown, off(entry["measured_mm"]), off(entry["true_mm"]))
+    screen.print(table)

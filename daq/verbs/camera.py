@@ -1,0 +1,64 @@
+"""`rtpiv camera`: list cameras, or take a frame to look at."""
+
+from pathlib import Path
+
+import numpy as np
+
+from daq.bench import open_camera
+from daq.bench_file import load_bench
+from daq.exposures import Exposures
+from daq.raw_frame import checksum, write_raw
+from daq.terminal import console
+
+
+def camera(
+    action: str, bench: Path = Path("bench.yaml"), simulate: bool = False, out: Path = Path("snap.tif")
+) -> Path | None:
+    """Say which camera the bench has, or take a frame with its settings.
+
+    Parameters
+    ----------
+    action : {"list", "snap"}
+        What to do.
+    bench : Path
+        bench.yaml.
+    simulate : bool
+        Use its simulation.
+    out : Path
+        File of the frame; must not exist.
+
+    Returns
+    -------
+    Path or None
+        File of the frame.
+
+    Raises
+    ------
+    CameraError
+        The camera is not there, or gives no frame.
+    """
+    screen = console()
+    with open_camera(load_bench(bench), simulate) as (opened, section):
+        info = opened.info
+        screen.print(f"{info.vendor} {info.model}, serial {info.serial}, {info.backend} at {info.address}")
+        exposures = Exposures(opened, section)
+        settings = exposures.set_up()
+        if action == "list":
+            for name in sorted(settings):
+                screen.print(f"  {name} = {settings[name]}")
+            return None
+        try:
+            for _, frame in exposures.frames(1):
+                with frame:
+                    pixels, meta = frame.pixels.copy(), frame.meta
+        finally:
+            exposures.end()
+    write_raw(out, pixels, {"frame_id": meta.frame_id, "crc32": checksum(pixels), "bits": meta.significant_bits})
+    white = (1 << meta.significant_bits) - 1
+    low, middle, high = np.percentile(pixels, (1, 50, 99))
+    saturated = 100.0 * float(np.mean(pixels >= white))
+    screen.print(
+        f"{out}: {pixels.shape[1]} x {pixels.shape[0]} px, "
+        f"1 % / median / 99 %: {low:.0f} / {middle:.0f} / {high:.0f} of {white}, saturated {saturated:.3f} %"
+    )
+    return out

@@ -1,0 +1,104 @@
+"""`rtpiv doctor`: what this computer has, and what a bench still lacks."""
+
+import ctypes.util
+import importlib.util
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.table import Table
+from serial.tools import list_ports
+
+from daq.bench_file import Bench, load_bench
+from daq.run_folder import versions
+from daq.terminal import console
+
+PACKAGES = ("tracer", "correction", "stages", "daq", "sim")
+GENTL_PATH = "GENICAM_GENTL64_PATH"
+
+Finding = tuple[str, bool | None, str]  # what, fine / not fine / just so, words
+
+
+def doctor(bench: Path | None = None) -> list[Finding]:
+    """Look around without opening any device.
+
+    Parameters
+    ----------
+    bench : Path, optional
+        A bench file whose ports and producer are looked for as well.
+
+    Returns
+    -------
+    list of (str, bool or None, str)
+        What was looked at, whether it is fine (None: a mere fact), and words.
+    """
+    found = [*_software(), *_serial_ports(), *_cameras(), *_disk()]
+    if bench is not None:
+        found += _bench(load_bench(bench))
+    table = Table()
+    for column in ("what", "", "found"):
+        table.add_column(column)
+    for what, fine, words in found:
+        table.add_row(what, {True: "ok", False: "[bold]missing[/bold]", None: ""}[fine], words)
+    console().print(table)
+    return found
+
+
+def _software() -> Iterator[Finding]:
+    for name, version in versions().items():
+        yield name, None, version
+    for name in PACKAGES:
+        spec = importlib.util.find_spec(name)
+        origin = Path(spec.origin).parent if spec and spec.origin else None
+        own = Path(__file__).resolve().parents[2]
+        fine = origin is not None and origin.parent == own
+        words = str(origin) if fine else f"{origin} hides ours; do not start from a folder with a {name}.py"
+        yield f"package {name}", fine, words
+
+
+def _serial_ports() -> Iterator[Finding]:
+    ports = list_ports.comports()
+    if not ports:
+        yield "serial ports", None, "none (ptys and network ports are not listed)"
+    for port in ports:
+        usable = os.access(port.device, os.R_OK | os.W_OK)
+        cure = "" if usable else "; add the user to the group that owns it (often dialout)"
+        yield f"port {port.device}", usable, f"{port.description}, serial number {port.serial_number}{cure}"
+
+
+def _cameras() -> Iterator[Finding]:
+    for name, cure in (("harvesters", "install the extra rtpiv[camera]"), ("genicam", "comes with harvesters")):
+        there = importlib.util.find_spec(name) is not None
+        yield f"library {name}", there, "installed" if there else cure
+    folders = [Path(part) for part in os.environ.get(GENTL_PATH, "").split(os.pathsep) if part]
+    producers = [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.cti"))]
+    words = ", ".join(map(str, producers)) or f"none in {GENTL_PATH}; a bench file may name one by its path"
+    yield "GenTL producers", None, words
+    library = ctypes.util.find_library("aravis-0.8")
+    yield (
+        "libaravis",
+        library is not None,
+        library or "for the aravis backend only: apt-get install libaravis-0.8-0",
+    )
+
+
+def _disk() -> Iterator[Finding]:
+    usage = shutil.disk_usage(Path.cwd())
+    yield "disk here", None, f"{usage.free / 1e9:.0f} GB free"
+    yield "python", sys.version_info >= (3, 11), sys.executable
+
+
+def _bench(bench: Bench) -> Iterator[Finding]:
+    for name, controller in bench.table.stages.controllers.items():
+        path = Path(controller.port)
+        if "://" in controller.port:
+            yield f"controller {name}", None, f"{controller.driver} on {controller.port}"
+            continue
+        there = path.exists() and os.access(path, os.R_OK | os.W_OK)
+        words = f"{controller.driver} on {path}" + ("" if there else ": not there, or no permission")
+        yield f"controller {name}", there, words
+    producer = bench.table.camera.options.get("cti")
+    if isinstance(producer, str):
+        yield "camera's producer", Path(producer).is_file(), producer

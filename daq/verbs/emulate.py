@@ -1,0 +1,43 @@
+"""`rtpiv emulate`: the simulated bench for other programs."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from daq.bench import start_simulation
+from daq.bench_file import Bench, load_bench
+from daq.terminal import console
+
+
+def emulate(bench: Path, shows: str = "chessboard", for_s: float | None = None) -> None:
+    """Put the simulated bench up on device files and a GenTL producer, until Ctrl-C.
+
+    Parameters
+    ----------
+    bench : Path
+        bench.yaml with a simulation section.
+    shows : str
+        What hangs on the target's stage: ``chessboard`` or ``particles``.
+    for_s : float, optional
+        End by itself after this time.
+    """
+    screen = console()
+    simulation = start_simulation(_in_real_time(load_bench(bench)), shows)
+    try:
+        for name, controller in simulation.stages.controllers.items():
+            screen.print(f"controller {name}: {controller.driver} on {controller.port}")
+        screen.print(f"camera: GenTL producer {simulation.camera.options['cti']}", soft_wrap=True)
+        screen.print("Ctrl-C ends it")
+        end_s = None if for_s is None else time.monotonic() + for_s
+        while end_s is None or time.monotonic() < end_s:
+            time.sleep(0.1)
+    except KeyboardInterrupt:
+        screen.print("ended")
+    finally:
+        simulation.close()
+
+
+def _in_real_time(bench: Bench) -> Bench:
+    """Other programs need device files, and know no clock but the wall's."""
+    section = {**(bench.table.simulation or {}), "transport": "pty", "speed": 1.0}
+    return replace(bench, table=bench.table.model_copy(update={"simulation": section}))
