@@ -1,23 +1,21 @@
-"""Controllers as firmware: bytes in, bytes out, over the physics of `sim.motion`; one line each.
+"""Controllers as firmware: bytes in, bytes out, over the physics of `sim.motion`.
 
-An emulator knows nothing of the drivers; it shares with them the grammar in ``stages.protocols`` and no
-arithmetic.
+An emulator knows nothing of the drivers; it shares with them the grammar in ``stages.protocols`` and no arithmetic.
+The emulator for the driver ``x`` is the class that ``sim/emulators/x.py`` calls EMULATOR.
 """
 
 import importlib
 
 from sim.emulators.device import Emulator
 
-EMULATORS = {
-    "zaber_ascii": "sim.emulators.zaber_ascii:ZaberEmulator",
-    "isel_dnc": "sim.emulators.isel_dnc:IselEmulator",
-    "pi_gcs2": "sim.emulators.pi_gcs2:PiEmulator",
-    "grbl": "sim.emulators.grbl:GrblEmulator",
-}
-
 
 def emulator_class(driver: str) -> type[Emulator]:
-    """Class of the emulator that speaks the protocol of a driver."""
-    module, _, name = EMULATORS[driver].partition(":")
-    found: type[Emulator] = getattr(importlib.import_module(module), name)
+    """Class of the emulator that speaks the protocol of a driver.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        Nobody has written one.
+    """
+    found: type[Emulator] = importlib.import_module(f"sim.emulators.{driver}").EMULATOR
     return found

@@ -317,3 +317,6 @@ class GrblEmulator(Emulator):
             self._zero[axis] = self.motors[axis].steps - round(place_mm * self.settings[100 + index])
             self._homing.popleft()
             self._home_next()
+
+
+EMULATOR = GrblEmulator

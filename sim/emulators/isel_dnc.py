@@ -177,3 +177,6 @@ class IselEmulator(Emulator):
                 self._finish("F")
         elif self._busy == "move":
             self._leg_next()
+
+
+EMULATOR = IselEmulator

@@ -233,3 +233,6 @@ class PiEmulator(Emulator):
                 return gcs.OUT_OF_LIMITS
             axis.move(target_mm)
         return gcs.NO_ERROR
+
+
+EMULATOR = PiEmulator

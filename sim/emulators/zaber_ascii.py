@@ -172,13 +172,12 @@ class ZaberEmulator(Emulator):
                 return True, "0"
             case ["move", "abs" | "rel" as kind, number] if _whole(number):
                 return self._move(kind, int(number), axes)
-            case ["warnings"]:
+            case ["warnings"] | ["warnings", "clear"]:
                 flags = [flag for flag in RANK if any(flag in box.flags for box in axes)]
+                if words[1:]:  # clearing tells once more what there was
+                    for box in axes:
+                        box.flags &= {"WR", "WH"}
                 return True, " ".join([f"{len(flags):02d}", *flags])
-            case ["warnings", "clear"]:
-                for box in axes:
-                    box.flags &= {"WR", "WH"}
-                return True, "0"
             case ["get", name]:
                 return self._get(name, device, axes, axis)
             case ["set", "comm.alert", "0" | "1" as value]:
@@ -217,3 +216,6 @@ class ZaberEmulator(Emulator):
 
 def _whole(text: str) -> bool:
     return text.removeprefix("-").isdecimal() and len(text) < 12
+
+
+EMULATOR = ZaberEmulator
