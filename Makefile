@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow bench lint pins clean
+.PHONY: demo test test-slow bench lint picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -36,6 +36,14 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The picture in the README: the demo's report in a headless browser (needs chromium).
+picture: demo
+	chromium --headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking \
+	  --hide-scrollbars --window-size=900,1560 --user-data-dir=demo/browser \
+	  --screenshot=docs/images/report.png file://$(CURDIR)/demo/shift/report.html
+	cp demo/fitted/overview.png docs/images/overview.png
+	rm -rf demo/browser
 
 # Resolve the pinned versions anew (needs uv); the file records versions only.
 pins:
