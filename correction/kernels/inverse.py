@@ -124,56 +124,106 @@ def direct_rows(
     """
     status, pixel, jacobian, weight, transmittance, branch = maps
     camera = tables[0]
-    px, py, pz = camera[0], camera[1], camera[2]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11, focal, u0, v0 = camera[9], camera[10], camera[11], camera[12], camera[13], camera[14]
-    x0, y0, pitch, right, bottom = grid[0], grid[1], grid[2], size[0] - 1.0, size[1] - 1.0
     width = status.shape[1]
-    nan, nan32, none, one = math.nan, np.float32(math.nan), np.float32(0.0), np.float32(1.0)
+    nan, nan32, none = math.nan, np.float32(math.nan), np.float32(0.0)
     for row in range(first, last):
         hide_nodes(row, place, tables, discs, lockstep, x, y, spans, rays, trips, hidden)
-        wy = y0 - row * pitch - py
+        wy = grid[1] - row * grid[2] - camera[1]
         if not flat:
             acquire_row(wy, grid, camera, lens)
-        p, q, s = pixel[0, row], jacobian[0, row], status[row]
-        w, t, r = weight[0, row], transmittance[0, row], branch[0, row]
-        lu, lv, lens_ua, lens_ub, lens_va, lens_vb = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
-        for i in range(width):
-            wx = x0 + i * pitch - px
-            cz = c9 * wx + c10 * wy - c11 * pz
-            inverse = 1.0 / cz
-            a, b = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
-            u, v = u0 + focal * a, v0 + focal * b
-            ua, ub, va, vb = focal, 0.0, 0.0, focal
-            if not flat:
-                u, v, ua, ub, va, vb = lu[i], lv[i], lens_ua[i], lens_ub[i], lens_va[i], lens_vb[i]
-            step = pitch * inverse
-            ac, ar = (c3 - a * c9) * step, -(c4 - a * c10) * step
-            bc, br = (c6 - b * c9) * step, -(c7 - b * c10) * step
-            uc, ur, vc, vr = ua * ac + ub * bc, ua * ar + ub * br, va * ac + vb * bc, va * ar + vb * br
-            # Without lens terms the outermost nodes ARE the outermost pixels: rounding must not lose them.
-            near_u, near_v = min(max(u, 0.0), right), min(max(v, 0.0), bottom)
-            inside = (cz > 0.0) & (abs(u - near_u) <= EDGE_PX) & (abs(v - near_v) <= EDGE_PX)
-            u, v = near_u, near_v
-            seen = inside & (hidden[i] == FREE)
-            code = BLOCKED if hidden[i] == BEHIND_BODY else RIM
-            code = RECOVERED if hidden[i] == FREE else code
-            s[i] = code if inside else OUT_OF_FRAME
-            p[2 * i] = u if seen else nan
-            p[2 * i + 1] = v if seen else nan
-            q[4 * i], q[4 * i + 1] = np.float32(uc) if seen else nan32, np.float32(ur) if seen else nan32
-            q[4 * i + 2], q[4 * i + 3] = np.float32(vc) if seen else nan32, np.float32(vr) if seen else nan32
-            worth = np.float32(min(1.0, abs(uc * vr - ur * vc)))
-            w[i] = worth if seen else none
-            t[i] = one if seen else none
-        for i in range(width):
-            r[i] = 0
+        place_pixels(wy, flat, grid, size, camera, lens, hidden, pixel[0, row], status[row])
+        place_jacobians(wy, grid, camera, pixel[0, row], jacobian[0, row])
+        if not flat:
+            bend_jacobians(camera[12], lens, jacobian[0, row])
+        place_weights(pixel[0, row], jacobian[0, row], weight[0, row], transmittance[0, row])
+        branch[0, row, :] = 0
         for layer in range(1, pixel.shape[0]):
             pixel[layer, row, :] = nan
             jacobian[layer, row, :] = nan32
             weight[layer, row, :] = none
             transmittance[layer, row, :] = none
             branch[layer, row, :] = 0
+
+
+@kernel
+def place_pixels(
+    wy: float,
+    flat: bool,
+    grid: Array,
+    size: Array,
+    camera: Array,
+    lens: Array,
+    hidden: Array,
+    pixel: Array,
+    status: Array,
+) -> None:
+    """Pixels (2 w,) and status (w,) of a row of nodes that lies wy from the pinhole.
+
+    This and the next ones are loops of their own because each touches few arrays: the compiler vectorises only
+    what it can prove disjoint by a handful of tests.
+    """
+    px, pz, x0, pitch, right, bottom = camera[0], camera[2], grid[0], grid[2], size[0] - 1.0, size[1] - 1.0
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11, focal, u0, v0 = camera[9], camera[10], camera[11], camera[12], camera[13], camera[14]
+    lens_u, lens_v = lens[0], lens[1]
+    for i in range(status.shape[0]):
+        wx = x0 + i * pitch - px
+        cz = c9 * wx + c10 * wy - c11 * pz
+        inverse = 1.0 / cz
+        u = u0 + focal * ((c3 * wx + c4 * wy - c5 * pz) * inverse)
+        v = v0 + focal * ((c6 * wx + c7 * wy - c8 * pz) * inverse)
+        bent_u, bent_v = lens_u[i], lens_v[i]
+        u, v = u if flat else bent_u, v if flat else bent_v
+        # Without lens terms the outermost nodes ARE the outermost pixels: rounding must not lose them.
+        near_u, near_v = min(max(u, 0.0), right), min(max(v, 0.0), bottom)
+        inside = (cz > 0.0) & (abs(u - near_u) <= EDGE_PX) & (abs(v - near_v) <= EDGE_PX)
+        free = hidden[i] == FREE
+        code = BLOCKED if hidden[i] == BEHIND_BODY else RIM
+        code = RECOVERED if free else code
+        status[i] = code if inside else OUT_OF_FRAME
+        pixel[2 * i] = near_u if inside & free else math.nan
+        pixel[2 * i + 1] = near_v if inside & free else math.nan
+
+
+@kernel
+def place_jacobians(wy: float, grid: Array, camera: Array, pixel: Array, jacobian: Array) -> None:
+    """Jacobians (4 w,) of the ideal camera for a row of nodes; NaN where there is no pixel."""
+    px, pz, x0, pitch, focal = camera[0], camera[2], grid[0], grid[2], camera[12]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11 = camera[9], camera[10], camera[11]
+    for i in range(pixel.shape[0] // 2):
+        wx = x0 + i * pitch - px
+        inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
+        a, b = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+        step = focal * pitch * inverse
+        step = step if pixel[2 * i] == pixel[2 * i] else math.nan
+        jacobian[4 * i], jacobian[4 * i + 1] = np.float32((c3 - a * c9) * step), np.float32((a * c10 - c4) * step)
+        jacobian[4 * i + 2] = np.float32((c6 - b * c9) * step)
+        jacobian[4 * i + 3] = np.float32((b * c10 - c7) * step)
+
+
+@kernel
+def bend_jacobians(focal: float, lens: Array, jacobian: Array) -> None:
+    """Multiply the lens's derivatives into the Jacobians (4 w,) of a row, in place."""
+    scale = 1.0 / focal
+    ua, ub, va, vb = lens[2], lens[3], lens[4], lens[5]
+    for i in range(lens.shape[1]):
+        uc, ur, vc, vr = jacobian[4 * i], jacobian[4 * i + 1], jacobian[4 * i + 2], jacobian[4 * i + 3]
+        a, b, c, d = ua[i] * scale, ub[i] * scale, va[i] * scale, vb[i] * scale
+        jacobian[4 * i], jacobian[4 * i + 1] = np.float32(a * uc + b * vc), np.float32(a * ur + b * vr)
+        jacobian[4 * i + 2], jacobian[4 * i + 3] = np.float32(c * uc + d * vc), np.float32(c * ur + d * vr)
+
+
+@kernel
+def place_weights(pixel: Array, jacobian: Array, weight: Array, transmittance: Array) -> None:
+    """Weights and transmittances (w,) of a row seen directly; 0 where there is no pixel."""
+    none, one = np.float32(0.0), np.float32(1.0)
+    for i in range(weight.shape[0]):
+        area = abs(jacobian[4 * i] * jacobian[4 * i + 3] - jacobian[4 * i + 1] * jacobian[4 * i + 2])
+        worth = min(one, area)
+        seen = pixel[2 * i] == pixel[2 * i]
+        weight[i] = worth if seen else none
+        transmittance[i] = one if seen else none
 
 
 @kernel
