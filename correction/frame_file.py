@@ -7,7 +7,6 @@ when it is complete and on the disk.
 """
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from correction.errors import FrameError
+from tracer.whole_file import whole_file
 
 TIFF_ENDINGS = (".tif", ".tiff")
 FRAME_ENDINGS = (*TIFF_ENDINGS, ".png", ".bmp")
@@ -93,22 +93,14 @@ def write_frame(path: Path | str, frame: NDArray[Any], px_per_mm: float, descrip
     description : dict
         JSON-able; stored as the image description.
     """
-    path = Path(path)
-    temporary = path.with_name(path.name + ".part")
     resolution = (px_per_mm * 10.0, px_per_mm * 10.0)
-    try:
-        with temporary.open("wb") as stream:
-            tifffile.imwrite(
-                stream,
-                frame,
-                photometric="minisblack",
-                resolution=resolution,
-                resolutionunit="CENTIMETER",
-                description=json.dumps({"px_per_mm": px_per_mm, **description}),
-                metadata=None,
-            )
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(Path(path)) as stream:
+        tifffile.imwrite(
+            stream,
+            frame,
+            photometric="minisblack",
+            resolution=resolution,
+            resolutionunit="CENTIMETER",
+            description=json.dumps({"px_per_mm": px_per_mm, **description}),
+            metadata=None,
+        )

@@ -6,7 +6,6 @@ the same in ten years.  Every text that came from a file or a name is escaped.
 
 import base64
 import html
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from tracer.whole_file import whole_file
 
 WIDEST_PX = 1008  # pictures in the page; the full frames are files beside it
 
@@ -86,15 +87,8 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page, atomically."""
-        temporary = path.with_name(path.name + ".part")
-        try:
-            with temporary.open("w", encoding="utf-8") as stream:
-                stream.write(self.html())
-                stream.flush()
-                os.fsync(stream.fileno())
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with whole_file(path) as stream:
+            stream.write(self.html().encode())
 
     def _figure(self, inner: str, caption: str) -> None:
         self._parts.append(f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>")

@@ -14,7 +14,6 @@ stage.  The particle sheet moves 14 px to the north-east between a and b.
 
 import io
 import json
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from sim.renderer import render
 from sim.sensor import Sensor
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_scene
+from tracer.whole_file import whole_file
 
 SHIFT_PX = 14.0
 CLEAR_STACK_MM = (-20.0, -10.0, 10.0, 20.0)
@@ -164,13 +164,5 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _write_bytes(path: Path, content: bytes) -> None:
-    """Write under a temporary name, flush to disk, rename: the file is whole or not there."""
-    temporary = path.with_name(path.name + ".part")
-    try:
-        with temporary.open("wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as stream:
+        stream.write(content)

@@ -7,7 +7,6 @@ the reader allocate memory.  Writing goes to a temporary name, is flushed to dis
 """
 
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.errors import MapFileError
+from tracer.whole_file import whole_file
 
 LAYOUT = 1
 HEADER_BYTES = 1_000_000
@@ -38,15 +38,8 @@ def save_arrays(path: Path | str, kind: str, header: dict[str, Any], arrays: Map
     """
     path = Path(path)
     text = json.dumps({"kind": kind, "layout": LAYOUT, **header}, sort_keys=True)
-    temporary = path.with_name(path.name + ".part")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, header=np.frombuffer(text.encode(), np.uint8), **arrays)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with whole_file(path) as stream:
+        np.savez(stream, allow_pickle=False, header=np.frombuffer(text.encode(), np.uint8), **arrays)
 
 
 def load_arrays(path: Path | str, kind: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
