@@ -1,6 +1,6 @@
 """Controllers as firmware: bytes in, bytes out, over the physics of `sim.motion`.
 
-An emulator knows nothing of the drivers; it shares with them the grammar in ``stages.protocols`` and no arithmetic.
+An emulator knows nothing of the drivers; it shares with them the grammar in ``stages.protocols``, no arithmetic.
 The emulator for the driver ``x`` is the class that ``sim/emulators/x.py`` calls EMULATOR.
 """
 
