@@ -61,7 +61,7 @@ with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
         start = time.process_time()
         x, y, u, v, flags = windef.simple_multipass(a, b, s)
         times.append(time.process_time() - start)
-# It returns y up and v up, counted from the lowest row of windows; centres are half a pixel off.
+# It returns y up and v up, counted from the lowest row of windows, and w/2 for the first centre.
 np.savez(out, x=x - 0.5, y=np.sort(y[:, 0])[:, None] + 0 * x - 0.5, u=u, v=-v)
 print(json.dumps(times))
 """
