@@ -82,11 +82,17 @@ class Start:
 
 
 def candidates_of(
-    saddles: Saddles, bench: Bench, full: NDArray[np.float64], height: int, board: Chessboard
+    saddles: Saddles,
+    least: float,
+    bench: Bench,
+    full: NDArray[np.float64],
+    height: int,
+    board: Chessboard,
 ) -> Candidates:
     """Choose the saddles that may be seen through glass.
 
-    Saddles that fit the bare lattice and lie well outside the nominal glass say nothing about it.
+    Saddles weaker than `least` are noise; those that fit the bare lattice and lie well outside the nominal
+    glass say nothing about it.
     """
     bright = saddles.edges.sum(axis=1)
     everything = Corners(height, False, saddles.position_px, np.zeros((len(saddles), 2)), 1.0)
@@ -96,7 +102,8 @@ def candidates_of(
     wide = np.array(full)
     wide[bench.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
     inside = landed(bench, wide, Corners(height, True, everything.pixel, everything.node_mm, 1.0)).key != DIRECT
-    chosen = inside | ~bare
+    inside &= saddles.strength > least
+    chosen = inside | (~bare & (saddles.strength > least))
     return Candidates(height, saddles.position_px[chosen], bright[chosen], inside[chosen], bare[chosen])
 
 

@@ -30,6 +30,9 @@ from tracer.fit_section import FitTable
 from tracer.scene import Scene
 
 PASSES = 2
+WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
+FEWEST = 12  # corners behind glass from which a fit may begin
+UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
 
 
 def _silent(text: str) -> None:
@@ -164,7 +167,10 @@ class _Fit:
         """Find out which corner each saddle shows."""
         coarse = bench.only([f"{s.name}.{part}" for s in bench.scene.spheres for part in "xyz"] + ["glass "])
         frame = self.glass_frames[0]
-        candidates = candidates_of(find_saddles(frame.image), coarse, self.full, self.height(frame), self.board)
+        saddles = find_saddles(frame.image)
+        usual = float(np.median(find_saddles(self.bare_frames[0].image).strength))
+        least = WEAKEST * usual
+        candidates = candidates_of(saddles, least, coarse, self.full, self.height(frame), self.board)
         self.check_glass(frame, candidates)
         camera = coarse.camera(self.full)
         pitch = camera.position_mm[2] / camera.focal_px
@@ -179,7 +185,12 @@ class _Fit:
     def check_glass(self, frame: TargetFrame, candidates: Candidates) -> None:
         """Refuse a frame in which the lattice goes on undisturbed where the glass should be."""
         inside, undisturbed = candidates.inside, candidates.inside & candidates.bare
-        if not inside.any() or undisturbed.sum() > 0.9 * inside.sum():
+        if np.count_nonzero(inside) < FEWEST:
+            raise GlassNotSeen(
+                f"{frame.name}: only {np.count_nonzero(inside)} corners where the spheres should be, {FEWEST} are"
+                " needed; check light, focus and the spheres of the scene, or use smaller squares"
+            )
+        if undisturbed.sum() > UNDISTURBED * inside.sum():
             raise GlassNotSeen(
                 f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the spheres should"
                 " be lie on the bare lattice; give a frame that shows the target through the glass, or correct the"

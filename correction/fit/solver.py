@@ -156,7 +156,8 @@ def normal_equations(
 def _walls(bench: Bench, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P)."""
     depth, rate = walls(bench.spheres(bench.full(x)))
-    return depth / WALL_MM, rate.reshape(len(depth), -1) @ bench.columns[bench.glass] / WALL_MM
+    columns = bench.columns[bench.glass]
+    return depth / WALL_MM, rate.reshape(len(depth), len(columns)) @ columns / WALL_MM
 
 
 def _step(

@@ -1,0 +1,71 @@
+"""Benches with hidden misalignment on a small sensor, photographed by the independent renderer, once a session."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from correction.fit.measurement import TargetFrame
+from correction.fit.result import SceneFit
+from correction.fit.scene_fit import fit_scene
+from correction.grid import PlaneGrid
+from correction.target import Chessboard
+from sim.demo_scenes import BARREL_35MM, at_size, misaligned, named_scene
+from sim.patterns import Chessboard as Print
+from sim.patterns import Pose, placed
+from sim.renderer import render
+from sim.sensor import Sensor
+from tracer.scene import Scene
+from tracer.trace import trace
+
+SIZE_PX = 1008
+SQUARE_MM = 3.5  # 22 px in the bare view
+BOARD = Chessboard(SQUARE_MM, 0.4 * SQUARE_MM)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A nominal scene, the true one, and frames of the target."""
+
+    nominal: Scene
+    truth: Scene
+    frames: tuple[TargetFrame, ...]
+
+
+@cache
+def bench(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tuple[float, ...] = ()) -> Bench:
+    """Photograph the target at z = 0 and at further heights."""
+    nominal = at_size(named_scene(name), SIZE_PX)
+    truth = misaligned(nominal, seed, barrel=BARREL_35MM if name == "one_sphere_250" else 0.0)
+    frames = []
+    for glass, heights in ((False, (0.0, *bare_mm)), (True, (0.0, *glass_mm))):
+        scene = truth if glass else truth.with_bodies(())
+        for height in heights:
+            frames.append(photograph(scene, glass, height, seed=100 * seed + len(frames)))
+    return Bench(nominal, truth, tuple(frames))
+
+
+def photograph(
+    scene: Scene, glass: bool, height_mm: float, seed: int, square_mm: float = SQUARE_MM
+) -> TargetFrame:
+    """One frame of the target."""
+    print_ = placed(Print(square_mm, 0.4 * square_mm), Pose((0.0, 0.0, height_mm)))
+    image = render(scene, print_, Sensor(), samples=3, seed=seed)
+    return TargetFrame(f"target_{'glass' if glass else 'clear'}_z{height_mm:+g}mm", image, glass, height_mm)
+
+
+@cache
+def fitted(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tuple[float, ...] = ()) -> SceneFit:
+    """Fit of `bench`."""
+    made = bench(name, seed, bare_mm, glass_mm)
+    return fit_scene(made.nominal, made.frames, BOARD)
+
+
+def map_error_px(fit: Scene, truth: Scene, pixels: np.ndarray, grid: PlaneGrid) -> np.ndarray:
+    """Where pixels land in the fitted scene minus where they land in truth (N, 2), in corrected px."""
+    a, b = trace(fit, pixels), trace(truth, pixels)
+    names_a = np.array([",".join(a.branches[int(key)]) for key in a.rays["key"]])
+    names_b = np.array([",".join(b.branches[int(key)]) for key in b.rays["key"]])
+    off = (a.plane_mm - b.plane_mm) / grid.pitch_mm
+    off[(names_a != names_b) | ~a.recovered | ~b.recovered] = np.nan
+    return off

@@ -1,0 +1,91 @@
+"""Frames that cannot determine the scene: one sentence with the cure, never a wrong scene."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.errors import FrameError, TargetNotFound
+from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
+from correction.fit.measurement import TargetFrame
+from correction.fit.scene_fit import fit_scene
+from correction.target import Chessboard
+from tests.correction.fit.benches import BOARD, SIZE_PX, SQUARE_MM, bench, photograph
+from tracer.media import ConstantMedium
+
+MADE = ("two_spheres_500", 6)
+
+
+def clear_and_glass():
+    frames = bench(*MADE).frames
+    return next(f for f in frames if not f.glass), next(f for f in frames if f.glass)
+
+
+def flat(glass: bool, level: int = 1500) -> TargetFrame:
+    noise = np.random.default_rng(0).normal(0.0, 8.0, (SIZE_PX, SIZE_PX))
+    return TargetFrame("flat", (level + noise).astype(np.uint16), glass)
+
+
+def test_no_bare_target():
+    with pytest.raises(ViewsMissing, match="bare target at z = 0 is needed"):
+        fit_scene(bench(*MADE).nominal, clear_and_glass()[1:], BOARD)
+
+
+def test_no_glass_frame():
+    with pytest.raises(ViewsMissing, match="no frame shows the target through them"):
+        fit_scene(bench(*MADE).nominal, clear_and_glass()[:1], BOARD)
+
+
+def test_no_corners():
+    with pytest.raises(TargetNotFound, match="flat: no chessboard in the frame"):
+        fit_scene(bench(*MADE).nominal, [flat(False), clear_and_glass()[1]], BOARD)
+
+
+def test_no_corners_behind_glass():
+    with pytest.raises(GlassNotSeen, match="flat: only 0 corners where the spheres should be"):
+        fit_scene(bench(*MADE).nominal, [clear_and_glass()[0], flat(True)], BOARD)
+
+
+def test_wrong_board():
+    with pytest.raises(TargetNotFound, match=r"target_clear.*those of the board described"):
+        fit_scene(bench(*MADE).nominal, clear_and_glass(), Chessboard(SQUARE_MM, 0.2 * SQUARE_MM))
+
+
+def test_spheres_missing_in_the_frame():
+    clear = clear_and_glass()[0]
+    with pytest.raises(GlassNotSeen, match="lie on the bare lattice"):
+        fit_scene(bench(*MADE).nominal, [clear, replace(clear, glass=True, name="glass")], BOARD)
+
+
+def test_saturated_frame():
+    clear, glass = clear_and_glass()
+    bright = replace(glass, image=np.where(glass.image > 2000, np.uint16(4095), glass.image))
+    with pytest.raises(FrameError, match="saturated"):
+        fit_scene(bench(*MADE).nominal, [clear, bright], BOARD)
+
+
+@pytest.mark.slow
+def test_wrong_glass_is_never_silent():
+    """A scene whose balls have another size and index than those photographed."""
+    nominal = bench(*MADE).nominal
+    other = [
+        replace(body, radius_mm=20.0, medium=ConstantMedium(1.7), centre_mm=(0.0, 0.0, 20.0 + 41.0 * number))
+        for number, body in enumerate(nominal.bodies)
+    ]
+    with pytest.raises(FitFailed, match="the fit failed at gate") as caught:
+        fit_scene(nominal.with_bodies(other), clear_and_glass(), BOARD)
+    assert caught.value.gate
+    assert caught.value.value != caught.value.limit
+
+
+def test_a_sphere_that_the_scene_does_not_list_is_never_silent():
+    nominal = bench(*MADE).nominal
+    with pytest.raises((FitFailed, GlassNotSeen)):
+        fit_scene(nominal.with_bodies(nominal.bodies[:1]), clear_and_glass(), BOARD)
+
+
+def test_another_square_than_believed_is_noticed_by_the_distance():
+    truth = bench(*MADE).truth
+    clear = photograph(truth.with_bodies(()), False, 0.0, 1, square_mm=1.1 * SQUARE_MM)
+    with pytest.raises(FitFailed, match="check square_mm"):
+        fit_scene(bench(*MADE).nominal.with_bodies(()), [clear], BOARD)

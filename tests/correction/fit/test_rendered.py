@@ -1,0 +1,88 @@
+"""Fits of benches with hidden misalignment, photographed by optics that share nothing with the tracer."""
+
+import numpy as np
+import pytest
+
+from correction.correction_map import build_correction_map
+from correction.corrector import Corrector
+from correction.evaluate.target_error import target_error
+from correction.fit.weakness import weaknesses
+from correction.grid import grid_of
+from tests.correction.fit.benches import BOARD, bench, fitted, map_error_px
+from tracer.ray_map import build_ray_map
+
+CASES = [("two_spheres_500", 6), ("pair_off_axis", 4)]
+SLOW = [("three_spheres_500", 3), ("pyramid_500", 5), ("one_sphere_250", 7), ("tilted", 8)]
+STACK = ((-20.0, 20.0), (-10.0, -20.0))
+PARAMS = [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW)]
+
+
+@pytest.mark.parametrize(("name", "seed"), PARAMS)
+def test_fitted_map_is_the_true_map(name, seed):
+    made, fit = bench(name, seed), fitted(name, seed)
+    grid = grid_of(made.truth.camera)
+    truth = build_correction_map(made.truth, build_ray_map(made.truth), grid)
+    for region in (truth.behind_glass, truth.recovered & ~truth.behind_glass):
+        off = map_error_px(fit.scene, made.truth, truth.pixel[0][region], grid)
+        assert np.isnan(off[:, 0]).mean() < 0.01  # rays on the very rim may take another way
+        length = np.linalg.norm(off[np.isfinite(off[:, 0])], axis=1)
+        assert np.sqrt(np.mean(length**2)) <= 0.05
+        assert length.max() <= 0.2
+
+
+@pytest.mark.parametrize(("name", "seed"), PARAMS)
+def test_spheres_are_found_within_their_sigmas_and_the_bounds_asked_for(name, seed):
+    made, fit = bench(name, seed), fitted(name, seed)
+    for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
+        off = np.subtract(found.centre_mm, true.centre_mm)
+        assert np.abs(off[:2]).max() <= 0.020
+        assert abs(off[2]) <= 0.300
+        assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.004
+        for axis, part in enumerate("xyz"):
+            sigma = fit.sigmas[fit.names.index(f"{found.name}.{part}")]
+            assert abs(off[axis]) < 4.0 * sigma
+
+
+@pytest.mark.parametrize(("name", "seed"), PARAMS)
+def test_corners_behind_glass_are_found_and_explained(name, seed):
+    fit = fitted(name, seed)
+    assert fit.share >= 0.85
+    assert fit.corners.rms_px(behind=True).max() <= 0.07
+    assert fit.corners.rms_px(behind=False).max() <= 0.03
+
+
+def test_corrected_target_lies_on_the_regular_grid():
+    made, fit = bench("two_spheres_500", 6), fitted("two_spheres_500", 6)
+    corrector = Corrector(build_correction_map(fit.scene, build_ray_map(fit.scene)))
+    frame = next(frame for frame in made.frames if frame.glass)
+    behind = target_error(corrector(frame.image), corrector, BOARD).regions["behind glass"]
+    assert behind.found >= 40
+    assert max(behind.rms_px) <= 0.10
+
+
+@pytest.mark.slow
+def test_stack_separates_depth_from_n():
+    alone, stack = fitted("two_spheres_500", 6), fitted("two_spheres_500", 6, *STACK)
+    for found, true in zip(stack.scene.spheres, bench("two_spheres_500", 6).truth.spheres, strict=True):
+        off = np.abs(np.subtract(found.centre_mm, true.centre_mm))
+        assert off[:2].max() <= 0.010
+        assert off[2] <= 0.060
+        assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.0008
+    name = "glass sphere1+sphere2.n"
+    assert stack.sigmas[stack.names.index(name)] < 0.7 * alone.sigmas[alone.names.index(name)]
+
+
+def test_what_one_plane_cannot_tell_is_said_with_the_cure():
+    found = weaknesses(fitted("two_spheres_500", 6))
+    mixed = [weak for weak in found if any(name.endswith(".n") for name in weak.names) and len(weak.names) > 1]
+    assert mixed
+    assert "add target planes at -10 and -20 mm" in mixed[0].sentence
+    assert any(name.endswith(".z") for name in mixed[0].names)
+
+
+def test_the_same_frames_give_the_same_fit():
+    from correction.fit.scene_fit import fit_scene
+
+    made, fit = bench("pair_off_axis", 4), fitted("pair_off_axis", 4)
+    again = fit_scene(made.nominal, list(reversed(made.frames)), BOARD)
+    assert again.scene.content_hash() == fit.scene.content_hash()

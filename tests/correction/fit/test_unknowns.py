@@ -1,0 +1,148 @@
+"""The free vector: what it moves, and by how much."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from correction.fit.adjustment import legal_scene
+from correction.fit.contact import pushed_apart, walls
+from correction.fit.solver import Corners, residuals
+from correction.fit.unknowns import bench_of, left_jacobian
+from sim.demo_scenes import at_size, named_scene
+from tracer.errors import ConfigError
+from tracer.fit_section import FitCameraTable, FitNamedTable, FitSphereTable, FitTable, FitTargetTable
+from tracer.media import MEDIA
+from tracer.scene_file import load_priors, load_scene
+
+ALL = FitTable(
+    camera=FitCameraTable(focal_px=5.0, principal_px=1.0, k2=0.1, k3=0.1, p1=0.1, p2=0.1),
+    target=FitTargetTable(rotation_deg=1.0),
+)
+
+
+def test_every_derivative_agrees_with_differences():
+    scene = at_size(named_scene("pyramid_500"), 700)
+    bench = bench_of(scene, [0.0, -10.0], ALL)
+    u, v = np.meshgrid(np.linspace(150, 550, 9), np.linspace(160, 545, 9))
+    pixel = np.stack((u.ravel(), v.ravel()), axis=-1)
+    x = np.random.default_rng(0).normal(size=len(bench.names)) * 0.2
+    for height, glass in ((0, True), (1, True), (1, False)):
+        corners = Corners(height, glass, pixel, np.zeros_like(pixel), 1.0)
+        exact = residuals(bench, x, corners).rate
+        for number, name in enumerate(bench.names):
+            step = np.zeros(len(x))
+            step[number] = 1e-4
+            ahead, behind = residuals(bench, x + step, corners).value, residuals(bench, x - step, corners).value
+            both = (ahead - behind) / 2e-4
+            smooth = np.abs(both).max(axis=1) < 100.0  # a ray that changes its branch has no derivative
+            scale = max(np.nanmax(np.abs(exact[smooth, :, number]), initial=0.0), 1e-3)
+            assert np.nanmax(np.abs(both - exact[:, :, number])[smooth]) < 2e-5 * scale, name
+
+
+def test_spheres_of_one_glass_share_n_and_others_do_not():
+    same = bench_of(named_scene("two_spheres_500"), [0.0], FitTable())
+    assert [name for name in same.names if name.endswith(".n")] == ["glass sphere1+sphere2.n"]
+    different = bench_of(named_scene("pair_off_axis"), [0.0], FitTable())
+    assert [name for name in different.names if name.endswith(".n")] == ["glass sphere1.n", "glass sphere2.n"]
+    x = np.zeros(len(same.names))
+    x[-1] = 1.0
+    moved = same.moved(same.full(x))
+    assert [sphere.medium.n(532.0) for sphere in moved.spheres] == pytest.approx([1.535, 1.535])
+
+
+def test_zero_sigma_holds_a_number_and_a_name_overrides_the_rest():
+    priors = FitTable(
+        camera=FitCameraTable(k1=0.0),
+        spheres=FitSphereTable(centre_mm=0.5),
+        named={"sphere2": FitNamedTable(radius_mm=0.0, centre_mm=0.0)},
+        n=0.0,
+    )
+    names = bench_of(named_scene("two_spheres_500"), [0.0], priors).names
+    assert names == (
+        *(f"camera.{part}" for part in ("x", "y", "z", "rx", "ry", "rz")),
+        *(f"sphere1.{part}" for part in ("x", "y", "z", "radius")),
+    )
+
+
+def test_focal_length_is_free_only_with_a_stack_or_on_request():
+    scene = named_scene("two_spheres_500")
+    assert "camera.focal_px" not in bench_of(scene, [0.0], FitTable()).names
+    assert "camera.focal_px" in bench_of(scene, [0.0, -10.0, 10.0], FitTable(), focal_free=True).names
+    assert "camera.focal_px" in bench_of(scene, [0.0], FitTable(camera=FitCameraTable(focal_px=3.0))).names
+
+
+def test_free_undoes_full():
+    bench = bench_of(named_scene("three_spheres_500"), [0.0, 10.0], ALL)
+    x = np.random.default_rng(1).normal(size=len(bench.names))
+    np.testing.assert_allclose(bench.free(bench.full(x)), x, atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (1e-6, 0.0, 2e-6), (0.3, -0.2, 0.5)])
+def test_left_jacobian_is_what_a_small_turn_after_the_rotation_sees(turn):
+    turn = np.array(turn)
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 1e-6
+        ahead = Rotation.from_rotvec(turn + step) * Rotation.from_rotvec(turn).inv()
+        behind = Rotation.from_rotvec(turn - step) * Rotation.from_rotvec(turn).inv()
+        rate = (ahead.as_rotvec() - behind.as_rotvec()) / 2e-6
+        np.testing.assert_allclose(left_jacobian(turn)[:, axis], rate, atol=1e-8)
+
+
+def test_overlaps_are_pushed_apart_exactly_and_no_further():
+    scene = named_scene("two_spheres_500")
+    bench = bench_of(scene, [0.0], FitTable())
+    full = np.array(bench.start)
+    full[bench.glass].reshape(-1, 5)[1, 2] -= 0.004
+    full[bench.glass].reshape(-1, 5)[0, 2] -= 0.002
+    legal, overlap = legal_scene(bench, full)  # a Scene refuses overlap, so it is legal if it exists
+    assert overlap == pytest.approx(0.002, abs=1e-9) or overlap == pytest.approx(0.002, rel=1e-3)
+    one, two = legal.spheres
+    gap = np.linalg.norm(np.subtract(two.centre_mm, one.centre_mm)) - one.radius_mm - two.radius_mm
+    assert 0.0 <= gap < 1e-5
+    assert one.lowest_mm == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_does_not_overlap_is_left_alone():
+    table = named_scene("pair_off_axis").sphere_table()
+    np.testing.assert_array_equal(pushed_apart(table)[:, :3], table[:, :3])
+    assert (walls(table)[0] <= 1e-9).all()
+
+
+def test_a_fitted_index_moves_to_another_wavelength_with_the_dispersion_of_its_glass():
+    scene = named_scene("one_sphere_500")
+    sphere = replace(scene.spheres[0], medium=MEDIA["N-BK7"])
+    scene = replace(scene.with_bodies([sphere]), wavelength_nm=590.0)
+    bench = bench_of(scene, [0.0], FitTable())
+    x = np.zeros(len(bench.names))
+    x[bench.names.index("glass N-BK7.n")] = 0.3  # 0.3 of 0.005
+    fitted = bench.moved(bench.full(x))
+    there = replace(fitted, wavelength_nm=532.0).spheres[0].medium.n(532.0)
+    # Schott's data sheet of N-BK7: n(589.3) = 1.51673, n(532) = 1.51947
+    assert fitted.spheres[0].medium.n(590.0) == pytest.approx(MEDIA["N-BK7"].n(590.0) + 0.0015, abs=1e-12)
+    assert there == pytest.approx(1.51947 + 0.0015, abs=1e-5)
+
+
+def test_fit_section_is_read_strictly(tmp_path):
+    text = """
+camera: {focal_px: 6000.0, sensor_px: [100, 100], position_mm: [0.0, 0.0, 500.0]}
+glasses: {melt: {base: N-BK7, offset: 0.0012}}
+bodies: [{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 30.0], radius_mm: 25.0, material: melt}]
+fit:
+  spheres: {centre_mm: 0.3}
+  glasses: {melt: 0.001}
+"""
+    path = tmp_path / "scene.yaml"
+    path.write_text(text)
+    priors = load_priors(path)
+    assert priors.sphere("ball").centre_mm == 0.3
+    assert priors.index("melt") == 0.001
+    assert load_scene(path).spheres[0].medium.n(532.0) == pytest.approx(1.51947 + 0.0012, abs=1e-5)
+    path.write_text(text + "  named: {bal: {centre_mm: 0.1}}\n")
+    with pytest.raises(ConfigError, match=r"scene.yaml:\d+: fit.named: there is no sphere 'bal'"):
+        load_priors(path)
+    path.write_text(text.replace("centre_mm: 0.3", "centre_um: 0.3"))
+    with pytest.raises(ConfigError, match="did you mean 'centre_mm'"):
+        load_priors(path)
