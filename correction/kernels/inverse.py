@@ -11,7 +11,7 @@ import numpy as np
 from correction.node_status import BLOCKED, FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, RIM
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import undistorted
-from tracer.kernels.chain import LANES, PICK, begin_block, clear_picks, glass_span, insert_span, look, place_row
+from tracer.kernels.chain import LANES, PICK, STEP, begin_block, clear_picks, glass_span, insert_span, look, place_row
 from tracer.kernels.march import RECOVERED as TRACED
 from tracer.kernels.march import ROD, march_pixel_tangents, next_body
 
@@ -20,6 +20,7 @@ TOLERANCE_PX = 1e-6  # last Newton step; it is still applied, which leaves about
 SETTLED_PX = 1e-10
 EDGE_PX = 1e-9  # beside the outermost pixel centre and still on it
 FREE, BEHIND_GLASS, BEHIND_BODY = 0, 1, 2
+X, Y, XA, XB, YB, WANTED_X, WANTED_Y = (k * STEP for k in range(7))  # columns of a block
 
 
 @kernel
@@ -130,11 +131,11 @@ def direct_rows(
         hide_nodes(row, place, tables, discs, lockstep, x, y, spans, rays, trips, hidden)
         wy = grid[1] - row * grid[2] - camera[1]
         if not flat:
-            acquire_row(wy, grid, camera, lens)
+            acquire_row(wy, grid, camera, rays, lens)
         place_pixels(wy, flat, grid, size, camera, lens, hidden, pixel[0, row], status[row])
         place_jacobians(wy, grid, camera, pixel[0, row], jacobian[0, row])
         if not flat:
-            bend_jacobians(camera[12], lens, jacobian[0, row])
+            bend_jacobians(lens, jacobian[0, row])
         place_weights(pixel[0, row], jacobian[0, row], weight[0, row], transmittance[0, row])
         branch[0, row, :] = 0
         for layer in range(1, pixel.shape[0]):
@@ -203,13 +204,12 @@ def place_jacobians(wy: float, grid: Array, camera: Array, pixel: Array, jacobia
 
 
 @kernel
-def bend_jacobians(focal: float, lens: Array, jacobian: Array) -> None:
+def bend_jacobians(lens: Array, jacobian: Array) -> None:
     """Multiply the lens's derivatives into the Jacobians (4 w,) of a row, in place."""
-    scale = 1.0 / focal
     ua, ub, va, vb = lens[2], lens[3], lens[4], lens[5]
     for i in range(lens.shape[1]):
         uc, ur, vc, vr = jacobian[4 * i], jacobian[4 * i + 1], jacobian[4 * i + 2], jacobian[4 * i + 3]
-        a, b, c, d = ua[i] * scale, ub[i] * scale, va[i] * scale, vb[i] * scale
+        a, b, c, d = ua[i], ub[i], va[i], vb[i]
         jacobian[4 * i], jacobian[4 * i + 1] = np.float32(a * uc + b * vc), np.float32(a * ur + b * vr)
         jacobian[4 * i + 2], jacobian[4 * i + 3] = np.float32(c * uc + d * vc), np.float32(c * ur + d * vr)
 
@@ -227,50 +227,63 @@ def place_weights(pixel: Array, jacobian: Array, weight: Array, transmittance: A
 
 
 @kernel
-def acquire_row(wy: float, grid: Array, camera: Array, lens: Array) -> None:
-    """Acquired pixels of the nodes of a row that lies wy from the pinhole: Newton on the lens terms.
-
-    ``lens`` (6, w) receives u, v and their derivatives by the ideal image coordinates (du/da, du/db, dv/da,
-    dv/db); NaN where the lens formula does not settle.  A node that has settled stays while others go on.
-    """
+def acquire_block(first: int, count: int, wy: float, grid: Array, camera: Array, b: Array) -> None:
+    """Columns 0-5 of a block: x, y and derivatives of acquired image coordinates by ideal ones; see `acquire_row`."""
     px, pz, x0, pitch = camera[0], camera[2], grid[0], grid[2]
     c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11, focal, u0, v0 = camera[9], camera[10], camera[11], camera[12], camera[13], camera[14]
+    c9, c10, c11 = camera[9], camera[10], camera[11]
     k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
-    settled = SETTLED_PX / focal
-    x, y, ua, ub, va, vb = lens[0], lens[1], lens[2], lens[3], lens[4], lens[5]
-    for i in range(x.shape[0]):
-        wx = x0 + i * pitch - px
+    settled = SETTLED_PX / camera[12]
+    for i in range(count):
+        wx = x0 + (first + i) * pitch - px
         inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
-        x[i], y[i] = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
-        ua[i] = math.inf
+        b[X + i], b[Y + i] = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+        b[WANTED_X + i], b[WANTED_Y + i], b[XA + i] = b[X + i], b[Y + i], math.inf
     for _ in range(MAX_STEPS):
         moving = 0
-        for i in range(x.shape[0]):
-            wx = x0 + i * pitch - px
-            inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
-            a, b = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
-            xi, yi = x[i], y[i]
-            ai, bi, radial, slope = undistorted(xi, yi, k1, k2, k3, p1, p2)
-            xx = radial + 2.0 * xi * xi * slope + 2.0 * p1 * yi + 6.0 * p2 * xi
-            xy = 2.0 * xi * yi * slope + 2.0 * p1 * xi + 2.0 * p2 * yi
-            yy = radial + 2.0 * yi * yi * slope + 6.0 * p1 * yi + 2.0 * p2 * xi
+        for i in range(count):
+            x, y = b[X + i], b[Y + i]
+            a, e, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
+            xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+            xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+            yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
             r = 1.0 / (xx * yy - xy * xy)
-            dx, dy = (yy * (a - ai) - xy * (b - bi)) * r, (xx * (b - bi) - xy * (a - ai)) * r
-            goes = ua[i] == math.inf
+            a, e = b[WANTED_X + i] - a, b[WANTED_Y + i] - e
+            dx, dy = (yy * a - xy * e) * r, (xx * e - xy * a) * r
+            goes = b[XA + i] == math.inf
             done = abs(dx) + abs(dy) < settled
-            x[i], y[i] = xi + dx if goes else xi, yi + dy if goes else yi
-            ua_new = focal * yy * r if done else math.inf
-            ua[i] = ua_new if goes else ua[i]
-            ub[i], vb[i] = -focal * xy * r if goes else ub[i], focal * xx * r if goes else vb[i]
+            new_x, new_y, xa, xb, yb = x + dx, y + dy, yy * r, -xy * r, xx * r
+            xa = xa if done else math.inf
+            b[X + i], b[Y + i] = new_x if goes else x, new_y if goes else y
+            b[XA + i] = xa if goes else b[XA + i]
+            b[XB + i], b[YB + i] = xb if goes else b[XB + i], yb if goes else b[YB + i]
             moving += goes & (not done)
         if moving == 0:
             break
-    for i in range(x.shape[0]):
-        good = ua[i] < math.inf
-        x[i] = u0 + focal * x[i] if good else math.nan
-        y[i] = v0 + focal * y[i]
-        va[i] = ub[i]
+
+
+@kernel
+def acquire_row(wy: float, grid: Array, camera: Array, block: Array, lens: Array) -> None:
+    """Acquired pixels of the nodes of a row that lies wy from the pinhole: Newton on the lens terms.
+
+    ``lens`` (6, w) receives u, v and the derivatives of acquired by ideal pixels (du/da, du/db, dv/da, dv/db);
+    NaN where the lens formula does not settle.  A node that has settled stays while others go on.  ``block`` is
+    scratch (RAY_NUMBERS,).
+    """
+    focal, u0, v0 = camera[12], camera[13], camera[14]
+    width = lens.shape[1]
+    for low in range(0, width, LANES):
+        count = min(LANES, width - low)
+        acquire_block(low, count, wy, grid, camera, block)
+        for i in range(count):
+            lens[0, low + i] = u0 + focal * block[X + i] if block[XA + i] < math.inf else math.nan
+            lens[1, low + i] = v0 + focal * block[Y + i]
+        for i in range(count):
+            lens[2, low + i] = block[XA + i]
+            lens[3, low + i] = block[XB + i]
+        for i in range(count):
+            lens[4, low + i] = block[XB + i]
+            lens[5, low + i] = block[YB + i]
 
 
 @kernel
@@ -303,48 +316,37 @@ def solve_node(
 
 @kernel_inlined
 def keep_view(
-    converged: bool,
+    verdict: int,
     u: float,
     v: float,
-    xu: float,
-    xv: float,
-    yu: float,
-    yv: float,
+    uc: float,
+    ur: float,
+    vc: float,
+    vr: float,
     passed: float,
+    worth: float,
     number: int,
-    events: int,
-    limits: Array,
-    pitch: float,
     row: int,
     column: int,
-    maps: tuple[Array, ...],
+    status: Array,
+    pixel: Array,
+    jacobian: Array,
+    weight: Array,
+    transmittance: Array,
+    branch: Array,
 ) -> None:
     """Insert one view of a node into its layers, best first, or note why it cannot be kept.
 
-    ``limits`` (4,): smallest and largest magnification, sensor width and height; ``maps`` see below:
-    status (h, w), pixel (K, h, w, 2), Jacobian (K, h, w, 4), weight, transmittance and branch (K, h, w).
+    Status is (h, w), pixel (K, h, w, 2), Jacobian (K, h, w, 4), weight, transmittance and branch (K, h, w).
     """
-    status, pixel, jacobian, weight, transmittance, branch = maps
-    ux, uy, vx, vy = inverse_2x2(xu, xv, yu, yv)
-    uc, ur, vc, vr = ux * pitch, -uy * pitch, vx * pitch, -vy * pitch
-    low, high = stretch(uc, ur, vc, vr)
-    verdict = RECOVERED
-    if not converged:
-        verdict = FOLD
-    elif not (0.0 <= u <= limits[2] - 1.0 and 0.0 <= v <= limits[3] - 1.0):
-        verdict = OUT_OF_FRAME
-    elif low < limits[0]:
-        verdict = LOW_MAGNIFICATION
-    elif high > limits[1]:
-        verdict = FOLD
     if verdict != RECOVERED:
         if status[row, column] != RECOVERED:
             status[row, column] = verdict
         return
-    worth = np.float32(passed * min(1.0, abs(uc * vr - ur * vc)) / (1.0 + events))  # as it is stored
     layers = pixel.shape[0]
+    stored = np.float32(worth)
     place = 0
-    while place < layers and not worth > weight[place, row, column]:
+    while place < layers and not stored > weight[place, row, column]:
         place += 1
     if place == layers:
         return
@@ -359,6 +361,6 @@ def keep_view(
     pixel[place, row, column, 0], pixel[place, row, column, 1] = u, v
     jacobian[place, row, column, 0], jacobian[place, row, column, 1] = uc, ur
     jacobian[place, row, column, 2], jacobian[place, row, column, 3] = vc, vr
-    weight[place, row, column], transmittance[place, row, column] = worth, passed
+    weight[place, row, column], transmittance[place, row, column] = stored, passed
     branch[place, row, column] = number
     status[row, column] = RECOVERED

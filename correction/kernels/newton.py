@@ -14,7 +14,9 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 
 import math
 
-from correction.kernels.inverse import TOLERANCE_PX, keep_view, solve_node
+from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, keep_view, solve_node, stretch
+from correction.kernels.bspline import INDEX
+from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import undistorted, unit_tangent
 from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block
@@ -29,11 +31,13 @@ GROUP = 64  # nodes of a block: 27 columns of them fit the first-level cache
 STEP = GROUP + 8
 U, V, X, Y, PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(10))
 FX, FY, FZ, UX, UY, UZ, GX, GY, GZ, VX, VY, VZ = (k * STEP for k in range(10, 22))
-LIGHT, KEPT, XU, XV, YU, YV = (k * STEP for k in range(22, 28))
-NEWTON_NUMBERS = 28 * STEP
+LIGHT, KEPT, XU, XV, YU, YV, WORTH = (k * STEP for k in range(22, 29))
+NEWTON_NUMBERS = 29 * STEP
 VECTOR_STEPS = 8  # from a start within a pixel three do; more are for the careful way
 MOVING, CONVERGED, FAILED = 0, 1, 2
 
+inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defined]
+stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
 foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
 turned_inlined = kernel_inlined(turned.py_func)  # type: ignore[attr-defined]
 foot_tangent_inlined = kernel_inlined(foot_tangent.py_func)  # type: ignore[attr-defined]
@@ -207,8 +211,8 @@ def solve_nodes(
     Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy`` (2, GROUP), those of `follow_block`.
     """
     camera, spheres = tables[0], tables[1]
+    status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
     columns = start.shape[1]
-    events = sequence.shape[0]
     for low in range(first, last, GROUP):
         count = min(GROUP, last - low)
         for i in range(count):
@@ -220,18 +224,60 @@ def solve_nodes(
             solve_block(count, camera, spheres, sequence, sign, block, state)
             verify(count, camera, balls, xy, spans, wanted, rays, trips, block)
         for i in range(count):
-            row, column = nodes[low + i] // columns, nodes[low + i] % columns
-            u, v, light = block[U + i], block[V + i], block[KEPT + i]
-            xu, xv, yu, yv = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
-            good = state[i] == CONVERGED and trips[TRIP + i] == trip
-            if not good:
-                done, u, v, xu, xv, yu, yv, light = solve_node(
+            if not (state[i] == CONVERGED and trips[TRIP + i] == trip):
+                row, column = nodes[low + i] // columns, nodes[low + i] % columns
+                done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
                     block[X + i], block[Y + i], start[row, column, 0], start[row, column, 1], key, sign, tables
                 )
-                good = done > 0.0
+                block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
+                state[i] = CONVERGED if done > 0.0 else FAILED
+        judge(count, grid[2], sequence.shape[0], limits, block, state)
+        for i in range(count):
+            row, column = (nodes[low + i] // columns) & INDEX, (nodes[low + i] % columns) & INDEX
+            uc, ur, vc, vr = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
+            u, v, light, worth = block[U + i], block[V + i], block[KEPT + i], block[WORTH + i]
             keep_view(
-                good, u, v, xu, xv, yu, yv, light, number, events, limits, grid[2], row, column, maps
+                state[i],
+                u,
+                v,
+                uc,
+                ur,
+                vc,
+                vr,
+                light,
+                worth,
+                number,
+                row,
+                column,
+                status,
+                pixel,
+                jacobian,
+                weight,
+                transmittance,
+                branch,
             )
+
+
+@kernel
+def judge(count: int, pitch: float, events: int, limits: Array, b: Array, state: Array) -> None:
+    """Turn d plane / d pixel (XU ...) into d pixel / d node, state into NodeStatus, and weigh the views.
+
+    ``limits`` (4,): smallest and largest magnification, sensor width and height.
+    """
+    least, most, right, bottom = limits[0], limits[1], limits[2] - 1.0, limits[3] - 1.0
+    share = 1.0 / (1.0 + events)
+    for i in range(count):
+        ux, uy, vx, vy = inverse_inlined(b[XU + i], b[XV + i], b[YU + i], b[YV + i])
+        uc, ur, vc, vr = ux * pitch, -uy * pitch, vx * pitch, -vy * pitch
+        low, high = stretch_inlined(uc, ur, vc, vr)
+        u, v = b[U + i], b[V + i]
+        inside = (u >= 0.0) & (u <= right) & (v >= 0.0) & (v <= bottom)
+        verdict = FOLD if high > most else RECOVERED
+        verdict = LOW_MAGNIFICATION if low < least else verdict
+        verdict = verdict if inside else OUT_OF_FRAME
+        state[i] = verdict if state[i] == CONVERGED else FOLD
+        b[XU + i], b[XV + i], b[YU + i], b[YV + i] = uc, ur, vc, vr
+        b[WORTH + i] = b[KEPT + i] * min(1.0, abs(uc * vr - ur * vc)) * share
 
 
 @kernel

@@ -58,7 +58,7 @@ def cut_whole(frame: Array, row: int, column: int, level: np.float32, sums: Arra
     flat = out.reshape(size * size)
     for k in range(flat.size):
         flat[k] -= mean
-    return total_of(square) - total * total / (size * size)
+    return total_of(square) - total * total / (size * size)  # type: ignore[no-any-return]
 
 
 @kernel
@@ -201,7 +201,7 @@ def lag_mean(a: Array, b: Array, dx: int, dy: int, sums: Array) -> float:
         there = b[j + dy, first + dx : first + dx + width]
         for k in range(width):
             sums[k] += here[k] * there[k]
-    return total_of(sums[:width]) / (width * (size - abs(dy)))
+    return total_of(sums[:width]) / (width * (size - abs(dy)))  # type: ignore[no-any-return]
 
 
 @kernel

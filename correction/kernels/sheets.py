@@ -186,6 +186,7 @@ def scatter_sheet(
     """
     height, width = branch.shape
     rows, columns = away.shape
+    per_mm = 1.0 / grid[2]
     found = 0
     for k in range(runs.shape[0]):
         line = runs[k, 0]
@@ -198,15 +199,17 @@ def scatter_sheet(
                 _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
                     float(i), float(line), tables[0], tables[1], tables[2]
                 )
-            ux, uy, vx, vy = inverse_2x2(xu, xv, yu, yv)
-            c, r = (plane[line, 2 * i] - grid[0]) / grid[2], (grid[1] - plane[line, 2 * i + 1]) / grid[2]
+            c, r = (plane[line, 2 * i] - grid[0]) * per_mm, (grid[1] - plane[line, 2 * i + 1]) * per_mm
             reach = REACH if i > runs[k, 1] and i + 1 < runs[k, 2] else 1.0
             if code[up, i] >> 1 != code[line, i] >> 1 or code[down, i] >> 1 != code[line, i] >> 1:
                 reach = 1.0
-            scale = reach / grid[2]
+            scale = reach * per_mm
             c_half, r_half = scale * (abs(xu) + abs(xv)), scale * (abs(yu) + abs(yv))
             c_first, c_last = max(0, math.ceil(c - c_half)), min(columns - 1, math.floor(c + c_half))
             r_first, r_last = max(0, math.ceil(r - r_half)), min(rows - 1, math.floor(r + r_half))
+            if c_first > c_last or r_first > r_last:
+                continue
+            ux, uy, vx, vy = inverse_2x2(xu, xv, yu, yv)
             for row in range(r_first, r_last + 1):
                 ey = -(row - r) * grid[2]
                 for column in range(c_first, c_last + 1):
