@@ -142,6 +142,7 @@ def run(
         files.append(str(folder / f"{name}.npy"))
         np.save(files[-1], frame)
     out = folder / "field.npz"
+    # In the folder that is thrown away: some peers write logs where they run.
     environment = {**os.environ, **SINGLE}
     done = subprocess.run(
         [python, "-c", script, *files, str(out), str(rounds), mode],
