@@ -18,6 +18,9 @@ from correction.corners import refine_corners
 from correction.corrector import Corrector
 from correction.target import Chessboard
 
+# A magnified view comes out so sharp that an edge along a pixel row leaves no pixel to measure it by; a
+# symmetric blur moves nothing and gives the edge a width again.
+SOFTEN_PX, SOFTEN_REACH_PX = 0.6, 2
 REGIONS = ("all", "seen directly", "behind glass")
 
 
@@ -91,18 +94,21 @@ def target_error(corrected: NDArray[np.float32], corrector: Corrector, board: Ch
         Figures for all corners, those seen directly, and those behind glass.
     """
     grid = corrector.map.grid
-    usable = corrector.recovered & (_same_branch(corrector.map.branch[0]) > 0)
+    whole = corrector.recovered & (_same_branch(corrector.map.branch[0]) > 0)
+    reach = np.ones((2 * SOFTEN_REACH_PX + 1,) * 2, np.uint8)
+    usable = cv2.erode(whole.astype(np.uint8), reach, borderValue=0) > 0
+    soft = cv2.GaussianBlur(np.nan_to_num(corrected), (2 * SOFTEN_REACH_PX + 1,) * 2, SOFTEN_PX)
     outline = grid.to_mm(np.array([[0.0, 0.0], [grid.shape[1] - 1.0, grid.shape[0] - 1.0]]))
     index = board.corners_within(outline)
     expected = grid.to_px(board.corner_mm(index))
     square = board.square_mm / grid.pitch_mm
     window = np.ones((2 * int(0.3 * square) + 1,) * 2, np.uint8)
-    inner = cv2.erode(usable.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    inner = cv2.erode(whole.astype(np.uint8), window, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     nearest = np.clip(np.rint(expected).astype(int), 0, np.array(grid.shape[::-1]) - 1)
     seen = inner[nearest[:, 1], nearest[:, 0]] > 0
     expected, nearest = expected[seen], nearest[seen]
     fit = refine_corners(
-        np.nan_to_num(corrected),
+        soft,
         expected,
         np.array([[square, 0.0], [0.0, -square]]),
         sign=board.corner_sign(index[seen]),
