@@ -115,27 +115,28 @@ class Controller(ABC):
             Another device answers than the first time, or its set-up does not fit the bench file.
         """
         with self._lock:
-            first_time = not self.identity
             self.close()
             self._referenced.clear()
             self._port = Port(url, baud or self.default_baud, clock=self.clock, hold_dtr=self.hold_dtr)
             try:
-                self._suspect = self._stopped = False
-                self._reset_state()
-                self._port.drain(QUIET_S)
-                identity = self._agreed(self._identify)
-                if not first_time and identity != self.identity:
-                    raise WrongDevice(
-                        f"{self.name}: {identity!r} answers where {self.identity!r} was; check the cables"
-                    )
-                self.identity = identity
-                self._set_up()
-                if first_time:  # after a loss nobody vouches for the position, whatever the controller says
-                    self._referenced |= {name for name in self._channels if self._remembers_reference(name)}
+                self._get_to_know()
             except BaseException:
                 self.close()
                 raise
-            return identity
+            return self.identity
+
+    def _get_to_know(self) -> None:
+        first_time = not self.identity
+        self._suspect = self._stopped = False
+        self._reset_state()
+        self.port.drain(QUIET_S)
+        identity = self._agreed(self._identify)
+        if not first_time and identity != self.identity:
+            raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
+        self.identity = identity
+        self._set_up()
+        if first_time:  # after a loss nobody vouches for the position, whatever the controller says
+            self._referenced |= {name for name in self._channels if self._remembers_reference(name)}
 
     def close(self) -> None:
         """Close the port; safe at any time."""

@@ -178,7 +178,7 @@ class GrblEmulator(Emulator):
         self.settings[number] = value
         return grbl.Ok()
 
-    def _motion(self, text: str, jog: bool) -> grbl.Ok | grbl.Refusal:
+    def _motion(self, text: str, jog: bool) -> grbl.Ok | grbl.Refusal | None:
         if self._state == "Alarm":
             return grbl.Refusal(9)
         words = _WORD.findall(text)
@@ -199,16 +199,15 @@ class GrblEmulator(Emulator):
         for name, target_mm in targets.items():
             travel_mm = self.settings[130 + NAMES.index(name)]
             if self.settings[20] and not -travel_mm <= target_mm <= 0.0:
-                return grbl.Refusal(15) if jog else self._soft_limit()
+                if jog:
+                    return grbl.Refusal(15)
+                self._alarm(2)  # the line itself is never answered
+                return None
         self._queue.append((targets, feed * inch / 60.0 if feed else 1e9))
         if self._state == "Idle":
             self._state = "Jog" if jog else "Run"
             self._start_next()
         return grbl.Ok()
-
-    def _soft_limit(self) -> grbl.Refusal:
-        self._alarm(2)
-        return grbl.Refusal(9)
 
     def _end_mm(self, name: str) -> float:
         """Where a motor will be after everything queued."""
