@@ -149,6 +149,7 @@ def run(
         capture_output=True,
         text=True,
         env=environment,
+        cwd=folder,
     )
     if done.returncode:
         raise RuntimeError(done.stderr.strip().splitlines()[-1])
