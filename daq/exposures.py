@@ -92,7 +92,6 @@ class Exposures:
                 counters = self.camera.disarm()
             except CameraError:  # gone; what it counted before is all that will ever be known
                 counters = _last_counters(self.camera)
-                books.timeouts += 1  # the frame that was under way
             self.ledger += books.close(counters)
 
     def reopen(self) -> None:
@@ -120,8 +119,8 @@ class Exposures:
                 self._arm()
             assert self._books is not None
             self._books.triggers += 1
-            self.camera.trigger()
             try:
+                self.camera.trigger()
                 frame = self.camera.next_frame(self.section.timeout_s)
                 self._books.handed += 1
                 return frame
@@ -130,6 +129,9 @@ class Exposures:
                 why = error
             except FrameError as error:
                 why = error
+            except CameraError:
+                self._books.timeouts += 1  # the frame that was under way
+                raise
             self.end()
         raise FramesLost(
             f"no whole frame after {self.section.retakes + 1} triggers ({why}); look at link and trigger"

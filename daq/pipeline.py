@@ -19,6 +19,7 @@ import queue
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -189,13 +190,14 @@ class Pipeline:
         self._raise()
 
     def close(self) -> None:
-        """End the lanes; frames that wait are still written and corrected."""
-        self._raw.put(None)
+        """End the lanes; frames that wait are still written and corrected, unless the disk hangs."""
+        with suppress(queue.Full):
+            self._raw.put(None, timeout=PATIENCE_S)
         with self._live_wake:
             self._live_ends = True
             self._live_wake.notify()
         for thread in self._threads:
-            thread.join()
+            thread.join(PATIENCE_S)
 
     def catch_up(self, steps: list[Step]) -> int:
         """Correct from the disk what the live lane has not; return how many frames that were."""

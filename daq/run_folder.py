@@ -159,6 +159,10 @@ class RunFolder:
         """File of a corrected frame."""
         return self.path / "corrected" / f"{number:06d}.tif"
 
+    def absent(self, entries: Iterable[Entry]) -> list[int]:
+        """Frames of the journal that have no file."""
+        return [n for n, entry in frame_entries(entries).items() if not self.inside(str(entry["file"])).is_file()]
+
     def inside(self, name: str) -> Path:
         """Path of a name that was read from a file of the run.
 

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import Any
 
 from daq.bench import OpenBench, known_positions
@@ -119,9 +120,9 @@ class Runner:
         """
         journal = Journal(self._folder.journal_path)
         try:
-            discard_unfinished(self._folder, self._steps, journal)
             left = remaining(self._steps, self._folder.entries())
             journal.append("session", sync=True, utc=_utc(), versions=versions(), steps_left=len(left))
+            discard_unfinished(self._folder, self._steps, journal)
             if self._corrections is not None:
                 self._corrections.prepare(step.view for step in left if step.on_plane)
             with self.interrupts:
@@ -259,7 +260,7 @@ class Runner:
         entries = self._folder.entries()
         total, sessions = total_ledger(entries)
         present = frame_entries(entries)
-        absent = [number for number in present if not self._folder.frame_path(number).is_file()]
+        absent = self._folder.absent(entries)
         if absent or len(present) != frame_count(self._steps):
             raise BadBalance(f"{len(present)} frames in the journal, {len(absent)} of them without a file")
         flows = [entry["flow"] for entry in entries if entry["kind"] == "counts"]
@@ -297,31 +298,27 @@ def go_to(hardware: OpenBench, targets_mm: Mapping[str, float], rests_at_mm: Map
 
 
 def total_ledger(entries: Sequence[Entry]) -> tuple[Ledger, list[dict[str, Any]]]:
-    """Add the ledgers of all sessions up.
+    """Add the books of all sessions up.
 
-    A session that was killed has none; its frame lines stand for it, and what was under way is not known.
+    A session that was killed has none; its frame lines stand for it, and what was under way is not known.  Frames
+    that a session discards at its beginning were written by an earlier one.
     """
+    starts = [index for index, entry in enumerate(entries) if entry["kind"] == "session"]
     total, sessions = Ledger(), []
-    current: dict[str, Any] | None = None
-    lines = 0
-    for entry in [*entries, {"kind": "session", "utc": None}]:
-        if entry["kind"] == "session":
-            if current is not None:
-                if "conservation" not in current:
-                    ledger = Ledger(triggered=lines, written=lines)
-                    current |= {"conservation": ledger.to_dict(), "ended": "killed"}
-                    total += ledger
-                sessions.append(current)
-            current, lines = {"utc": entry["utc"]}, 0
-        elif entry["kind"] == "frame":
-            lines += 1
-        elif entry["kind"] == "counts" and current is not None:
-            current["conservation"] = entry["books"]
-            total += Ledger.from_dict(entry["books"])
-        elif entry["kind"] == "end" and current is not None:
-            current |= {"ended": entry["why"], "error": entry["error"]}
-        elif entry["kind"] == "discard" and current is not None and lines == 0:
-            total += Ledger(written=-len(entry["frames"]), rejected=len(entry["frames"]))
+    for first, last in pairwise([*starts, len(entries)]):
+        lines = entries[first + 1 : last]
+        books = next((Ledger.from_dict(line["books"]) for line in lines if line["kind"] == "counts"), None)
+        end = next((line for line in lines if line["kind"] == "end"), None)
+        was_killed = books is None
+        if books is None:
+            written = sum(line["kind"] == "frame" for line in lines)
+            books = Ledger(triggered=written, written=written)
+        for number, line in enumerate(lines):
+            if line["kind"] == "discard" and (number == 0 or was_killed):
+                books += Ledger(written=-len(line["frames"]), rejected=len(line["frames"]))
+        total += books
+        why = {"ended": "killed", "error": ""} if end is None else {"ended": end["why"], "error": end["error"]}
+        sessions.append({"utc": entries[first]["utc"], **why, "conservation": books.to_dict()})
     return total, sessions
 
 

@@ -142,6 +142,8 @@ def reopen(path: Path) -> tuple[Request, Bench, Plan, RunFolder]:
                 f"{path}: the {name} is another than when the run began ({now}, was {then}); "
                 "put the old file back, or begin a new run"
             )
+    if absent := folder.absent(folder.entries()):
+        raise ResumeRefused(f"{path}: frames {absent[:5]} are in the journal and not on the disk; begin a new run")
     return request, bench, plan, folder
 
 

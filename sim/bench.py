@@ -281,7 +281,8 @@ class SimulatedBench:
         config = CameraConfig(width, height, serial=SERIAL, row_time_us=table.row_time_us, faults=faults)
         if table.ring is not None:
             ring = bench.path.parent / table.ring
-            config = replace(config, source="sim.camera.source:RingSource", source_arguments={"folder": str(ring)})
+            arguments = {"folder": str(ring), "first": exposures_before}
+            config = replace(config, source="sim.camera.source:RingSource", source_arguments=arguments)
         else:
             server = FrameServer(self.world, folder, width, height)
             self._stack.callback(server.close)

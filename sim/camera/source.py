@@ -65,16 +65,18 @@ class RingSource:
     ----------
     folder : path
         Folder with one `.npy` file (H, W) uint16 a frame, shown in the order of their names, again and again.
+    first : int
+        Frames shown in an earlier life.
     """
 
-    def __init__(self, folder: Path | str) -> None:
+    def __init__(self, folder: Path | str, first: int = 0) -> None:
         paths = sorted(Path(folder).glob("*.npy"))
         if not paths:
             raise ValueError(f"{folder} holds no .npy frames; write some with numpy.save")
         self._frames = [np.ascontiguousarray(np.load(path, allow_pickle=False), np.uint16) for path in paths]
         for frame in self._frames:
             frame.flags.writeable = False
-        self._shown = 0
+        self._shown = first
 
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """Return the next frame of the ring, exposure by exposure."""

@@ -1,0 +1,83 @@
+"""The example bench with a small camera, and everything open on it but the camera's process."""
+
+import re
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import tifffile
+
+from daq.bench import OpenBench, guard_of, start_simulation
+from daq.bench_file import load_bench
+from daq.cameras.files import FilesCamera
+from daq.plan import load_plan
+from stages.stage import Stage
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+SIDE_PX = 96
+SCENE = """
+camera: {{f_mm: 60.0, L_mm: 500.0, pixel_pitch_um: {pitch_um}, sensor_px: [{side}, {side}]}}
+bodies:
+  - {{name: near, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: {{n: 1.53}}}}
+  - {{name: far, kind: sphere, centre_mm: [0.0, 0.0, 75.0], radius_mm: 25.0, material: {{n: 1.53}}}}
+"""
+TARGET = "experiment: target\nclear: {z_mm: [0.0, -10.0]}\nglass: {z_mm: [0.0]}\n"
+SHIFT = """experiment: shift
+views: [clear, glass]
+displacements:
+  - {along: [1.0, 1.0, 0.0], px: 2.0}
+  - {along: [0.0, 0.0, -1.0], mm: 0.5}
+"""
+
+
+def write_bench(folder, side_px=SIDE_PX, simulation="samples: 1", camera=None):
+    """Write scene.yaml and bench.yaml; return the path of the bench."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "scene.yaml").write_text(SCENE.format(side=side_px, pitch_um=11.0 * 2016 / side_px))
+    text = (EXAMPLES / "bench-sim.yaml").read_text()
+    text = text.replace("two_spheres_500.yaml", "scene.yaml")
+    text = text.replace("  seed: 7\n", "  seed: 7\n" + "".join(f"  {line}\n" for line in simulation.splitlines()))
+    if camera is not None:
+        text = re.sub(r"^camera:\n(  .*\n)+", camera, text, flags=re.MULTILINE)
+    (folder / "bench.yaml").write_text(text)
+    return folder / "bench.yaml"
+
+
+def load(folder, plan=SHIFT, name="plan", **changes):
+    """Write bench and plan and read both."""
+    bench = load_bench(write_bench(folder, **changes))
+    (folder / f"{name}.yaml").write_text(plan)
+    return bench, load_plan(folder / f"{name}.yaml", bench)
+
+
+FILES_CAMERA = """camera:
+  backend: files
+  options: {folder: frames_in}
+  settings: {TriggerMode: "On", TriggerSource: Software}
+  timeout_s: 0.3
+"""
+
+
+def write_frames(folder, count, side_px=SIDE_PX):
+    """A folder of numbered frames for a files camera."""
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng(1)
+    for number in range(count):
+        tifffile.imwrite(folder / f"{number:05d}.tif", rng.integers(0, 4095, (side_px, side_px)).astype(np.uint16))
+    return folder
+
+
+@contextmanager
+def files_bench(bench, frames, camera_class=FilesCamera, home=True):
+    """Open the simulated stage over byte protocols, and a folder as the camera: no process, no waiting."""
+    simulation = start_simulation(bench, "particles")
+    try:
+        with Stage.open(simulation.stages, simulation.clock, guard_of(bench)) as stage:
+            if home:
+                stage.home()
+            camera = camera_class(frames)
+            camera.open()
+            section = bench.table.camera
+            yield OpenBench(bench, stage, camera, section, simulation.clock, simulation)
+    finally:
+        simulation.close()
