@@ -49,8 +49,8 @@ def _parser() -> argparse.ArgumentParser:
     correct.add_argument("--check-target", action="store_true", help="frames show the target: report its errors")
 
     evaluate = verbs.add_parser("evaluate", help="vectors of a pair seen through glass, with a report")
-    evaluate.add_argument("pair", type=Path, nargs=2, metavar="FRAME", help="frame A and frame B as acquired")
-    evaluate.add_argument("--scene", type=Path, required=True, help="scene.yaml, best a fitted one")
+    evaluate.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="frame A and frame B, or one run")
+    evaluate.add_argument("--scene", type=Path, help="scene.yaml, best a fitted one (default: the run's own)")
     evaluate.add_argument("-o", "--out", type=Path, required=True, help="folder for vectors and report")
     evaluate.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     evaluate.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")

@@ -55,6 +55,6 @@ def correct_rows(
                         c = (j + 0.5) / n_c - 0.5
                         a = min(max(u + uc * c + ur * r, 0.0), right)
                         b = min(max(v + vc * c + vr * r, 0.0), bottom)
-                        total += quintic_at(image, a, b) if quintic else bilinear_at(image, a, b)
+                        total += float(quintic_at(image, a, b) if quintic else bilinear_at(image, a, b))
                 value += share * total / (n_c * n_r)
             out[row, column] = value

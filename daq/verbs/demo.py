@@ -43,7 +43,7 @@ def demo(out: Path) -> None:
     screen.rule("6  a particle sheet moved by 14 px, measured through the glass")
     pair = [frames.path("particles_glass_a"), frames.path("particles_glass_b")]
     shift_mm = json.loads((out / "frames" / "frames.json").read_text(encoding="utf-8"))["shift_mm"]
-    evaluate(pair, fitted, out / "shift", shift_mm=(shift_mm[0], shift_mm[1]), velocity=True)
+    evaluate(pair, out / "shift", fitted, shift_mm=(shift_mm[0], shift_mm[1]), velocity=True)
     screen.print(
         f"[bold]Look at {out / 'shift' / 'report.html'}, {out / 'fitted' / 'overview.png'} "
         f"and {out / 'trace' / 'fig4_markers.png'}[/bold]"

@@ -16,7 +16,7 @@ def test_shift_behind_the_glass(name, tmp_path):
     frames = supplied(name)
     (tmp_path / "scene.yaml").write_text(dump_scene(frames.truth))
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
-    found = evaluate(pair, tmp_path / "scene.yaml", tmp_path / "out", shift_mm=frames.shift_mm, vtk=True)
+    (found,) = evaluate(pair, tmp_path / "out", tmp_path / "scene.yaml", shift_mm=frames.shift_mm, vtk=True)
     assert found.shift is not None
     direct, middle = found.shift.regions["seen directly"], found.shift.regions["behind glass, r < 0.75 R"]
     assert max(direct.std_px) <= 0.05

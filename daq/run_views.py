@@ -1,0 +1,100 @@
+"""What a run folder shows, for the verbs that work on finished runs: target frames, and pairs with their shift."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daq.errors import ResumeRefused
+from daq.run_folder import RunFolder, frame_entries
+
+RUN_MARK = "run.json"
+
+
+@dataclass(frozen=True)
+class ShiftPair:
+    """Two frames of a shift experiment.
+
+    Parameters
+    ----------
+    tag : str
+        What the plan calls the second one.
+    glass : bool
+        Taken through the glass, or the clear reference.
+    frames : (Path, Path)
+        Before and after.
+    commanded_mm, measured_mm : (float, float)
+        Displacement of the target, x and y (up), as planned and as the stages reported it.
+    """
+
+    tag: str
+    glass: bool
+    frames: tuple[Path, Path]
+    commanded_mm: tuple[float, float]
+    measured_mm: tuple[float, float]
+
+
+def is_run(path: Path) -> bool:
+    """Whether a folder is a run."""
+    return (path / RUN_MARK).is_file()
+
+
+def scene_text(path: Path) -> str:
+    """Scene of a run as it was described when the run began, as the text of a scene file."""
+    return str(RunFolder.open(path).about["scene"])
+
+
+def target_frames(path: Path) -> dict[str, Path]:
+    """First frame of every step that photographed the target, by tag.
+
+    Raises
+    ------
+    ResumeRefused
+        The folder is no run, or a name in it leads outside.
+    """
+    folder = RunFolder.open(path)
+    files = _files(folder)
+    return {
+        str(step["tag"]): files[step["first_frame"]]
+        for step in _steps(folder)
+        if step["shows"] == "chessboard" and step["first_frame"] in files
+    }
+
+
+def shift_pairs(path: Path) -> list[ShiftPair]:
+    """Pairs of a shift experiment, in the order of the plan.
+
+    Raises
+    ------
+    ResumeRefused
+        The folder is no run, a name in it leads outside, or it holds no displacement.
+    """
+    folder = RunFolder.open(path)
+    files, views = _files(folder), {str(step["tag"]): str(step["view"]) for step in _steps(folder)}
+    try:
+        moved = json.loads((path / "displacements.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise ResumeRefused(f"{path}: holds no displacements; evaluate a finished shift run") from None
+    found = []
+    for entry in moved:
+        first, second = entry["frames"]
+        if first in files and second in files:
+            tag, glass = str(entry["tag"]), views.get(str(entry["tag"])) == "glass"
+            ways = (_plane(entry["commanded_mm"]), _plane(entry["measured_mm"]))
+            found.append(ShiftPair(tag, glass, (files[first], files[second]), *ways))
+    if not found:
+        raise ResumeRefused(f"{path}: no displacement is complete; resume the run first")
+    return found
+
+
+def _steps(folder: RunFolder) -> list[dict[str, Any]]:
+    return list(folder.about["steps"])
+
+
+def _files(folder: RunFolder) -> dict[int, Path]:
+    """Frames that are on the disk, by number; every name is confined to the run."""
+    return {number: folder.inside(str(entry["file"])) for number, entry in frame_entries(folder.entries()).items()}
+
+
+def _plane(vector: list[float]) -> tuple[float, float]:
+    return (float(vector[0]), float(vector[1]))
