@@ -23,7 +23,9 @@ from correction.fit.table2 import Sense1, aligned, computed_against_acquired, co
 from correction.fit.weakness import Weakness, weaknesses
 from correction.frame_file import FRAME_ENDINGS, read_frame
 from correction.target import Chessboard
+from daq import run_views
 from daq.pictures.calibration import Panel, draw_map_sigma, draw_residuals
+from daq.run_views import is_run
 from daq.terminal import console
 from tracer.scene_file import dump_scene, load_priors, load_scene
 
@@ -37,7 +39,7 @@ def calibrate(folder: Path, scene: Path, out: Path, square_mm: float = 2.5, disc
     Parameters
     ----------
     folder : Path
-        Holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif`` (through the glass) and, for
+        A target run, or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif`` (through the glass) and, for
         other heights, ``target_clear_z+10mm.tif`` ...
     scene : Path
         Nominal scene.yaml; its ``fit:`` section says what may change.
@@ -85,7 +87,7 @@ def calibrate(folder: Path, scene: Path, out: Path, square_mm: float = 2.5, disc
 
 
 def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
-    """Read the target frames of a folder; the name says what was before the camera and the height.
+    """Read the target frames of a run or a folder; the name says what was before the camera and the height.
 
     Raises
     ------
@@ -95,13 +97,17 @@ def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
         A frame is damaged or of another size.
     """
     if not folder.is_dir():
-        raise ViewsMissing(f"{folder}: is no folder; give the folder with {WANTED}")
+        raise ViewsMissing(f"{folder}: is no folder; give a run, or the folder with {WANTED}")
+    if is_run(folder):
+        named = run_views.target_frames(folder)
+    else:
+        named = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in FRAME_ENDINGS}
     frames = []
-    for path in sorted(folder.iterdir()):
-        match = NAME.fullmatch(path.stem)
-        if match and path.suffix.lower() in FRAME_ENDINGS:
+    for name, path in named.items():
+        match = NAME.fullmatch(name)
+        if match:
             image = read_frame(path, shape)
-            frames.append(TargetFrame(path.stem, image, match[1] == "glass", float(match[2] or 0.0)))
+            frames.append(TargetFrame(name, image, match[1] == "glass", float(match[2] or 0.0)))
     if not frames:
         raise ViewsMissing(f"{folder}: holds no frame of the target; name them {WANTED}")
     return frames
