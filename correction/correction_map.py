@@ -253,7 +253,7 @@ class _Inversion:
         place, discs = self._node_camera(), sphere_discs(self.tables[1])
         lens_free = self.scene.camera.lens.is_ideal
         size = np.array(self.size, dtype=np.float64)
-        maps = (
+        maps: tuple[NDArray[Any], ...] = (
             self.status,
             self.pixel.reshape(len(self.pixel), height, 2 * width),
             self.jacobian.reshape(len(self.pixel), height, 4 * width),
@@ -343,8 +343,10 @@ class _Inversion:
         key = DIRECT
         for body in sequence.tolist():
             key = next_key(key, body) & KEY_MASK
-        balls, trip = (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
-        maps = (self.status, self.pixel, self.jacobian, *self._rest())
+        balls, trip = (
+            (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
+        )
+        maps: tuple[NDArray[Any], ...] = (self.status, self.pixel, self.jacobian, *self._rest())
 
         def work(first: int, last: int) -> None:
             scratch = (

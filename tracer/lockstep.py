@@ -64,9 +64,7 @@ def trace_lockstep(
         x, y = np.empty(width), np.empty(width)
         spans, wanted = np.empty((2 * len(chain) + 1, 2), np.int64), np.empty(len(chain), np.int64)
         scratch = (x, y, spans, wanted, *block_scratch())
-        chain_rows(
-            camera, balls, flat, skips, first, last, *scratch, unknown, point, status, branch
-        )
+        chain_rows(camera, balls, flat, skips, first, last, *scratch, unknown, point, status, branch)
 
     run_rows(work, height)
     names = [sphere.name for sphere in chain]

@@ -8,10 +8,20 @@ import math
 
 import numpy as np
 
-from correction.node_status import BLOCKED, FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, RIM
+from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import undistorted
-from tracer.kernels.chain import LANES, PICK, STEP, begin_block, clear_picks, glass_span, insert_span, look, place_row
+from tracer.kernels.chain import (
+    LANES,
+    PICK,
+    STEP,
+    begin_block,
+    clear_picks,
+    glass_span,
+    insert_span,
+    look,
+    place_row,
+)
 from tracer.kernels.march import RECOVERED as TRACED
 from tracer.kernels.march import ROD, march_pixel_tangents, next_body
 
@@ -53,7 +63,7 @@ def hide_nodes(
     trips: Array,
     hidden: Array,
 ) -> None:
-    """Note in hidden (w,) uint8 which nodes of a row a body hides from the pinhole: FREE, BEHIND_GLASS, BEHIND_BODY.
+    """Note in hidden (w,) uint8 what hides the nodes of a row from the pinhole: FREE, BEHIND_GLASS, ...
 
     ``place`` is a camera whose pixels are the nodes: it stands in the pinhole and looks straight down, so that
     a sphere's shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.  Only nodes in
@@ -125,7 +135,6 @@ def direct_rows(
     """
     status, pixel, jacobian, weight, transmittance, branch = maps
     camera = tables[0]
-    width = status.shape[1]
     nan, nan32, none = math.nan, np.float32(math.nan), np.float32(0.0)
     for row in range(first, last):
         hide_nodes(row, place, tables, discs, lockstep, x, y, spans, rays, trips, hidden)
@@ -228,7 +237,7 @@ def place_weights(pixel: Array, jacobian: Array, weight: Array, transmittance: A
 
 @kernel
 def acquire_block(first: int, count: int, wy: float, grid: Array, camera: Array, b: Array) -> None:
-    """Columns 0-5 of a block: x, y and derivatives of acquired image coordinates by ideal ones; see `acquire_row`."""
+    """Acquired image coordinates and their derivatives by ideal ones, for one block; see `acquire_row`."""
     px, pz, x0, pitch = camera[0], camera[2], grid[0], grid[2]
     c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
     c9, c10, c11 = camera[9], camera[10], camera[11]

@@ -14,8 +14,8 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 
 import math
 
-from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, keep_view, solve_node, stretch
 from correction.kernels.bspline import INDEX
+from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, keep_view, solve_node, stretch
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import undistorted, unit_tangent
@@ -282,7 +282,15 @@ def judge(count: int, pitch: float, events: int, limits: Array, b: Array, state:
 
 @kernel
 def verify(
-    count: int, camera: Array, balls: Array, xy: Array, spans: Array, wanted: Array, rays: Array, trips: Array, b: Array
+    count: int,
+    camera: Array,
+    balls: Array,
+    xy: Array,
+    spans: Array,
+    wanted: Array,
+    rays: Array,
+    trips: Array,
+    b: Array,
 ) -> None:
     """Trips that the pixels u, v of a block really take, all bodies asked."""
     scale, u0, v0 = 1.0 / camera[12], camera[13], camera[14]

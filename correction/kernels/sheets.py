@@ -83,7 +83,7 @@ def code_rows(
             i = j + 1
             xu, xv, yu, yv = slopes(plane, branch, up, row, down, i)
             own = code_of(branch[row, i], xu, xv, yu, yv, longest)
-            alone = not xu * xv * yu * yv * 0.0 == 0.0
+            alone = xu * xv * yu * yv * 0.0 != 0.0
             here = (branch[row, i] != 0) & (status[row, i] == RECOVERED)
             own = LONELY if alone else own
             code[row, i] = own if here else 0
@@ -175,16 +175,16 @@ def scatter_sheet(
 ) -> int:
     """Give the nodes that one sheet may show the pixel from which Newton starts; how many there are.
 
-    Every useful pixel covers, to first order, the parallelogram of the plane that a square around it sees; nodes in
-    there may start from it, and the nearest pixel wins.  The square is REACH wide each way, more than its own half,
-    for what first order leaves out; at the border of the sheet a whole pixel, because the sheet ends somewhere
-    before the next: Newton decides where.
+    Every useful pixel covers, to first order, the parallelogram of the plane that a square around it sees; nodes
+    in there may start from it, and the nearest pixel wins.  The square is REACH wide each way, more than its own
+    half, for what first order leaves out; at the border of the sheet a whole pixel, because the sheet ends
+    somewhere before the next: Newton decides where.
 
     ``plane`` (H, 2 W), ``branch``, ``code`` (H, W) as in ``correction.kernels.sheets``, ``runs`` (R, RUN) those of
     the sheet, ``tables`` camera, spheres, rods.  ``start`` (h, w, 2) and ``away`` (h, w), squared distance, are
     valid where ``stamps`` (h, w) int32 holds `stamp`; ``nodes`` (h w,) int32 receives the flat numbers of these.
     """
-    height, width = branch.shape
+    height = branch.shape[0]
     rows, columns = away.shape
     per_mm = 1.0 / grid[2]
     found = 0
@@ -195,7 +195,7 @@ def scatter_sheet(
             if not code[line, i] & 1:
                 continue
             xu, xv, yu, yv = slopes(plane, branch, up, line, down, i)
-            if not xu * xv * yu * yv * 0.0 == 0.0:
+            if xu * xv * yu * yv * 0.0 != 0.0:
                 _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
                     float(i), float(line), tables[0], tables[1], tables[2]
                 )

@@ -17,7 +17,8 @@ same machine code serves every scene.  A sphere is not looked at when
 Directions D are not normalised (Q = |D|^2 is kept by every turn), which saves a root.  With the symbols of
 ``tracer.kernels.sphere``, L = sqrt Q, m in units of D:
 
-    L cos i = sqrt((1 - b^2/R^2) Q),   L cos t = sqrt((1 - b^2/(n R)^2) Q),   L g = (1 - 1/n^2) Q / (L cos t + L cos i/n)
+    L cos i = sqrt((1 - b^2/R^2) Q),   L cos t = sqrt((1 - b^2/(n R)^2) Q)
+    L g = (1 - 1/n^2) Q / (L cos t + L cos i/n)
     cos delta = 1 - 2 (b/R)^2 (L g)^2/Q,   L q = 2 (L g) (L^2 cos i cos t + Q b^2/(n R^2)) / (Q R)
     D' = D cos delta - a L q,   a' = a cos delta + D b^2 L q/Q.
 
