@@ -23,9 +23,9 @@ from correction.fit.table2 import Sense1, aligned, computed_against_acquired, co
 from correction.fit.weakness import Weakness, weaknesses
 from correction.frame_file import FRAME_ENDINGS, read_frame
 from correction.target import Chessboard
-from daq import run_views
 from daq.pictures.calibration import Panel, draw_map_sigma, draw_residuals
 from daq.run_views import is_run
+from daq.run_views import target_frames as frames_of_run
 from daq.terminal import console
 from tracer.scene_file import dump_scene, load_priors, load_scene
 
@@ -39,8 +39,8 @@ def calibrate(folder: Path, scene: Path, out: Path, square_mm: float = 2.5, disc
     Parameters
     ----------
     folder : Path
-        A target run, or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif`` (through the glass) and, for
-        other heights, ``target_clear_z+10mm.tif`` ...
+        A target run; or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
+        (through the glass) and, for other heights, ``target_clear_z+10mm.tif`` ...
     scene : Path
         Nominal scene.yaml; its ``fit:`` section says what may change.
     out : Path
@@ -99,7 +99,7 @@ def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
     if not folder.is_dir():
         raise ViewsMissing(f"{folder}: is no folder; give a run, or the folder with {WANTED}")
     if is_run(folder):
-        named = run_views.target_frames(folder)
+        named = frames_of_run(folder)
     else:
         named = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in FRAME_ENDINGS}
     frames = []
