@@ -106,7 +106,8 @@ def correct_rows(
             uc, ur, vc, vr = slope[column, 0], slope[column, 1], slope[column, 2], slope[column, 3]
             i, j = int(u), int(v)
             small = uc * uc + vc * vc <= ONE_SAMPLE_PX2 and ur * ur + vr * vr <= ONE_SAMPLE_PX2
-            if small and layers == 1 and i >= 2 and j >= 2 and i < width - 3 and j < height - 3:
+            alone = layers == 1 or not weight[1, row, column] > 0.0
+            if small and alone and i >= 2 and j >= 2 and i < width - 3 and j < height - 3:
                 if quintic:
                     s, t = u - np.float32(i), v - np.float32(j)
                     line[column] = quintic_inside(flat, width, i, j, s, t)
