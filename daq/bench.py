@@ -17,6 +17,7 @@ from daq.cameras import make_camera
 from daq.errors import PlanError
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
+from stages.keep_out import Carrier, Element, KeepOut
 from stages.stage import Guard, Stage
 from tracer.errors import ConfigError, Problem
 
@@ -112,8 +113,21 @@ def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: 
 
 
 def guard_of(bench: Bench) -> Guard | None:
-    """What judges every way before it is driven."""
-    return None
+    """What judges every way before it is driven; None if the bench file asks for limits only.
+
+    Raises
+    ------
+    StageUsageError
+        The file allows contact with a body that is not in the scene.
+    """
+    if bench.table.keep_out is None:
+        return None
+    home = bench.home_mm
+    carriers = {
+        name: Carrier(cast("Element", axis.carries), axis.along, home[name])
+        for name, axis in bench.table.stages.axes.items()
+    }
+    return KeepOut(bench.scene, carriers, bench.table.keep_out)
 
 
 def idle_stage(bench: Bench) -> Stage:

@@ -13,6 +13,7 @@
       settings: {PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerMode: "On", TriggerSource: Software}
       timeout_s: 5.0
     target: {square_mm: 2.5}
+    keep_out: {...}                      # see stages.keep_out; without it nothing but limits is judged
     simulation: {bench: "sim.bench:SimulatedBench", ...}   # what --simulate puts in place of the hardware
 
 Which axis moves which element, and along which world direction, is said by the axes themselves (`carries`,
@@ -31,6 +32,7 @@ from pydantic import Field, model_validator
 
 from daq.camera import Setting
 from stages.config import AxisTable, Name, Positive, StagesTable
+from stages.keep_out import KeepOutTable
 from tracer.config import Document, Table, load_yaml, validate
 from tracer.errors import ConfigError, Problem
 from tracer.scene import Scene
@@ -78,6 +80,7 @@ class BenchTable(Table):
     glass: GlassSection | None = None
     camera: CameraSection
     target: TargetSection = TargetSection()
+    keep_out: KeepOutTable | None = None
     simulation: dict[str, Any] | None = None
 
     @model_validator(mode="after")
@@ -151,8 +154,8 @@ class Bench:
         return (offset["x"], offset["y"], offset["z"])
 
     def content_hash(self) -> str:
-        """Hex digest (16 characters) of everything but the names of ports, which change with every plug."""
-        tree = self.table.model_dump()
+        """Hex digest (16 characters) of all that the file says, but for ports, which change with every plug."""
+        tree = self.table.model_dump(exclude_unset=True)  # a newer version may know more keys
         for controller in tree["stages"]["controllers"].values():
             controller.pop("port")
         del tree["scene"]  # its content is hashed by the scene itself

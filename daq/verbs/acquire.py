@@ -1,5 +1,6 @@
 """`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from daq.session import Request, begin, carry_out, check_disk
 from daq.terminal import console
 
 SHOWN_STEPS = 40
+SHOWN_PAIRS = 12
 
 
 def acquire(
@@ -154,12 +156,11 @@ def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None
 
 
 def _print_displacements(screen: Console, path: Path) -> None:
-    import json
-
     table = Table(title="displacement of the target in mm")
     for name in ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um"):
         table.add_column(name)
-    for entry in json.loads(path.read_text(encoding="utf-8")):
+    found = json.loads(path.read_text(encoding="utf-8"))
+    for entry in found[:SHOWN_PAIRS]:
         commanded = entry["commanded_mm"]
 
         def off(vector: list[float] | None, commanded: list[float] = commanded) -> str:
@@ -170,3 +171,5 @@ def _print_displacements(screen: Console, path: Path) -> None:
         shown = ", ".join(f"{c:+.4f}" for c in commanded)
         table.add_row(entry["tag"], shown, off(entry["measured_mm"]), off(entry["true_mm"]))
     screen.print(table)
+    if len(found) > SHOWN_PAIRS:
+        screen.print(f"... and {len(found) - SHOWN_PAIRS} more in {path}")

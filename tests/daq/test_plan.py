@@ -152,6 +152,16 @@ def test_violations_are_found_without_opening_anything(bench):
     assert "outside its limits" in said.violations[0].text
 
 
+def test_keep_out_is_judged_before_anything_moves(bench):
+    """Towards the camera the glass is in the way: the near ball touches the plane."""
+    text = "experiment: target\nglass: {z_mm: [0.0, -5.0, 5.0]}\n"
+    said = forecast(bench, idle_stage(bench), steps_of(bench, text))
+    assert [violation.step for violation in said.violations] == [2]
+    assert "would bring the target to -5.00 mm from near" in said.violations[0].text
+    sideways = steps_of(bench, "experiment: target\nclear: {z_mm: [20.0]}\n")
+    assert forecast(bench, idle_stage(bench), sideways).violations == ()
+
+
 def test_no_axis_no_displacement(tmp_path):
     path = write_bench(tmp_path)
     text = path.read_text()

@@ -1,0 +1,165 @@
+"""The verbs from outside: words, exit codes, Ctrl-C on (pseudo-)terminals, other programs on our bench."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import serial
+from small_bench import FILES_CAMERA, write_bench, write_frames
+
+from daq.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
+from daq.run_folder import RunFolder, finished_steps
+
+PLAN = "experiment: shift\nviews: [glass]\ndisplacements: [{along: [1.0, 0.0, 0.0], mm: 20.0}]\nrepeats: 3\n"
+
+
+def bench_options(folder):
+    return ["--bench", str(folder / "bench.yaml"), "--simulate"]
+
+
+def test_stage_verbs_move_and_refuse(tmp_path, capsys):
+    """Each call is a new simulated world, so it wakes up without a reference, as a bench after power-up."""
+    write_bench(tmp_path, camera=FILES_CAMERA)
+    options = bench_options(tmp_path)
+    assert main(["stage", "where", *options]) == DONE
+    assert "unreferenced" in capsys.readouterr().out
+    assert main(["stage", "move", "target_x=1.0", *options]) == USAGE
+    assert "home it first" in capsys.readouterr().err
+    assert main(["stage", "home", "target_x", *options]) == DONE
+    assert re.search(r"target_x\D+target\s+\S\s+x\s+\S\s+-?\d+\.\d{4}\s+\S\s+ready", capsys.readouterr().out)
+    assert main(["stage", "move", "target_x=wide", *options]) == USAGE
+    assert "say axis=mm" in capsys.readouterr().err
+    assert main(["stage", "jog", "nonsense=1.0", *options]) == USAGE
+    assert "there is no axis 'nonsense'" in capsys.readouterr().err
+
+
+def test_dry_run_opens_nothing_and_shows_violations(tmp_path, capsys):
+    write_bench(tmp_path, camera=FILES_CAMERA)
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    arguments = [
+        "acquire",
+        str(tmp_path / "plan.yaml"),
+        *bench_options(tmp_path)[:2],
+        "-o",
+        str(tmp_path / "runs"),
+    ]
+    assert main([*arguments, "--dry-run"]) == DONE
+    said = capsys.readouterr().out
+    assert "6 steps, 6 frames" in said
+    assert "particles_glass_d0_r2_b" in said
+    assert not (tmp_path / "runs").exists()
+    (tmp_path / "plan.yaml").write_text(PLAN.replace("20.0", "46.0"))
+    assert main(arguments) == USAGE
+    assert "3 of its moves are not allowed; step 1 (particles_glass_d0_r0_b)" in capsys.readouterr().err
+
+
+def test_what_is_not_there_is_a_device_error(tmp_path, capsys):
+    write_bench(tmp_path)
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    arguments = ["acquire", str(tmp_path / "plan.yaml"), "--bench", str(tmp_path / "bench.yaml")]
+    assert main([*arguments, "-o", str(tmp_path / "runs"), "--no-correct"]) == DEVICE
+    said = capsys.readouterr().err
+    assert "/dev/ttyUSB0" in said
+    assert "rtpiv resume" in said
+    assert main(["resume", str(tmp_path / "nowhere")]) == USAGE
+    assert "is no run folder" in capsys.readouterr().err
+
+
+def test_doctor_looks_and_opens_nothing(tmp_path, capsys):
+    write_bench(tmp_path)
+    assert main(["doctor", "--bench", str(tmp_path / "bench.yaml")]) == DONE
+    said = capsys.readouterr().out
+    for words in (
+        "numpy",
+        "package tracer",
+        "libaravis",
+        "GenTL producers",
+        "controller rail",
+        "camera's producer",
+    ):
+        assert words in said
+
+
+def test_camera_snap(tmp_path, capsys):
+    write_frames(tmp_path / "frames_in", 2)
+    folder = tmp_path / "frames_in"
+    path = write_bench(tmp_path, camera=FILES_CAMERA.replace("frames_in", str(folder)))
+    out = tmp_path / "snap.tif"
+    assert main(["camera", "snap", "--bench", str(path), "-o", str(out)]) == DONE
+    assert "saturated" in capsys.readouterr().out
+    assert out.exists()
+    assert main(["camera", "snap", "--bench", str(path), "-o", str(out)]) == DEVICE
+    assert "never overwritten" in capsys.readouterr().err
+
+
+def start(folder, *arguments, **options):
+    command = [sys.executable, "-u", "-m", "daq.cli", *arguments]
+    environment = os.environ | {"TMPDIR": str(folder), "COLUMNS": "200"}
+    return subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
+    )
+
+
+def test_other_programs_can_use_the_simulated_bench(tmp_path):
+    """A stranger with pyserial talks to a controller on the device file that `emulate` names."""
+    write_bench(tmp_path)
+    process = start(tmp_path, "emulate", "bench.yaml")
+    try:
+        ports = {}
+        while "camera" not in ports:
+            line = process.stdout.readline()
+            assert line, process.stderr.read()
+            if found := re.match(r"controller (\w+): \w+ on (\S+)", line):
+                ports[found[1]] = found[2]
+            elif found := re.match(r"camera: GenTL producer (\S+)", line):
+                ports["camera"] = found[1]
+        assert os.path.exists(ports["camera"])  # noqa: PTH110
+        with serial.Serial(ports["target"], 115200, timeout=3.0) as port:
+            port.write(b"*IDN?\n")
+            assert port.readline().endswith(b"\n")
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
+    assert process.returncode == DONE
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("presses", [1, 2])
+def test_ctrl_c_on_terminals(tmp_path, presses):
+    """Once: the step is finished.  Twice: the axis that moves is stopped now.  Both can be resumed."""
+    pytest.importorskip("harvesters")
+    write_bench(tmp_path, side_px=64, simulation="transport: pty\nspeed: 4.0\nring: ring")
+    import numpy as np
+
+    (tmp_path / "ring").mkdir()
+    np.save(tmp_path / "ring" / "0.npy", np.full((64, 64), 100, np.uint16))
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    process = start(tmp_path, "acquire", "plan.yaml", "--simulate", "--home", "--no-correct")
+    runs, run = tmp_path / "runs", None
+    while process.poll() is None:  # until the first step is in the journal: now the target moves by 20 mm
+        run = next(iter(runs.glob("*_plan")), None)
+        if run is not None and finished_steps(RunFolder(run).entries()):
+            break
+        time.sleep(0.01)
+    assert process.poll() is None, process.communicate()[1]
+    for _ in range(presses):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+    pressed_s = time.monotonic()
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == INTERRUPTED, errors
+    assert "Traceback" not in errors
+    if presses == 2:
+        assert "was stopped" in errors
+        assert finished_steps(RunFolder(run).entries()) == {0}
+        assert time.monotonic() - pressed_s < 10.0
+    else:
+        assert finished_steps(RunFolder(run).entries()) == {0, 1}
+    resumed = start(tmp_path, "resume", str(run), "--home")
+    _, errors = resumed.communicate(timeout=240)
+    assert resumed.returncode == DONE, errors
+    assert finished_steps(RunFolder(run).entries()) == set(range(6))
