@@ -1,16 +1,32 @@
-"""Print the benchmark table and write it as JSON: `make bench`."""
+"""Run time against error, side by side with the peers that are installed: `make bench`.
+
+Every contender has its own process; rounds are interleaved; medians and the spread (first and third quartile)
+are given for wall clock, and medians for processor time, which neighbours on the machine disturb less.
+"""
 
 import argparse
 import json
+import os
 import platform
-from importlib.metadata import version
+import statistics
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.maps import measure
+from benchmarks.accuracy import errors_um, reference_pixels
+from benchmarks.contenders import LENS_FREE, STACKED
+from benchmarks.limits import limits
+from benchmarks.picture import draw
+from benchmarks.race import Racer, race, start, stop
+from benchmarks.scenes import BENCH_LIKE, PAPER, bench_scene
+from correction.correction_map import build_correction_map
+from tracer.ray_map import build_ray_map
 from tracer.rows import thread_count
+
+BEDS = ("bed 2", "bed 16", "bed 128", "bed 1000")
+SLOW = ("numpy", "scipy", "rtpiv, ray by ray")
 
 
 def main() -> None:
@@ -18,19 +34,95 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("-o", "--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--rays", type=int, default=300, help="rays a scene for the 50-digit reference")
+    parser.add_argument("--scenes", nargs="+", default=[*PAPER, BENCH_LIKE], help="which scenes")
+    parser.add_argument("--beds", action="store_true", help="packed beds of 2 to 1000 spheres as well (minutes)")
     options = parser.parse_args()
-    rows = measure(options.rounds)
-    about = {name: version(name) for name in ("numpy", "numba", "scipy", "opencv-contrib-python-headless")}
-    about |= {"python": platform.python_version(), "threads": str(thread_count())}
-    table = Table(title="medians, interleaved in one run; " + ", ".join(f"{k} {v}" for k, v in about.items()))
-    table.add_column("")
-    for row in rows:
-        table.add_column(str(row["scene"]), justify="right")
-    for name in list(rows[0])[1:]:
-        table.add_row(name, *(f"{row[name]:.3g}" for row in rows))
-    Console(width=150).print(table)
+    about = {
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+        "threads": thread_count(),
+        "rounds": options.rounds,
+        "limits": limits(),
+    }
+    rows = [measure(name, options.rounds, options.rays) for name in options.scenes]
+    rows += [measure(name, 3, 0) for name in BEDS if options.beds]
+    report = {"about": about, "scenes": rows}
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "maps.json").write_text(json.dumps({"about": about, "rows": rows}, indent=1))
+    (options.out / "benchmark.json").write_text(json.dumps(report, indent=1))
+    draw(report, options.out / "benchmark.png")
+    console = Console(width=150)
+    for row in rows:
+        console.print(table(row))
+    console.print(about)
+
+
+def measure(name: str, rounds: int, rays: int) -> dict[str, Any]:
+    """One scene: times of all contenders that are installed, errors of those that make a ray map."""
+    scene = bench_scene(name)
+    pixels = scene.camera.shape[0] * scene.camera.shape[1]
+    names = ["rtpiv", *(["drjit", "torch", "jax", "opencv"] if rays else [])]
+    if name == BENCH_LIKE or "pyramid" in name:
+        names = [peer for peer in names if peer not in STACKED]
+    elif not scene.camera.lens.is_ideal:
+        names = [peer for peer in names if peer not in LENS_FREE]
+    racers = [racer for peer in names if (racer := start(peer, name))]
+    race(racers, rounds)
+    slow = ["scipy", "rtpiv, ray by ray", *(["numpy"] if name not in (BENCH_LIKE, "pyramid_500") else [])]
+    late = [racer for peer in (slow if rays else []) if (racer := start(peer, name))]
+    race(late, 2)
+    ray_map = build_ray_map(scene)
+    recovered = build_correction_map(scene, ray_map).recovered
+    known = reference_pixels(scene, rays) if rays else []
+    result = {
+        "scene": name,
+        "glass_share": float((ray_map.branch != 0).mean()),
+        "recovered_share": float(recovered.mean()),
+        "px_um": 1e3 * scene.camera.position_mm[2] / scene.camera.focal_px,
+        "contenders": {racer.name: times(racer, pixels, known) for racer in [*racers, *late]},
+    }
+    stop([*racers, *late])
+    return result
+
+
+def times(racer: Racer, pixels: int, known: list[Any]) -> dict[str, Any]:
+    """Times and errors of one contender."""
+    tasks = {}
+    for task, wall in racer.wall.items():
+        quartiles = statistics.quantiles(wall, n=4) if len(wall) > 2 else [min(wall), wall[0], max(wall)]
+        cpu = statistics.median(racer.cpu[task])
+        tasks[task] = {
+            "wall_ms": 1e3 * statistics.median(wall),
+            "wall_ms_quartiles": [1e3 * quartiles[0], 1e3 * quartiles[2]],
+            "cpu_ms": 1e3 * cpu,
+            "cpu_ns_px": 1e9 * cpu / pixels,
+        }
+    result = {"version": racer.about["version"], "first_s": racer.about["first_s"], "tasks": tasks}
+    if known and "ray_map" in tasks:
+        result["error_um"] = errors_um(racer.ray_map(), known)
+    return result
+
+
+def table(row: dict[str, Any]) -> Table:
+    """One scene as a table."""
+    made = Table(title=f"{row['scene']}: {row['glass_share']:.0%} glass, {row['recovered_share']:.0%} recovered")
+    for heading in ("contender", "task", "wall ms (quartiles)", "core ms", "core ns/px", "max error um by region"):
+        made.add_column(heading, justify="left" if heading in ("contender", "task") else "right")
+    for name, contender in row["contenders"].items():
+        errors = contender.get("error_um", {})
+        shown = "  ".join(f"{place} {value['max_um']:.0e}" for place, value in errors.items())
+        for task, value in contender["tasks"].items():
+            low, high = value["wall_ms_quartiles"]
+            made.add_row(
+                f"{name} {contender['version']}",
+                task,
+                f"{value['wall_ms']:.1f} ({low:.1f}-{high:.1f})",
+                f"{value['cpu_ms']:.1f}",
+                f"{value['cpu_ns_px']:.2f}",
+                shown if task == "ray_map" else "",
+            )
+    return made
 
 
 if __name__ == "__main__":

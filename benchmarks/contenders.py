@@ -1,0 +1,199 @@
+"""Contenders, each in its own process: `python -m benchmarks.contenders NAME SCENE`.
+
+Two pools of spinning threads in one process halve each other, so nobody shares one.  The process prints
+``ready {"version": ...}`` or ``absent``, then answers each line ``task`` with the seconds it took, and the line
+``save PATH`` by writing its ray map.
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.formulas import plane_point
+from benchmarks.scenes import bench_scene
+from tracer.rows import thread_count
+from tracer.scene import Scene
+
+Tasks = dict[str, Callable[[], Any]]
+
+
+def ours(scene: Scene) -> Tasks:
+    """Ray map, correction map and corrector of this project; arrays of the map before are written again."""
+    from correction.correction_map import build_correction_map
+    from correction.corrector import Corrector
+    from tracer.ray_map import build_ray_map
+
+    ray_map = build_ray_map(scene)
+    cmap = build_correction_map(scene, ray_map)
+    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    quintic, bilinear = Corrector(cmap), Corrector(cmap, method="bilinear")
+    out = np.empty(cmap.grid.shape, np.float32)
+    spare = build_correction_map(scene, ray_map)
+    return {
+        "ray_map": lambda: build_ray_map(scene, ray_map).plane_mm,
+        "ray_map_fresh": lambda: build_ray_map(scene).plane_mm,
+        "correction_map": lambda: build_correction_map(scene, ray_map, out=spare),
+        "quintic": lambda: quintic(frame, out),
+        "bilinear": lambda: bilinear(frame, out),
+    }
+
+
+def march(scene: Scene) -> Tasks:
+    """Our tracer ray by ray, every body asked at every step."""
+    from tracer.kernels.maps import trace_rows
+    from tracer.kernels.march import MAX_EVENTS
+    from tracer.rows import run_rows
+    from tracer.trace import pack_camera
+
+    height, width = scene.camera.shape
+    plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)
+    key = np.empty((height, width), np.int64)
+    tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
+
+    def task() -> NDArray[np.float64]:
+        def work(first: int, last: int) -> None:
+            trace_rows(*tables, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
+
+        run_rows(work, height)
+        return plane
+
+    return {"ray_map": task}
+
+
+def opencv(scene: Scene) -> Tasks:
+    """The same frames through cv2.remap with float maps."""
+    import cv2
+
+    from correction.correction_map import build_correction_map
+    from tracer.ray_map import build_ray_map
+
+    cv2.setNumThreads(thread_count())
+    cmap = build_correction_map(scene, build_ray_map(scene))
+    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    position = np.nan_to_num(cmap.pixel[0], nan=-1.0)
+    u, v = (np.ascontiguousarray(position[..., k], dtype=np.float32) for k in (0, 1))
+    return {
+        "cubic": lambda: cv2.remap(frame, u, v, cv2.INTER_CUBIC),
+        "linear": lambda: cv2.remap(frame, u, v, cv2.INTER_LINEAR),
+    }
+
+
+def scipy(scene: Scene) -> Tasks:
+    """The same spline through scipy.ndimage, prefilter included."""
+    from scipy import ndimage
+
+    from correction.correction_map import build_correction_map
+    from tracer.ray_map import build_ray_map
+
+    cmap = build_correction_map(scene, build_ray_map(scene))
+    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    coordinates = np.moveaxis(np.nan_to_num(cmap.pixel[0], nan=-1.0)[..., ::-1], -1, 0)
+    return {"order 5": lambda: ndimage.map_coordinates(frame, coordinates, np.float32, order=5, mode="mirror")}
+
+
+def numpy(scene: Scene) -> Tasks:
+    """Textbook formulas in vectorised NumPy."""
+    from benchmarks.plain_numpy import numpy_ray_map
+
+    return {"ray_map": lambda: numpy_ray_map(scene)}
+
+
+def drjit(scene: Scene) -> Tasks:
+    """Dr.Jit arrays on LLVM, our formulas, float64."""
+    import drjit as dr
+    from drjit.llvm.ad import Float64
+
+    dr.set_thread_count(thread_count())
+    height, width = scene.camera.shape
+
+    def task() -> tuple[Any, Any]:
+        index = dr.arange(Float64, height * width)
+        v = dr.floor((index + 0.5) / width)
+        x, y = plane_point(scene, index - v * width, v, dr.sqrt, dr.select)
+        dr.eval(x, y)
+        dr.sync_thread()
+        return x, y
+
+    return {"ray_map": task}
+
+
+def torch(scene: Scene) -> Tasks:
+    """PyTorch, torch.compile, our formulas, float64."""
+    import torch as th
+
+    th.set_num_threads(thread_count())
+    height, width = scene.camera.shape
+    u, v = th.arange(width, dtype=th.float64)[None, :], th.arange(height, dtype=th.float64)[:, None]
+    compiled = th.compile(lambda a, b: plane_point(scene, a, b, th.sqrt, th.where))
+    return {"ray_map": lambda: compiled(u, v)}
+
+
+def jax(scene: Scene) -> Tasks:
+    """JAX, jit, our formulas, float64."""
+    import jax as jx
+
+    jx.config.update("jax_enable_x64", True)
+    height, width = scene.camera.shape
+    u, v = jx.numpy.arange(width, dtype=float)[None, :], jx.numpy.arange(height, dtype=float)[:, None]
+    compiled = jx.jit(lambda a, b: plane_point(scene, a, b, jx.numpy.sqrt, jx.numpy.where))
+    return {"ray_map": lambda: jx.block_until_ready(compiled(u, v))}
+
+
+CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
+    "rtpiv": (ours, "numba"),
+    "rtpiv, ray by ray": (march, "numba"),
+    "numpy": (numpy, "numpy"),
+    "drjit": (drjit, "drjit"),
+    "torch": (torch, "torch"),
+    "jax": (jax, "jax"),
+    "opencv": (opencv, "opencv-contrib-python-headless"),
+    "scipy": (scipy, "scipy"),
+}
+LENS_FREE = ("drjit", "torch", "jax")  # their formulas know no lens terms
+STACKED = ("drjit", "torch", "jax", "numpy")  # and one fixed order of spheres
+
+
+def points(result: NDArray[np.float64] | tuple[Any, Any]) -> NDArray[np.float64]:
+    """Ray map (H, W, 2) of whatever a task returned."""
+    if isinstance(result, np.ndarray):
+        return result
+    x, y = (np.asarray(part, dtype=np.float64) for part in result)
+    side = round(x.size**0.5)
+    return np.stack((x.reshape(side, -1), y.reshape(side, -1)), axis=-1)
+
+
+def main() -> None:
+    """Answer the benchmark's lines."""
+    name, scene_name = sys.argv[1:3]
+    build, package = CONTENDERS[name]
+    try:
+        about = version(package)
+        start = time.perf_counter()
+        tasks = build(bench_scene(scene_name))
+        for task in tasks.values():
+            task()
+        first_s = time.perf_counter() - start
+    except (ImportError, PackageNotFoundError, RuntimeError) as error:
+        print("absent", str(error).splitlines()[0], flush=True)
+        return
+    print("ready", json.dumps({"version": about, "tasks": list(tasks), "first_s": first_s}), flush=True)
+    for line in sys.stdin:
+        word, _, rest = line.strip().partition(" ")
+        if word == "save":
+            np.save(rest, points(tasks["ray_map"]()))
+            print("saved", flush=True)
+            continue
+        task = tasks[line.strip()]
+        start, cpu = time.perf_counter(), time.process_time()
+        task()
+        print(time.perf_counter() - start, time.process_time() - cpu, flush=True)
+
+
+if __name__ == "__main__":
+    main()

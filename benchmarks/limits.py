@@ -1,0 +1,59 @@
+"""What the machine allows: throughput of square roots and divisions, bandwidth of filling fresh-written arrays."""
+
+import time
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.rows import run_rows
+
+REPEATS = 15
+OPTIONS = {"nogil": True, "error_model": "numpy"}
+
+
+@numba.njit(**OPTIONS)
+def roots(x: NDArray[np.float64], y: NDArray[np.float64], rounds: int) -> None:
+    """Square roots of what fits the first-level cache."""
+    for _ in range(rounds):
+        for i in range(x.shape[0]):
+            y[i] = np.sqrt(x[i])
+
+
+@numba.njit(**OPTIONS)
+def quotients(x: NDArray[np.float64], y: NDArray[np.float64], rounds: int) -> None:
+    """Divisions of what fits the first-level cache."""
+    for _ in range(rounds):
+        for i in range(x.shape[0]):
+            y[i] = 1.0 / x[i]
+
+
+@numba.njit(**OPTIONS)
+def fill(first: int, last: int, out: NDArray[np.float64]) -> None:
+    """Write rows."""
+    for row in range(first, last):
+        line = out[row]
+        for i in range(line.shape[0]):
+            line[i] = 1.0
+
+
+def limits() -> dict[str, float]:
+    """Nanoseconds of one core a root and a division; gigabytes a second of all threads filling 64 MB."""
+    x, y = np.linspace(1.0, 2.0, 1024), np.empty(1024)
+    result = {}
+    for name, kernel in (("sqrt_ns", roots), ("div_ns", quotients)):
+        kernel(x, y, 1)
+        best = np.inf
+        for _ in range(REPEATS):
+            start = time.thread_time()
+            kernel(x, y, 2000)
+            best = min(best, time.thread_time() - start)
+        result[name] = best / (2000 * 1024) * 1e9
+    out = np.ones((2016, 4032))
+    times = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        run_rows(lambda first, last: fill(first, last, out), 2016)
+        times.append(time.perf_counter() - start)
+    result["fill_gb_s"] = out.nbytes / min(times) / 1e9
+    return result

@@ -1,0 +1,51 @@
+"""The scenes of the benchmark: the paper's, one like a bench (nothing aligned), and packed beds."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tracer.bodies import Sphere
+from tracer.camera import Camera, Lens, look_at
+from tracer.media import ConstantMedium
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+PAPER = (
+    "one_sphere_250",
+    "one_sphere_500",
+    "one_sphere_1000",
+    "two_spheres_500",
+    "three_spheres_500",
+    "pyramid_500",
+)
+BENCH_LIKE = "pyramid, nothing aligned"
+
+
+def bench_scene(name: str) -> Scene:
+    """A scene by its name: an example, the unaligned pyramid, or ``bed N``."""
+    if name.startswith("bed "):
+        return bed(int(name.split()[1]))
+    if name != BENCH_LIKE:
+        return load_scene(EXAMPLES / f"{name}.yaml")
+    scene = load_scene(EXAMPLES / "pyramid_500.yaml")
+    position, camera = (31.0, -22.0, 496.0), scene.camera
+    rotation = look_at(position, (2.0, 1.0, 0.0), 0.05)
+    lens = Lens(k1=0.03, k2=-0.1, p1=0.001, p2=-0.002)
+    moved = Camera(camera.focal_px, camera.principal_px, camera.sensor_px, position, rotation, lens)
+    return scene.with_camera(moved)
+
+
+def bed(count: int, width_mm: float = 100.0) -> Scene:
+    """Up to `count` equal spheres, body-centred cubic, matched to 1.023, over the same square of the plane."""
+    columns = max(1, round((count / 2.0) ** (1.0 / 3.0)))
+    pitch = width_mm / columns
+    radius = 0.49 * np.sqrt(0.75) * pitch
+    glass, bodies = ConstantMedium(1.023), []
+    for corner in (0.0, 0.5):
+        for i, j, k in np.ndindex(columns, columns, columns):
+            x, y, z = (np.array([i, j, k]) + corner - columns / 2.0 + 0.25) * pitch
+            centre = (float(x), float(y), float(z + width_mm / 2.0 + radius + 1.0))
+            bodies.append(Sphere(f"s{len(bodies)}", centre, float(radius), glass))
+    scene = load_scene(EXAMPLES / "pyramid_500.yaml")
+    return scene.with_bodies(bodies[:count])
