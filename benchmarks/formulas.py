@@ -1,15 +1,17 @@
 """The rotation form written once for any array library: what a peer gets when it is given our formulas."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from tracer.scene import Scene
+
+AnyArray = TypeVar("AnyArray")  # of NumPy, Dr.Jit, PyTorch or JAX
 
 
 def plane_point(
     scene: Scene,
-    u: Any,
-    v: Any,
+    u: AnyArray,
+    v: AnyArray,
     sqrt: Callable[[Any], Any],
     select: Callable[[Any, Any, Any], Any],
 ) -> tuple[Any, Any]:

@@ -23,6 +23,7 @@ from tracer.kernels.chain import (
     SKIP_SILHOUETTES,
     TRIP_NUMBERS,
     UNKNOWN,
+    VECTOR,
     chain_rows,
 )
 from tracer.rows import run_rows
@@ -61,7 +62,7 @@ def trace_lockstep(
     point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
-        x, y = np.empty(width), np.empty(width)
+        x, y = np.empty(width + VECTOR), np.empty(width + VECTOR)
         spans, wanted = np.empty((2 * len(chain) + 1, 2), np.int64), np.empty(len(chain), np.int64)
         scratch = (x, y, spans, wanted, *block_scratch())
         chain_rows(camera, balls, flat, skips, first, last, *scratch, unknown, point, status, branch)

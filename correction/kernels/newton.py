@@ -19,7 +19,7 @@ from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, keep_view, sol
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import undistorted, unit_tangent
-from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block
+from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
 from tracer.kernels.sphere import (
     foot,
     foot_tangent,
@@ -220,8 +220,12 @@ def solve_nodes(
             block[X + i], block[Y + i] = grid[0] + column * grid[2], grid[1] - row * grid[2]
             block[U + i], block[V + i] = start[row, column, 0], start[row, column, 1]
             state[i] = FAILED
+        full = whole_vectors(count)
+        for i in range(count, full):
+            block[X + i], block[Y + i] = block[X], block[Y]
+            block[U + i], block[V + i] = block[U], block[V]
         if trip > 0:
-            solve_block(count, camera, spheres, sequence, sign, block, state)
+            solve_block(full, camera, spheres, sequence, sign, block, state)
             verify(count, camera, balls, xy, spans, wanted, rays, trips, block)
         for i in range(count):
             if not (state[i] == CONVERGED and trips[TRIP + i] == trip):

@@ -22,6 +22,9 @@ Directions D are not normalised (Q = |D|^2 is kept by every turn), which saves a
     cos delta = 1 - 2 (b/R)^2 (L g)^2/Q,   L q = 2 (L g) (L^2 cos i cos t + Q b^2/(n R^2)) / (Q R)
     D' = D cos delta - a L q,   a' = a cos delta + D b^2 L q/Q.
 
+Blocks are filled up to a multiple of VECTOR rays: what a loop does to its last few rays one by one is rounded
+another way than in vectors, and a pixel's bits must not depend on where its block ends.
+
 All columns of a block lie in ONE array, STEP apart: the compiler then knows by itself that they do not
 overlap, where eight arrays would need more overlap tests at run time than it is willing to make.
 
@@ -37,6 +40,7 @@ from tracer.kernels.march import MISSED_PLANE, RECOVERED
 
 LANES = 256  # rays of a block: 24 kB, what the first-level cache holds
 BALL = 11
+VECTOR = 8  # rays of the widest vector instruction
 STEP = LANES + 40  # columns a power of two apart would fight for the same lines of that cache
 PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR = (k * STEP for k in range(9))
 RAY_NUMBERS = 9 * STEP
@@ -47,6 +51,12 @@ BITS, ALL_BITS = 4, 15  # a trip is the numbers + 1 of the bodies met, four bits
 MOST_EVENTS = 15  # what 60 bits hold; longer trips are left to `march`
 UNKNOWN = 1 << 15  # branch number of a ray that met spheres in another order: `march` names it
 SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; the result must not change
+
+
+@kernel
+def whole_vectors(count: int) -> int:
+    """Smallest multiple of VECTOR that is not below `count`."""
+    return (count + VECTOR - 1) // VECTOR * VECTOR
 
 
 @kernel
@@ -327,19 +337,19 @@ def chain_rows(
 ) -> None:
     """Trace rows first..last-1: the direct view everywhere, the chain only where glass can be met.
 
-    Scratch: ``x``, ``y`` (W,), ``spans`` (2 N + 1, 2) and ``wanted`` (N,) int64, ``rays``, ``trips``.  Outputs:
-    ``unknown`` (H,) int64 pixels a row without a branch number, ``point`` (H, 2 W), ``status``, ``branch`` (H, W).
+    Scratch: ``x``, ``y`` (W + VECTOR,), ``spans`` (2 N + 1, 2) and ``wanted`` (N,) int64, ``rays``, ``trips``.
+    Outputs: ``unknown`` (H,) int64 pixels a row without a branch number, ``point`` (H, 2 W), ``status``, ``branch`` (H, W).
     """
-    width, bodies = x.shape[0], balls.shape[0]
+    width, bodies = status.shape[1], balls.shape[0]
     if flat:
-        for i in range(width):
+        for i in range(x.shape[0]):
             x[i] = (i - camera[13]) / camera[12]
     joined = spans[bodies:]
     for row in range(first, last):
         place_row(row, flat, camera, x, y)
         count = 0
         for k in range(bodies):
-            low, high = glass_span(x, y, flat, camera, balls, k)
+            low, high = glass_span(x[:width], y[:width], flat, camera, balls, k)
             if not skips & SKIP_SILHOUETTES:
                 low, high = 0, width
             spans[k, 0], spans[k, 1] = low, high
@@ -356,8 +366,9 @@ def chain_rows(
             done = joined[j, 1]
             while low < done:
                 high = min(low + LANES, done)
-                begin_block(x[low:high], y[low:high], camera, rays, trips)
-                follow_block(low, high - low, skips, balls, spans, rays, trips, wanted)
+                full = low + whole_vectors(high - low)
+                begin_block(x[low:full], y[low:full], camera, rays, trips)
+                follow_block(low, full - low, skips, balls, spans, rays, trips, wanted)
                 end_block(high - low, rays, p[2 * low : 2 * high], s[low:high])
                 unknown[row] += number_branches(high - low, trips, b[low:high])
                 low = high
