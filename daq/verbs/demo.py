@@ -1,50 +1,56 @@
-"""`rtpiv demo`: look through simulated glass, from frames to velocity vectors, without any hardware."""
+"""`rtpiv demo`: a whole campaign through two glass balls on a simulated bench, without any hardware."""
 
-import json
-from importlib import import_module
 from pathlib import Path
 
+from daq.errors import DaqError
+from daq.run_views import target_frames
 from daq.terminal import console
+from daq.verbs.acquire import acquire
 from daq.verbs.calibrate import calibrate
 from daq.verbs.correct import correct
 from daq.verbs.evaluate import evaluate
 from daq.verbs.trace import trace
 
-SCENE = "two_spheres_500"
-SIZE_PX = 1008
-SEED = 7
+FILES = Path(__file__).resolve().parents[2] / "examples" / "demo"
 
 
 def demo(out: Path) -> None:
-    """Render frames through two misaligned balls, find the true geometry, correct, and measure a known shift.
+    """Acquire, find the true geometry, correct, and measure a known shift, all on the simulated bench.
+
+    The bench is misaligned by a few tenths of a millimetre, and nothing but its frames says how.
 
     Parameters
     ----------
     out : Path
-        Folder: ``frames/`` as a camera would give them, ``trace/`` what the scene shows, ``nominal/`` corrected
-        with what the experimenter knows, ``calibrated/`` the scene found from the frames, ``fitted/`` corrected
-        with it, ``shift/`` vectors and report of the printed particles.
+        Folder: ``trace/`` what the scene shows, ``runs/`` a target run and a shift run, corrected as the frames
+        arrived, ``nominal/`` the target corrected with what the experimenter knows, ``fit/`` the geometry found,
+        ``fitted/`` the target corrected with it, ``shift/`` vectors and report.
+
+    Raises
+    ------
+    DaqError
+        The example files are not beside the program.
     """
+    if not FILES.is_dir():
+        raise DaqError(f"{FILES} is missing; run the demo from a checkout of the project")
     screen = console()
-    make_frames = import_module("sim.demo_frames").make_frames  # by name: nothing below sim imports it
-    screen.rule("1  a camera looks through two glass balls")
-    with screen.status("rendering frames with an independent renderer"):
-        frames = make_frames(SCENE, SIZE_PX, SEED, out / "frames", stack=False)
-    nominal, fitted = out / "frames" / "scene.yaml", out / "calibrated" / "scene.yaml"
-    glass = frames.path("target_glass")
-    screen.rule("2  what the scene shows")
-    trace(nominal, out / "trace")
+    scene, bench, fitted = FILES / "scene.yaml", FILES / "bench.yaml", out / "fit" / "scene.yaml"
+    screen.rule("1  what two glass balls do to the view")
+    trace(scene, out / "trace")
+    screen.rule("2  target run: stages and camera by their real protocols")
+    targets = acquire(FILES / "plan-target.yaml", bench, out / "runs", simulate=True, home=True)
+    assert targets is not None
+    frames = target_frames(targets)
     screen.rule("3  corrected as known: everything is a few tenths of a millimetre off")
-    correct([glass], nominal, out / "nominal", frames.path("target_clear"), check_target=True)
-    screen.rule("4  the true geometry, found from the target frames")
-    calibrate(out / "frames", nominal, out / "calibrated")
+    correct([frames["target_glass"]], scene, out / "nominal", frames["target_clear"], check_target=True)
+    screen.rule("4  the true geometry, found from the target's own frames")
+    calibrate(targets, scene, out / "fit")
     screen.rule("5  corrected with the geometry found")
-    correct([glass], fitted, out / "fitted", check_target=True)
-    screen.rule("6  a particle sheet moved by 14 px, measured through the glass")
-    pair = [frames.path("particles_glass_a"), frames.path("particles_glass_b")]
-    shift_mm = json.loads((out / "frames" / "frames.json").read_text(encoding="utf-8"))["shift_mm"]
-    evaluate(pair, out / "shift", fitted, shift_mm=(shift_mm[0], shift_mm[1]), velocity=True)
-    screen.print(
-        f"[bold]Look at {out / 'shift' / 'report.html'}, {out / 'fitted' / 'overview.png'} "
-        f"and {out / 'trace' / 'fig4_markers.png'}[/bold]"
-    )
+    correct([frames["target_glass"]], fitted, out / "fitted", check_target=True)
+    screen.rule("6  shift run: printed particles moved by 14 px, corrected as the frames arrive")
+    moved = acquire(FILES / "plan-shift.yaml", bench, out / "runs", simulate=True, home=True, scene=fitted)
+    assert moved is not None
+    screen.rule("7  the displacement, measured through the glass")
+    evaluate([moved], out / "shift", fitted, velocity=True)
+    report = next((out / "shift").glob("*/report.html"))
+    screen.print(f"[bold]Look at {report}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}[/bold]")
