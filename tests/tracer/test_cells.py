@@ -1,0 +1,92 @@
+"""Many spheres: the walk through cells finds what asking every sphere finds, bit for bit."""
+
+import numpy as np
+import pytest
+
+from tests.tracer.scenes import ball, camera_at, random_bodies
+from tracer.bodies import Rod
+from tracer.cells import sort_into_cells
+from tracer.kernels.bed import next_in_bed, trace_bed_rows
+from tracer.kernels.maps import trace_rows
+from tracer.kernels.march import MAX_EVENTS, next_body
+from tracer.scene import Scene
+from tracer.trace import pack_camera
+
+
+def bed(kind: str, seed: int = 0) -> Scene:
+    """Touching cubic packing (faces of cells on contacts), or a random packing with rods and opaque balls."""
+    rng = np.random.default_rng(seed)
+    if kind == "cubic":
+        centres = 10.0 * np.stack(np.meshgrid(*3 * [np.arange(5)]), axis=-1).reshape(-1, 3) + (-20.0, -20.0, 5.0)
+        bodies = [ball(f"s{i}", *map(float, centre), 5.0, 1.05) for i, centre in enumerate(centres)]
+    else:
+        bodies = random_bodies(rng, 40)
+        bodies = [ball(b.name, *b.centre_mm, b.radius_mm, None) if i % 9 == 0 else b for i, b in enumerate(bodies)]
+        bodies.append(Rod("rod", (-90.0, 0.0, 150.0), (90.0, 5.0, 150.0), 1.0))
+    top = max(body.highest_mm for body in bodies)
+    camera = camera_at((15.0, -9.0, top + 150.0), (2.0, 1.0, 0.0), 90.0, (120, 90), 0.2)
+    return Scene(camera, tuple(bodies))
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("cubic", 0), *(("random", seed) for seed in range(4))])
+def test_rows_have_the_same_bits_as_asking_every_sphere(kind: str, seed: int) -> None:
+    where = bed(kind, seed)
+    height, width = where.camera.shape
+    tables = pack_camera(where.camera), where.sphere_table(), where.rod_table()
+    results = []
+    for cells in (sort_into_cells(tables[1]), None):
+        arrays = (
+            np.empty((height, width, 2)),
+            np.empty((height, width), np.uint8),
+            np.empty((height, width), np.int64),
+        )
+        if cells:
+            trace_bed_rows(*tables, *cells, 0, height, *arrays)
+        else:
+            trace_rows(*tables, 0, height, np.empty(MAX_EVENTS, np.int32), *arrays)
+        results.append(arrays)
+    for one, other in zip(*results, strict=True):
+        assert one.tobytes() == other.tobytes()
+    assert len(np.unique(results[0][2])) > 20
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("cubic", 0), ("random", 5)])
+def test_rays_from_anywhere_meet_the_same_sphere(kind: str, seed: int) -> None:
+    """Starts outside, inside and on faces of cells; directions along axes, along faces, and any."""
+    where = bed(kind, seed)
+    spheres, rods = where.sphere_table(), where.rod_table()
+    frame, begin, items = sort_into_cells(spheres)
+    rng = np.random.default_rng(seed)
+    met = 0
+    for case in range(4000):
+        start = rng.uniform(-80.0, 80.0, 3) + (0.0, 0.0, 40.0)
+        way = rng.normal(size=3)
+        if case % 4 == 1:
+            way = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
+        if case % 4 == 2:
+            start = frame[:3] + frame[3] * rng.integers(-1, 6, 3)
+            way[rng.integers(3)] = 0.0
+        if case % 4 == 3:
+            start = start * 1e6
+            way = spheres[rng.integers(len(spheres)), :3] - start
+        way = way / np.linalg.norm(way)
+        last = int(rng.integers(-1, len(spheres)))
+        expected = next_body(*start, *way, last, spheres, rods)
+        assert next_in_bed(*start, *way, last, spheres, rods, frame, begin, items) == expected
+        met += expected >= 0
+    assert met > 1000
+
+
+def test_every_sphere_is_listed_in_every_cell_it_reaches() -> None:
+    spheres = bed("random", 3).sphere_table()
+    frame, begin, items = sort_into_cells(spheres)
+    count = frame[4:].astype(int)
+    rng = np.random.default_rng(1)
+    for number, (x, y, z, radius) in enumerate(spheres[:, :4].tolist()):
+        inside = rng.normal(size=(200, 3))
+        inside *= (radius * rng.uniform(size=(200, 1)) ** (1.0 / 3.0)) / np.linalg.norm(
+            inside, axis=1, keepdims=True
+        )
+        i, j, k = np.floor((inside + (x, y, z) - frame[:3]) / frame[3]).astype(int).T
+        for cell in set(((k * count[1] + j) * count[0] + i).tolist()):
+            assert number in items[begin[cell] : begin[cell + 1]]

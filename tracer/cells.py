@@ -1,0 +1,33 @@
+"""The grid of cells through which rays look for spheres when there are many (``tracer.kernels.bed``)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.kernels.bed import GROW
+
+CELLS_PER_SPHERE = 4.0  # twice as many cells or half as many cost more
+FEW = 8  # up to here it is quicker to ask every sphere
+
+Cells = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]
+
+
+def sort_into_cells(spheres: NDArray[np.float64]) -> Cells:
+    """Grid for a sphere table (N, 6), N > 0: frame, begin, items."""
+    centre, radius = spheres[:, :3], spheres[:, 3:4]
+    low, high = (centre - radius).min(axis=0), (centre + radius).max(axis=0)
+    extent = high - low
+    side = float((extent.prod() / (CELLS_PER_SPHERE * len(spheres))) ** (1.0 / 3.0))
+    side = max(side, float(extent.max()) / 256.0)
+    low = low - GROW * side
+    count = np.maximum(1, np.ceil((high + GROW * side - low) / side)).astype(np.int64)
+    first = np.floor((centre - radius - low) / side - GROW).astype(np.int64).clip(0, count - 1)
+    last = np.floor((centre + radius - low) / side + GROW).astype(np.int64).clip(0, count - 1)
+    pairs = []
+    for number, (a, b) in enumerate(zip(first, last, strict=True)):
+        i, j, k = np.meshgrid(*(np.arange(a[c], b[c] + 1) for c in range(3)), indexing="ij")
+        cells = ((k * count[1] + j) * count[0] + i).ravel()
+        pairs.append(np.stack((cells, np.full(len(cells), number)), axis=-1))
+    every = np.concatenate(pairs)
+    every = every[np.lexsort((every[:, 1], every[:, 0]))]
+    begin = np.searchsorted(every[:, 0], np.arange(count.prod() + 1)).astype(np.int32)
+    return np.array([*low, side, *count], dtype=np.float64), begin, every[:, 1].astype(np.int32)
