@@ -59,7 +59,7 @@ def test_rays_from_anywhere_meet_the_same_sphere(kind: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     met = 0
     for case in range(4000):
-        start = rng.uniform(-80.0, 80.0, 3) + (0.0, 0.0, 40.0)
+        start = rng.uniform((-80.0, -80.0, -40.0), (80.0, 80.0, 120.0))
         way = rng.normal(size=3)
         if case % 4 == 1:
             way = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
@@ -87,6 +87,6 @@ def test_every_sphere_is_listed_in_every_cell_it_reaches() -> None:
         inside *= (radius * rng.uniform(size=(200, 1)) ** (1.0 / 3.0)) / np.linalg.norm(
             inside, axis=1, keepdims=True
         )
-        i, j, k = np.floor((inside + (x, y, z) - frame[:3]) / frame[3]).astype(int).T
+        i, j, k = np.floor((inside + np.array([x, y, z]) - frame[:3]) / frame[3]).astype(int).T
         for cell in set(((k * count[1] + j) * count[0] + i).tolist()):
             assert number in items[begin[cell] : begin[cell + 1]]

@@ -1,8 +1,8 @@
 """Many spheres: which one a ray meets next, by walking through a grid of cells.
 
 Space is cut into equal cubes; each lists the spheres whose box, grown by GROW cells, reaches into it.  A ray walks
-from cell to cell and asks the spheres listed there by the very test of ``march.next_body``, so that what it finds has
-the same bits.  When may it stop?  A sphere B that comes before the best one A has its foot point, which lies
+from cell to cell and asks the spheres listed there by the very test of ``march.next_body``, so that what it finds
+has the same bits.  When may it stop?  A sphere B that comes before the best one A has its foot point, which lies
 inside B, at m_B < m_A: in a cell that the walk enters before m_A.  So the walk goes on until it enters a cell
 beyond m_A, and finds the nearest for certain.  Growing the boxes makes the rounding of the walk harmless: it adds
 candidates, and no tolerance enters the decision whether a sphere is hit.

@@ -338,7 +338,8 @@ def chain_rows(
     """Trace rows first..last-1: the direct view everywhere, the chain only where glass can be met.
 
     Scratch: ``x``, ``y`` (W + VECTOR,), ``spans`` (2 N + 1, 2) and ``wanted`` (N,) int64, ``rays``, ``trips``.
-    Outputs: ``unknown`` (H,) int64 pixels a row without a branch number, ``point`` (H, 2 W), ``status``, ``branch`` (H, W).
+    Outputs: ``unknown`` (H,) int64, pixels a row without a branch number, ``point`` (H, 2 W), ``status`` and
+    ``branch`` (H, W).
     """
     width, bodies = status.shape[1], balls.shape[0]
     if flat:
