@@ -92,7 +92,7 @@ class Adjustment:
             np.concatenate([frame.index for frame in measured]),
             np.concatenate([frame.corners.pixel for frame in measured]),
             self.reprojection(bench, x, measured),
-            np.concatenate([frame.behind for frame in measured]),
+            np.concatenate([frame.way for frame in measured]),
             np.concatenate(list(kept)),
             np.concatenate([frame.rim_px for frame in measured]),
         )
@@ -130,9 +130,8 @@ class Adjustment:
             normal,
             tuple(frame.name for frame in measured),
             corners,
-            sum(frame.expected_behind for frame in measured),
-            int(np.count_nonzero(corners.behind & corners.inlier)),
-            _counts(measured),
+            _summed([frame.expected for frame in measured]),
+            _summed([frame.refused for frame in measured]),
             pushed,
             (*history, f"all together: {self.rms(bench, solution, used)}"),
         )
@@ -147,10 +146,10 @@ def legal_scene(bench: Bench, full: NDArray[np.float64]) -> tuple[Scene, float]:
     return bench.moved(moved), overlap
 
 
-def _counts(frames: Sequence[MeasuredFrame]) -> dict[str, int]:
-    """Sum of the refusals of all frames."""
+def _summed(counts: Sequence[dict[str, int]]) -> dict[str, int]:
+    """Sum counts by their names."""
     total: dict[str, int] = {}
-    for frame in frames:
-        for reason, count in frame.refused.items():
-            total[reason] = total.get(reason, 0) + count
+    for one in counts:
+        for name, count in one.items():
+            total[name] = total.get(name, 0) + count
     return total

@@ -53,14 +53,14 @@ class MeasuredFrame:
         For the solver.
     index : (N, 2) int64
         Corner of the board.
-    behind : (N,) bool
-        Seen through glass.
+    way : (N,) str
+        Spheres crossed, joined by " > "; empty for the direct view.
     rim_px : (N,) float64
         Distance to the border of the branch; infinite on the bare target.
     sigma_px : (N, 2) float64
         Standard deviation from the window.
-    expected_behind : int
-        Corners behind glass that the scene shows.
+    expected : dict
+        Way -> corners behind glass that the scene shows.
     refused : dict
         Reason -> corners that could not be measured.
     """
@@ -68,14 +68,19 @@ class MeasuredFrame:
     name: str
     corners: Corners
     index: NDArray[np.int64]
-    behind: NDArray[np.bool_]
+    way: NDArray[np.str_]
     rim_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
-    expected_behind: int
+    expected: dict[str, int]
     refused: dict[str, int]
 
     def __len__(self) -> int:
         return len(self.index)
+
+    @property
+    def behind(self) -> NDArray[np.bool_]:
+        """Corners seen through glass (N,)."""
+        return np.asarray(self.way != "")
 
     def taken(self, which: NDArray[np.bool_]) -> "MeasuredFrame":
         """Return the frame with the chosen corners only."""
@@ -83,7 +88,7 @@ class MeasuredFrame:
             self,
             corners=self.corners.take(which),
             index=self.index[which],
-            behind=self.behind[which],
+            way=self.way[which],
             rim_px=self.rim_px[which],
             sigma_px=self.sigma_px[which],
         )
@@ -113,8 +118,8 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height: in
         raise TargetNotFound(f"{frame.name}: {error}") from None
     count = len(found)
     corners = Corners(height, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
-    behind, rim = np.zeros(count, bool), np.full(count, np.inf)
-    return MeasuredFrame(frame.name, corners, found.index, behind, rim, found.sigma_px, 0, dict(found.refused))
+    way, rim = np.full(count, ""), np.full(count, np.inf)
+    return MeasuredFrame(frame.name, corners, found.index, way, rim, found.sigma_px, {}, dict(found.refused))
 
 
 def glass_frame(
@@ -129,7 +134,8 @@ def glass_frame(
 
 
 def _measured(name: str, board: Chessboard, expected: Expected, fit: CornerFit, height: int) -> MeasuredFrame:
-    behind = expected.branch != 0
+    ways = np.array([" > ".join(names) for names in expected.branches])[expected.branch]
+    names, counts = np.unique(ways[ways != ""], return_counts=True)
     valid = fit.valid
     node = board.corner_mm(expected.index[valid])
     corners = Corners(height, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]))
@@ -138,9 +144,9 @@ def _measured(name: str, board: Chessboard, expected: Expected, fit: CornerFit, 
         name,
         corners,
         expected.index[valid],
-        behind[valid],
+        ways[valid],
         expected.rim_px[valid],
         fit.sigma_px[valid],
-        int(np.count_nonzero(behind)),
+        dict(zip(names.tolist(), counts.tolist(), strict=True)),
         reasons,
     )

@@ -9,26 +9,32 @@ loss drawn in from rough to fine.  Several starts escape from pairings shifted b
 bends light so differently elsewhere that it never gathers the inliers of the right one.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from correction.fit.contact import pushed_apart
-from correction.fit.solver import Corners, Residuals, Solution, free_rates, landed, minimise
+from correction.fit.solver import LOST, Corners, Residuals, Solution, free_rates, landed, minimise
 from correction.fit.unknowns import Bench
 from correction.saddles import Saddles
 from correction.target import Chessboard
 from tracer.kernels.march import DIRECT
-from tracer.sensitivity import SPHERE
+from tracer.sensitivity import SPHERE, Landings
 
 KNEES_PX = (12.0, 4.0, 1.0)  # of the loss, in corrected pixels, from rough to fine
 INLIER_PX = 1.0
 SQUEEZED = 5.0  # a raw pixel that covers more corrected pixels than this shows no squares
 WIDER = 1.15  # candidates are looked for in spheres wider by this
-ENOUGH = 0.6  # share of inliers at which no further start is tried; a wrong scene gathers a quarter
-MOST_STARTS = 48
+ENOUGH = 0.9  # share of inliers at which no further start is tried
+TWICE = 0.6  # the same, if two starts have ended at the same scene
+SAME_MM = 0.05
+RANDOM_STARTS = 16
+SCAN = 5  # steps each way when one sphere is scanned
+SWEEPS = 3  # over all spheres, as long as one of them gains
+VALLEYS = 3  # minima of the scan that are followed
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,11 @@ class Candidates:
     inside: NDArray[np.bool_]
     bare: NDArray[np.bool_]
 
+    def take(self, chosen: NDArray[np.bool_]) -> "Candidates":
+        """Return the candidates where `chosen`."""
+        pixel, bright = self.pixel[chosen], self.bright[chosen]
+        return Candidates(self.height, pixel, bright, self.inside[chosen], self.bare[chosen])
+
 
 @dataclass(frozen=True)
 class Start:
@@ -65,7 +76,8 @@ class Start:
     solution : Solution
         Where it ended.
     inliers, candidates : int
-        Candidates within INLIER_PX of their corner, and all whose ray lands where squares can be seen.
+        Candidates within INLIER_PX of their corner, and all whose ray lands where squares can be seen; those
+        on the bare lattice are not counted, as they are explained without any glass.
     rms_px : float
         Root mean square distance of the inliers, corrected px, both axes together.
     """
@@ -131,13 +143,21 @@ def paired_residuals(
     measured in raw pixels, and where the view is squeezed too much it is not asked at all.
     """
     full = bench.full(x)
+    off, scale, rays, corners = _distances(bench, full, candidates, board, pitch_mm)
+    return Residuals(off, free_rates(bench, full, corners, rays) / scale[:, :, None])
+
+
+def _distances(
+    bench: Bench, full: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Landings, Corners]:
+    """Distances (N, 2) to the nearest corners [px], mm a px (N, 1), and the rays they come from."""
     corners = Corners(candidates.height, True, candidates.pixel, np.zeros_like(candidates.pixel), 1.0)
     rays = landed(bench, full, corners)
     off = rays.point_mm - nearest_nodes(rays.point_mm, rays.pixel_rate, candidates.bright, board)
     spread = np.sqrt((rays.pixel_rate**2).sum(axis=(1, 2)))  # of a pixel, on the plane
     scale = np.maximum(spread, pitch_mm)[:, None]
     off[spread > SQUEEZED * pitch_mm] = np.nan
-    return Residuals(off / scale, free_rates(bench, full, corners, rays) / scale[:, :, None])
+    return off / scale, scale, rays, corners
 
 
 def pair_from(
@@ -157,30 +177,74 @@ def pair_from(
         solution = minimise(bench, evaluate, x, knee=knee, steps=25, tolerance=1e-2)
         x = solution.x
     square = np.concatenate([(part.value**2).sum(axis=1) for part in evaluate(x)])
-    square = square[np.isfinite(square)]
+    square = square[np.isfinite(square) & ~np.concatenate([frame.bare for frame in frames])]
     near = square[square < INLIER_PX**2]
     return Start(solution, len(near), len(square), float(np.sqrt(near.mean())) if len(near) else float("nan"))
 
 
-def starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> Iterator[NDArray[np.float64]]:
-    """Full vectors to start from, MOST_STARTS of them.
+def group_starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
+    """Full vectors to start from: as given, then the glass as one, moved by half a square along each axis."""
+    moves = [np.zeros(3), *(0.5 * sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0))]
+    everything = np.ones(len(bench.scene.spheres), bool)
+    return [moved(bench, full, board.square_mm * np.where(everything[:, None], move, 0.0)) for move in moves]
 
-    First as given, then the glass as one moved by half a square along each axis, then every sphere on its
-    own by up to 0.4 squares and n by up to 0.01 (fixed seed: the same frames give the same fit).
+
+def sphere_starts(
+    bench: Bench,
+    full: NDArray[np.float64],
+    frames: Sequence[Candidates],
+    board: Chessboard,
+    pitch_mm: float,
+    number: int,
+) -> list[NDArray[np.float64]]:
+    """Full vectors with one sphere moved sideways to where its own candidates cost least, the best first.
+
+    A sphere of which few corners are seen has a narrow basin; scanning its two coordinates costs no more
+    than a few minimisations.
     """
+    wide = np.array(full)
+    wide[bench.glass].reshape(-1, len(SPHERE))[number, 3] *= WIDER
+    own = []
+    for frame in frames:
+        everything = Corners(frame.height, True, frame.pixel, np.zeros_like(frame.pixel), 1.0)
+        rate = landed(bench, wide, everything).columns([f"{number}.x", f"{number}.y"])
+        own.append(frame.take(np.any(rate != 0.0, axis=(1, 2))))
+    alone = np.eye(len(bench.scene.spheres))[:, [number]]
+    steps = np.linspace(-0.4, 0.4, 2 * SCAN + 1) * board.square_mm
+    cost, vectors = np.empty((len(steps), len(steps))), []
+    for i, x in enumerate(steps):
+        for j, y in enumerate(steps):
+            vectors.append(moved(bench, full, alone * np.array([x, y, 0.0])))
+            cost[i, j] = sum(_cost(bench, vectors[-1], frame, board, pitch_mm) for frame in own)
+    valley = cost == ndimage.minimum_filter(cost, 3, mode="nearest")
+    order = np.argsort(np.where(valley, cost, np.inf).ravel(), kind="stable")
+    return [vectors[k] for k in order[: min(VALLEYS, int(valley.sum()))]]
+
+
+def _cost(
+    bench: Bench, full: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
+) -> float:
+    """Cauchy cost of the distances to the nearest corners."""
+    off = _distances(bench, full, candidates, board, pitch_mm)[0]
+    square = np.nan_to_num((off**2).sum(axis=1), nan=LOST**2)
+    return float(np.sum(np.log1p(square / KNEES_PX[1] ** 2)))
+
+
+def random_starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
+    """Full vectors with every sphere moved by up to 0.4 squares (fixed seed: same frames, same fit)."""
     rng = np.random.default_rng(0)
     count = len(bench.scene.spheres)
-    moves = [np.zeros((1, 3)), *(0.5 * sign * np.eye(3)[[axis]] for axis in range(3) for sign in (1.0, -1.0))]
-    for number in range(MOST_STARTS):
-        moved = np.array(full)
-        rows = moved[bench.glass].reshape(-1, len(SPHERE))
-        if number < len(moves):
-            rows[:, :3] += board.square_mm * moves[number]
-        else:
-            rows[:, :3] += board.square_mm * rng.uniform(-0.4, 0.4, (count, 3))
-            rows[:, 4] += rng.uniform(-0.01, 0.01)
-        rows[:, :4] = pushed_apart(np.c_[rows, np.zeros(count)])[:, :4]
-        yield moved
+    moves = rng.uniform(-0.4, 0.4, (RANDOM_STARTS, count, 3))
+    return [moved(bench, full, board.square_mm * move) for move in moves]
+
+
+def moved(bench: Bench, full: NDArray[np.float64], by_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the full vector with the spheres moved by (N, 3), then pushed apart."""
+    found = np.array(full)
+    rows = found[bench.glass].reshape(-1, len(SPHERE))
+    rows[:, :3] += by_mm
+    rows[:, :4] = pushed_apart(np.c_[rows, np.zeros(len(rows))])[:, :4]
+    return found
 
 
 def pair(
@@ -205,8 +269,39 @@ def pair(
         A corrected pixel on the plane.
     """
     tried: list[Start] = []
-    for start in starts(bench, full, board):
+
+    def best() -> Start:
+        return max(tried, key=lambda one: one.inliers)
+
+    def explained() -> bool:
+        alike = sum(_same(bench, best(), other) for other in tried)
+        return best().share >= (TWICE if alike > 1 else ENOUGH)
+
+    def attempt(start: NDArray[np.float64]) -> None:
         tried.append(pair_from(bench, bench.free(start), frames, board, pitch_mm))
-        if tried[-1].share >= ENOUGH:
+
+    for start in group_starts(bench, full, board):
+        attempt(start)
+        if explained():
+            return sorted(tried, key=lambda one: -one.inliers)
+    for _ in range(SWEEPS):  # one sphere may be lost while the others explain the most
+        before = best().inliers
+        for number in range(len(bench.scene.spheres)):
+            at = bench.full(best().solution.x)
+            for start in sphere_starts(bench, at, frames, board, pitch_mm, number):
+                attempt(start)
+        if best().inliers == before:
             break
-    return sorted(tried, key=lambda start: -start.inliers)
+    if best().share < TWICE:
+        for start in random_starts(bench, full, board):
+            attempt(start)
+            if explained():
+                break
+    return sorted(tried, key=lambda one: -one.inliers)
+
+
+def _same(bench: Bench, one: Start, other: Start) -> bool:
+    """Whether two starts ended with the spheres at the same places, seen from the camera."""
+    sideways = [name.endswith((".x", ".y")) for name in bench.names]
+    off = np.abs(bench.sigma * (one.solution.x - other.solution.x))[sideways]
+    return bool(off.max(initial=0.0) < SAME_MM)

@@ -11,6 +11,8 @@ from tracer.scene import Scene
 
 RMS_LIMIT_PX = 0.3  # a right fit leaves 0.02-0.07, a wrong one at least several times this
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
+WAY_LIMIT = 0.5  # the same of one way through the glass, if the scene shows at least so many corners on it
+WAY_CORNERS = 5
 OVERLAP_LIMIT_MM = 0.02
 PRIOR_LIMIT = 5.0  # sigmas
 
@@ -27,8 +29,10 @@ class FittedCorners:
         Corner of the board.
     pixel, residual_px : (N, 2) float64
         Where it was measured, and measured minus fitted, in raw px.
-    behind, inlier : (N,) bool
-        Seen through glass; used by the fit.
+    way : (N,) str
+        Spheres crossed, joined by " > "; empty for the direct view.
+    inlier : (N,) bool
+        Used by the fit.
     rim_px : (N,) float64
         Distance to the border of the branch.
     """
@@ -37,9 +41,14 @@ class FittedCorners:
     index: NDArray[np.int64]
     pixel: NDArray[np.float64]
     residual_px: NDArray[np.float64]
-    behind: NDArray[np.bool_]
+    way: NDArray[np.str_]
     inlier: NDArray[np.bool_]
     rim_px: NDArray[np.float64]
+
+    @property
+    def behind(self) -> NDArray[np.bool_]:
+        """Corners seen through glass (N,)."""
+        return np.asarray(self.way != "")
 
     def rms_px(self, behind: bool) -> NDArray[np.float64]:
         """Root mean square residual per axis (2,) of the inliers of a region."""
@@ -67,8 +76,8 @@ class SceneFit:
         Names of the frames.
     corners : FittedCorners
         Every corner.
-    expected_behind, paired_behind : int
-        Corners behind glass that the fitted scene shows, and those measured and used.
+    expected : dict
+        Way through the glass -> corners that the fitted scene shows on it.
     refused : dict
         Reason -> corners that could not be measured.
     pushed_mm : float
@@ -84,8 +93,7 @@ class SceneFit:
     normal: NDArray[np.float64]
     frames: tuple[str, ...]
     corners: FittedCorners
-    expected_behind: int
-    paired_behind: int
+    expected: dict[str, int]
     refused: dict[str, int]
     pushed_mm: float
     history: tuple[str, ...] = field(default=())
@@ -108,6 +116,20 @@ class SceneFit:
         return np.asarray(self.bench.sigma * np.sqrt(np.diag(self.covariance)))
 
     @property
+    def expected_behind(self) -> int:
+        """Corners behind glass that the fitted scene shows."""
+        return sum(self.expected.values())
+
+    @property
+    def paired_behind(self) -> int:
+        """Those measured and used."""
+        return int(np.count_nonzero(self.corners.behind & self.corners.inlier))
+
+    def paired(self, way: str) -> int:
+        """Corners measured and used on one way through the glass."""
+        return int(np.count_nonzero(self.corners.inlier & (self.corners.way == way)))
+
+    @property
     def share(self) -> float:
         """Share of the visible corners behind glass that were measured and used."""
         return self.paired_behind / max(self.expected_behind, 1)
@@ -128,6 +150,11 @@ def check(fit: SceneFit) -> None:
             raise FitFailed("rms behind glass [px]", rms, RMS_LIMIT_PX, cure)
         if fit.share < SHARE_LIMIT:
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
+        for way, count in fit.expected.items():
+            share = fit.paired(way) / count
+            if count >= WAY_CORNERS and share < WAY_LIMIT:
+                text = f"the corners seen through {way} are not where it would show them; start its centre nearer"
+                raise FitFailed(f"share of corners paired through {way}", share, WAY_LIMIT, f"{text}, and {cure}")
     if fit.pushed_mm > OVERLAP_LIMIT_MM:
         raise FitFailed("overlap of bodies [mm]", fit.pushed_mm, OVERLAP_LIMIT_MM, cure)
     pull = float(np.abs(fit.x).max(initial=0.0))
