@@ -13,7 +13,8 @@ lost          never arrived: no free buffer, id missing, trigger ignored, silent
 The sides come from different counters: the left one from what we sent (or from ids), the right one from what was
 handed over and written, and from what the camera's library counted.  The one number without a counter of its own
 is `silent`: a trigger that was answered by nothing at all.  It is believed only where we waited in vain, so it can
-never hide more frames than there were timeouts.
+never hide more frames than there were timeouts.  A camera that has forgotten its settings, or has gone before
+they could be checked, may have exposed unasked; only then such frames count as triggered.
 """
 
 from dataclasses import asdict, dataclass, fields
@@ -82,6 +83,7 @@ class Bookkeeper:
         self.handed = 0  # frames given to the pipeline
         self.rejected = 0
         self.timeouts = 0
+        self.in_doubt = False  # settings were lost, or the camera was before they could be checked
 
     def close(self, counters: Counters) -> Ledger:
         """Return the ledger of an arm; all that was handed over counts as written until the disk says otherwise.
@@ -94,6 +96,8 @@ class Bookkeeper:
         ignored = (counters.ignored_triggers or 0) if self._software else 0
         seen = counters.delivered + counters.incomplete + counters.underrun + counters.missing
         triggered = self.triggers if self._software else seen
+        if self.in_doubt:  # it may have run by itself since the last check
+            triggered = max(triggered, seen + ignored)
         silent = min(self.timeouts, max(0, triggered - seen - ignored)) if self._software else 0
         return Ledger(
             triggered=triggered,

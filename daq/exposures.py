@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from daq.bench_file import CameraSection, trigger_is_software
 from daq.camera import Camera, Counters, Setting
 from daq.conservation import Bookkeeper, Ledger
-from daq.errors import CameraError, CameraTimeout, FrameError, FramesLost
+from daq.errors import CameraError, CameraLost, CameraTimeout, FrameError, FramesLost, SettingsChanged
 from daq.frame import Frame
 
 SURPLUS_S = 0.001
@@ -84,6 +84,21 @@ class Exposures:
             return
         yield from self._stream(count)
 
+    def verify(self) -> None:
+        """Make sure that the camera still has its settings.
+
+        Raises
+        ------
+        SettingsChanged, CameraLost
+            It has not, or does not answer; frames since the last check are in doubt.
+        """
+        try:
+            self.camera.verify()
+        except (SettingsChanged, CameraLost):
+            if self._books is not None:
+                self._books.in_doubt = True
+            raise
+
     def end(self) -> None:
         """Disarm and close the books of this arm.  Harmless when repeated."""
         if self._books is not None:
@@ -131,7 +146,9 @@ class Exposures:
                 why = error
             except CameraError:
                 self._books.timeouts += 1  # the frame that was under way
+                self._books.in_doubt = True
                 raise
+            self.verify()
             self.end()
         raise FramesLost(
             f"no whole frame after {self.section.retakes + 1} triggers ({why}); look at link and trigger"

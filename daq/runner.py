@@ -211,7 +211,7 @@ class Runner:
             self.progress.waiting = pipeline.waiting
             self._tell("exposing")
         pipeline.flush()
-        self._hardware.camera.verify()
+        self._exposures.verify()
 
     def _discard(self, journal: Journal, step: Step) -> None:
         present = frame_entries(self._folder.entries())

@@ -40,6 +40,16 @@ def test_a_stream_is_counted_by_the_camera_and_checked_against_us():
     assert books.close(Counters(13)).imbalance == 1  # one that was delivered and went nowhere
 
 
+def test_a_camera_that_forgot_its_settings_may_expose_unasked():
+    books = Bookkeeper(software=True)
+    books.triggers = books.handed = 3
+    counters = Counters(3, underrun=2, ignored_triggers=0)
+    assert books.close(counters).imbalance == -2  # nobody said so: the books do not balance
+    books.in_doubt = True
+    assert books.close(counters).imbalance == 0
+    assert books.close(counters).triggered == 5
+
+
 def test_ledgers_add_and_travel():
     total = Ledger(triggered=3, written=2, silent=1) + Ledger(triggered=1, incomplete=1)
     assert (total.triggered, total.lost, total.imbalance) == (4, 1, 0)

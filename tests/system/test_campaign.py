@@ -86,7 +86,7 @@ def test_faults_of_the_camera_are_counted_and_the_run_ends_whole(tmp_path):
     faults = "ring: ring\nfaults: {dropped: [1], incomplete: [4], reset_at: 7, lost_at: 9, back_after_s: 0.3}"
     write_bench(tmp_path, simulation=faults)
     bench = (tmp_path / "bench.yaml").read_text()
-    (tmp_path / "bench.yaml").write_text(bench.replace("timeout_s: 60.0", "timeout_s: 0.5"))
+    (tmp_path / "bench.yaml").write_text(bench.replace("timeout_s: 60.0", "timeout_s: 1.5"))
     (tmp_path / "ring").mkdir()
     for number in range(3):
         np.save(tmp_path / "ring" / f"{number}.npy", np.full((96, 96), 100 + number, np.uint16))
