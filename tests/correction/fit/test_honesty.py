@@ -1,0 +1,98 @@
+"""Is one sigma one sigma?  Scenes drawn from the prior, corners with known noise, true error of the fitted map."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.fit.adjustment import Adjustment
+from correction.fit.map_sigma import MapSigma, map_sigma, sigma_at
+from correction.fit.measurement import MeasuredFrame, whitening
+from correction.fit.prediction import expect
+from correction.fit.solver import Corners
+from correction.fit.unknowns import Bench, bench_of
+from correction.target import Chessboard
+from sim.demo_scenes import at_size, named_scene
+from tests.correction.fit.benches import fitted
+from tracer.errors import MapFileError
+from tracer.fit_section import FitCameraTable, FitSphereTable, FitTable
+from tracer.scene import Scene
+from tracer.sensitivity import TargetPose
+from tracer.trace import trace
+
+BOARD = Chessboard(5.0, 2.0)
+NOISE_PX = 0.05
+PRIORS = FitTable(
+    camera=FitCameraTable(position_mm=0.5, rotation_deg=0.05, k1=0.02),
+    spheres=FitSphereTable(centre_mm=0.15, radius_mm=0.02),
+    n=0.002,
+)
+
+
+def seen(scene: Scene, glass: bool, rng: np.random.Generator) -> MeasuredFrame:
+    """What a perfect detector with noise would report."""
+    shown = expect(scene if glass else scene.with_bodies(()), TargetPose(), BOARD)
+    shown = shown.take(shown.rim_px > 6.0)
+    pixel = shown.pixel + rng.normal(0.0, NOISE_PX, shown.pixel.shape)
+    sigma = np.full_like(pixel, NOISE_PX)
+    corners = Corners(0, glass, pixel, BOARD.corner_mm(shown.index), whitening(sigma))
+    way = np.array([" > ".join(names) for names in shown.branches])[shown.branch]
+    return MeasuredFrame("drawn", corners, shown.index, way, shown.rim_px, sigma, {}, {})
+
+
+def drawn(bench: Bench, rng: np.random.Generator) -> Scene:
+    return bench.moved(bench.full(np.clip(rng.normal(size=len(bench.names)), -2.5, 2.5)))
+
+
+@pytest.mark.slow
+def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
+    bench = bench_of(at_size(named_scene("pair_off_axis"), 700), [0.0], PRIORS)
+    rng = np.random.default_rng(42)
+    ratios: dict[bool, list[np.ndarray]] = {False: [], True: []}
+    for _ in range(200):
+        truth = drawn(bench, rng)
+        frames = [seen(truth, glass, rng) for glass in (False, True)]
+        fit = Adjustment().estimate(bench, bench.start, frames, ())
+        for behind in (False, True):
+            pool = frames[1].corners.pixel[frames[1].behind == behind]
+            pixels = pool[rng.choice(len(pool), 8, replace=False)]
+            off = trace(replace(fit.scene), pixels).plane_mm - trace(truth, pixels).plane_mm
+            ratios[behind].append(off / sigma_at(fit, pixels, behind))
+    for behind, found in ratios.items():
+        inside = float(np.mean(np.abs(np.concatenate(found)) < 1.0))
+        assert 0.63 <= inside <= 0.73, (behind, inside)
+
+
+def test_map_sigma_covers_the_recovered_map_and_survives_the_disk(tmp_path):
+    fit = fitted("pair_off_axis", 4)
+    sigma = map_sigma(fit, step=8)
+    known = np.isfinite(sigma.sigma_px[..., 0])
+    assert known.mean() > 0.9
+    assert sigma.behind_glass.any()
+    behind, direct = (
+        np.median(sigma.sigma_px[sigma.behind_glass]),
+        np.median(sigma.sigma_px[~sigma.behind_glass & known]),
+    )
+    assert 1e-4 < direct < behind < 0.1
+    sigma.save(tmp_path / "s.npz")
+    again = MapSigma.load(tmp_path / "s.npz")
+    np.testing.assert_array_equal(again.sigma_px, sigma.sigma_px)
+    assert again.grid == sigma.grid
+    assert again.scene_hash == fit.scene.content_hash()
+    (tmp_path / "s.npz").write_bytes(b"PK nonsense")
+    with pytest.raises(MapFileError):
+        MapSigma.load(tmp_path / "s.npz")
+
+
+def test_sigma_is_the_spread_of_landing_points_under_the_covariance():
+    """Draw scenes from the covariance, trace them plainly, compare the spread: nothing linearised here."""
+    fit = fitted("pair_off_axis", 4)
+    pixels = fit.corners.pixel[fit.corners.behind & fit.corners.inlier][::7]
+    predicted = sigma_at(fit, pixels, True)
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(fit.covariance)
+    landing = [
+        trace(fit.bench.moved(fit.bench.full(fit.x + root @ rng.normal(size=len(fit.x)))), pixels).plane_mm
+        for _ in range(150)
+    ]
+    np.testing.assert_allclose(np.std(landing, axis=0), predicted, rtol=0.25)
