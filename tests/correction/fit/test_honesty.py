@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.correction_map import build_correction_map
 from correction.fit.adjustment import Adjustment
 from correction.fit.map_sigma import MapSigma, map_sigma, sigma_at
 from correction.fit.measurement import MeasuredFrame, whitening
@@ -16,6 +17,7 @@ from sim.demo_scenes import at_size, named_scene
 from tests.correction.fit.benches import fitted
 from tracer.errors import MapFileError
 from tracer.fit_section import FitCameraTable, FitSphereTable, FitTable
+from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
 from tracer.trace import trace
@@ -46,7 +48,10 @@ def drawn(bench: Bench, rng: np.random.Generator) -> Scene:
 
 @pytest.mark.slow
 def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
-    bench = bench_of(at_size(named_scene("pair_off_axis"), 700), [0.0], PRIORS)
+    scene = at_size(named_scene("pair_off_axis"), 700)
+    low, high = scene.spheres  # clear of the plane and of each other, so that no draw is impossible
+    low, high = replace(low, centre_mm=(-14.0, 9.0, 23.0)), replace(high, centre_mm=(20.0, -12.0, 70.0))
+    bench = bench_of(scene.with_bodies([low, high]), [0.0], PRIORS)
     rng = np.random.default_rng(42)
     ratios: dict[bool, list[np.ndarray]] = {False: [], True: []}
     for _ in range(200):
@@ -56,9 +61,9 @@ def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
         for behind in (False, True):
             pool = frames[1].corners.pixel[frames[1].behind == behind]
             pixels = pool[rng.choice(len(pool), 8, replace=False)]
-            off = trace(replace(fit.scene), pixels).plane_mm - trace(truth, pixels).plane_mm
+            off = trace(fit.scene, pixels).plane_mm - trace(truth, pixels).plane_mm
             ratios[behind].append(off / sigma_at(fit, pixels, behind))
-    for behind, found in ratios.items():
+    for behind, found in ratios.items():  # seen on writing: 0.69 directly, 0.65 behind glass
         inside = float(np.mean(np.abs(np.concatenate(found)) < 1.0))
         assert 0.63 <= inside <= 0.73, (behind, inside)
 
@@ -67,12 +72,10 @@ def test_map_sigma_covers_the_recovered_map_and_survives_the_disk(tmp_path):
     fit = fitted("pair_off_axis", 4)
     sigma = map_sigma(fit, step=8)
     known = np.isfinite(sigma.sigma_px[..., 0])
-    assert known.mean() > 0.9
-    assert sigma.behind_glass.any()
-    behind, direct = (
-        np.median(sigma.sigma_px[sigma.behind_glass]),
-        np.median(sigma.sigma_px[~sigma.behind_glass & known]),
-    )
+    whole = build_correction_map(fit.scene, build_ray_map(fit.scene)).recovered[::8, ::8]
+    assert np.mean(known == whole) > 0.999
+    behind = np.median(sigma.sigma_px[sigma.behind_glass])
+    direct = np.median(sigma.sigma_px[known & ~sigma.behind_glass])
     assert 1e-4 < direct < behind < 0.1
     sigma.save(tmp_path / "s.npz")
     again = MapSigma.load(tmp_path / "s.npz")
