@@ -1,0 +1,55 @@
+"""From random starts to the true scene, or to a refusal; never to a wrong scene in silence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from correction.fit.contact import pushed_apart
+from correction.fit.errors import FitError
+from correction.fit.scene_fit import fit_scene
+from tests.correction.fit.benches import BOARD, bench
+from tracer.media import ConstantMedium
+from tracer.scene import Scene
+
+STARTS = 40
+SCENES = [("one_sphere_250", 7), ("two_spheres_500", 6), ("three_spheres_500", 3), ("pyramid_500", 5)]
+
+
+def disturbed(truth: Scene, nominal: Scene, rng: np.random.Generator) -> Scene:
+    """Every centre off by up to 1 mm an axis, n by 0.01, the camera by 1 mm and 0.5 deg an axis."""
+    table = truth.sphere_table()
+    table[:, :3] += rng.uniform(-1.0, 1.0, (len(table), 3))
+    n = float(truth.spheres[0].medium.n(532.0) + rng.uniform(-0.01, 0.01))
+    spheres = [
+        replace(sphere, centre_mm=tuple(map(float, row[:3])), medium=ConstantMedium(n))
+        for sphere, row in zip(truth.spheres, pushed_apart(table, 1e-5), strict=True)
+    ]
+    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-0.5, 0.5, 3))).as_matrix()
+    camera = truth.camera
+    rotation = tuple(tuple(map(float, row)) for row in camera.rotation_matrix @ turn)
+    position = tuple(float(p) for p in np.array(camera.position_mm) + rng.uniform(-1.0, 1.0, 3))
+    return replace(
+        nominal, camera=replace(nominal.camera, position_mm=position, rotation=rotation), bodies=tuple(spheres)
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("name", "seed"), SCENES)
+def test_random_starts_converge_or_say_so(name, seed):
+    made = bench(name, seed)
+    rng = np.random.default_rng(2)
+    right, refused = 0, 0
+    for _ in range(STARTS):
+        try:
+            fit = fit_scene(disturbed(made.truth, made.nominal, rng), made.frames, BOARD)
+        except FitError:
+            refused += 1
+            continue
+        pairs = zip(fit.scene.spheres, made.truth.spheres, strict=True)
+        off = [np.abs(np.subtract(found.centre_mm, true.centre_mm)[:2]).max() for found, true in pairs]
+        right += max(off) < 0.03
+    assert right + refused == STARTS
+    assert right >= 0.95 * STARTS
