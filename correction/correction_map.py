@@ -353,7 +353,7 @@ class _Inversion:
                 np.empty(NEWTON_NUMBERS),
                 np.empty(GROUP, np.int64),
                 np.empty((2, GROUP)),
-                np.empty((1, 2), np.int64),
+                np.empty((len(balls), 2), np.int64),
                 np.empty(len(balls), np.int64),
                 *block_scratch(),
             )
