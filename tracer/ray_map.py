@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.cells import FEW, sort_into_cells
-from tracer.errors import MapFileError, StaleMap
+from tracer.errors import MapFileError, SceneError, StaleMap
 from tracer.kernels.bed import trace_bed_rows
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import DIRECT, MAX_EVENTS
@@ -25,6 +25,7 @@ from tracer.status import RayStatus
 from tracer.trace import Branch, name_branches, pack_camera
 
 KIND = "ray map"
+MOST_BRANCHES = 1 << 16  # numbers that fit into the branch array
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,11 @@ def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
     -------
     RayMap
         Float64, the same bits for any number of threads.
+
+    Raises
+    ------
+    SceneError
+        Rays take more ways through a bed than the map can number.
     """
     height, width = scene.camera.shape
     if out is not None and out.status.shape == (height, width):
@@ -154,6 +160,11 @@ def _number_branches(scene: Scene, key: NDArray[np.int64]) -> tuple[NDArray[np.u
     trails = name_branches(scene, origins, directions, keys)
     trails[DIRECT] = ()
     order = sorted(trails, key=lambda k: (len(trails[k]), trails[k]))
+    if len(order) > MOST_BRANCHES:
+        raise SceneError(
+            f"rays take {len(order)} different ways through the spheres and {MOST_BRANCHES} can be told apart; "
+            "trace a smaller part of the sensor or of the bed"
+        )
     lookup = {k: number for number, k in enumerate(order)}
     runs = np.array([lookup[int(k)] for k in key[rows, columns]], dtype=np.uint16)
     branch = runs[np.cumsum(fresh.ravel()) - 1].reshape(key.shape)
