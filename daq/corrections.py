@@ -7,6 +7,7 @@ matter while it lies in the investigation plane; frames of a target off the plan
 """
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from correction.frame_file import write_frame
 from correction.node_status import MEANING
 from correction.resample import Method
 from daq.errors import DiskError
+from daq.priority import step_back
 from daq.steps import CLEAR, Step
 from tracer.errors import TracerError
 from tracer.ray_map import build_ray_map
@@ -50,9 +52,20 @@ class Corrections:
     _correctors: dict[str, Corrector] = field(default_factory=dict)
 
     def prepare(self, views: Iterable[str]) -> None:
-        """Build the correctors of some views now."""
-        for view in dict.fromkeys(views):
-            self._corrector(view)
+        """Build the correctors of some views now.
+
+        It happens in a thread of low priority, so that the worker threads of the kernels, which are born here,
+        have it as well: while frames come, writing them is more urgent.
+        """
+        wanted = dict.fromkeys(views)
+
+        def build() -> None:
+            step_back()
+            for view in wanted:
+                self._corrector(view)
+
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(build).result()
 
     def of(self, step: Step) -> Corrector | None:
         """Corrector for the frames of a step; None if they are not to be corrected."""

@@ -5,6 +5,8 @@
 
 A frame stays in the camera's shared memory until both lanes are through with it; nobody copies it.
 
+* The raw lane comes first: it has two writers, so that one computes while the other waits for the disk; the other
+  lanes run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
 * The raw queue is bounded.  When the disk is slower than the camera, `submit` waits: a software-triggered run
   slows down.  A stream cannot wait: the camera runs out of buffers, counts that, and the run ends with that
   reason.  A disk that does not move for `PATIENCE_S` ends the run as well.
@@ -30,12 +32,15 @@ from daq.corrections import Corrections
 from daq.errors import DaqError, DiskError
 from daq.frame import Frame
 from daq.journal import Journal
+from daq.priority import step_back
 from daq.raw_frame import checksum, read_raw, write_raw
 from daq.run_folder import RunFolder
 from daq.steps import Step
 
 PATIENCE_S = 30.0
 RAW_QUEUE = 8
+RAW_WRITERS = 2
+RAW_FIRST = 2  # raw frames waiting from which on the live lane gets nothing
 LIVE_QUEUE = 4
 STORE_QUEUE = 4
 
@@ -100,7 +105,7 @@ class Flow:
             "written": self.written,
             "written_MB": round(self.written_bytes / 1e6, 1),
             "write_ms_mean": _mean_ms(self.write_s, self.written),
-            "write_MB_s": round(self.written_bytes / 1e6 / self.write_s, 1) if self.write_s else None,
+            "write_MB_s_per_writer": round(self.written_bytes / 1e6 / self.write_s, 1) if self.write_s else None,
             "raw_latency_ms": _percentiles(self.raw_latency_ms),
             "raw_queue_most": self.raw_waiting_most,
             "submit_wait_s": round(self.submit_wait_s, 3),
@@ -141,12 +146,10 @@ class Pipeline:
         self._live_ends = False
         self._error: DaqError | None = None
         self._bug: Exception | None = None
-        self._threads = [
-            threading.Thread(target=self._guarded, args=(self._raw_lane,), name="raw lane", daemon=True)
-        ]
-        if corrections is not None:
-            for lane, name in ((self._live_lane, "live lane"), (self._store_lane, "store lane")):
-                self._threads.append(threading.Thread(target=self._guarded, args=(lane,), name=name, daemon=True))
+        self._flow_lock = threading.Lock()
+        lanes = [self._raw_lane] * RAW_WRITERS
+        lanes += [] if corrections is None else [self._live_lane, self._store_lane]
+        self._threads = [threading.Thread(target=self._guarded, args=(lane,), daemon=True) for lane in lanes]
         for thread in self._threads:
             thread.start()
 
@@ -191,13 +194,17 @@ class Pipeline:
 
     def close(self) -> None:
         """End the lanes; frames that wait are still written and corrected, unless the disk hangs."""
+        if self._error is not None or self._bug is not None:
+            self._let_all_go()
         with suppress(queue.Full):
-            self._raw.put(None, timeout=PATIENCE_S)
+            for _ in range(RAW_WRITERS):
+                self._raw.put(None, timeout=PATIENCE_S)
         with self._live_wake:
             self._live_ends = True
             self._live_wake.notify()
         for thread in self._threads:
             thread.join(PATIENCE_S)
+        self._let_all_go()
 
     def catch_up(self, steps: list[Step]) -> int:
         """Correct from the disk what the live lane has not; return how many frames that were."""
@@ -229,12 +236,13 @@ class Pipeline:
                     raise DiskError(text) from None
 
     def _show(self, shared: _Shared) -> None:
-        dropped = None
-        with self._live_wake:
-            if len(self._live) >= self._live_limit:
-                dropped = self._live.popleft()
-            self._live.append(shared)
-            self._live_wake.notify()
+        dropped: _Shared | None = shared if self._raw.qsize() > RAW_FIRST else None
+        if dropped is None:
+            with self._live_wake:
+                if len(self._live) >= self._live_limit:
+                    dropped = self._live.popleft()
+                self._live.append(shared)
+                self._live_wake.notify()
         if dropped is not None:
             self.flow.skipped.append(dropped.job.number)
             dropped.let_go()
@@ -252,10 +260,9 @@ class Pipeline:
             self._error = self._error or error
         except Exception as error:  # shown by the thread that runs the run, not by this one
             self._bug = self._bug or error
-        if lane == self._raw_lane:
-            self._let_all_go()
 
     def _let_all_go(self) -> None:
+        """Give the memory of frames back that nobody will write."""
         while True:
             try:
                 shared = self._raw.get_nowait()
@@ -289,13 +296,15 @@ class Pipeline:
         }
         write_raw(path, frame.pixels, facts)
         self._journal.append("frame", frame=job.number, file=f"frames/{path.name}", **facts)
-        self.flow.raw_latency_ms.append((time.monotonic_ns() - meta.received_ns) / 1e6)
-        self.flow.write_s += time.perf_counter() - begun_s
-        self.flow.written_bytes += frame.pixels.nbytes
-        self.flow.written += 1
+        with self._flow_lock:
+            self.flow.raw_latency_ms.append((time.monotonic_ns() - meta.received_ns) / 1e6)
+            self.flow.write_s += time.perf_counter() - begun_s
+            self.flow.written_bytes += frame.pixels.nbytes
+            self.flow.written += 1
 
     def _live_lane(self) -> None:
         assert self._corrections is not None
+        step_back()
         try:
             while True:
                 with self._live_wake:
@@ -325,6 +334,7 @@ class Pipeline:
 
     def _store_lane(self) -> None:
         assert self._corrections is not None
+        step_back()
         failed = False
         while (item := self._store.get()) is not None:
             if failed:

@@ -1,0 +1,108 @@
+"""10 Hz pairs (20 frames/s) through Harvesters to the disk, corrected as they arrive: losses, latency, rates.
+
+    python -m benchmarks.pipeline --seconds 60 --method bilinear -o benchmarks/results
+
+The simulated camera replays two rendered frames (2016 x 2016, Mono12p), so that it costs little; everything behind
+its producer is what real frames pass through.  Printed and stored: the books, latency from frame complete to
+corrected, disk rate, and processor time by part.
+"""
+
+import argparse
+import json
+import os
+import resource
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from daq.bench_file import load_bench
+from daq.errors import DaqError
+from daq.plan import load_plan
+from daq.session import Request, begin, carry_out
+from sim.demo_scenes import named_scene
+from sim.patterns import printed_particles
+from sim.renderer import render
+from sim.sensor import Sensor
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples"
+SETTINGS = """camera:
+  backend: harvesters
+  settings: {{PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerSelector: FrameStart, TriggerMode: "Off",
+             AcquisitionFrameRate: {rate_hz}}}
+  buffers: 32
+  timeout_s: 5.0
+"""
+
+
+def write_bench(folder: Path, rate_hz: float) -> Path:
+    """The example bench with a free-running camera that replays rendered frames."""
+    (folder / "ring").mkdir()
+    scene = named_scene("two_spheres_500")
+    sheet = printed_particles((140.0, 140.0), scene.camera.focal_px / 500.0, seed=1)
+    for number, shift_mm in enumerate((0.0, 0.1)):
+        image = render(scene, sheet.displaced((shift_mm, shift_mm)), Sensor(), samples=1, seed=number)
+        np.save(folder / "ring" / f"{number}.npy", image)
+    text = (EXAMPLE / "bench-sim.yaml").read_text(encoding="utf-8")
+    head, rest = text.split("camera:\n  backend", 1)
+    rest = rest[rest.index("simulation:") :].replace("  seed: 7\n", "  seed: 7\n  ring: ring\n")
+    (folder / "bench.yaml").write_text(head + SETTINGS.format(rate_hz=rate_hz) + rest, encoding="utf-8")
+    (folder / "two_spheres_500.yaml").write_bytes((EXAMPLE / "two_spheres_500.yaml").read_bytes())
+    return folder / "bench.yaml"
+
+
+def measure(folder: Path, seconds: float, rate_hz: float, method: Any, correct: bool) -> dict[str, Any]:  # noqa: ANN401
+    """Run the stream once; return books, latencies and times."""
+    bench = load_bench(write_bench(folder, rate_hz))
+    (folder / "plan.yaml").write_text(f"experiment: stream\nview: glass\nframes: {round(seconds * rate_hz)}\n")
+    plan = load_plan(folder / "plan.yaml", bench)
+    request = Request(bench.path, plan.path, simulate=True, correct=correct, method=method, live_queue=1)
+    run = begin(request, bench, plan, folder / "runs")
+    carried: dict[str, Any] = {}
+    try:
+        carry_out(request, bench, plan, run, home=True)
+        carried["ended"] = "finished"
+    except DaqError as error:
+        carried["ended"] = f"{type(error).__name__}: {error}"
+    entries = run.entries()
+    counts = next(entry for entry in entries if entry["kind"] == "counts")
+    times = [entry["received_ns"] for entry in entries if entry["kind"] == "frame"]
+    ours, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return {
+        **carried,
+        "books": counts["books"],
+        "flow": counts["flow"],
+        "frames_per_s": round((len(times) - 1) / (times[-1] - times[0]) * 1e9, 2),
+        "cpu_s": {
+            "this process, maps and catching up included": round(ours.ru_utime + ours.ru_stime, 1),
+            "camera's process": round(children.ru_utime + children.ru_stime, 1),
+        },
+        "load_average": [round(load, 1) for load in os.getloadavg()],
+        "cores": len(os.sched_getaffinity(0)),
+    }
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pipeline", description=__doc__)
+    parser.add_argument("-o", "--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--rate-hz", type=float, default=20.0)
+    parser.add_argument("--method", choices=("quintic", "bilinear"), default="quintic")
+    parser.add_argument("--no-correct", dest="correct", action="store_false")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=options.out) as folder:  # the disk that is measured
+        began_s = time.monotonic()
+        found = measure(Path(folder), options.seconds, options.rate_hz, options.method, options.correct)
+        found["wall_s"] = round(time.monotonic() - began_s, 1)
+    found |= {"method": options.method if options.correct else "raw only", "seconds": options.seconds}
+    (options.out / "pipeline.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    Console().print(found)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,15 @@
+"""Which threads come first: what must not be late runs as it is, what may be late steps back."""
+
+import os
+import threading
+
+NICENESS = 5
+
+
+def step_back() -> None:
+    """Lower the priority of the calling thread, where the system can do that for a thread (Linux)."""
+    if hasattr(os, "setpriority") and os.path.exists("/proc/self/task"):  # noqa: PTH110 - not a file to open
+        try:
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+        except OSError:
+            return  # a matter of comfort only
