@@ -10,6 +10,7 @@ def step_back() -> None:
     """Lower the priority of the calling thread, where the system can do that for a thread (Linux)."""
     if hasattr(os, "setpriority") and os.path.exists("/proc/self/task"):  # noqa: PTH110 - not a file to open
         try:
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
+            thread = threading.get_native_id()
+            os.setpriority(os.PRIO_PROCESS, thread, os.getpriority(os.PRIO_PROCESS, 0) + NICENESS)
         except OSError:
             return  # a matter of comfort only
