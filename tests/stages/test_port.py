@@ -53,11 +53,8 @@ def test_a_device_file_behaves_like_the_controller(served, driver):
 def test_pulled_out_in_motion(served, driver):
     """Error within half a second, position unknown, absolute moves refused."""
     stage, world = served(driver, speed=1.0)
-    stage.axis("a").trust_reference()
-    stage.axis("a").controller._referenced.add(stage.axis("a").settings.channel)  # homing would take its real time
+    trusted(stage, world, driver)
     line = world.lines["box"]
-    if driver in ("isel_dnc", "pi_gcs2", "grbl"):  # these refuse to move unreferenced: make the world agree
-        reference(world, driver)
     pulled = []
 
     def pull():
@@ -76,6 +73,14 @@ def test_pulled_out_in_motion(served, driver):
     timer.join()
 
 
+def trusted(stage, world, driver):
+    """Reference axis a at once: in real time homing takes its time."""
+    stage.axis("a").trust_reference()
+    stage.axis("a").controller._referenced.add(stage.axis("a").settings.channel)
+    if driver in ("isel_dnc", "pi_gcs2", "grbl"):  # these refuse to move unreferenced: make the world agree
+        reference(world, driver)
+
+
 def reference(world, driver):
     """Reference the emulated firmware without the travel."""
     emulator = world.lines["box"].emulator
@@ -91,9 +96,9 @@ def reference(world, driver):
 
 
 def test_stop_from_another_thread_gets_through(served, driver):
-    stage, world = served(driver)
-    homed(stage)
-    threading.Timer(0.1, stage.stop).start()
+    stage, world = served(driver, speed=1.0)  # real time: the way takes seconds, however late the stop comes
+    trusted(stage, world, driver)
+    threading.Timer(0.3, stage.stop).start()
     begun_s = time.monotonic()
     with pytest.raises(MotionStopped):
         stage.move({"a": 110.0})

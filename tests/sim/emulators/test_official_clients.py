@@ -1,6 +1,8 @@
 """The vendors' own clients on our emulators: judges that share nothing with us."""
 
+import statistics
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -78,13 +80,16 @@ def test_zaber_speed_units_are_the_vendors(zaber):
     axis = connection.get_device(1).get_axis(1)
     axis.home()
     axis.settings.set("maxspeed", round(10 * PER_MM * 1.6384))
-    begun_s, begun_mm = line.clock.now_s(), motors["1/1"].carriage_mm
     axis.move_absolute(100 * PER_MM, wait_until_idle=False)
-    time.sleep(0.25)
-    line.emulator.advance()
-    covered_mm, passed_s = motors["1/1"].carriage_mm - begun_mm, line.clock.now_s() - begun_s
+    time.sleep(0.05)  # a second of the simulated clock, past the ramp
+    samples = []
+    for _ in range(9):  # a moment in which this process does not run spoils one interval, not the median
+        line.emulator.advance()
+        samples.append((line.clock.now_s(), motors["1/1"].carriage_mm))
+        time.sleep(0.03)
     axis.stop()
-    assert covered_mm / passed_s == pytest.approx(10.0, rel=0.05)
+    speeds = [(x1 - x0) / (t1 - t0) for (t0, x0), (t1, x1) in pairwise(samples)]
+    assert statistics.median(speeds) == pytest.approx(10.0, rel=0.05)
 
 
 def test_zaber_official_client_notices_a_pulled_plug(zaber):
