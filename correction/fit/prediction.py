@@ -4,6 +4,10 @@ The inverse of the ray map on a raster whose nodes are the lattice corners gives
 every sheet, exactly, with the local derivative: one square along the board's +x and +y as it appears in the
 frame.  That is all a sub-pixel fit needs to know: window, orientation and shade follow from it.  Windows
 stay inside one branch, clear of the rim by a few pixels, because the scene is not yet exact.
+
+The corner fit knows straight and evenly curved edges.  Next to a fold the view also twists: the odd part of
+the landing point, (X(u + d) - X(u - d))/2 - h, that no affine frame explains grows with the cube of the
+window.  Windows are shortened until it is below TWIST_PX at their ends.
 """
 
 from dataclasses import dataclass, replace
@@ -22,14 +26,16 @@ from tracer.camera import Vector3
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
+from tracer.trace import trace
 
 LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
 LARGEST_SQUARE_PX = 600.0
-MOST_UNEQUAL = 5.0  # stretch along to stretch across; above, a fold is so near that no window is affine
 LAYERS = 3  # sheets on which one corner is looked for
 WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most
 RIM_PX = 2  # windows stay this far from the border of their branch
 WINDOW = 0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
+SHORTEST = 0.2  # the same where the view bends most; a corner that needs less is not asked
+TWIST_PX = 1.0  # cubic bending at the ends of a window that does no harm (from 3 px on corners err by 0.1-1 px)
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,8 @@ class Expected:
         Number of the branch in `branches`; 0 is the direct view.
     rim_px : (N,) float64
         Distance to the border of the branch.
+    window : (N,) float64
+        Half length of the window to fit in, in squares.
     branches : tuple of tuple of str
         Names of the spheres crossed.
     usable : (H, W) bool
@@ -59,6 +67,7 @@ class Expected:
     axes_px: NDArray[np.float64]
     branch: NDArray[np.uint16]
     rim_px: NDArray[np.float64]
+    window: NDArray[np.float64]
     branches: tuple[tuple[str, ...], ...]
     usable: NDArray[np.bool_]
 
@@ -74,6 +83,7 @@ class Expected:
             axes_px=self.axes_px[chosen],
             branch=self.branch[chosen],
             rim_px=self.rim_px[chosen],
+            window=self.window[chosen],
         )
 
 
@@ -114,12 +124,11 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
     away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)
     pixel = found.pixel[seen]
-    stretch = np.linalg.svd(axes, compute_uv=False)
-    affine = stretch[:, 0] <= MOST_UNEQUAL * stretch[:, 1]
+    window = _windows(seen_from_target, pixel, axes, board.square_mm)
     at = np.rint(pixel).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64)
-    every = Expected(index, pixel, axes, found.branch[seen], rim, found.branches, away > RIM_PX)
-    return every.take(affine)
+    every = Expected(index, pixel, axes, found.branch[seen], rim, window, found.branches, away > RIM_PX)
+    return every.take(window >= SHORTEST)
 
 
 def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> CornerFit:
@@ -130,7 +139,7 @@ def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> Corne
         expected.axes_px,
         sign=board.corner_sign(expected.index),
         mask=expected.usable,
-        window=WINDOW,
+        window=expected.window,
     )
 
 
@@ -160,6 +169,20 @@ def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
     a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in camera.rotation_matrix @ axes.T)
     camera = replace(camera, position_mm=point(camera.position_mm), rotation=(a, b, c))
     return replace(scene, camera=camera, bodies=tuple(bodies))
+
+
+def _windows(
+    scene: Scene, pixel: NDArray[np.float64], axes_px: NDArray[np.float64], square_mm: float
+) -> NDArray[np.float64]:
+    """Half lengths (N,) of windows [squares] in which the view is straight but for an even curvature."""
+    twist = np.zeros(len(pixel))
+    for axis in range(2):
+        reach = WINDOW * axes_px[:, :, axis]
+        ahead, behind = trace(scene, pixel + reach).plane_mm, trace(scene, pixel - reach).plane_mm
+        odd = 0.5 * (ahead - behind) / square_mm - WINDOW * np.eye(2)[axis]
+        in_px = np.linalg.norm((axes_px @ odd[:, :, None])[:, :, 0], axis=1)
+        twist = np.maximum(twist, np.nan_to_num(in_px, nan=np.inf))
+    return np.asarray(WINDOW * np.minimum(1.0, np.cbrt(TWIST_PX / np.maximum(twist, 1e-12))))
 
 
 def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:

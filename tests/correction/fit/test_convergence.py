@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from correction.fit.contact import pushed_apart
 from correction.fit.errors import FitError
 from correction.fit.scene_fit import fit_scene
-from tests.correction.fit.benches import BOARD, bench
+from tests.correction.fit.benches import bench
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 
@@ -44,7 +44,7 @@ def test_random_starts_converge_or_say_so(name, seed):
     right, refused = 0, 0
     for _ in range(STARTS):
         try:
-            fit = fit_scene(disturbed(made.truth, made.nominal, rng), made.frames, BOARD)
+            fit = fit_scene(disturbed(made.truth, made.nominal, rng), made.frames, made.board)
         except FitError:
             refused += 1
             continue
