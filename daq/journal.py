@@ -24,6 +24,11 @@ from typing import Any
 
 from daq.errors import DiskError, ResumeRefused
 
+try:
+    from fcntl import LOCK_EX, LOCK_NB, flock
+except ImportError:  # not a POSIX machine: nobody keeps a second process away there
+    flock = None  # type: ignore[assignment]
+
 SYNC_S = 0.25
 MAX_LINE_BYTES = 1_000_000
 
@@ -64,6 +69,11 @@ class Journal:
     ----------
     path : Path
         The file; made if missing.
+
+    Raises
+    ------
+    ResumeRefused
+        Another process works on this run.
     """
 
     def __init__(self, path: Path) -> None:
@@ -71,8 +81,13 @@ class Journal:
         self._lock = threading.Lock()
         self._synced_s = time.monotonic()
         try:
-            _cut_torn_line(path)
             self._file = path.open("ab", buffering=0)
+            if flock is not None:
+                flock(self._file, LOCK_EX | LOCK_NB)
+            _cut_torn_line(path)
+        except BlockingIOError as error:
+            self._file.close()
+            raise ResumeRefused(f"{path.parent}: another process works on this run; let it finish") from error
         except OSError as error:
             raise DiskError(f"{path}: {error.strerror}; check the disk") from error
 

@@ -93,6 +93,7 @@ def acquire(
     check_disk(out, said.raw_bytes + (said.corrected_bytes if correct else 0))
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
+    screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
     run_and_report(screen, request, loaded, steps, folder, home)
     return folder.path
 

@@ -31,6 +31,14 @@ def test_torn_last_line_is_ignored_and_cut_off(tmp_path):
         assert [entry["frame"] for entry in read_journal(path)] == [0, 7]
 
 
+def test_two_processes_never_work_on_one_run(tmp_path):
+    journal = Journal(tmp_path / "steps.jsonl")
+    with pytest.raises(ResumeRefused, match="another process works on this run"):
+        Journal(tmp_path / "steps.jsonl")
+    journal.close()
+    Journal(tmp_path / "steps.jsonl").close()
+
+
 def test_damage_in_the_middle_is_refused(tmp_path):
     path = tmp_path / "steps.jsonl"
     path.write_text('{"kind": "frame", "frame": 0}\n{"kind": \n{"kind": "frame", "frame": 1}\n')
