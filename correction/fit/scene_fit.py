@@ -14,18 +14,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from correction.board_search import SATURATED
-from correction.corners import saturated_fraction
 from correction.errors import FrameError
 from correction.fit.adjustment import Adjustment, legal_scene
+from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
-from correction.fit.pairing import Candidates, candidates_of, pair
+from correction.fit.pairing import pair
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, SceneFit, check
 from correction.fit.solver import Solution
 from correction.fit.unknowns import Bench, bench_of
-from correction.saddles import find_saddles
 from correction.target import Chessboard
+from correction.target.board_search import SATURATED
+from correction.target.corners import saturated_fraction
+from correction.target.saddles import find_saddles
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 

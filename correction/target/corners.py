@@ -1,7 +1,7 @@
 """Sub-pixel positions of chessboard corners, near the noise limit, with an honest sigma.
 
-The model and its fit are in `correction.kernels.corner_fit`.  What the caller knows of the view goes in as
-an affine frame: `axes_px` says where one square along the board's +x and +y lies in the image.  Behind
+The model is in `correction.kernels.corner_model`, its fit in `corner_fit`.  What the caller knows of the view
+goes in as an affine frame: `axes_px` says where one square along the board's +x and +y lies in the image.  Behind
 glass squares are stretched, inverted and turned, and the window follows: it is a cross of arms along the
 two edges, `window` squares long each way and `arm` squares to either side, so that neither the next corner
 nor a disc is ever inside.
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from correction.errors import FrameError
-from correction.kernels import corner_fit
+from correction.kernels import corner_fit, corner_model
 from correction.resample import checked_frame
 from tracer.rows import run_rows
 
@@ -28,12 +28,12 @@ SATURATED_LEVELS = (255, 1023, 4095, 16383, 65535, 65520)  # full scale of 8, 10
 class CornerReason(IntEnum):
     """Why a corner is not valid."""
 
-    OK = corner_fit.OK
-    EDGE = corner_fit.EDGE  # the smallest window leaves the frame
-    MASKED = corner_fit.MASKED  # the smallest window meets masked pixels
-    SMALL = corner_fit.SMALL  # the squares are too small in the image, or the start is not a number
-    LOST = corner_fit.LOST  # the fit did not settle
-    MOVED = corner_fit.MOVED  # the fit left the neighbourhood of the start
+    OK = corner_model.OK
+    EDGE = corner_model.EDGE  # the smallest window leaves the frame
+    MASKED = corner_model.MASKED  # the smallest window meets masked pixels
+    SMALL = corner_model.SMALL  # the squares are too small in the image, or the start is not a number
+    LOST = corner_model.LOST  # the fit did not settle
+    MOVED = corner_model.MOVED  # the fit left the neighbourhood of the start
     INVERTED = 6  # bright and dark are exchanged: another corner of the lattice
     MISFIT = 7  # the window does not look like two crossing edges
     UNSURE = 8  # sigma above the limit

@@ -20,8 +20,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from correction.errors import TargetNotFound
-from correction.lattice_growth import Patch
-from correction.target import QUARTER_TURNS, Chessboard
+from correction.target.chessboard import QUARTER_TURNS, Chessboard
+from correction.target.lattice_growth import Patch
 
 RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
 LEAST_SHARE = 0.5  # of the votes

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import tifffile
 
-from correction.corners import CornerReason, refine_corners, saturated_fraction
 from correction.errors import FrameError
-from correction.kernels import corner_fit
+from correction.kernels import cholesky, corner_covariance, corner_fit, corner_model
 from correction.target import Chessboard
+from correction.target.corners import CornerReason, refine_corners, saturated_fraction
 from tests.correction.frame_truth import FRAMES, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
 
@@ -133,17 +133,17 @@ def test_derivatives_of_the_model_agree_with_differences():
     rng = np.random.default_rng(9)
     p = np.array([0.3, -0.2, 0.1, -1.4, 0.01, -0.02, 0.7, 0.9, 1500.0, 1200.0, 0.003, -0.002, 0.1])
     step = np.array([1e-5] * 8 + [1e-2] * 2 + [1e-6] * 2 + [1e-5])
-    model = corner_fit.gradient.py_func
+    model = corner_model.gradient.py_func
     row, other, turn = np.empty(13), np.empty(13), np.empty(4)
 
     def value(q, u, v):
-        corner_fit.set_turn.py_func(q, turn)
+        corner_model.set_turn.py_func(q, turn)
         return model(q, turn, u, v, other)
 
     for u, v in rng.uniform(-4, 4, (60, 2)):
-        corner_fit.set_turn.py_func(p, turn)
+        corner_model.set_turn.py_func(p, turn)
         centre = model(p, turn, u, v, row)
-        assert centre == pytest.approx(corner_fit.gradient(p, turn, u, v, other.copy()), rel=1e-12)
+        assert centre == pytest.approx(corner_model.gradient(p, turn, u, v, other.copy()), rel=1e-12)
         for k in range(13):
             move = np.zeros(13)
             move[k] = step[k]
@@ -156,13 +156,12 @@ def test_compiled_and_interpreted_fits_agree():
     image = photographed(soft_board(affine(matrix, origin), shape), 2).astype(np.float32)
     start, axes = origin[None] + 0.2, (matrix * SQUARE)[None]
     compiled = refine_corners(image, start, axes)
-    plain = {name: getattr(corner_fit, name) for name in ("gather", "gradient", "set_turn", "normal_equations")}
-    plain |= {name: getattr(corner_fit, name) for name in ("factorise", "solve", "start_levels", "optimise")}
-    plain["covariance"] = corner_fit.covariance
     out, verdict = np.full((1, 10), np.nan), np.zeros(1, np.uint8)
     with pytest.MonkeyPatch.context() as context:
-        for name, compiled_kernel in plain.items():
-            context.setattr(corner_fit, name, compiled_kernel.py_func)
+        for module in (corner_model, cholesky, corner_covariance, corner_fit):
+            for name, value in list(vars(module).items()):
+                if hasattr(value, "py_func") and name != "fit_corners":
+                    context.setattr(module, name, value.py_func)
         corner_fit.fit_corners.py_func(
             image, np.ones((1, 1), np.uint8), start, axes, np.array([0.45]), 0.15, 4.0, 0.45, 5.0, 0, 1,
             corner_fit.new_scratch(), out, verdict,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from correction.saddles import Saddles
+from correction.target.saddles import Saddles
 
 TOLERANCE = 0.28  # largest miss of a predicted corner, in squares
 COS_EDGE = 0.9  # edges of neighbours agree to 25 degrees

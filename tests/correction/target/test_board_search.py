@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from correction.board_search import find_board, track_board
 from correction.errors import FrameError, TargetNotFound
-from correction.lattice_growth import grow_patches
-from correction.saddles import find_saddles
 from correction.target import Chessboard
+from correction.target.board_search import find_board, track_board
+from correction.target.lattice_growth import grow_patches
+from correction.target.saddles import find_saddles
 from tests.correction.frame_truth import FRAMES, nominal_projection, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
 

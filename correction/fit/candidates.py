@@ -1,0 +1,119 @@
+"""Saddles of a frame that may be seen through glass, each with the lattice corner that it shows.
+
+Each candidate is traced to the target with the present scene and paired with the nearest lattice corner OF
+ITS OWN KIND: seen through the local derivative of the trace, the saddle tells whether the square towards +x, +y is
+bright.  Corners of one kind lie sqrt(2) squares apart, on a lattice turned by 45 degrees, so the pairing is
+right up to 0.7 squares of error.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.solver import Corners, Residuals, free_rates, landed
+from correction.fit.unknowns import Bench
+from correction.target import Chessboard
+from correction.target.saddles import Saddles
+from tracer.kernels.march import DIRECT
+from tracer.sensitivity import SPHERE, Landings
+
+SQUEEZED = 5.0  # a raw pixel that covers more corrected pixels than this shows no squares
+WIDER = 1.15  # candidates are looked for in spheres wider by this
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Saddles of one frame.
+
+    Parameters
+    ----------
+    height : int
+        Number of the target's height.
+    pixel : (N, 2) float64
+        u, v.
+    bright : (N, 2) float64
+        Image direction of the bright squares.
+    inside : (N,) bool
+        Within the outline of the nominal glass, made a little wider.
+    bare : (N,) bool
+        On the lattice as it would be seen without glass.
+    """
+
+    height: int
+    pixel: NDArray[np.float64]
+    bright: NDArray[np.float64]
+    inside: NDArray[np.bool_]
+    bare: NDArray[np.bool_]
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Candidates":
+        """Return the candidates where `chosen`."""
+        pixel, bright = self.pixel[chosen], self.bright[chosen]
+        return Candidates(self.height, pixel, bright, self.inside[chosen], self.bare[chosen])
+
+
+def candidates_of(
+    saddles: Saddles,
+    least: float,
+    bench: Bench,
+    full: NDArray[np.float64],
+    height: int,
+    board: Chessboard,
+) -> Candidates:
+    """Choose the saddles that may be seen through glass.
+
+    Saddles weaker than `least` are noise; those that fit the bare lattice and lie well outside the nominal
+    glass say nothing about it.
+    """
+    bright = saddles.edges.sum(axis=1)
+    everything = Corners(height, False, saddles.position_px, np.zeros((len(saddles), 2)), 1.0)
+    rays = landed(bench, full, everything)
+    node = nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board)
+    bare = np.linalg.norm(rays.point_mm - node, axis=1) < 0.1 * board.square_mm
+    wide = np.array(full)
+    wide[bench.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
+    inside = landed(bench, wide, Corners(height, True, everything.pixel, everything.node_mm, 1.0)).key != DIRECT
+    inside &= saddles.strength > least
+    chosen = inside | (~bare & (saddles.strength > least))
+    return Candidates(height, saddles.position_px[chosen], bright[chosen], inside[chosen], bare[chosen])
+
+
+def nearest_nodes(
+    point_mm: NDArray[np.float64],
+    pixel_rate: NDArray[np.float64],
+    bright: NDArray[np.float64],
+    board: Chessboard,
+) -> NDArray[np.float64]:
+    """Nearest lattice corner of the right kind (N, 2) [mm] of landing points (N, 2); NaN stays NaN."""
+    towards = (pixel_rate @ bright[:, :, None])[:, :, 0]
+    odd = np.where(towards[:, 0] * towards[:, 1] > 0.0, 1.0, 0.0)
+    x, y = point_mm.T / board.square_mm
+    p = 2.0 * np.rint((x + y - odd) / 2.0) + odd
+    q = 2.0 * np.rint((x - y - odd) / 2.0) + odd
+    return np.asarray(np.stack((p + q, p - q), axis=-1) * 0.5 * board.square_mm)
+
+
+def paired_residuals(
+    bench: Bench, x: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
+) -> Residuals:
+    """Distance of each candidate to its nearest corner, in corrected or raw pixels, whichever are coarser.
+
+    Near a rim a ray turns wildly with every number of the scene, and would dominate: there the distance is
+    measured in raw pixels, and where the view is squeezed too much it is not asked at all.
+    """
+    full = bench.full(x)
+    off, scale, rays, corners = distances(bench, full, candidates, board, pitch_mm)
+    return Residuals(off, free_rates(bench, full, corners, rays) / scale[:, :, None])
+
+
+def distances(
+    bench: Bench, full: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], Landings, Corners]:
+    """Distances (N, 2) to the nearest corners [px], mm a px (N, 1), and the rays they come from."""
+    corners = Corners(candidates.height, True, candidates.pixel, np.zeros_like(candidates.pixel), 1.0)
+    rays = landed(bench, full, corners)
+    off = rays.point_mm - nearest_nodes(rays.point_mm, rays.pixel_rate, candidates.bright, board)
+    spread = np.sqrt((rays.pixel_rate**2).sum(axis=(1, 2)))  # of a pixel, on the plane
+    scale = np.maximum(spread, pitch_mm)[:, None]
+    off[spread > SQUEEZED * pitch_mm] = np.nan
+    return off / scale, scale, rays, corners
