@@ -1,0 +1,38 @@
+"""docs/files.md is what people write their files from: it must name every key there is."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from daq.bench_file import BenchTable
+from daq.experiments import EXPERIMENTS, plan_table
+from tracer.config import Table, load_yaml, validate
+from tracer.scene_file import SceneTable, load_scene
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "files.md"
+
+
+def keys_of(model: type[Table]) -> set[str]:
+    schema = model.model_json_schema()
+    tables = [schema, *schema.get("$defs", {}).values()]
+    return {key for table in tables for key in table.get("properties", {})}
+
+
+@pytest.mark.parametrize("model", [SceneTable, BenchTable, *map(plan_table, EXPERIMENTS)])
+def test_every_key_is_on_the_page(model):
+    words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", PAGE.read_text(encoding="utf-8")))))
+    assert keys_of(model) <= words
+
+
+def test_the_scene_on_the_page_can_be_loaded(tmp_path):
+    block = re.search(r"((?:    .*\n)+)", PAGE.read_text(encoding="utf-8"))
+    assert block
+    path = tmp_path / "scene.yaml"
+    path.write_text(re.sub(r"(?m)^    ", "", block[1]), encoding="utf-8")
+    assert len(load_scene(path).bodies) == 1
+
+
+@pytest.mark.parametrize("name", ["bench-sim.yaml", "demo/bench.yaml"])
+def test_the_examples_are_benches(name):
+    validate(load_yaml(PAGE.parents[1] / "examples" / name), BenchTable)
