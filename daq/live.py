@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from daq.runner import Progress, Watcher
 
@@ -33,7 +34,7 @@ def panel(progress: Progress) -> Table:
     ]
     table = Table(show_header=False, box=None)
     for name, value in rows:
-        table.add_row(f"[bold]{name}[/bold]", value)
+        table.add_row(Text(name, "bold"), value)
     return table
 
 

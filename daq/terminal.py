@@ -18,9 +18,17 @@ LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wi
 
 
 def console() -> Console:
-    """Return the console for results, on standard output."""
-    found = Console()
-    return found if found.is_terminal else Console(width=LEAST_WIDTH)
+    """Return the console for results, on standard output.
+
+    Text is printed as it is: `[px]` is a unit and `[a]` may be part of a path, never markup.
+    """
+    found = Console(markup=False, emoji=False)
+    return found if found.is_terminal else Console(markup=False, emoji=False, width=LEAST_WIDTH)
+
+
+def error_console() -> Console:
+    """Return the console for what is said while a verb works, on standard error."""
+    return Console(markup=False, emoji=False, stderr=True)
 
 
 def progress(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
@@ -37,7 +45,7 @@ def progress(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*columns, *times, console=Console(stderr=True)) as bar:
+    with Progress(*columns, *times, console=error_console()) as bar:
         task = bar.add_task(what, total=total)
         for item in items:
             yield item

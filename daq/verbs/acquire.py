@@ -18,7 +18,7 @@ from daq.pipeline import LIVE_QUEUE
 from daq.plan import Plan, load_plan
 from daq.run_folder import RunFolder
 from daq.session import Request, begin, carry_out, check_disk
-from daq.terminal import console
+from daq.terminal import console, error_console
 
 SHOWN_STEPS = 40
 SHOWN_PAIRS = 12
@@ -103,7 +103,7 @@ def run_and_report(
 ) -> dict[str, Any]:
     """Do what is left of a run, say what came of it, or how to go on."""
     try:
-        with watch(Console(stderr=True)) as watcher:
+        with watch(error_console()) as watcher:
             done = carry_out(request, bench, plan, folder, home, watcher)
     except BaseException:
         print(f"the run is in {folder.path}; go on with: rtpiv resume {folder.path}", file=sys.stderr)
@@ -133,7 +133,7 @@ def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, wi
         f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
     )
     for violation in said.violations:
-        screen.print(f"[bold]not allowed[/bold] step {violation.step} ({violation.tag}): {violation.text}")
+        screen.print(f"not allowed: step {violation.step} ({violation.tag}): {violation.text}", style="bold")
 
 
 def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:
@@ -153,7 +153,7 @@ def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None
     path = folder.path / "displacements.json"
     if path.exists():
         _print_displacements(screen, path)
-    screen.print(f"[bold]{folder.path}[/bold]")
+    screen.print(str(folder.path), style="bold")
 
 
 def _print_displacements(screen: Console, path: Path) -> None:

@@ -26,7 +26,7 @@ from correction.target import Chessboard
 from daq.pictures.calibration import Panel, draw_map_sigma, draw_residuals
 from daq.run_views import is_run
 from daq.run_views import target_frames as frames_of_run
-from daq.terminal import console
+from daq.terminal import console, error_console
 from tracer.scene_file import dump_scene, load_priors, load_scene
 
 NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?)mm)?")
@@ -56,14 +56,14 @@ def calibrate(folder: Path, scene: Path, out: Path, square_mm: float = 2.5, disc
     FrameError, TargetNotFound, FitError
         The frames cannot determine the scene; nothing is written then.
     """
-    progress = Console(stderr=True)
+    progress = error_console()
     began = time.monotonic()
     nominal, priors = load_scene(scene), load_priors(scene)
     board = Chessboard(square_mm, disc_mm)
     frames = target_frames(folder, nominal.camera.shape)
 
     def say(text: str) -> None:
-        progress.print(f"[dim]{time.monotonic() - began:6.1f} s[/dim]  {text}")
+        progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
     say(f"{len(frames)} frames of the target in {folder}")
     fit = fit_scene(nominal, frames, board, priors, say)

@@ -158,9 +158,8 @@ def _print(
     if dewarp is not None:
         screen.print(f"dewarp: {dewarp.summary()}")
         if dewarp.residual_rms_px > DEWARP_DOUBT_PX and dewarp.order < 5:
-            screen.print(
-                f"[bold]the lens bends more than order {dewarp.order} can follow[/bold]; try --dewarp-order 5"
-            )
+            doubt = f"the lens bends more than order {dewarp.order} can follow; try --dewarp-order 5"
+            screen.print(doubt, style="bold")
     if errors:
         table = Table(title="target corners in the corrected frame against the regular grid [px]")
         for name in ("frame", "region", "corners", "bias x, y", "rms x, y", "largest"):

@@ -53,4 +53,4 @@ def demo(out: Path) -> None:
     screen.rule("7  the displacement, measured through the glass")
     evaluate([moved], out / "shift", fitted, velocity=True)
     report = next((out / "shift").glob("*/report.html"))
-    screen.print(f"[bold]Look at {report}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}[/bold]")
+    screen.print(f"Look at {report}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}", style="bold")

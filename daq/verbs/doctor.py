@@ -41,7 +41,7 @@ def doctor(bench: Path | None = None) -> list[Finding]:
     for column in ("what", "", "found"):
         table.add_column(column)
     for what, fine, words in found:
-        table.add_row(what, {True: "ok", False: "[bold]missing[/bold]", None: ""}[fine], words)
+        table.add_row(what, {True: "ok", False: "missing", None: ""}[fine], words)
     console().print(table)
     return found
 
