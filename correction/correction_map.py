@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
 from correction.kernels.inverse import direct_rows
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
@@ -49,6 +50,7 @@ KIND = "correction map"
 NODES_PER_CALL = 4096  # whole groups, so that threads change no group
 NO_BALLS = np.empty((0, BALL))
 MIN_MAGNIFICATION = 0.5  # one sensor pixel may cover two corrected pixels, not more
+MAX_LAYERS = 16
 MAX_MAGNIFICATION = 16.0  # within 0.2 corrected pixels of the fold behind a 100 mm ball at L = 250 mm
 
 
@@ -208,9 +210,13 @@ def build_correction_map(
     ------
     StaleMap
         The ray map belongs to another scene.
+    MapUsageError
+        `layers` is not 1 to MAX_LAYERS.
     """
     ray_map.check(scene)
     grid = grid or grid_of(scene.camera)
+    if not 1 <= layers <= MAX_LAYERS:
+        raise MapUsageError(f"a node can join 1 to {MAX_LAYERS} views, not {layers}")
     work = _Inversion(scene, ray_map, grid, layers, (min_magnification, max_magnification), out)
     work.direct()
     work.glass()

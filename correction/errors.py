@@ -5,6 +5,7 @@ CorrectionError
 +-- PairError        two frames do not make a pair: different size, nothing valid, no texture
 +-- BoardError       the description of the target contradicts itself
 +-- TargetNotFound   a frame does not show the described target, or too little of it
++-- MapUsageError    a correction map is asked for that cannot be (also a ValueError)
 +-- DewarpError      pairs of points do not determine the dewarp polynomial, or stored numbers are not one
 """
 
@@ -27,6 +28,10 @@ class BoardError(CorrectionError):
 
 class TargetNotFound(CorrectionError):  # noqa: N818 - says what it is
     """The target is not in the frame as described; the message says what was seen and what to do."""
+
+
+class MapUsageError(CorrectionError, ValueError):
+    """What is asked of a correction map makes no sense; the message says what would."""
 
 
 class DewarpError(CorrectionError):

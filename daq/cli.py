@@ -7,6 +7,7 @@ Exit codes: 0 done, 2 usage or configuration, 3 device, 4 interrupted and resuma
 """
 
 import argparse
+import errno
 import importlib
 import sys
 from collections.abc import Sequence
@@ -124,9 +125,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = _exit_code(error)
         if code is None:
             raise
-        print(f"rtpiv {verb}: {error}", file=sys.stderr)
+        print(f"rtpiv {verb}: {_sentence(error)}", file=sys.stderr)
         return code
     return DONE
+
+
+def _sentence(error: Exception) -> str:
+    """What to tell the person; an error of the system itself knows only a file and a reason."""
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        cure = "make room on the disk" if error.errno == errno.ENOSPC else "give another path, or mend this one"
+        return f"{error.filename}: {error.strerror.lower()}; {cure}"
+    return str(error)
 
 
 def _exit_code(error: Exception) -> int | None:
@@ -142,6 +151,10 @@ def _exit_code(error: Exception) -> int | None:
         return USAGE
     if isinstance(error, DaqError | StageError):
         return DEVICE
+    if (
+        isinstance(error, OSError) and error.filename is not None
+    ):  # an output folder that cannot be one, a full disk
+        return DEVICE if error.errno == errno.ENOSPC else USAGE
     return None
 
 

@@ -112,6 +112,22 @@ def test_bad_input_is_one_sentence_with_exit_2_and_nothing_written(bench, capsys
     assert not out.exists()
 
 
+@pytest.mark.parametrize("views", ["0", "-1", "17"])
+def test_views_that_cannot_be_joined_are_refused(bench, capsys, views):
+    code, out = run(bench, "good.tif", options=("--blend", views))
+    assert code == USAGE
+    assert "1 to 16 views" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_output_folder_that_is_a_file_is_one_sentence(bench, capsys):
+    (bench / "out").write_text("mine")
+    code, out = run(bench, "good.tif")
+    assert code == USAGE
+    assert str(out) in capsys.readouterr().err
+    assert out.read_text() == "mine"
+
+
 def test_several_problems_are_reported_at_once(bench, capsys):
     (bench / "bad.yaml").write_text(SMALL.replace("radius_mm", "radius_cm").replace("focal_px", "focal"))
     code, _ = run(bench, "good.tif", scene="bad.yaml")
