@@ -9,6 +9,7 @@ Exit codes: 0 done, 2 usage or configuration, 3 device, 4 interrupted and resuma
 import argparse
 import errno
 import importlib
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,8 +33,8 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument("folder", type=Path, metavar="FOLDER", help="holds target_clear.tif, target_glass.tif")
     calibrate.add_argument("--scene", type=Path, required=True, help="nominal scene.yaml; may have a fit section")
     calibrate.add_argument("-o", "--out", type=Path, required=True, help="folder for the fitted scene and report")
-    calibrate.add_argument("--square-mm", type=float, default=2.5, help="square of the target (default 2.5)")
-    calibrate.add_argument("--disc-mm", type=float, default=1.0, help="disc of the target (default 1.0)")
+    calibrate.add_argument("--square-mm", type=_positive, default=2.5, help="square of the target (default 2.5)")
+    calibrate.add_argument("--disc-mm", type=_positive, default=1.0, help="disc of the target (default 1.0)")
 
     correct = verbs.add_parser("correct", help="frames as if the glass were not there")
     correct.add_argument(
@@ -43,9 +44,9 @@ def _parser() -> argparse.ArgumentParser:
     correct.add_argument("-o", "--out", type=Path, required=True, help="folder for corrected frames")
     correct.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     correct.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
-    correct.add_argument("--square-mm", type=float, default=2.5, help="square of the target (default 2.5)")
+    correct.add_argument("--square-mm", type=_positive, default=2.5, help="square of the target (default 2.5)")
     correct.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
-    correct.add_argument("--blend", type=int, default=1, metavar="K", help="join the K best views of a node")
+    correct.add_argument("--blend", type=_count, default=1, metavar="K", help="join the K best views of a node")
     correct.add_argument("--float", dest="as_float", action="store_true", help="write float32, not offset uint16")
     correct.add_argument("--check-target", action="store_true", help="frames show the target: report its errors")
 
@@ -55,9 +56,11 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("-o", "--out", type=Path, required=True, help="folder for vectors and report")
     evaluate.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     evaluate.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
-    evaluate.add_argument("--square-mm", type=float, default=2.5, help="square of the target (default 2.5)")
-    evaluate.add_argument("--shift-mm", type=float, nargs=2, metavar=("X", "Y"), help="true shift, y up")
-    evaluate.add_argument("--stage-um", type=float, default=10.0, help="standard error of the stage (default 10)")
+    evaluate.add_argument("--square-mm", type=_positive, default=2.5, help="square of the target (default 2.5)")
+    evaluate.add_argument("--shift-mm", type=_finite, nargs=2, metavar=("X", "Y"), help="true shift, y up")
+    evaluate.add_argument(
+        "--stage-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
+    )
     evaluate.add_argument("--velocity", action="store_true", help="also carry raw vectors through the glass")
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
 
@@ -81,7 +84,9 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     acquire.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     acquire.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     acquire.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
-    acquire.add_argument("--live-queue", type=int, default=4, metavar="N", help="frames that may wait (default 4)")
+    acquire.add_argument(
+        "--live-queue", type=_count, default=4, metavar="N", help="frames that may wait (default 4)"
+    )
 
     resume = verbs.add_parser("resume", help="go on with a run that was interrupted")
     resume.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
@@ -103,12 +108,34 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     emulate = verbs.add_parser("emulate", help="the simulated bench for other programs, until Ctrl-C")
     emulate.add_argument("bench", type=Path, metavar="BENCH", help="bench.yaml with a simulation section")
     emulate.add_argument("--shows", choices=("chessboard", "particles"), default="chessboard", help="on the stage")
-    emulate.add_argument("--for-s", type=float, help="end by itself after this time")
+    emulate.add_argument("--for-s", type=_positive, help="end by itself after this time")
 
 
 def _bench_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bench", type=Path, default=Path("bench.yaml"), help="bench file (default: bench.yaml)")
     parser.add_argument("--simulate", action="store_true", help="its simulation in place of the hardware")
+
+
+def _finite(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise argparse.ArgumentTypeError(f"should be a number, not {text!r}")
+    return value
+
+
+def _positive(text: str) -> float:
+    if (value := _finite(text)) <= 0.0:
+        raise argparse.ArgumentTypeError(f"should be above 0, not {text}")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"should be 1, 2, 3 ..., not {text!r}")
+    return int(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -112,9 +112,18 @@ def test_bad_input_is_one_sentence_with_exit_2_and_nothing_written(bench, capsys
     assert not out.exists()
 
 
-@pytest.mark.parametrize("views", ["0", "-1", "17"])
-def test_views_that_cannot_be_joined_are_refused(bench, capsys, views):
-    code, out = run(bench, "good.tif", options=("--blend", views))
+@pytest.mark.parametrize(
+    "option", ["--blend=0", "--blend=-1", "--blend=x", "--square-mm=0", "--square-mm=nan", "--square-mm=x"]
+)
+def test_numbers_that_make_no_sense_are_refused(option, capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["correct", "a.tif", "--scene", "b.yaml", "-o", "c", option])
+    assert caught.value.code == USAGE
+    assert f"argument {option.partition('=')[0]}: should be " in capsys.readouterr().err
+
+
+def test_more_views_than_can_be_joined_are_refused(bench, capsys):
+    code, out = run(bench, "good.tif", options=("--blend", "17"))
     assert code == USAGE
     assert "1 to 16 views" in capsys.readouterr().err
     assert not out.exists()
