@@ -13,6 +13,7 @@ from typing import ClassVar
 
 from sim.emulators.device import Clock, Emulator
 from sim.motion import Motor
+from stages.errors import ProtocolViolation
 from stages.protocols.zaber_ascii import Alert, Command, CommandStream, Reply
 
 RANK = ("FD", "FQ", "FS", "WL", "WR", "WH", "NC", "NI")  # the reply shows the first that is set
@@ -136,6 +137,8 @@ class ZaberEmulator(Emulator):
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
+            if isinstance(command, ProtocolViolation):
+                continue
             for device in sorted({key[0] for key in self._axes}):
                 if command.device in (0, device):
                     self._answer(device, command)

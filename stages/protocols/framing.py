@@ -1,8 +1,11 @@
-"""What line-based grammars share: cutting a byte stream into lines, and the shape of a documented example."""
+"""What line-based grammars share: from a stream of bytes to lines to messages, and the shape of an example."""
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from stages.errors import ProtocolViolation
+
+T = TypeVar("T")
 
 
 class Message(Protocol):
@@ -62,6 +65,51 @@ class Lines:
             self._rest.clear()
             raise ProtocolViolation("a line has no end", raw)
         return lines
+
+
+class LineStream(Generic[T]):
+    """Bytes to messages: a line at a time, a violation in place of each that cannot be read.
+
+    Parameters
+    ----------
+    read : callable
+        Reads one line, without its end; raises ProtocolViolation.
+    ends : bytes
+        See `Lines`.
+    longest : int
+        See `Lines`.
+    singles : mapping of int to message, optional
+        Bytes that are a message of their own, wherever they stand.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[bytes], T],
+        ends: bytes = b"\r\n",
+        longest: int = 512,
+        singles: Mapping[int, T] | None = None,
+    ) -> None:
+        self._read = read
+        self._lines = Lines(ends, longest)
+        self._singles = singles or {}
+
+    @property
+    def rest(self) -> bytes:
+        """Bytes of a line that is not complete."""
+        return self._lines.rest
+
+    def feed(self, chunk: bytes) -> list[T | ProtocolViolation]:
+        """Add bytes; return what is complete now."""
+        found: list[T | ProtocolViolation] = []
+        for byte in chunk:
+            if byte in self._singles:
+                found.append(self._singles[byte])
+                continue
+            try:
+                found += [self._read(line) for line in self._lines.feed(bytes([byte]))]
+            except ProtocolViolation as violation:
+                found.append(violation)
+        return found
 
 
 def text_of(raw: bytes) -> str:

@@ -19,7 +19,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, Lines, text_of
+from stages.protocols.framing import Example, LineStream, text_of
 
 DOC = "gnea/grbl v1.1 doc/markdown"
 
@@ -257,49 +257,16 @@ def parse_answer(line: bytes) -> Answer:
     raise ProtocolViolation("not a Grbl line", line)
 
 
-class CommandStream:
+class CommandStream(LineStream[Line | RealTime]):
     """Bytes of a host to lines and real-time bytes, in order of arrival."""
 
     def __init__(self) -> None:
-        self._lines = Lines(b"\r\n", longest=80)
-
-    def feed(self, chunk: bytes) -> list[Line | RealTime | ProtocolViolation]:
-        """Add bytes; return what is complete now."""
-        found: list[Line | RealTime | ProtocolViolation] = []
-        for start in range(len(chunk)):
-            byte = chunk[start]
-            if byte in REALTIME:
-                found.append(RealTime(byte))
-                continue
-            try:
-                found += [Line(text_of(line)) for line in self._lines.feed(chunk[start : start + 1])]
-            except ProtocolViolation as violation:
-                found.append(violation)
-        return found
+        singles = {code: RealTime(code) for code in REALTIME}
+        super().__init__(lambda line: Line(text_of(line)), longest=80, singles=singles)
 
 
-class AnswerStream:
+class AnswerStream(LineStream[Answer]):
     """Bytes of a controller to answers."""
 
     def __init__(self) -> None:
-        self._lines = Lines(b"\r\n")
-
-    @property
-    def rest(self) -> bytes:
-        """Bytes of an answer that is not complete."""
-        return self._lines.rest
-
-    def feed(self, chunk: bytes) -> list[Answer | ProtocolViolation]:
-        """Add bytes; return the answers that are complete now, a violation in place of each unreadable one."""
-        try:
-            lines = self._lines.feed(chunk)
-        except ProtocolViolation as violation:
-            return [violation]
-        return [_or_violation(line) for line in lines]
-
-
-def _or_violation(line: bytes) -> Answer | ProtocolViolation:
-    try:
-        return parse_answer(line)
-    except ProtocolViolation as violation:
-        return violation
+        super().__init__(parse_answer)

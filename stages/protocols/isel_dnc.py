@@ -19,7 +19,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, Lines, text_of
+from stages.protocols.framing import Example, LineStream, text_of
 
 GUIDE = "isel, iMC-M/-MP/-S8 Programming Guide 06/2010, as open clients of the controller quote it"
 
@@ -241,15 +241,13 @@ Command = Identify | Initialise | Numbered | ReferenceSpeeds | Move | AskPositio
 
 
 def parse_command(line: bytes) -> Command:
-    """Read a command of the host, without its CR; the byte 253 alone is `Stop`.
+    """Read a command of the host, without its CR.
 
     Raises
     ------
     ProtocolViolation
         It is no command.
     """
-    if line == b"\xfd":
-        return Stop()
     text = text_of(line)
     if match := re.fullmatch(r"@(\d)V", text):
         return Identify(int(match[1]))
@@ -309,32 +307,11 @@ def parse_identity(raw: bytes) -> Identity:
     return Identity(text[1:].lstrip("0"))
 
 
-class CommandStream:
+class CommandStream(LineStream[Command]):
     """Bytes of a host to commands; what is none becomes its violation, for the controller answers 5."""
 
     def __init__(self) -> None:
-        self._lines = Lines(b"\r\n")
-
-    def feed(self, chunk: bytes) -> list[Command | ProtocolViolation]:
-        """Add bytes; return the commands that are complete now.  253 is taken out of the middle of a line."""
-        found: list[Command | ProtocolViolation] = []
-        for start in range(len(chunk)):
-            byte = chunk[start : start + 1]
-            if byte == b"\xfd":
-                found.append(Stop())
-                continue
-            try:
-                found += [_or_violation(line) for line in self._lines.feed(byte)]
-            except ProtocolViolation as violation:
-                found.append(violation)
-        return found
-
-
-def _or_violation(line: bytes) -> Command | ProtocolViolation:
-    try:
-        return parse_command(line)
-    except ProtocolViolation as violation:
-        return violation
+        super().__init__(parse_command, singles={0xFD: Stop()})
 
 
 class AckStream:

@@ -13,7 +13,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, text_of
+from stages.protocols.framing import Example, LineStream, text_of
 
 MANUAL = "PI, MS249E C-863.12 User Manual 1.2.1"
 
@@ -169,30 +169,12 @@ def number(text: str) -> float:
     return float(text)
 
 
-class CommandStream:
-    """Bytes of a host to commands and single bytes; a line that is none becomes its violation."""
+class CommandStream(LineStream[Command | SingleByte]):
+    """Bytes of a host to commands and single bytes, which may stand in the middle of a line."""
 
     def __init__(self) -> None:
-        self._rest = bytearray()
-
-    def feed(self, chunk: bytes) -> list[Command | SingleByte | ProtocolViolation]:
-        """Add bytes; return what is complete now.  Single bytes are taken out of the middle of a line."""
-        found: list[Command | SingleByte | ProtocolViolation] = []
-        for byte in chunk:
-            if byte in SINGLE_BYTES:
-                found.append(SingleByte(byte))
-            elif byte != 0x0A:
-                self._rest.append(byte)
-            elif self._rest:
-                line = bytes(self._rest)
-                self._rest.clear()
-                try:
-                    found.append(parse_command(line))
-                except ProtocolViolation as violation:
-                    found.append(violation)
-            if len(self._rest) > LONGEST_ANSWER:
-                self._rest.clear()
-        return found
+        singles = {code: SingleByte(code) for code in SINGLE_BYTES}
+        super().__init__(parse_command, b"\n", LONGEST_ANSWER, singles)
 
 
 class AnswerStream:

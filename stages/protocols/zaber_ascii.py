@@ -21,7 +21,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, Lines, text_of
+from stages.protocols.framing import Example, LineStream, text_of
 
 MANUAL = "Zaber, ASCII Protocol Manual"
 ARTICLE = "Zaber, Zaber's ASCII Protocol, 13 July 2022"
@@ -222,49 +222,15 @@ def parse_answer(line: bytes) -> Answer:
     raise ProtocolViolation("not a Zaber answer", line)
 
 
-class CommandStream:
-    """Bytes of a host to commands; what is no command is dropped, as the devices do."""
+class CommandStream(LineStream[Command]):
+    """Bytes of a host to commands."""
 
     def __init__(self) -> None:
-        self._lines = Lines(b"\r\n")
-
-    def feed(self, chunk: bytes) -> list[Command]:
-        """Add bytes; return the commands that are complete now."""
-        commands = []
-        try:
-            lines = self._lines.feed(chunk)
-        except ProtocolViolation:
-            return []
-        for line in lines:
-            try:
-                commands.append(parse_command(line))
-            except ProtocolViolation:
-                continue
-        return commands
+        super().__init__(parse_command)
 
 
-class AnswerStream:
+class AnswerStream(LineStream[Answer]):
     """Bytes of a device to answers."""
 
     def __init__(self) -> None:
-        self._lines = Lines(b"\r\n")
-
-    @property
-    def rest(self) -> bytes:
-        """Bytes of an answer that is not complete."""
-        return self._lines.rest
-
-    def feed(self, chunk: bytes) -> list[Answer | ProtocolViolation]:
-        """Add bytes; return the answers that are complete now, a violation in place of each unreadable one."""
-        try:
-            lines = self._lines.feed(chunk)
-        except ProtocolViolation as violation:
-            return [violation]
-        return [_or_violation(line) for line in lines]
-
-
-def _or_violation(line: bytes) -> Answer | ProtocolViolation:
-    try:
-        return parse_answer(line)
-    except ProtocolViolation as violation:
-        return violation
+        super().__init__(parse_answer)
