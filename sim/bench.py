@@ -39,15 +39,11 @@ from sim.camera.gentl import write_producer
 from sim.camera.remote import FrameServer
 from sim.clock import ScaledClock, VirtualClock
 from sim.demo_scenes import misaligned
-from sim.emulators import emulator_class
-from sim.emulators.line import Line
-from sim.emulators.protocol_sim import LINES
-from sim.emulators.pty import PtyPort
-from sim.motion import Mechanics, Motor
 from sim.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
 from sim.renderer import render_irradiance
 from sim.sensor import Sensor
-from stages.config import Name, Positive, StagesTable
+from sim.stages import ScrewTable, SimulatedStages
+from stages.config import Name
 from tracer.bodies import Sphere
 from tracer.config import Document, Table, validate
 from tracer.errors import SceneError
@@ -57,32 +53,6 @@ from tracer.scene_file import dump_scene
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
 SERIAL = "SIM-BENCH"
-
-
-class ScrewTable(Table):
-    """One axis as it was built."""
-
-    lead_mm: Positive
-    steps_per_rev: Annotated[int, Field(ge=1, le=10_000_000)]
-    travel_mm: Positive
-    backlash_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 50.0
-    lead_error_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 1.0
-    scale_error_ppm: float = 0.0
-    power_up_mm: Positive | None = None
-    origin: Literal["low switch", "high switch"] = "low switch"  # where the firmware counts from
-
-    def mechanics(self) -> Mechanics:
-        """Return the same as the motor wants it."""
-        return Mechanics(
-            lead_mm=self.lead_mm,
-            steps_per_rev=self.steps_per_rev,
-            backlash_um=self.backlash_um,
-            lead_error_um=self.lead_error_um,
-            scale_error_ppm=self.scale_error_ppm,
-            high_switch_mm=self.travel_mm,
-            index_mm=self.travel_mm / 2.0,
-            power_up_mm=self.power_up_mm or self.travel_mm / 3.0,
-        )
 
 
 class FaultsTable(Table):
@@ -121,10 +91,8 @@ class World:
         Nominal scene, and which axis carries what.
     table : SimulationTable
         Seed and screws.
-    lines : mapping of str to Line
-        Line of each controller.
-    motors : mapping of str to Motor
-        Motor of each axis.
+    stages : SimulatedStages
+        Every axis.
     shows : str
         What hangs on the target's stage.
     exposures_before : int
@@ -135,15 +103,13 @@ class World:
         self,
         bench: Bench,
         table: SimulationTable,
-        lines: Mapping[str, Line],
-        motors: Mapping[str, Motor],
+        stages: SimulatedStages,
         shows: str,
         exposures_before: int,
     ) -> None:
         self._bench = bench
         self._table = table
-        self._lines = lines
-        self._motors = motors
+        self._stages = stages
         self._exposures = exposures_before
         self.scene = misaligned(bench.scene, table.seed) if table.is_misaligned else bench.scene
         self._print = _print_of(bench, table.seed, shows)
@@ -153,15 +119,7 @@ class World:
 
     def true_mm(self) -> dict[str, float]:
         """Where every axis really is, in its own coordinate."""
-        places = {}
-        for name, axis in self._bench.table.stages.axes.items():
-            screw, line = self._table.axes[name], self._lines[axis.controller]
-            with line.lock:
-                line.emulator.advance()
-                carriage_mm = self._motors[name].carriage_mm
-            counted_mm = carriage_mm - (screw.travel_mm if screw.origin == "high switch" else 0.0)
-            places[name] = axis.offset_mm + axis.sign * counted_mm
-        return places
+        return {name: self._stages.true_mm(name) for name in self._bench.table.stages.axes}
 
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """One exposure of the world as it stands (H, W) uint16."""
@@ -225,11 +183,11 @@ class SimulatedBench:
         self.clock: ScaledClock | VirtualClock = ScaledClock(table.speed) if pty else VirtualClock()
         self._stack = ExitStack()
         try:
-            self.motors = {name: Motor(screw.mechanics()) for name, screw in table.axes.items()}
-            self.lines = self._lines(bench, table)
-            ports = self._ports(pty)
-            self.world = World(bench, table, self.lines, self.motors, shows, exposures_before)
-            self.stages = _with_ports(bench.table.stages, ports)
+            options = {name: {"settings": _numbered(settings)} for name, settings in table.firmware.items()}
+            stages = SimulatedStages(bench.table.stages, self.clock, table.axes, options)
+            self.lines = stages.lines
+            self.stages = self._stack.enter_context(stages.serve() if pty else stages.put_up())
+            self.world = World(bench, table, stages, shows, exposures_before)
             self.camera = self._camera(bench, table, exposures_before)
         except BaseException:
             self._stack.close()
@@ -246,32 +204,6 @@ class SimulatedBench:
     def close(self) -> None:
         """Take everything down."""
         self._stack.close()
-
-    def _lines(self, bench: Bench, table: SimulationTable) -> dict[str, Line]:
-        lines = {}
-        for name, controller in bench.table.stages.controllers.items():
-            motors = {
-                str(axis.channel): self.motors[axis_name]
-                for axis_name, axis in bench.table.stages.axes.items()
-                if axis.controller == name
-            }
-            options: dict[str, Any] = {}
-            if name in table.firmware:
-                options["settings"] = {int(number): value for number, value in table.firmware[name].items()}
-            lines[name] = Line(emulator_class(controller.driver)(motors, self.clock, **options), self.clock)
-        return lines
-
-    def _ports(self, pty: bool) -> dict[str, str]:
-        ports = {}
-        for name, line in self.lines.items():
-            if pty:
-                ports[name] = self._stack.enter_context(PtyPort(line)).path
-                continue
-            address = f"{name}-{id(self):x}"
-            LINES[address] = line
-            self._stack.callback(LINES.pop, address)
-            ports[name] = f"sim://{address}"
-        return ports
 
     def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int) -> CameraSection:
         folder = Path(tempfile.mkdtemp(prefix="rtpiv-"))
@@ -301,12 +233,8 @@ def _section(bench: Bench) -> SimulationTable:
     return table
 
 
-def _with_ports(stages: StagesTable, ports: Mapping[str, str]) -> StagesTable:
-    controllers = {
-        name: controller.model_copy(update={"port": ports[name]})
-        for name, controller in stages.controllers.items()
-    }
-    return stages.model_copy(update={"controllers": controllers})
+def _numbered(settings: Mapping[str, float]) -> dict[int, float]:
+    return {int(number): value for number, value in settings.items()}
 
 
 def _print_of(bench: Bench, seed: int, shows: str) -> Chessboard | ParticleSheet:

@@ -1,6 +1,7 @@
 """Bench files for tests: two axes on one controller of any driver."""
 
 from sim.emulators import emulator_class
+from sim.stages import ScrewTable
 from stages.config import StagesTable
 from stages.drivers import driver_class
 
@@ -24,3 +25,19 @@ def stages_table(driver: str, **changes) -> StagesTable:
     return StagesTable.model_validate(
         {"controllers": {"box": {"driver": driver, "port": "nowhere"}}, "axes": axes, "home_order": ["b", "a"]}
     )
+
+
+def screws(table: StagesTable, **changes) -> dict[str, ScrewTable]:
+    """What somebody built who knew the bench file: switches 5 mm outside the limits, the usual play."""
+    built = {}
+    for name, axis in table.axes.items():
+        high = emulator_class(table.controllers[axis.controller].driver).zero_at_top
+        low_mm, high_mm = sorted(axis.sign * (limit - axis.offset_mm) for limit in axis.limits_mm)
+        travel_mm = 5.0 - low_mm if high else high_mm + 5.0
+        about = {
+            "lead_mm": 4.0, "steps_per_rev": round(4.0 * (axis.steps_per_mm or 400.0)), "travel_mm": travel_mm,
+            "origin": "high switch" if high else "low switch", "power_up_mm": 0.3 * travel_mm,
+            "lead_error_um": 0.0,
+        }  # fmt: skip
+        built[name] = ScrewTable.model_validate(about | changes)
+    return built

@@ -1,6 +1,7 @@
 """A bench of two axes on one controller, for any driver, with its simulated world."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 import pytest
@@ -8,11 +9,11 @@ import pytest
 from sim.clock import VirtualClock
 from sim.emulators.line import Line
 from sim.faults_serial import FaultSchedule
-from sim.stage_bench import SimAxisTable, SimulatedStages
+from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.drivers import DRIVERS
 from stages.stage import Stage
-from tests.stages.benches import stages_table
+from tests.stages.benches import screws, stages_table
 
 
 class HookedClock(VirtualClock):
@@ -60,14 +61,15 @@ class Bench:
 def bench():
     """Factory of benches; every stage is closed at the end."""
     made: list[Bench] = []
+    up = ExitStack()
 
     def make(driver: str, faults=(), seed: int = 0, backlash_um: float = 50.0, sim=None, **changes) -> Bench:
         clock = HookedClock()
         table = stages_table(driver, **changes)
-        mechanics = {name: SimAxisTable(backlash_um=backlash_um, **(sim or {})) for name in table.axes}
+        built = screws(table, backlash_um=backlash_um, **(sim or {}))
         schedule = faults if isinstance(faults, FaultSchedule) else FaultSchedule(faults, seed)
-        world = SimulatedStages(table, clock, mechanics, {"box": schedule})
-        table = world.put_up(f"test{len(made)}_")
+        world = SimulatedStages(table, clock, built, faults={"box": schedule})
+        table = up.enter_context(world.put_up())
         stage = Stage(table, clock)
         result = Bench(stage, world, clock, world.lines["box"], table, [stage])
         made.append(result)
@@ -78,6 +80,7 @@ def bench():
     for result in made:
         for stage in result.opened:
             stage.close()
+    up.close()
 
 
 def pytest_generate_tests(metafunc):

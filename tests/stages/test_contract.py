@@ -63,7 +63,7 @@ def test_no_absolute_move_before_homing(bench, driver):
 
 
 def test_true_position_within_10_um_despite_50_um_backlash(bench, driver):
-    made = bench(driver, sim={"lead_error_um": 1.0, "power_up_fraction": 0.6})
+    made = bench(driver, sim={"lead_error_um": 1.0, "power_up_mm": 75.0})
     made.stage.home()
     errors = true_errors_um(made, TARGETS_MM)
     assert max(map(abs, errors)) <= 10.0
@@ -164,7 +164,7 @@ def test_stop_ends_a_move_and_leaves_the_axis_usable(bench, driver):
 
 
 def test_stop_during_homing(bench, driver):
-    made = bench(driver, sim={"power_up_fraction": 0.9})
+    made = bench(driver, sim={"power_up_mm": 112.0})
     made.clock.at(made.clock.now_s() + 0.3, made.stage.stop)
     with pytest.raises(MotionStopped):
         made.stage.home()

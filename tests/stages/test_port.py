@@ -9,13 +9,13 @@ from contextlib import ExitStack
 import pytest
 
 from sim.clock import ScaledClock
-from sim.stage_bench import SimAxisTable, SimulatedStages
+from sim.stages import SimulatedStages
 from stages.axis import AxisState
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import DeviceLost, MotionStopped, NoReply, NotReferenced, PortUnavailable, StageError
 from stages.port import Port
 from stages.stage import Stage
-from tests.stages.benches import stages_table
+from tests.stages.benches import screws, stages_table
 
 SPEED = 25.0  # the simulated world runs that much faster than the wall clock
 
@@ -27,9 +27,7 @@ def served():
 
         def make(driver: str, speed: float = SPEED) -> tuple[Stage, SimulatedStages]:
             table = stages_table(driver)
-            world = SimulatedStages(
-                table, ScaledClock(speed), {name: SimAxisTable(backlash_um=50.0) for name in "ab"}
-            )
+            world = SimulatedStages(table, ScaledClock(speed), screws(table))
             stage = stack.enter_context(Stage.open(stack.enter_context(world.serve())))
             return stage, world
 

@@ -3,7 +3,7 @@
 import pytest
 
 from sim.clock import VirtualClock
-from sim.stage_bench import SimAxisTable, SimulatedStages
+from sim.stages import SimulatedStages
 from stages.axis import AxisState
 from stages.config import StagesTable
 from stages.errors import (
@@ -16,6 +16,7 @@ from stages.errors import (
     StageUsageError,
 )
 from stages.stage import Stage
+from tests.stages.benches import screws
 from tracer.config import Document, validate
 from tracer.errors import ConfigError
 
@@ -54,8 +55,8 @@ def paper_bench():
 def paper():
     clock = VirtualClock()
     table = StagesTable.model_validate(paper_bench())
-    world = SimulatedStages(table, clock, {name: SimAxisTable(backlash_um=50.0) for name in table.axes})
-    with Stage.open(world.put_up("paper_"), clock) as stage:
+    world = SimulatedStages(table, clock, screws(table))
+    with world.put_up() as offered, Stage.open(offered, clock) as stage:
         yield stage, world, clock
 
 
@@ -166,20 +167,20 @@ def test_a_guard_sees_the_whole_way_before_anything_moves(paper):
 def test_ports_are_closed_whatever_happens(mocker):
     table = StagesTable.model_validate(paper_bench())
     clock = VirtualClock()
-    world = SimulatedStages(table, clock)
-    offered = world.put_up("closing_")
-    world.lines["target"].unplug()
-    with pytest.raises(PortUnavailable):
-        Stage.open(offered, clock)
-    assert not any(line.opened for line in world.lines.values())
-    world.lines["target"].plug_in()
-    closed = []
-    with pytest.raises(ZeroDivisionError), Stage.open(offered, clock) as stage:  # noqa: PT012
-        for name, box in stage.controllers.items():
-            mocker.patch.object(
-                box, "close", side_effect=lambda name=name, close=box.close: (closed.append(name), close())
-            )
-        _ = 1 / 0
+    world = SimulatedStages(table, clock, screws(table))
+    with world.put_up() as offered:
+        world.lines["target"].unplug()
+        with pytest.raises(PortUnavailable):
+            Stage.open(offered, clock)
+        assert not any(line.opened for line in world.lines.values())
+        world.lines["target"].plug_in()
+        closed = []
+        with pytest.raises(ZeroDivisionError), Stage.open(offered, clock) as stage:  # noqa: PT012
+            for name, box in stage.controllers.items():
+                mocker.patch.object(
+                    box, "close", side_effect=lambda name=name, close=box.close: (closed.append(name), close())
+                )
+            _ = 1 / 0
     assert closed == ["target", "glass", "rail", "camera"]
     assert not any(line.opened for line in world.lines.values())
 

@@ -1,0 +1,132 @@
+"""The stages of a bench file, simulated: true mechanics behind emulators that speak the controllers' protocols.
+
+For every axis a `ScrewTable` says what the workshop built; nothing of it is derived from what the bench file
+believes.  Where an axis really is, in the coordinate of the bench file, is
+
+    true = sign (carriage - carriage where the controller reads zero) + offset.
+
+It comes from the carriage, never from a step counter.  Ports are either ``sim://`` lines of this process
+(`put_up`) or pseudo-terminals for any program (`serve`).
+"""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from sim.emulators import emulator_class
+from sim.emulators.device import Clock
+from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
+from sim.emulators.pty import PtyPort
+from sim.faults_serial import FaultSchedule
+from sim.motion import Mechanics, Motor
+from stages.config import Positive, StagesTable
+from tracer.config import Table
+
+
+class ScrewTable(Table):
+    """One axis as it was built; the low switch closes at 0, the high one at `travel_mm`."""
+
+    lead_mm: Positive
+    steps_per_rev: Annotated[int, Field(ge=1, le=10_000_000)]
+    travel_mm: Positive
+    backlash_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 50.0
+    lead_error_um: Annotated[float, Field(ge=0.0, le=1000.0)] = 1.0
+    scale_error_ppm: float = 0.0
+    power_up_mm: Positive | None = None
+    origin: Literal["low switch", "high switch"] = "low switch"  # where the firmware counts from
+
+    @property
+    def zero_mm(self) -> float:
+        """Carriage position at which the controller reads zero."""
+        return self.travel_mm if self.origin == "high switch" else 0.0
+
+    def mechanics(self) -> Mechanics:
+        """Return the same as the motor wants it."""
+        return Mechanics(
+            lead_mm=self.lead_mm,
+            steps_per_rev=self.steps_per_rev,
+            backlash_um=self.backlash_um,
+            lead_error_um=self.lead_error_um,
+            scale_error_ppm=self.scale_error_ppm,
+            high_switch_mm=self.travel_mm,
+            index_mm=self.travel_mm / 2.0,
+            power_up_mm=self.power_up_mm or self.travel_mm / 3.0,
+        )
+
+
+class SimulatedStages:
+    """The world behind the controllers of a bench file.
+
+    Parameters
+    ----------
+    config : StagesTable
+        The bench's stages; ports are ignored.
+    clock : Clock
+        `VirtualClock` for one thread and no waiting, `ScaledClock` otherwise.
+    screws : mapping of str to ScrewTable
+        Mechanics of every axis.
+    firmware : mapping of str to dict, optional
+        Further options of the emulators, by controller.
+    faults : mapping of str to FaultSchedule, optional
+        What happens to the answers, by controller.
+    """
+
+    def __init__(
+        self,
+        config: StagesTable,
+        clock: Clock,
+        screws: Mapping[str, ScrewTable],
+        firmware: Mapping[str, Mapping[str, Any]] | None = None,
+        faults: Mapping[str, FaultSchedule] | None = None,
+    ) -> None:
+        self.config = config
+        self.clock = clock
+        self.motors = {name: Motor(screws[name].mechanics()) for name in config.axes}
+        self.lines: dict[str, Line] = {}
+        self._zero_mm = {name: screws[name].zero_mm for name in config.axes}
+        for name, table in config.controllers.items():
+            motors = {
+                str(axis.channel): self.motors[axis_name]
+                for axis_name, axis in config.axes.items()
+                if axis.controller == name
+            }
+            emulator = emulator_class(table.driver)(motors, clock, **(firmware or {}).get(name, {}))
+            self.lines[name] = Line(emulator, clock, (faults or {}).get(name))
+
+    def true_mm(self, axis: str) -> float:
+        """Where an axis really is, in the coordinate of the bench file."""
+        table = self.config.axes[axis]
+        line = self.lines[table.controller]
+        with line.lock:
+            line.emulator.advance()
+            carriage_mm = self.motors[axis].carriage_mm
+        return table.sign * (carriage_mm - self._zero_mm[axis]) + table.offset_mm
+
+    @contextmanager
+    def put_up(self) -> Iterator[StagesTable]:
+        """Offer every line under a ``sim://`` address of this process; yield the file with these ports."""
+        addresses = {name: f"{name}-{id(self):x}" for name in self.lines}
+        for name, line in self.lines.items():
+            LINES[addresses[name]] = line
+        try:
+            yield self._with_ports({name: f"sim://{address}" for name, address in addresses.items()})
+        finally:
+            for address in addresses.values():
+                LINES.pop(address)
+
+    @contextmanager
+    def serve(self) -> Iterator[StagesTable]:
+        """Offer every line as a pseudo-terminal while the block runs; yield the file with these ports."""
+        with ExitStack() as stack:
+            yield self._with_ports(
+                {name: stack.enter_context(PtyPort(line)).path for name, line in self.lines.items()}
+            )
+
+    def _with_ports(self, ports: Mapping[str, str]) -> StagesTable:
+        controllers = {
+            name: table.model_copy(update={"port": ports[name]}) for name, table in self.config.controllers.items()
+        }
+        return self.config.model_copy(update={"controllers": controllers})
