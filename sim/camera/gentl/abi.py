@@ -68,6 +68,12 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "DSGetParentDev": (_P, _P),
     "DSGetNumBufferParts": (_P, _P, _P),
     "DSGetBufferPartInfo": (_P, _P, c_uint32, *_INFO),
+    # of version 1.6, exported without a meaning
+    "DSAnnounceCompositeBuffer": (_P, _P, _P, _P, _P, _P),
+    "DSGetNumFlows": (_P, _P),
+    "DSGetFlowInfo": (_P, c_uint32, *_INFO),
+    "DSGetNumBufferSegments": (_P, _P, _P),
+    "DSGetBufferSegmentInfo": (_P, _P, c_uint32, *_INFO),
 }
 
 

@@ -1,4 +1,6 @@
-"""The GenTL functions, one method each, and the line that puts them behind the library's symbols.
+"""The library: what becomes of a call from C, and the line that puts methods behind the library's symbols.
+
+The functions themselves are methods of `PortCalls`, `FindCalls` and `StreamCalls`, named as in the standard.
 
 A method takes the C arguments as integers, writes results into the caller's memory and raises GenTLError for
 anything but success.  Nothing that a client passes in is trusted further than C allows: handles are looked up,
@@ -10,33 +12,23 @@ import json
 import logging
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 
 from sim.camera.config import CameraConfig
 from sim.camera.device import CameraGone
-from sim.camera.features import XML_BASE
 from sim.camera.gentl import memory
-from sim.camera.gentl.abi import EVENT_NEW_BUFFER, SIGNATURES, GenTLError, Kind, Status
+from sim.camera.gentl.abi import SIGNATURES, GenTLError, Status
 from sim.camera.gentl.elf import TABLE
-from sim.camera.gentl.modules import (
-    CameraPort,
-    Device,
-    Event,
-    Handles,
-    Interface,
-    StreamModule,
-    System,
-)
-from sim.camera.gentl.ports import Port
-from sim.camera.gentl.stream import Buffer, Stream
+from sim.camera.gentl.find_calls import FindCalls
+from sim.camera.gentl.modules import Device, Handles, Interface, System
+from sim.camera.gentl.port_calls import PortCalls
+from sim.camera.gentl.stream_calls import StreamCalls
 from sim.camera.registers import BadAddress, BadValue, WriteProtected
 
 log = logging.getLogger(__name__)
-MAX_READ_BYTES = 1 << 24
 _attached: dict[str, object] = {}  # callbacks must outlive every caller
 
 
-class Producer:
+class Producer(PortCalls, FindCalls, StreamCalls):
     """All state behind one .cti file.
 
     Parameters
@@ -82,7 +74,6 @@ class Producer:
 
         return call
 
-    # ---- library -------------------------------------------------------------------------------------------
     def GCInitLib(self) -> None:  # noqa: D102, N802 - the standard's names; see SIGNATURES
         if self.is_initialised:
             raise GenTLError(Status.RESOURCE_IN_USE, "GCInitLib was called before")
@@ -102,341 +93,6 @@ class Producer:
         if code:
             ctypes.c_int32.from_address(code).value = status
         memory.give_text(words, text, size)
-
-    # ---- ports ---------------------------------------------------------------------------------------------
-    def _port(self, handle: int) -> Port:
-        module: object = self.handles.get(handle, System, Interface, Device, StreamModule, CameraPort)
-        if isinstance(module, CameraPort):
-            return module
-        assert isinstance(module, System | Interface | Device | StreamModule)
-        return module.port
-
-    def GCReadPort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        length = memory.read_size(size)
-        if length > MAX_READ_BYTES:
-            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
-        memory.put(self._port(handle).read(address, length), buffer)
-
-    def GCWritePort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        length = memory.read_size(size)
-        if length > MAX_READ_BYTES or not buffer:
-            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
-        self._port(handle).write(address, ctypes.string_at(buffer, length))
-
-    def GCReadPortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
-        self._stacked(handle, entries, number, self.GCReadPort)
-
-    def GCWritePortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
-        self._stacked(handle, entries, number, self.GCWritePort)
-
-    def _stacked(self, handle: int, entries: int, number: int, one: Callable[[int, int, int, int], None]) -> None:
-        wanted = memory.read_size(number)
-        memory.write_size(number, 0)
-        for index in range(wanted):
-            address, buffer, _ = (ctypes.c_uint64 * 3).from_address(entries + 24 * index)
-            one(handle, address, buffer, entries + 24 * index + 16)
-            memory.write_size(number, index + 1)
-
-    def _url(self, handle: int) -> str:
-        port = self._port(handle)
-        return f"local:rtpiv_{port.port_name}.xml;{XML_BASE:X};{len(port.xml):X}"
-
-    def GCGetPortURL(self, handle: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_text(self._url(handle), buffer, size)
-
-    def GCGetNumPortURLs(self, handle: int, number: int) -> None:  # noqa: D102, N802
-        self._port(handle)
-        memory.write_u32(number, 1)
-
-    def GCGetPortURLInfo(  # noqa: D102, N802
-        self, handle: int, index: int, command: int, kind: int, buffer: int, size: int
-    ) -> None:
-        port = self._port(handle)
-        if index != 0:
-            raise GenTLError(Status.INVALID_INDEX, f"URL {index}")
-        answers: dict[int, tuple[Kind, int | str]] = {
-            0: (Kind.STRING, self._url(handle)),
-            1: (Kind.INT32, 1),
-            2: (Kind.INT32, 1),
-            3: (Kind.INT32, 1),
-            4: (Kind.INT32, 0),
-            5: (Kind.INT32, 0),
-            7: (Kind.UINT64, XML_BASE),
-            8: (Kind.UINT64, len(port.xml)),
-            9: (Kind.INT32, 0),
-            10: (Kind.STRING, f"rtpiv_{port.port_name}.xml"),
-        }
-        if command not in answers:
-            raise GenTLError(Status.NOT_AVAILABLE, f"URL info {command}")
-        memory.give_answer(answers[command], kind, buffer, size)
-
-    def GCGetPortInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        port = self._port(handle)
-        texts = {0: port.port_name, 1: "rtpiv", 2: port.port_name, 3: "Custom", 4: port.port_name, 11: "1.0"}
-        texts[12] = port.port_name
-        flags = {5: 0, 6: 1, 7: 1, 8: int(port.port_name == "Device"), 9: 0, 10: 0}
-        if command in texts:
-            memory.give_answer((Kind.STRING, texts[command]), kind, buffer, size)
-        elif command in flags:
-            memory.give_answer((Kind.BOOL8, flags[command]), kind, buffer, size)
-        else:
-            raise GenTLError(Status.NOT_AVAILABLE, f"port info {command}")
-
-    # ---- events --------------------------------------------------------------------------------------------
-    def GCRegisterEvent(self, handle: int, event: int, result: int) -> None:  # noqa: D102, N802
-        module = self.handles.get(handle, object)
-        if event != EVENT_NEW_BUFFER or not isinstance(module, StreamModule):
-            raise GenTLError(Status.NOT_IMPLEMENTED, f"event {event}")
-        memory.write_size(result, self.handles.add(Event(module)))
-
-    def GCUnregisterEvent(self, handle: int, event: int) -> None:  # noqa: D102, N802
-        self.handles.drop_owned(self.handles.get(handle, StreamModule))
-
-    def EventGetData(self, handle: int, buffer: int, size: int, timeout_ms: int) -> None:  # noqa: D102, N802
-        event = self.handles.get(handle, Event)
-        device = event.owner.device
-        timeout_s = min(timeout_ms / 1e3, 3600.0)
-        filled = event.owner.stream.wait(timeout_s, device.config.hold_gil)
-        event.fired += 1
-        memory.give(filled.handle.to_bytes(8, "little") + filled.user.to_bytes(8, "little"), buffer, size)
-
-    def EventGetDataInfo(  # noqa: D102, N802
-        self, handle: int, data: int, length: int, command: int, kind: int, buffer: int, size: int
-    ) -> None:
-        self.handles.get(handle, Event)
-        if length < 16 or not data:
-            raise GenTLError(Status.INVALID_PARAMETER, "no event data")
-        answers = {0: 0, 1: 8}
-        if command not in answers:
-            raise GenTLError(Status.NOT_AVAILABLE, f"event data info {command}")
-        value = ctypes.c_uint64.from_address(data + answers[command]).value
-        memory.give_answer((Kind.PTR, value), kind, buffer, size)
-
-    def EventGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        event = self.handles.get(handle, Event)
-        answers: dict[int, tuple[Kind, int]] = {
-            0: (Kind.INT32, EVENT_NEW_BUFFER),
-            1: (Kind.SIZET, len(event.owner.stream.output)),
-            2: (Kind.UINT64, event.fired),
-            3: (Kind.SIZET, 16),
-            4: (Kind.SIZET, 16),
-        }
-        if command not in answers:
-            raise GenTLError(Status.NOT_AVAILABLE, f"event info {command}")
-        memory.give_answer(answers[command], kind, buffer, size)
-
-    def EventFlush(self, handle: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Event).owner.stream.flush(1)
-
-    def EventKill(self, handle: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Event).owner.stream.kill_wait()
-
-    # ---- system and interface ------------------------------------------------------------------------------
-    def TLOpen(self, result: int) -> None:  # noqa: D102, N802
-        if self.system.is_open:
-            raise GenTLError(Status.RESOURCE_IN_USE, "the system is open already")
-        memory.write_size(result, self.handles.add(self.system))
-        self.system.is_open = True
-
-    def TLClose(self, handle: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System).is_open = False
-        self.handles.drop(handle)
-
-    def TLGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self.handles.get(handle, System).answer(command), kind, buffer, size)
-
-    def TLGetNumInterfaces(self, handle: int, number: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System)
-        memory.write_u32(number, 1)
-
-    def TLGetInterfaceID(self, handle: int, index: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System)
-        if index != 0:
-            raise GenTLError(Status.INVALID_INDEX, f"interface {index}")
-        memory.give_text(str(self.system.interface.answer(0)[1]), buffer, size)
-
-    def TLGetInterfaceInfo(  # noqa: D102, N802
-        self, handle: int, name: int, command: int, kind: int, buffer: int, size: int
-    ) -> None:
-        memory.give_answer(self._interface(handle, name).answer(command), kind, buffer, size)
-
-    def TLOpenInterface(self, handle: int, name: int, result: int) -> None:  # noqa: D102, N802
-        interface = self._interface(handle, name)
-        if interface.is_open:
-            raise GenTLError(Status.RESOURCE_IN_USE, "the interface is open already")
-        memory.write_size(result, self.handles.add(interface))
-        interface.is_open = True
-
-    def TLUpdateInterfaceList(self, handle: int, changed: int, timeout_ms: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, System)
-        memory.write_bool(changed, False)
-
-    def _interface(self, handle: int, name: int) -> Interface:
-        interface = self.handles.get(handle, System).interface
-        if memory.read_text(name) != interface.answer(0)[1]:
-            raise GenTLError(Status.INVALID_ID, memory.read_text(name))
-        return interface
-
-    def IFClose(self, handle: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Interface).is_open = False
-        self.handles.drop(handle)
-
-    def IFGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self.handles.get(handle, Interface).answer(command), kind, buffer, size)
-
-    def IFGetNumDevices(self, handle: int, number: int) -> None:  # noqa: D102, N802
-        memory.write_u32(number, len(self.handles.get(handle, Interface).devices))
-
-    def IFGetDeviceID(self, handle: int, index: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        names = list(self.handles.get(handle, Interface).devices)
-        if not 0 <= index < len(names):
-            raise GenTLError(Status.INVALID_INDEX, f"device {index}")
-        memory.give_text(names[index], buffer, size)
-
-    def IFUpdateDeviceList(self, handle: int, changed: int, timeout_ms: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Interface)
-        memory.write_bool(changed, False)
-
-    def IFGetDeviceInfo(  # noqa: D102, N802
-        self, handle: int, name: int, command: int, kind: int, buffer: int, size: int
-    ) -> None:
-        memory.give_answer(self._device(handle, name).answer(command), kind, buffer, size)
-
-    def IFOpenDevice(self, handle: int, name: int, flags: int, result: int) -> None:  # noqa: D102, N802
-        device = self._device(handle, name)
-        camera = device.open()
-        device.handle = self.handles.add(device)
-        device.remote_handle = self.handles.add(CameraPort(camera))
-        memory.write_size(result, device.handle)
-
-    def IFGetParentTL(self, handle: int, result: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Interface)
-        raise GenTLError(Status.NOT_IMPLEMENTED, "parents are not handed out")
-
-    def _device(self, handle: int, name: int) -> Device:
-        wanted = memory.read_text(name)
-        found = self.handles.get(handle, Interface).devices.get(wanted)
-        if found is None:
-            raise GenTLError(Status.INVALID_ID, wanted)
-        return found
-
-    # ---- device --------------------------------------------------------------------------------------------
-    def DevGetPort(self, handle: int, result: int) -> None:  # noqa: D102, N802
-        memory.write_size(result, self.handles.get(handle, Device).remote_handle)
-
-    def DevGetNumDataStreams(self, handle: int, number: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Device)
-        memory.write_u32(number, 1)
-
-    def DevGetDataStreamID(self, handle: int, index: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Device)
-        if index != 0:
-            raise GenTLError(Status.INVALID_INDEX, f"stream {index}")
-        memory.give_text("Stream0", buffer, size)
-
-    def DevOpenDataStream(self, handle: int, name: int, result: int) -> None:  # noqa: D102, N802
-        device = self.handles.get(handle, Device)
-        if memory.read_text(name) != "Stream0":
-            raise GenTLError(Status.INVALID_ID, memory.read_text(name))
-        if device.stream is not None or device.camera is None:
-            raise GenTLError(Status.RESOURCE_IN_USE, "the stream is open already")
-        device.stream = Stream(device.camera)
-        memory.write_size(result, self.handles.add(StreamModule(device, device.stream)))
-
-    def DevGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self.handles.get(handle, Device).answer(command), kind, buffer, size)
-
-    def DevClose(self, handle: int) -> None:  # noqa: D102, N802
-        device = self.handles.get(handle, Device)
-        device.close()
-        self.handles.drop(device.remote_handle)
-        self.handles.drop(handle)
-
-    def DevGetParentIF(self, handle: int, result: int) -> None:  # noqa: D102, N802
-        self.handles.get(handle, Device)
-        raise GenTLError(Status.NOT_IMPLEMENTED, "parents are not handed out")
-
-    # ---- stream --------------------------------------------------------------------------------------------
-    def _stream(self, handle: int) -> Stream:
-        return self.handles.get(handle, StreamModule).stream
-
-    def _announce(self, stream: Stream, address: int, size: int, user: int, result: int, owner: object) -> None:
-        if not address or size <= 0:
-            raise GenTLError(Status.INVALID_PARAMETER, "an empty buffer")
-        buffer = Buffer(self.handles.next_free(), address, size, user, owner)
-        memory.write_size(result, buffer.handle)
-        stream.buffers[buffer.handle] = buffer
-
-    def DSAnnounceBuffer(self, handle: int, address: int, size: int, user: int, result: int) -> None:  # noqa: D102, N802
-        self._announce(self._stream(handle), address, size, user, result, None)
-
-    def DSAllocAndAnnounceBuffer(self, handle: int, size: int, user: int, result: int) -> None:  # noqa: D102, N802
-        if not 0 < size <= 1 << 30:
-            raise GenTLError(Status.INVALID_PARAMETER, f"a buffer of {size} bytes")
-        owner = ctypes.create_string_buffer(size)
-        self._announce(self._stream(handle), ctypes.addressof(owner), size, user, result, owner)
-
-    def DSFlushQueue(self, handle: int, operation: int) -> None:  # noqa: D102, N802
-        self._stream(handle).flush(operation)
-
-    def DSStartAcquisition(self, handle: int, flags: int, frames: int) -> None:  # noqa: D102, N802
-        self._stream(handle).start()
-
-    def DSStopAcquisition(self, handle: int, flags: int) -> None:  # noqa: D102, N802
-        self._stream(handle).stop()
-
-    def DSGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
-        memory.give_answer(self._stream(handle).answer(command, "Custom"), kind, buffer, size)
-
-    def DSGetBufferID(self, handle: int, index: int, result: int) -> None:  # noqa: D102, N802
-        numbers = list(self._stream(handle).buffers)
-        if not 0 <= index < len(numbers):
-            raise GenTLError(Status.INVALID_INDEX, f"buffer {index}")
-        memory.write_size(result, numbers[index])
-
-    def DSClose(self, handle: int) -> None:  # noqa: D102, N802
-        module = self.handles.get(handle, StreamModule)
-        module.stream.stop()
-        if module.device.camera is not None:
-            module.device.camera.sink = None
-        module.device.stream = None
-        self.handles.drop_owned(module)
-        self.handles.drop(handle)
-
-    def DSRevokeBuffer(self, handle: int, buffer: int, address: int, user: int) -> None:  # noqa: D102, N802
-        stream = self._stream(handle)
-        found = stream.find(buffer)
-        stream.revoke(found)
-        with suppress(GenTLError):  # both results may be unwanted
-            memory.write_size(address, found.address)
-        with suppress(GenTLError):
-            memory.write_size(user, found.user)
-
-    def DSQueueBuffer(self, handle: int, buffer: int) -> None:  # noqa: D102, N802
-        stream = self._stream(handle)
-        stream.queue(stream.find(buffer))
-
-    def DSGetBufferInfo(  # noqa: D102, N802
-        self, handle: int, buffer: int, command: int, kind: int, out: int, size: int
-    ) -> None:
-        memory.give_answer(self._stream(handle).find(buffer).answer(command, "Custom"), kind, out, size)
-
-    def DSGetBufferChunkData(self, handle: int, buffer: int, chunks: int, number: int) -> None:  # noqa: D102, N802
-        self._stream(handle).find(buffer)
-        raise GenTLError(Status.NO_DATA, "frames carry no chunks")
-
-    def DSGetParentDev(self, handle: int, result: int) -> None:  # noqa: D102, N802
-        memory.write_size(result, self.handles.get(handle, StreamModule).device.handle)
-
-    def DSGetNumBufferParts(self, handle: int, buffer: int, number: int) -> None:  # noqa: D102, N802
-        self._stream(handle).find(buffer)
-        raise GenTLError(Status.NO_DATA, "frames have one part and are not multi-part")
-
-    def DSGetBufferPartInfo(  # noqa: D102, N802
-        self, handle: int, buffer: int, part: int, command: int, kind: int, out: int, size: int
-    ) -> None:
-        self._stream(handle).find(buffer)
-        raise GenTLError(Status.INVALID_INDEX, f"part {part}")
 
 
 def attach(path: str, configs_json: str) -> None:
