@@ -15,78 +15,21 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
 
-import numpy as np
 from genicam import genapi, gentl
 from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
 
 from daq.camera import Setting
-from daq.cameras.formats import pixel_format
+from daq.cameras import buffer_facts
+from daq.cameras.genapi_nodes import GenApiNodes, one_line
+from daq.cameras.quiet import without_complaints
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.cameras.wire import Message, pack_error, receive, send
-from daq.errors import CameraBusy, CameraError, CameraLost, CameraSetupError, FrameError, SettingRefused
+from daq.errors import CameraBusy, CameraError, CameraLost, CameraSetupError, FrameError
 
 FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
 MIN_PRODUCER_BUFFERS = 3
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
-
-
-class GenApiNodes:
-    """A node map as `Nodes`."""
-
-    def __init__(self, node_map: Any) -> None:  # noqa: ANN401 - genicam has no types
-        self._map = node_map
-
-    def names(self) -> list[str]:
-        """Every feature below Root that has a value."""
-        with_value = {genapi.EInterfaceType.intfIInteger, genapi.EInterfaceType.intfIFloat}
-        with_value |= {genapi.EInterfaceType.intfIBoolean, genapi.EInterfaceType.intfIString}
-        with_value.add(genapi.EInterfaceType.intfIEnumeration)
-        return [
-            entry.node.name
-            for entry in self._map.nodes
-            if entry.node.is_feature() and entry.node.principal_interface_type in with_value
-        ]
-
-    def has(self, name: str) -> bool:
-        """Whether the feature exists and can be read or written now."""
-        if not self._map.has_node(name):
-            return False
-        return self._map.get_node(name).get_access_mode() in (genapi.EAccessMode.RO, genapi.EAccessMode.RW)
-
-    def get(self, name: str) -> Setting:
-        """Value of a feature, past the cache."""
-        feature = self._map.get_node(name)
-        for node in (feature.node, *(child.node for child in feature.node.children)):
-            node.invalidate_node()
-        value = feature.value
-        return value if isinstance(value, bool | int | float | str) else str(value)
-
-    def set(self, name: str, value: Setting) -> None:
-        """Write a feature; SettingRefused with the limits if it does not take the value."""
-        feature = self._map.get_node(name)
-        try:
-            feature.value = value
-        except (genapi.GenericException, TypeError, OverflowError) as error:
-            raise SettingRefused(
-                f"{name} = {value!r} is refused{self._limits(feature)}: {_line(error)}"
-            ) from error
-
-    def entries(self, name: str) -> tuple[str, ...]:
-        """Entries of an enumeration."""
-        return tuple(self._map.get_node(name).symbolics)
-
-    def execute(self, name: str) -> None:
-        """Execute a command."""
-        self._map.get_node(name).execute()
-
-    def _limits(self, feature: Any) -> str:  # noqa: ANN401
-        try:
-            if hasattr(feature, "symbolics"):
-                return f" (one of {', '.join(feature.symbolics)})"
-            return f" (from {feature.min} to {feature.max})"
-        except (AttributeError, genapi.GenericException):
-            return ""
 
 
 class _CountIncomplete(Callback):  # type: ignore[misc]
@@ -113,6 +56,7 @@ class Worker:
         self._configured: dict[str, Setting] = {}
         self._incomplete = _CountIncomplete()
         self._underrun_before = 0
+        self._grabbed = 0
         self._counts_triggers = False
         self._exposure_us = float("nan")
         self._unpack: Callable[..., Any]
@@ -160,7 +104,7 @@ class Worker:
         except GENICAM_ERRORS as error:
             answer |= pack_error(self._translate(error, message["call"]))
         except Exception as error:  # the parent must hear of it; this process goes on
-            answer |= pack_error(CameraError(f"{message['call']}: {type(error).__name__}: {_line(error)}"))
+            answer |= pack_error(CameraError(f"{message['call']}: {type(error).__name__}: {one_line(error)}"))
         send(self._pipe, answer)
 
     def _translate(self, error: Exception, call: str) -> CameraError:
@@ -170,13 +114,14 @@ class Worker:
                 self._probe()
             except CameraError as lost:
                 return lost
-        return CameraError(f"{call}: {_line(error)}")
+        return CameraError(f"{call}: {one_line(error)}")
 
     def _open(self) -> Message:
         quiet = {ParameterKey.TIMEOUT_PERIOD_ON_UPDATE_EVENT_DATA_CALL: max(1, round(1e3 * FETCH_S))}
         self._harvester = harvester = Harvester()
-        harvester.add_file(self._cti)
-        harvester.update()
+        with without_complaints():
+            harvester.add_file(self._cti)
+            harvester.update()
         found = [info for info in harvester.device_info_list if self._serial in (None, info.serial_number)]
         if not found:
             known = ", ".join(info.serial_number for info in harvester.device_info_list) or "none"
@@ -189,7 +134,7 @@ class Worker:
             raise CameraBusy(f"another process holds camera {found[0].serial_number}; close it there") from error
         except (gentl.IoException, gentl.NotAvailableException) as error:
             raise CameraLost(
-                f"camera {found[0].serial_number} is listed and does not answer: {_line(error)}"
+                f"camera {found[0].serial_number} is listed and does not answer: {one_line(error)}"
             ) from error
         finally:
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # Harvesters takes Ctrl-C; the parent decides about it
@@ -223,7 +168,7 @@ class Worker:
         nodes = self._nodes
         self._counts_triggers = count_missed_triggers(nodes)
         self._exposure_us = exposure_us(nodes)
-        self._incomplete.count = 0
+        self._incomplete.count = self._grabbed = 0
         warm_up()
         try:
             # As many raw frames again: they bridge the time in which the system lets this process wait.
@@ -242,7 +187,7 @@ class Worker:
         try:
             buffer = self._acquirer.try_fetch(timeout=FETCH_S, is_raw=True)
         except GENICAM_ERRORS as error:
-            send(self._pipe, {"broken": _line(error)})
+            send(self._pipe, {"broken": one_line(error)})
             time.sleep(FETCH_S)
             return
         if buffer is None:
@@ -251,16 +196,22 @@ class Worker:
         slot = self._free.popleft()
         message: Message
         try:
-            form = pixel_format(int(buffer.pixel_format))
-            raw = np.frombuffer(buffer.raw_buffer, np.uint8)[: _delivered_bytes(buffer)]
-            image = self._unpack(raw, form, buffer.width, buffer.height, _padding(buffer), self._ring.slot(slot))
-            message = {"frame": slot, "height": image.shape[0], "width": image.shape[1], "format": form.name}
+            image = buffer_facts.image_of(buffer)
+            size = (image.form, image.width, image.height, image.padding_bytes)
+            pixels = self._unpack(image.payload, *size, self._ring.slot(slot))
+            message = {"frame": slot, "height": pixels.shape[0], "width": pixels.shape[1]}
+            message["format"] = image.form.name
         except FrameError as error:
             self._free.append(slot)
             message = {"bad_frame": str(error)}
-        message |= {"id": _frame_id(buffer), "timestamp_ns": _timestamp_ns(buffer), "received_ns": received_ns}
+        underrun = self._underrun()
+        told = buffer_facts.frame_id(buffer)
+        # A producer that tells no ids hides what was lost on the link; what it counts itself still makes gaps.
+        message["id"] = self._grabbed + self._incomplete.count + underrun if told is None else told
+        self._grabbed += 1
+        message |= {"timestamp_ns": buffer_facts.timestamp_ns(buffer), "received_ns": received_ns}
         message |= {"exposure_us": self._exposure_us, "incomplete": self._incomplete.count}
-        message["underrun"] = self._underrun()
+        message["underrun"] = underrun
         buffer.parent.queue_buffer(buffer)
         send(self._pipe, message)
 
@@ -280,7 +231,7 @@ class Worker:
         try:
             self._nodes.get("Width")
         except GENICAM_ERRORS as error:
-            raise CameraLost(f"the camera does not answer ({_line(error)}); check cable and power") from error
+            raise CameraLost(f"the camera does not answer ({one_line(error)}); check cable and power") from error
 
     def _disarm(self) -> Message:
         assert self._acquirer is not None
@@ -288,7 +239,7 @@ class Worker:
         try:
             counts = self._counts()
         except GENICAM_ERRORS as error:
-            counts["lost"] = _line(error)
+            counts["lost"] = one_line(error)
         self._acquirer.stop()
         self._drop_ring()
         return counts
@@ -304,42 +255,6 @@ class Worker:
         if self._harvester is not None:
             self._harvester.reset()
         self._drop_ring()
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split())[:300] or type(error).__name__
-
-
-def _delivered_bytes(buffer: Any) -> int:  # noqa: ANN401
-    for name in ("data_size", "size_filled"):  # both are optional in GenTL
-        try:
-            return int(getattr(buffer, name))
-        except gentl.GenericException:
-            continue
-    return int(buffer.size)
-
-
-def _padding(buffer: Any) -> int:  # noqa: ANN401
-    try:
-        return int(buffer.padding_x)
-    except gentl.GenericException:
-        return 0
-
-
-def _frame_id(buffer: Any) -> int:  # noqa: ANN401
-    try:
-        return int(buffer.frame_id)
-    except gentl.GenericException:
-        return -1
-
-
-def _timestamp_ns(buffer: Any) -> int:  # noqa: ANN401
-    for name in ("timestamp_ns", "timestamp"):
-        try:
-            return int(getattr(buffer, name))
-        except gentl.GenericException:
-            continue
-    return 0
 
 
 def serve(pipe: "Connection[Any, Any]", cti: str, serial: str | None) -> None:
