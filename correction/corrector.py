@@ -15,6 +15,7 @@ from correction.correction_map import CorrectionMap
 from correction.dewarp import Dewarp
 from correction.errors import FrameError
 from correction.kernels.correct import correct_rows
+from correction.kernels.store import to_offset_uint16
 from correction.node_status import NodeStatus
 from correction.resample import Method, checked_frame, prefilter
 from tracer.rows import run_rows
@@ -128,7 +129,7 @@ def to_uint16(corrected: NDArray[np.float32], offset: int = UINT16_OFFSET) -> tu
     clipped : int
         Values that did not fit into 1..65535 and were cut.
     """
-    shifted = np.rint(corrected + np.float32(offset))
-    valid = np.isfinite(shifted)
-    clipped = int(np.count_nonzero(valid & ((shifted < 1.0) | (shifted > 65535.0))))
-    return np.where(valid, np.clip(shifted, 1.0, 65535.0), 0.0).astype(np.uint16), clipped
+    values = np.ascontiguousarray(corrected, np.float32)
+    stored = np.empty(values.shape, np.uint16)
+    clipped = to_offset_uint16(values.ravel(), np.float32(offset), 0, values.size, stored.ravel())
+    return stored, int(clipped)

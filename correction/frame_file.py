@@ -94,7 +94,7 @@ def write_frame(path: Path | str, frame: NDArray[Any], px_per_mm: float, descrip
         JSON-able; stored as the image description.
     """
     resolution = (px_per_mm * 10.0, px_per_mm * 10.0)
-    with whole_file(Path(path)) as stream:
+    with whole_file(Path(path), let_go=True) as stream:
         tifffile.imwrite(
             stream,
             frame,

@@ -7,9 +7,9 @@ A frame stays in the camera's shared memory until both lanes are through with it
 
 * The raw lane comes first: it has two writers, so that one computes while the other waits for the disk; the other
   lanes run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
-* The raw queue is bounded.  When the disk is slower than the camera, `submit` waits: a software-triggered run
-  slows down.  A stream cannot wait: the camera runs out of buffers, counts that, and the run ends with that
-  reason.  A disk that does not move for `PATIENCE_S` ends the run as well.
+* The raw queue is bounded, below the number of the camera's buffers.  When the disk is slower than the camera,
+  `submit` waits: a software-triggered run slows down.  A stream cannot wait: the camera runs out of buffers,
+  counts that, and the run ends with that reason.  A disk that does not move for `PATIENCE_S` ends the run as well.
 * The live queue drops its OLDEST frame when a new one comes: what is shown is recent, and what was skipped is
   counted.  Skipped frames are corrected from the disk when the run is over.
 
@@ -22,7 +22,7 @@ import threading
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,10 +30,11 @@ from numpy.typing import NDArray
 
 from daq.corrections import Corrections
 from daq.errors import DaqError, DiskError
+from daq.flow import Flow
 from daq.frame import Frame
 from daq.journal import Journal
 from daq.priority import step_back
-from daq.raw_frame import checksum, read_raw, write_raw
+from daq.raw_frame import checksum, write_raw
 from daq.run_folder import RunFolder
 from daq.steps import Step
 
@@ -83,39 +84,6 @@ class _Shared:
             self.job.frame.release()
 
 
-@dataclass
-class Flow:
-    """What the lanes have done so far; read by anybody, written by the lanes."""
-
-    submitted: int = 0
-    written: int = 0
-    written_bytes: int = 0
-    write_s: float = 0.0
-    corrected: int = 0
-    correct_s: float = 0.0
-    skipped: list[int] = field(default_factory=list)
-    latency_ms: list[float] = field(default_factory=list)
-    raw_latency_ms: list[float] = field(default_factory=list)
-    raw_waiting_most: int = 0
-    submit_wait_s: float = 0.0
-
-    def summary(self) -> dict[str, Any]:
-        """Figures for done.json."""
-        return {
-            "written": self.written,
-            "written_MB": round(self.written_bytes / 1e6, 1),
-            "write_ms_mean": _mean_ms(self.write_s, self.written),
-            "write_MB_s_per_writer": round(self.written_bytes / 1e6 / self.write_s, 1) if self.write_s else None,
-            "raw_latency_ms": _percentiles(self.raw_latency_ms),
-            "raw_queue_most": self.raw_waiting_most,
-            "submit_wait_s": round(self.submit_wait_s, 3),
-            "corrected_live": self.corrected,
-            "correct_ms_mean": _mean_ms(self.correct_s, self.corrected),
-            "latency_ms": _percentiles(self.latency_ms),
-            "skipped_live": len(self.skipped),
-        }
-
-
 class Pipeline:
     """The lanes of one session.
 
@@ -129,16 +97,23 @@ class Pipeline:
         None to write raw frames only.
     live_queue : int
         Frames that may wait for the live lane; 1 for the lowest latency, more to ride out bursts.
+    raw_queue : int
+        Frames that may wait to be written: it bridges moments in which the disk is busy.
     """
 
     def __init__(
-        self, folder: RunFolder, journal: Journal, corrections: Corrections | None, live_queue: int = LIVE_QUEUE
+        self,
+        folder: RunFolder,
+        journal: Journal,
+        corrections: Corrections | None,
+        live_queue: int = LIVE_QUEUE,
+        raw_queue: int = RAW_QUEUE,
     ) -> None:
         self.flow = Flow()
         self._folder = folder
         self._journal = journal
         self._corrections = corrections
-        self._raw: queue.Queue[_Shared | None] = queue.Queue(RAW_QUEUE)
+        self._raw: queue.Queue[_Shared | None] = queue.Queue(raw_queue)
         self._store: queue.Queue[tuple[Job, NDArray[np.float32]] | None] = queue.Queue(STORE_QUEUE)
         self._live: deque[_Shared] = deque()
         self._live_limit = live_queue
@@ -147,9 +122,13 @@ class Pipeline:
         self._error: DaqError | None = None
         self._bug: Exception | None = None
         self._flow_lock = threading.Lock()
-        lanes = [self._raw_lane] * RAW_WRITERS
-        lanes += [] if corrections is None else [self._live_lane, self._store_lane]
-        self._threads = [threading.Thread(target=self._guarded, args=(lane,), daemon=True) for lane in lanes]
+        lanes = [("raw", self._raw_lane)] * RAW_WRITERS
+        if corrections is not None:
+            lanes += [("live", self._live_lane), ("store", self._store_lane)]
+        self._threads = [
+            threading.Thread(target=self._guarded, args=(lane,), name=f"{name} lane", daemon=True)
+            for name, lane in lanes
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -205,24 +184,6 @@ class Pipeline:
         for thread in self._threads:
             thread.join(PATIENCE_S)
         self._let_all_go()
-
-    def catch_up(self, steps: list[Step]) -> int:
-        """Correct from the disk what the live lane has not; return how many frames that were."""
-        if self._corrections is None:
-            return 0
-        count = 0
-        for step in steps:
-            corrector = self._corrections.of(step)
-            if corrector is None:
-                continue
-            for number in step.numbers:
-                path, source = self._folder.corrected_path(number), self._folder.frame_path(number)
-                if path.exists() or not source.exists():
-                    continue
-                pixels, _ = read_raw(source)
-                self._corrections.write(path, corrector(pixels), step, source.name)
-                count += 1
-        return count
 
     def _put(self, shared: _Shared, begun_s: float) -> None:
         while True:
@@ -345,14 +306,3 @@ class Pipeline:
                 self._corrections.write(self._folder.corrected_path(job.number), corrected, job.step, name)
             except DiskError as error:
                 self._error, failed = self._error or error, True
-
-
-def _percentiles(values: list[float]) -> dict[str, float] | None:
-    if not values:
-        return None
-    p50, p99 = np.percentile(values, (50.0, 99.0))
-    return {"p50": round(float(p50), 2), "p99": round(float(p99), 2), "largest": round(max(values), 2)}
-
-
-def _mean_ms(total_s: float, count: int) -> float | None:
-    return round(1e3 * total_s / count, 2) if count else None

@@ -6,7 +6,6 @@ in any container.
 """
 
 import json
-import os
 import sys
 import zlib
 from pathlib import Path
@@ -17,6 +16,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from daq.errors import DiskError
+from tracer.whole_file import whole_file
 
 
 def checksum(pixels: NDArray[np.uint16]) -> str:
@@ -44,9 +44,10 @@ def write_raw(path: Path, pixels: NDArray[np.uint16], about: dict[str, Any]) -> 
     DiskError
         Full, not writable, or the name exists already.
     """
-    temporary = path.with_name(path.name + ".part")
+    if path.exists():
+        raise DiskError(f"{path} exists already; raw frames are never overwritten, so begin a new run")
     try:
-        with temporary.open("wb") as stream:
+        with whole_file(path, let_go=True) as stream:
             tifffile.imwrite(
                 stream,
                 pixels,
@@ -55,23 +56,9 @@ def write_raw(path: Path, pixels: NDArray[np.uint16], about: dict[str, Any]) -> 
                 description=json.dumps(about),
                 metadata=None,
             )
-            stream.flush()
-            os.fsync(stream.fileno())
-        if path.exists():
-            raise DiskError(f"{path} exists already; raw frames are never overwritten, so begin a new run")
-        temporary.rename(path)
     except OSError as error:
         reason = error.strerror or str(error)
         raise DiskError(f"{path}: {reason}; make room or mend the disk, then resume the run") from error
-    finally:
-        _remove(temporary)
-
-
-def _remove(path: Path) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError:
-        return  # a read-only disk keeps its leftovers; the error that matters is on its way
 
 
 def read_raw(path: Path) -> tuple[NDArray[np.uint16], dict[str, Any]]:

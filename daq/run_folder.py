@@ -13,7 +13,6 @@ Layout and reasons: docs/adr/0007-run-folder.md.
 """
 
 import json
-import os
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from typing import Any
 from daq.errors import DiskError, ResumeRefused
 from daq.journal import Entry, read_journal
 from daq.steps import Step
+from daq.whole_text import sync_folder, write_json
 
 LAYOUT = 1
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
@@ -39,35 +39,6 @@ def versions() -> dict[str, str]:
         except metadata.PackageNotFoundError:
             continue
     return found
-
-
-def write_json(path: Path, tree: Any) -> None:  # noqa: ANN401
-    """Write plain data: temporary name, fsync, rename, fsync of the folder.
-
-    Raises
-    ------
-    DiskError
-        It cannot be written.
-    """
-    temporary = path.with_name(path.name + ".part")
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            json.dump(tree, stream, indent=1)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-        sync_folder(path.parent)
-    except OSError as error:
-        raise DiskError(f"{path}: {error.strerror}; make room, then try again") from error
-
-
-def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 @dataclass(frozen=True)

@@ -12,19 +12,22 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from itertools import pairwise
 from typing import Any
 
 from daq.bench import OpenBench, known_positions
+from daq.catch_up import correct_from_disk, uncorrected
 from daq.conservation import Ledger
 from daq.corrections import Corrections
 from daq.errors import BadBalance, CameraError, CameraLost, RunInterrupted, SettingsChanged
 from daq.exposures import Exposures
+from daq.flow import Flow
 from daq.interrupts import Interrupts
-from daq.journal import Entry, Journal
-from daq.pipeline import LIVE_QUEUE, Flow, Job, Pipeline
-from daq.run_folder import RunFolder, frame_entries, remaining, sync_folder, versions, write_json
+from daq.journal import Journal
+from daq.pipeline import LIVE_QUEUE, Job, Pipeline
+from daq.run_folder import RunFolder, frame_entries, remaining, versions
+from daq.session_books import total_ledger
 from daq.steps import Step, frame_count, route
+from daq.whole_text import sync_folder, write_json
 from stages.errors import DeviceLost, StageError
 
 REPEATS = 3  # of a step that the camera has spoiled
@@ -127,7 +130,7 @@ class Runner:
                 self._corrections.prepare(step.view for step in left if step.on_plane)
             with self.interrupts:
                 self._session(journal, left)
-            self._check_and_catch_up(journal)
+            self._catch_up()
             done = self._done()
             write_json(self._folder.path / "done.json", done)
             return done
@@ -142,7 +145,8 @@ class Runner:
         write_json(
             self._folder.path / f"camera_{count}.json", {"info": _info(self._hardware), "settings": settings}
         )
-        pipeline = Pipeline(self._folder, journal, self._corrections, self._live_queue)
+        raw_queue = max(1, self._hardware.camera_section.buffers // 2)
+        pipeline = Pipeline(self._folder, journal, self._corrections, self._live_queue, raw_queue)
         self.progress.flow = pipeline.flow
         why, error_text = "finished", ""
         try:
@@ -244,17 +248,15 @@ class Runner:
 
     # ---- the end -------------------------------------------------------------------------------
 
-    def _check_and_catch_up(self, journal: Journal) -> None:
+    def _catch_up(self) -> None:
         if self._corrections is None:
             return
-        self._tell("correcting what the live lane skipped")
-        pipeline = Pipeline(self._folder, journal, self._corrections)
-        try:
-            self._corrections.prepare(step.view for step in self._steps if step.on_plane)
-            self._caught_up = pipeline.catch_up(self._steps)
-            self._corrections.write_masks(self._folder.path / "corrected")
-        finally:
-            pipeline.close()
+        self._corrections.prepare(step.view for step in self._steps if step.on_plane)
+        left = uncorrected(self._folder, self._corrections, self._steps)
+        for self._caught_up, (step, number) in enumerate(left, start=1):
+            self._tell(f"correcting what was skipped, {self._caught_up} of {len(left)}")
+            correct_from_disk(self._folder, self._corrections, step, number)
+        self._corrections.write_masks(self._folder.path / "corrected")
 
     def _done(self) -> dict[str, Any]:
         entries = self._folder.entries()
@@ -295,31 +297,6 @@ def go_to(hardware: OpenBench, targets_mm: Mapping[str, float], rests_at_mm: Map
     here_mm = known_positions(hardware.stage.where_mm()) | dict(rests_at_mm)
     for move in route(hardware.bench, here_mm, targets_mm):
         hardware.stage.move(move)
-
-
-def total_ledger(entries: Sequence[Entry]) -> tuple[Ledger, list[dict[str, Any]]]:
-    """Add the books of all sessions up.
-
-    A session that was killed has none; its frame lines stand for it, and what was under way is not known.  Frames
-    that a session discards at its beginning were written by an earlier one.
-    """
-    starts = [index for index, entry in enumerate(entries) if entry["kind"] == "session"]
-    total, sessions = Ledger(), []
-    for first, last in pairwise([*starts, len(entries)]):
-        lines = entries[first + 1 : last]
-        books = next((Ledger.from_dict(line["books"]) for line in lines if line["kind"] == "counts"), None)
-        end = next((line for line in lines if line["kind"] == "end"), None)
-        was_killed = books is None
-        if books is None:
-            written = sum(line["kind"] == "frame" for line in lines)
-            books = Ledger(triggered=written, written=written)
-        for number, line in enumerate(lines):
-            if line["kind"] == "discard" and (number == 0 or was_killed):
-                books += Ledger(written=-len(line["frames"]), rejected=len(line["frames"]))
-        total += books
-        why = {"ended": "killed", "error": ""} if end is None else {"ended": end["why"], "error": end["error"]}
-        sessions.append({"utc": entries[first]["utc"], **why, "conservation": books.to_dict()})
-    return total, sessions
 
 
 def _info(hardware: OpenBench) -> dict[str, str]:

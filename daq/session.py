@@ -23,9 +23,10 @@ from daq.displacement import displacements
 from daq.errors import DiskError, ResumeRefused
 from daq.pipeline import LIVE_QUEUE
 from daq.plan import Plan, load_plan
-from daq.run_folder import RunFolder, remaining, versions, write_json
+from daq.run_folder import RunFolder, remaining, versions
 from daq.runner import Runner, Watcher
 from daq.steps import frame_count
+from daq.whole_text import write_json, write_text
 from tracer.scene_file import dump_scene, load_scene
 
 DISK_MARGIN = 1.05
@@ -196,7 +197,7 @@ def carry_out(
         hardware = stack.enter_context(open_bench(bench, request.simulate, shows, exposures_before))
         if hardware.simulation is not None:
             for name, text in hardware.simulation.secrets().items():
-                (folder.path / name).write_text(text, encoding="utf-8")
+                write_text(folder.path / name, text)
         if before is not None:
             before(hardware)
         if home:

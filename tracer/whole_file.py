@@ -8,13 +8,16 @@ from typing import BinaryIO
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[BinaryIO]:
+def whole_file(path: Path, let_go: bool = False) -> Iterator[BinaryIO]:
     """Open a file for writing that gets its name only when it is complete and on the disk.
 
     Parameters
     ----------
     path : Path
         Final name; a file of that name stays untouched until the new one replaces it.
+    let_go : bool
+        Do not keep the contents in the system's memory once they are on the disk.  A stream of frames would fill
+        all of it within a minute, and finding ever new memory cost more than the writing.
 
     Yields
     ------
@@ -27,6 +30,8 @@ def whole_file(path: Path) -> Iterator[BinaryIO]:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
+            if let_go and hasattr(os, "posix_fadvise"):
+                os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

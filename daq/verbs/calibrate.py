@@ -1,6 +1,5 @@
 """`rtpiv calibrate`: find the bench's true geometry from frames of its target."""
 
-import json
 import re
 import time
 from collections.abc import Sequence
@@ -27,6 +26,7 @@ from daq.pictures.calibration import Panel, draw_map_sigma, draw_residuals
 from daq.run_views import is_run
 from daq.run_views import target_frames as frames_of_run
 from daq.terminal import console, error_console
+from daq.whole_text import write_json, write_text
 from tracer.scene_file import dump_scene, load_priors, load_scene
 
 NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?)mm)?")
@@ -80,8 +80,8 @@ def calibrate(folder: Path, scene: Path, out: Path, square_mm: float = 2.5, disc
     if panels:
         draw_residuals(out / "residuals.png", panels, nominal.camera.shape)
     summary = _summary(fit, sigma, senses, grids, weak, seconds)
-    (out / "calibration.json").write_text(json.dumps(summary, indent=1))
-    (out / "scene.yaml").write_text(dump_scene(fit.scene))
+    write_json(out / "calibration.json", summary)
+    write_text(out / "scene.yaml", dump_scene(fit.scene))
     _print(console(), fit, sigma, senses, grids, weak, out)
     return fit
 

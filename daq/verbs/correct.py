@@ -1,6 +1,5 @@
 """`rtpiv correct`: frames as if the glass were not there."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from correction.target import Chessboard
 from daq.pictures.overview import draw_overview
 from daq.pictures.seen import seen
 from daq.terminal import console, progress
+from daq.whole_text import write_json
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -123,7 +123,7 @@ def correct(
     summary = {**about, "frames": [path.name for path in frames], "clipped_values": clipped}
     summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
     summary["target_errors"] = [error.to_dict() for error in errors]
-    (out / "correction.json").write_text(json.dumps(summary, indent=1))
+    write_json(out / "correction.json", summary)
     _print(screen, loaded, dewarp, corrector, frames, errors, out)
     return errors
 

@@ -1,6 +1,5 @@
 """`rtpiv evaluate`: vectors of a pair seen through glass, with errors and a page to look at."""
 
-import json
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -22,6 +21,7 @@ from correction.target import Chessboard
 from daq.evaluation_page import SHIFT_HEAD, Evaluation, shift_rows, write_page
 from daq.run_views import is_run, scene_text, shift_pairs
 from daq.terminal import console
+from daq.whole_text import write_json, write_text
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -94,7 +94,7 @@ def _tasks(paths: list[Path], out: Path, scene: Path | None, shift_mm: tuple[flo
         out.mkdir(parents=True, exist_ok=True)
         if scene is None:
             scene = out / "scene.yaml"
-            scene.write_text(scene_text(paths[0]), encoding="utf-8")
+            write_text(scene, scene_text(paths[0]))
         loaded = load_scene(scene)
         return [
             Task(pair.frames, loaded if pair.glass else loaded.with_bodies(()), out / pair.tag, pair.measured_mm)
@@ -143,7 +143,7 @@ def _evaluate(
     summary: dict[str, Any] = {**about, "vectors": field.counts}
     if result is not None:
         summary["shift"] = result.to_dict()
-    (out / "evaluation.json").write_text(json.dumps(summary, indent=1))
+    write_json(out / "evaluation.json", summary)
     write_page(out, evaluation, corrector, scene, (frame_a, corrected_a), about)
     _print(evaluation, out)
     return evaluation
