@@ -61,14 +61,34 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument(
         "--stage-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
     )
-    evaluate.add_argument("--velocity", action="store_true", help="also carry raw vectors through the glass")
+    _route_option(evaluate, "image")
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
+
+    report = verbs.add_parser("report", help="a run as one page: pictures, vectors, errors, books, provenance")
+    report.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
+    report.add_argument("--scene", type=Path, help="scene.yaml, best a fitted one (default: the run's own)")
+    report.add_argument("-o", "--out", type=Path, help="folder for the page (default: RUN/report)")
+    report.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
+    report.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
+    report.add_argument(
+        "--stage-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
+    )
+    _route_option(report, "compare")
 
     _bench_verbs(verbs)
 
     demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
     demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
     return parser
+
+
+def _route_option(parser: argparse.ArgumentParser, default: str) -> None:
+    parser.add_argument(
+        "--route",
+        choices=("image", "compare", "best"),
+        default=default,
+        help="correct the frames; also trace raw vectors and compare; or the better one in each region",
+    )
 
 
 def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from daq.bench_file import Vector
 from daq.errors import ResumeRefused
 from daq.run_folder import RunFolder, frame_entries
 
@@ -23,15 +24,26 @@ class ShiftPair:
         Taken through the glass, or the clear reference.
     frames : (Path, Path)
         Before and after.
-    commanded_mm, measured_mm : (float, float)
-        Displacement of the target, x and y (up), as planned and as the stages reported it.
+    commanded_mm, measured_mm : (float, float, float)
+        Displacement of the target in the world, as planned and as the stages reported it.
     """
 
     tag: str
     glass: bool
     frames: tuple[Path, Path]
-    commanded_mm: tuple[float, float]
-    measured_mm: tuple[float, float]
+    commanded_mm: Vector
+    measured_mm: Vector
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame of a run and what it shows: `shows` names the print, `on_plane` says that it stood at z = 0."""
+
+    path: Path
+    tag: str
+    shows: str
+    glass: bool
+    on_plane: bool
 
 
 def is_run(path: Path) -> bool:
@@ -80,11 +92,22 @@ def shift_pairs(path: Path) -> list[ShiftPair]:
         first, second = entry["frames"]
         if first in files and second in files:
             tag, glass = str(entry["tag"]), views.get(str(entry["tag"])) == "glass"
-            ways = (_plane(entry["commanded_mm"]), _plane(entry["measured_mm"]))
+            ways = (_vector(entry["commanded_mm"]), _vector(entry["measured_mm"]))
             found.append(ShiftPair(tag, glass, (files[first], files[second]), *ways))
     if not found:
         raise ResumeRefused(f"{path}: no displacement is complete; resume the run first")
     return found
+
+
+def first_view(folder: RunFolder) -> View | None:
+    """First frame through the glass with the print in the plane, else what comes nearest to that."""
+    files = _files(folder)
+    views = [
+        View(files[s["first_frame"]], str(s["tag"]), str(s["shows"]), s["view"] == "glass", bool(s["on_plane"]))
+        for s in _steps(folder)
+        if s["first_frame"] in files
+    ]
+    return max(views, key=lambda view: (view.glass, view.on_plane), default=None)
 
 
 def _steps(folder: RunFolder) -> list[dict[str, Any]]:
@@ -96,5 +119,6 @@ def _files(folder: RunFolder) -> dict[int, Path]:
     return {number: folder.inside(str(entry["file"])) for number, entry in frame_entries(folder.entries()).items()}
 
 
-def _plane(vector: list[float]) -> tuple[float, float]:
-    return (float(vector[0]), float(vector[1]))
+def _vector(values: list[float]) -> Vector:
+    x, y, z = values
+    return (float(x), float(y), float(z))

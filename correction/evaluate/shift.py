@@ -38,6 +38,11 @@ class Scatter:
     std_px: tuple[float, float]
     sigma_px: tuple[float, float]
 
+    @property
+    def rms_px(self) -> float:
+        """Root mean square error of a component, bias included."""
+        return float(np.sqrt(np.mean(np.square(self.std_px) + np.square(self.bias_px))))
+
 
 @dataclass(frozen=True)
 class ShiftResult:
@@ -106,23 +111,31 @@ def evaluate_shift(
         "behind glass": regions.region == Region.GLASS,
         "across a rim": regions.region == Region.RIM,
     }
-    found = {name: _scatter(errors, sigma, field.valid & where) for name, where in chosen.items()}
+    found = {name: scatter_of(errors, sigma, field.valid & where) for name, where in chosen.items()}
     through = (regions.region == Region.GLASS) | (regions.region == Region.RIM)
-    rings = {}
-    for low, high in pairwise(RINGS):
-        here = field.valid & through & (regions.radius >= low) & (regions.radius < high)
-        rings[low, high] = _scatter(errors, sigma, here)
+    rings = by_radius(errors, sigma, np.where(field.valid & through, regions.radius, np.nan))
     return ShiftResult(
         shift_px,
         stage_px,
         {name: scatter for name, scatter in found.items() if scatter.count},
-        {ring: scatter for ring, scatter in rings.items() if scatter.count},
+        rings,
         int(field.valid.sum()),
         int(field.flags.size),
     )
 
 
-def _scatter(errors: NDArray[np.float64], sigma: NDArray[np.float64], where: NDArray[np.bool_]) -> Scatter:
+def by_radius(
+    errors: NDArray[np.float64], sigma: NDArray[np.float64], radius: NDArray[np.float64]
+) -> dict[tuple[float, float], Scatter]:
+    """Scatter of errors (..., 2) in rings of r / R (...), NaN where a vector has no place in any."""
+    rings = {
+        (low, high): scatter_of(errors, sigma, (radius >= low) & (radius < high)) for low, high in pairwise(RINGS)
+    }
+    return {ring: scatter for ring, scatter in rings.items() if scatter.count}
+
+
+def scatter_of(errors: NDArray[np.float64], sigma: NDArray[np.float64], where: NDArray[np.bool_]) -> Scatter:
+    """Bias, scatter and estimated sigma of errors (..., 2) [px] where `where` (...)."""
     count = int(where.sum())
     if not count:
         nan = (float("nan"), float("nan"))

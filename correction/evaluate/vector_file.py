@@ -1,8 +1,18 @@
 """Vectors on disk: NetCDF for programs, VTK for pictures.
 
-NetCDF (classic, 64-bit offsets) in the layout that PIVPy and xarray read: dimensions (y, x, t), variables u, v
-and chc (1 = measured), coordinates in mm with y UP, CF attributes.  Everything this house adds (flags, sigma,
-peak ratio, mask) has the same dimensions.  Displacements are mm per frame pair; divide by delta_t for velocity.
+NetCDF (classic, 64-bit offsets) in the layout that PIVPy and xarray read: dimensions (y, x, t), coordinates in mm
+with y UP (it falls along its dimension, as rows do).  Everything has the dimensions (y, x, t):
+
+    u, v                    displacement [mm per pair], NaN where there is no vector
+    chc, mask, flag         1 = measured; 1 = masked; VectorFlag
+    sigma_u, sigma_v        random standard uncertainty (correlation statistics) [mm]
+    map_sigma_u, _v         that of the displacement by the fitted map [mm], the same in every pair
+    map_sigma_x, _y         that of the position by the fitted map [mm]
+    peak_ratio, correlation, valid_fraction
+    route                   1 = the vector was traced (velocity route), only where routes were mixed
+
+The map's sigmas are there where a fit was beside the scene.  Divide by delta_t for velocity.  Vectors of the
+velocity route lie on no grid; `write_traced` lists them along one dimension, vector.
 """
 
 import io
@@ -14,15 +24,25 @@ from numpy.typing import NDArray
 from scipy.io import netcdf_file
 
 from correction.evaluate.vector_field import VectorField, VectorFlag
+from correction.evaluate.vector_map_sigma import VectorMapSigma
+from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from tracer.whole_file import whole_file
 
 SCHEMA = "1"
-UNITS = {"u": "mm", "v": "mm", "sigma_u": "mm", "sigma_v": "mm"}
+UNITS = dict.fromkeys(("x", "y", "u", "v", "sigma_u", "sigma_v"), "mm")
+UNITS |= {f"map_sigma_{axis}": "mm" for axis in "uvxy"}
 STANDARD = {"u": "u_velocity", "v": "v_velocity", "chc": "validity_flag"}
 
 
-def write_netcdf(path: Path, field: VectorField, grid: PlaneGrid, about: dict[str, Any]) -> None:
+def write_netcdf(
+    path: Path,
+    field: VectorField,
+    grid: PlaneGrid,
+    about: dict[str, Any],
+    map_sigma: VectorMapSigma | None = None,
+    by_velocity: NDArray[np.bool_] | None = None,
+) -> None:
     """Write a vector field as NetCDF, atomically.
 
     Parameters
@@ -35,8 +55,19 @@ def write_netcdf(path: Path, field: VectorField, grid: PlaneGrid, about: dict[st
         Its scale and origin.
     about : dict of str to str, int or float
         Global attributes, such as the hash of the scene.
+    map_sigma : VectorMapSigma, optional
+        Uncertainty by the fitted map.
+    by_velocity : (ny, nx) bool, optional
+        Vectors of the velocity route.
     """
     x_mm, y_mm = _axes(field, grid)
+    variables = _variables(field, grid)
+    if map_sigma is not None:
+        for names, values in (("uv", map_sigma.displacement_px), ("xy", map_sigma.position_px)):
+            for number, axis in enumerate(names):
+                variables[f"map_sigma_{axis}"] = values[..., number] * grid.pitch_mm
+    if by_velocity is not None:
+        variables["route"] = by_velocity.astype(np.int32)
     buffer = io.BytesIO()
     with netcdf_file(buffer, "w", version=2) as file:
         for name, size in (("y", len(y_mm)), ("x", len(x_mm)), ("t", 1)):
@@ -45,7 +76,7 @@ def write_netcdf(path: Path, field: VectorField, grid: PlaneGrid, about: dict[st
             axis = file.createVariable(name, "f8", (name,))
             axis[:] = values
             axis.units = unit
-        for name, values in _variables(field, grid).items():
+        for name, values in variables.items():
             kind = "i4" if values.dtype.kind in "iu" else "f8"
             variable = file.createVariable(name, kind, ("y", "x", "t"))
             variable[:] = values[:, :, None]
@@ -56,6 +87,33 @@ def write_netcdf(path: Path, field: VectorField, grid: PlaneGrid, about: dict[st
         file.pivpy_schema_version = SCHEMA
         file.delta_t = 0.0
         file.flag_meanings = ", ".join(f"{flag.value} {flag.name.lower()}" for flag in VectorFlag)
+        for name, value in about.items():
+            setattr(file, name, value)
+        file.flush()
+        content = buffer.getvalue()
+    with whole_file(path) as stream:
+        stream.write(content)
+
+
+def write_traced(path: Path, traced: PlaneVectors, about: dict[str, Any]) -> None:
+    """Write vectors of the velocity route as NetCDF, atomically: a list with x, y, u, v and their sigma in mm."""
+    columns: dict[str, NDArray[Any]] = {
+        "x": traced.place_mm[:, 0],
+        "y": traced.place_mm[:, 1],
+        "u": traced.shift_mm[:, 0],
+        "v": traced.shift_mm[:, 1],
+        "sigma_u": traced.sigma_mm[:, 0],
+        "sigma_v": traced.sigma_mm[:, 1],
+        "branch": traced.branch.astype(np.int32),
+    }
+    buffer = io.BytesIO()
+    with netcdf_file(buffer, "w", version=2) as file:
+        file.createDimension("vector", len(traced.branch))
+        for name, values in columns.items():
+            variable = file.createVariable(name, "i4" if values.dtype.kind in "iu" else "f8", ("vector",))
+            variable[:] = values
+            variable.units = UNITS.get(name, "1")
+        file.Conventions = "CF-1.8"
         for name, value in about.items():
             setattr(file, name, value)
         file.flush()

@@ -132,7 +132,9 @@ def _on_plane(
     first, last = trace(scene, centre - 0.5 * shift), trace(scene, centre + 0.5 * shift)
     rate = landings(scene, centre).pixel_rate
     good = first.recovered & last.recovered & (first.rays["key"] == last.rays["key"])
-    good &= np.isfinite(rate).all(axis=(1, 2))
+    good &= np.isfinite(rate).all(axis=(1, 2)) & np.isfinite(sigma).all(
+        axis=1
+    )  # without sigma, no peak to speak of
     sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate[good] ** 2, sigma[good] ** 2))
     middle = 0.5 * (first.plane_mm + last.plane_mm)[good]
     step = (last.plane_mm - first.plane_mm)[good]

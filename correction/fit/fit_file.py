@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from correction.fit.result import SceneFit
+from correction.fit.scene_sigma import KIND, SceneSigma
 from tracer.map_file import save_arrays
-
-KIND = "scene fit"
 
 
 def save_fit(path: Path | str, fit: SceneFit) -> None:
     """Write a fit, atomically.
 
     Header: ``names``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``.  Arrays: ``values`` (P,),
-    ``covariance`` (P, P) in the units of the names, ``corner_frame`` (N,), ``corner_index`` (N, 2),
-    ``corner_px``, ``residual_px`` (N, 2), ``behind``, ``inlier`` (N,).
+    ``covariance`` (P, P) in the units of the names, ``scene_root`` (Q, P) (see `SceneSigma`), ``corner_frame``
+    (N,), ``corner_index`` (N, 2), ``corner_px``, ``residual_px`` (N, 2), ``behind``, ``inlier`` (N,).
     """
     unit, corners = fit.bench.sigma, fit.corners
     header = {
@@ -32,6 +31,7 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
     arrays = {
         "values": fit.values,
         "covariance": fit.covariance * np.outer(unit, unit),
+        "scene_root": SceneSigma.of(fit).root,
         "corner_frame": corners.frame.astype(np.int32),
         "corner_index": corners.index.astype(np.int32),
         "corner_px": corners.pixel,

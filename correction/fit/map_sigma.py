@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.fit.result import SceneFit
-from correction.fit.solver import Corners, free_rates, landed
+from correction.fit.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from tracer.errors import MapFileError
 from tracer.map_file import load_arrays, save_arrays
 from tracer.ray_map import build_ray_map
 
 KIND = "map sigma"
-BLOCK = 65536  # nodes at a time: some 60 MB of derivatives
 STEP = 4  # nodes between those computed; sigma is smooth
 
 
@@ -109,15 +108,7 @@ def map_sigma(fit: SceneFit, step: int = STEP) -> MapSigma:
 
 def sigma_at(fit: SceneFit, pixels: NDArray[np.float64], glass: bool) -> NDArray[np.float64]:
     """Standard deviation (N, 2) [mm] of the plane points that raw pixels (N, 2) show at z = 0."""
-    full = fit.bench.full(fit.x)
-    root = np.linalg.cholesky(fit.covariance)
-    out = np.empty((len(pixels), 2))
-    for first in range(0, len(pixels), BLOCK):
-        part = pixels[first : first + BLOCK]
-        corners = Corners(0, glass, part, np.zeros_like(part), 1.0)
-        spread = free_rates(fit.bench, full, corners, landed(fit.bench, full, corners)) @ root
-        out[first : first + BLOCK] = np.sqrt((spread**2).sum(axis=2))
-    return out
+    return SceneSigma.of(fit).sigma(fit.scene if glass else fit.scene.with_bodies(()), pixels)
 
 
 def _seen(sheets: CorrectionMap, glass: bool) -> NDArray[np.bool_]:

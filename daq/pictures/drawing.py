@@ -1,48 +1,53 @@
 """The scene from the side, with rays: what stands where, and what the glass does to the view."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from tracer.bodies import Sphere
+from tracer.bodies import Rod, Sphere
 from tracer.ray_path import ray_path
 from tracer.scene import Scene
 
 RAYS = 41
 
 
-def draw_scene(path: Path, scene: Scene, title: str) -> None:
-    """Draw the bodies and a fan of rays over the x axis as PNG."""
-    figure = Figure(figsize=(9.0, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
+def scene_figure(scene: Scene) -> Figure:
+    """Draw the bodies and a fan of rays over the x axis, seen along y."""
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
     axes = figure.add_subplot()
     top = max([body.highest_mm for body in scene.bodies], default=50.0)
     _draw_rays(axes, scene)
     for body in scene.bodies:
         if isinstance(body, Sphere):
             x, _, z = body.centre_mm
-            colour = "0.3" if body.medium is None else "C0"
-            axes.add_patch(Circle((z, x), body.radius_mm, color=colour, alpha=0.25, linewidth=0))
-        else:
+            glass = body.medium is not None
+            axes.add_patch(
+                Circle((z, x), body.radius_mm, color="#8fb7d3" if glass else "#5c667a", alpha=0.35, lw=0)
+            )
+            axes.add_patch(Circle((z, x), body.radius_mm, color="#1d2433", fill=False, lw=0.8))
+            axes.annotate(body.name, (z, x), ha="center", va="center", fontsize=8, color="#1d2433")
+        elif isinstance(body, Rod):
             ends = np.array([body.start_mm, body.end_mm])
-            axes.plot(ends[:, 2], ends[:, 0], color="0.3", linewidth=4, solid_capstyle="round")
-    axes.axvline(0.0, color="k", linewidth=1)
-    reach = 1.2 * max([abs(b.centre_mm[0]) + b.radius_mm for b in scene.spheres], default=50.0)
+            axes.plot(ends[:, 2], ends[:, 0], color="#5c667a", linewidth=4, solid_capstyle="round")
+    axes.axvline(0.0, color="#1d2433", linewidth=1.5)
+    reach = 1.2 * _reach_mm(scene)
     axes.set(xlim=(-0.05 * top, 1.35 * top), ylim=(-reach, reach), xlabel="z [mm], camera to the right")
-    axes.set(ylabel="x [mm]", title=title, aspect="equal")
-    figure.savefig(path, dpi=110)
+    axes.set(ylabel="x [mm]", aspect="equal")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    return figure
+
+
+def _reach_mm(scene: Scene) -> float:
+    return max([abs(sphere.centre_mm[0]) + sphere.radius_mm for sphere in scene.spheres], default=50.0)
 
 
 def _draw_rays(axes: Axes, scene: Scene) -> None:
     """Draw a fan of rays; those that pass through glass in colour."""
-    reach = max([abs(b.centre_mm[0]) + b.radius_mm for b in scene.spheres], default=50.0)
     targets = np.zeros((RAYS, 3))
-    targets[:, 0] = np.linspace(-1.2 * reach, 1.2 * reach, RAYS)
+    targets[:, 0] = np.linspace(-1.2, 1.2, RAYS) * _reach_mm(scene)
     for pixel in scene.camera.project(targets):
         corners = ray_path(scene, pixel)
-        colour = "0.75" if len(corners) == 2 else "C1"
-        axes.plot(corners[:, 2], corners[:, 0], color=colour, linewidth=0.7)
+        colour, width = ("#b9c0cc", 0.6) if len(corners) == 2 else ("#dd7a3a", 0.8)
+        axes.plot(corners[:, 2], corners[:, 0], color=colour, linewidth=width)

@@ -8,7 +8,7 @@ from daq.terminal import console
 from daq.verbs.acquire import acquire
 from daq.verbs.calibrate import calibrate
 from daq.verbs.correct import correct
-from daq.verbs.evaluate import evaluate
+from daq.verbs.report import report
 from daq.verbs.trace import trace
 
 FILES = Path(__file__).resolve().parents[2] / "examples" / "demo"
@@ -24,7 +24,7 @@ def demo(out: Path) -> None:
     out : Path
         Folder: ``trace/`` what the scene shows, ``runs/`` a target run and a shift run, corrected as the frames
         arrived, ``nominal/`` the target corrected with what the experimenter knows, ``fit/`` the geometry found,
-        ``fitted/`` the target corrected with it, ``shift/`` vectors and report.
+        ``fitted/`` the target corrected with it, ``report/`` the page and the vectors.
 
     Raises
     ------
@@ -50,7 +50,6 @@ def demo(out: Path) -> None:
     screen.rule("6  shift run: printed particles moved by 14 px, corrected as the frames arrive")
     moved = acquire(FILES / "plan-shift.yaml", bench, out / "runs", simulate=True, home=True, scene=fitted)
     assert moved is not None
-    screen.rule("7  the displacement, measured through the glass")
-    evaluate([moved], out / "shift", fitted, velocity=True)
-    report = next((out / "shift").glob("*/report.html"))
-    screen.print(f"Look at {report}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}", style="bold")
+    screen.rule("7  the displacement, measured through the glass, and the report")
+    page = report(moved, out / "report", fitted)
+    screen.print(f"Look at {page}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}", style="bold")

@@ -1,40 +1,31 @@
-"""`rtpiv evaluate`: vectors of a pair seen through glass, with errors and a page to look at."""
+"""`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
 from rich.table import Table
 
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
 from correction.dewarp import Dewarp, fit_dewarp
 from correction.errors import PairError
-from correction.evaluate.piv import evaluate_pair
-from correction.evaluate.regions import regions_of
-from correction.evaluate.shift import evaluate_shift
-from correction.evaluate.vector_file import write_netcdf, write_vtk
-from correction.evaluate.velocity_route import velocity_route
+from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
+from correction.fit.scene_sigma import SceneSigma
 from correction.frame_file import read_frame
 from correction.target import Chessboard
-from daq.evaluation_page import SHIFT_HEAD, Evaluation, shift_rows, write_page
+from daq.evaluation import Evaluation, Route, Task, evaluate_task
+from daq.report.page import Page
+from daq.report.pair import pair_chapters, pair_tiles
+from daq.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
+from daq.run_folder import write_json
 from daq.run_views import is_run, scene_text, shift_pairs
 from daq.terminal import console
-from daq.whole_text import write_json, write_text
-from tracer.ray_map import build_ray_map
+from tracer.errors import TracerError
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
-
-@dataclass(frozen=True)
-class Task:
-    """One pair to evaluate: where it lies, through which scene, and what is known of its displacement."""
-
-    frames: tuple[Path, Path]
-    scene: Scene
-    out: Path
-    shift_mm: tuple[float, float] | None
+FIT_FILE = "fit.npz"
+IN_PLANE_MM = 0.01  # a sheet moved farther out of its plane shows no uniform displacement
 
 
 def evaluate(
@@ -46,20 +37,21 @@ def evaluate(
     square_mm: float = 2.5,
     shift_mm: tuple[float, float] | None = None,
     stage_um: float = 10.0,
-    velocity: bool = False,
+    route: Route = "image",
     vtk: bool = False,
 ) -> list[Evaluation]:
-    """Correct pairs of frames, measure their displacements, and write a report for each.
+    """Correct pairs of frames, measure their displacements, and write a page for each.
 
     Parameters
     ----------
     paths : list of Path
         Frame A and frame B as acquired; or one run folder of a shift experiment.
     out : Path
-        Folder: ``vectors.nc``, ``evaluation.json``, ``report.html``, its figures as SVG, ``vectors.vtk`` on
-        request; for a run one such folder a pair.
+        Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures as SVG and PNG, and on
+        request ``vectors.vtk`` and ``vectors_velocity.nc``; for a run one such folder a pair.
     scene : Path, optional
-        scene.yaml, best a fitted one; a run without it is evaluated with the scene it was taken with.
+        scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
+        A run without it is evaluated with the scene it was taken with.
     target_clear, dewarp_order, square_mm
         As for `correct`.
     shift_mm : (float, float), optional
@@ -67,8 +59,9 @@ def evaluate(
         the displacement measured by the stages is taken.
     stage_um : float
         Standard error of the stage that moved the sheet, for the error budget.
-    velocity : bool
-        Also take the velocity route (the scene must hold the camera's true pose; no dewarp).
+    route : {"image", "compare", "best"}
+        Correct, then correlate; also carry raw vectors through the glass and compare; or take in each region the
+        better of both (the scene must hold the camera's true pose; no dewarp).
     vtk : bool
         Also write VTK text.
 
@@ -82,82 +75,115 @@ def evaluate(
     ConfigError, FrameError, PairError, TargetNotFound, DewarpError, ResumeRefused
         What the file, the frames, the target or the run make impossible, in one sentence.
     """
-    return [
-        _evaluate(task, target_clear, dewarp_order, square_mm, stage_um, velocity, vtk)
-        for task in _tasks(paths, out, scene, shift_mm)
-    ]
-
-
-def _tasks(paths: list[Path], out: Path, scene: Path | None, shift_mm: tuple[float, float] | None) -> list[Task]:
-    """Pairs to evaluate: the two frames given, or every pair of a run."""
-    if len(paths) == 1 and is_run(paths[0]):
-        out.mkdir(parents=True, exist_ok=True)
-        if scene is None:
-            scene = out / "scene.yaml"
-            write_text(scene, scene_text(paths[0]))
-        loaded = load_scene(scene)
-        return [
-            Task(pair.frames, loaded if pair.glass else loaded.with_bodies(()), out / pair.tag, pair.measured_mm)
-            for pair in shift_pairs(paths[0])
-        ]
-    if len(paths) != 2 or scene is None:
-        raise PairError("give two frames and --scene, or the folder of a shift run")
-    return [Task((paths[0], paths[1]), load_scene(scene), out, shift_mm)]
-
-
-def _evaluate(
-    task: Task,
-    target_clear: Path | None,
-    dewarp_order: int,
-    square_mm: float,
-    stage_um: float,
-    velocity: bool,
-    vtk: bool,
-) -> Evaluation:
-    """Evaluate one pair and write its folder."""
-    scene, out = task.scene, task.out
-    shape = scene.camera.shape
-    frame_a, frame_b = (read_frame(path, shape) for path in task.frames)
+    screen = console()
+    if target_clear is not None and route != "image":
+        raise PairError(
+            "the velocity route traces raw pixels; give the camera's lens terms in the scene, no dewarp"
+        )
+    tasks, fitted = _tasks(paths, out, scene, shift_mm)
+    sigma, why = _scene_sigma(scene, fitted, target_clear is not None)
+    if why:
+        screen.print(f"no uncertainty of the map: {why}")
     dewarp: Dewarp | None = None
     if target_clear is not None:
-        clear = read_frame(target_clear, shape)
-        dewarp = fit_dewarp(clear, scene.camera, Chessboard(square_mm), dewarp_order)
-    ray_map = build_ray_map(scene)
-    corrector = Corrector(build_correction_map(scene, ray_map), dewarp)
-    corrected_a, corrected_b = corrector(frame_a), corrector(frame_b)
-    field = evaluate_pair(corrected_a, corrected_b, corrector.recovered)
-    regions = regions_of(field, corrector.map, scene)
-    result = None
-    if task.shift_mm is not None:
-        scale = corrector.map.grid.px_per_mm
-        truth = (task.shift_mm[0] * scale, -task.shift_mm[1] * scale)
-        result = evaluate_shift(field, regions, truth, stage_um * 1e-3 * scale)
-    traced = velocity_route(frame_a, frame_b, scene, ray_map) if velocity else None
-    evaluation = Evaluation(field, regions, result, traced)
+        clear = read_frame(target_clear, fitted.camera.shape)
+        dewarp = fit_dewarp(clear, fitted.camera, Chessboard(square_mm), dewarp_order)
+    found = []
+    for task in tasks:
+        evaluation = evaluate_task(task, dewarp, sigma, stage_um, route)
+        _write(evaluation, why, vtk)
+        _print(screen, evaluation)
+        found.append(evaluation)
+    return found
+
+
+def _tasks(
+    paths: list[Path], out: Path, scene: Path | None, shift_mm: tuple[float, float] | None
+) -> tuple[list[Task], Scene]:
+    """Pairs to evaluate (the two frames given, or every pair of a run) and the scene with its glass."""
+    if len(paths) == 1 and is_run(paths[0]):
+        pairs = shift_pairs(paths[0])
+        if scene is None:
+            out.mkdir(parents=True, exist_ok=True)
+            scene = out / "scene.yaml"
+            scene.write_text(scene_text(paths[0]), encoding="utf-8")
+        loaded = load_scene(scene)
+        tasks = []
+        for pair in pairs:
+            through = loaded if pair.glass else loaded.with_bodies(())
+            note = ""
+            shift: tuple[float, float] | None = pair.measured_mm[:2]
+            if abs(pair.measured_mm[2]) > IN_PLANE_MM:
+                shift = None
+                note = (
+                    f"moved by {pair.measured_mm[2]:+.3f} mm along z: no one displacement is true for all vectors."
+                )
+            tasks.append(Task(pair.tag, pair.frames, through, out / pair.tag, shift, pair.commanded_mm[:2], note))
+        return tasks, loaded
+    if len(paths) != 2 or scene is None:
+        raise PairError("give two frames and --scene, or the folder of a shift run")
+    loaded = load_scene(scene)
+    name = f"{paths[0].stem}, {paths[1].stem}"
+    return [Task(name, (paths[0], paths[1]), loaded, out, shift_mm)], loaded
+
+
+def _scene_sigma(scene: Path | None, fitted: Scene, dewarped: bool) -> tuple[SceneSigma | None, str]:
+    """Uncertainty of the scene from the fit beside its file, or why there is none."""
+    if scene is None or not scene.with_name(FIT_FILE).is_file():
+        return None, "there is no fit beside the scene; run rtpiv calibrate"
+    if dewarped:
+        return None, "the fit does not hold for a dewarped camera"
+    try:
+        sigma = SceneSigma.load(scene.with_name(FIT_FILE))
+        sigma.check(fitted)
+    except TracerError as error:
+        return None, str(error)
+    return sigma, ""
+
+
+def _write(evaluation: Evaluation, why: str, vtk: bool) -> None:
+    """Write the folder of a pair, the page last."""
+    task, field, grid = evaluation.task, evaluation.field, evaluation.corrector.map.grid
+    out = task.out
     out.mkdir(parents=True, exist_ok=True)
-    about = {"scene_hash": scene.content_hash(), "frames": ", ".join(path.name for path in task.frames)}
+    about = {"scene_hash": task.scene.content_hash(), "frames": ", ".join(path.name for path in task.frames)}
     about["rtpiv_version"] = version("rtpiv")
-    write_netcdf(out / "vectors.nc", field, corrector.map.grid, about)
+    write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity)
+    if evaluation.traced is not None:
+        write_traced(out / "vectors_velocity.nc", evaluation.traced, about)
     if vtk:
-        write_vtk(out / "vectors.vtk", field, corrector.map.grid)
-    summary: dict[str, Any] = {**about, "vectors": field.counts}
-    if result is not None:
-        summary["shift"] = result.to_dict()
-    write_json(out / "evaluation.json", summary)
-    write_page(out, evaluation, corrector, scene, (frame_a, corrected_a), about)
-    _print(evaluation, out)
-    return evaluation
-
-
-def _print(evaluation: Evaluation, out: Path) -> None:
-    screen = console()
-    counts = ", ".join(f"{count} {name}" for name, count in evaluation.field.counts.items())
-    screen.print(f"vectors: {counts}")
+        write_vtk(out / "vectors.vtk", field, grid)
+    summary: dict[str, Any] = {**about, "note": task.note, "no_map_sigma": why}
+    summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels}
+    summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
     if evaluation.shift is not None:
-        table = Table(title="errors against the known shift [px]")
-        for column in SHIFT_HEAD:
-            table.add_column(column, justify="left" if column == "region" else "right")
-        for row in shift_rows(evaluation.shift):
+        summary["shift"] = evaluation.shift.to_dict()
+    if evaluation.routes is not None:
+        summary["routes"] = [dict(zip(ROUTE_HEAD, row, strict=True)) for row in route_rows(evaluation.routes)]
+    write_json(out / "evaluation.json", summary)
+    page = Page("PIV through glass: " + task.name, about["frames"])
+    page.tiles(pair_tiles(evaluation))
+    pair_chapters(page, evaluation)
+    page.heading("Provenance")
+    page.facts([*about.items(), ("bodies", ", ".join(body.name for body in task.scene.bodies) or "none")])
+    page.write(out / "report.html")
+
+
+def _print(screen: Console, evaluation: Evaluation) -> None:
+    counts = ", ".join(f"{count} {name}" for name, count in evaluation.field.counts.items())
+    screen.print(f"{evaluation.task.name}: {counts}")
+    tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
+    if evaluation.shift is not None:
+        tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
+    if evaluation.map_sigma is not None:
+        tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
+    if evaluation.routes is not None:
+        tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
+    for title, head, rows in tables:
+        table = Table(title=title)
+        for number, column in enumerate(head):
+            table.add_column(column, justify="right" if number else "left")
+        for row in rows:
             table.add_row(*row)
         screen.print(table)
-    screen.print(f"look at {out / 'report.html'}")
+    screen.print(f"look at {evaluation.task.out / 'report.html'}")

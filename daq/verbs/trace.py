@@ -9,7 +9,7 @@ from rich.table import Table
 from correction.correction_map import build_correction_map
 from correction.node_status import MEANING, NodeStatus
 from daq.pictures.curve import draw_curve
-from daq.pictures.drawing import draw_scene
+from daq.pictures.drawing import scene_figure
 from daq.pictures.markers import markers
 from daq.pictures.seen import seen
 from daq.terminal import console
@@ -56,7 +56,7 @@ def trace(scene: Path, out: Path) -> None:
     screen.print(table)
     out.mkdir(parents=True, exist_ok=True)
     matplotlib.image.imsave(out / "fig4_markers.png", np.clip(seen(loaded, markers()), 0.0, 1.0))
-    draw_scene(out / "scene.png", loaded, scene.stem)
+    scene_figure(loaded).savefig(out / "scene.png", dpi=120)
     if view is not None:
         draw_curve(out / "fig5_curve.png", loaded, view, scene.stem)
     screen.print(f"pictures are in {out}")

@@ -1,0 +1,163 @@
+"""Image route and velocity route side by side: which is better where, and one field of the better ones.
+
+The regions are the direct view and the rings of r / R behind glass.  Better is the route with the smaller rms
+error where the true shift is known, and with the smaller rms of its own sigma otherwise.  To join them, the
+traced vectors are interpolated linearly, branch by branch, at nodes of the corrected image that lie among them; a
+node at a rim keeps the image route, whose windows alone know both pictures.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import LinearNDInterpolator
+from scipy.spatial import cKDTree
+
+from correction.correction_map import CorrectionMap
+from correction.evaluate.regions import Region, Regions
+from correction.evaluate.shift import Scatter, by_radius, scatter_of, shift_errors
+from correction.evaluate.vector_field import VectorField
+from correction.evaluate.velocity_route import PlaneVectors
+from tracer.scene import Scene
+
+DIRECT = "seen directly"
+Rings = Mapping[tuple[float, float], Scatter]
+
+
+@dataclass(frozen=True)
+class Routes:
+    """Errors of both routes, in corrected pixels.
+
+    Parameters
+    ----------
+    image, velocity : mapping of (from, to) r / R to Scatter
+        Behind glass.
+    direct : (Scatter, Scatter)
+        Image and velocity route in the direct view.
+    known : bool
+        Whether the errors are against a true shift; otherwise only counts and sigmas mean something.
+    """
+
+    image: Rings
+    velocity: Rings
+    direct: tuple[Scatter, Scatter]
+    known: bool
+
+    def velocity_is_better(self, image: Scatter, velocity: Scatter | None) -> bool:
+        """Whether the velocity route wins a region."""
+        if velocity is None or not velocity.count:
+            return False
+        if self.known:
+            return velocity.rms_px < image.rms_px
+        return float(np.sum(np.square(velocity.sigma_px))) < float(np.sum(np.square(image.sigma_px)))
+
+    def rows(self) -> list[tuple[str, Scatter, Scatter | None, str]]:
+        """Region, both scatters, and which is better."""
+        regions: list[tuple[str, Scatter, Scatter | None]] = [(DIRECT, *self.direct)]
+        regions += [(f"{low:.3f} to {high:.3f}", one, self.velocity.get((low, high)))
+                    for (low, high), one in self.image.items()]  # fmt: skip
+        return [
+            (name, one, two, "velocity" if self.velocity_is_better(one, two) else "image")
+            for name, one, two in regions
+        ]
+
+
+def compare_routes(
+    field: VectorField,
+    regions: Regions,
+    traced: PlaneVectors,
+    correction_map: CorrectionMap,
+    scene: Scene,
+    shift_px: tuple[float, float] | None,
+) -> Routes:
+    """Hold both routes against each other.
+
+    Parameters
+    ----------
+    field, regions
+        Image route.
+    traced : PlaneVectors
+        Velocity route.
+    correction_map, scene
+        Of both.
+    shift_px : (float, float), optional
+        True displacement, u right, v DOWN.
+    """
+    pitch, truth = correction_map.grid.pitch_mm, shift_px or (0.0, 0.0)
+    errors = shift_errors(field, truth)
+    sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
+    through = (regions.region == Region.GLASS) | (regions.region == Region.RIM)
+    image = by_radius(errors, sigma, np.where(field.valid & through, regions.radius, np.nan))
+    direct = scatter_of(errors, sigma, field.valid & (regions.region == Region.DIRECT))
+    errors = traced.shift_mm / pitch * (1.0, -1.0) - truth
+    sigma = traced.sigma_mm / pitch
+    velocity = by_radius(errors, sigma, _radius(traced, correction_map, scene))
+    return Routes(image, velocity, (direct, scatter_of(errors, sigma, traced.branch == 0)), shift_px is not None)
+
+
+def joined(
+    field: VectorField, regions: Regions, traced: PlaneVectors, correction_map: CorrectionMap, routes: Routes
+) -> tuple[VectorField, NDArray[np.bool_]]:
+    """Take the velocity route where it is better.
+
+    Returns
+    -------
+    VectorField
+        One field; `peak_ratio` and `correlation` are NaN where a vector comes from the velocity route.
+    (ny, nx) bool
+        True there.
+    """
+    wanted = np.zeros(field.flags.shape, bool)
+    if routes.velocity_is_better(*routes.direct):
+        wanted |= regions.region == Region.DIRECT
+    for (low, high), image in routes.image.items():
+        if routes.velocity_is_better(image, routes.velocity.get((low, high))):
+            wanted |= (regions.region == Region.GLASS) & (regions.radius >= low) & (regions.radius < high)
+    values = _at_nodes(field, traced, correction_map)
+    taken = wanted & np.isfinite(values).all(axis=-1)
+    u, v, sigma_u, sigma_v = np.moveaxis(values, -1, 0)
+    return (
+        replace(
+            field,
+            u_px=np.where(taken, u, field.u_px),
+            v_px=np.where(taken, v, field.v_px),
+            sigma_u_px=np.where(taken, sigma_u, field.sigma_u_px),
+            sigma_v_px=np.where(taken, sigma_v, field.sigma_v_px),
+            peak_ratio=np.where(taken, np.nan, field.peak_ratio),
+            correlation=np.where(taken, np.nan, field.correlation),
+            flags=np.where(taken, np.uint8(0), field.flags),
+        ),
+        taken,
+    )
+
+
+def _at_nodes(field: VectorField, traced: PlaneVectors, correction_map: CorrectionMap) -> NDArray[np.float64]:
+    """u, v and their sigmas (ny, nx, 4) [px] of traced vectors at the nodes of a field; NaN beside them."""
+    grid = correction_map.grid
+    nodes = field.grid_px
+    row, column = np.rint(nodes[..., 1]).astype(int), np.rint(nodes[..., 0]).astype(int)
+    branch = np.where(correction_map.recovered, correction_map.branch[0].astype(int), -1)[row, column]
+    values = np.full((*branch.shape, 4), np.nan)
+    for number in np.unique(traced.branch):
+        here, mine = branch == number, traced.branch == number
+        if not here.any() or mine.sum() < 4:
+            continue
+        place = grid.to_px(traced.place_mm[mine])
+        what = np.hstack((traced.shift_mm[mine] * (1.0, -1.0), traced.sigma_mm[mine])) / grid.pitch_mm
+        found = LinearNDInterpolator(place, what)(nodes[here])
+        far, _ = cKDTree(place).query(nodes[here])
+        found[far > field.window_px] = np.nan
+        values[here] = found
+    return values
+
+
+def _radius(traced: PlaneVectors, correction_map: CorrectionMap, scene: Scene) -> NDArray[np.float64]:
+    """R / R of traced vectors behind glass, NaN in the direct view."""
+    spheres = {sphere.name: sphere for sphere in scene.spheres}
+    radius = np.full(len(traced.branch), np.nan)
+    for number in np.unique(traced.branch[traced.branch > 0]):
+        last = spheres[correction_map.branches[int(number)][-1]]
+        here = traced.branch == number
+        radius[here] = np.linalg.norm(traced.place_mm[here] - last.centre_mm[:2], axis=1) / last.radius_mm
+    return radius

@@ -1,0 +1,105 @@
+"""How unsure a fitted scene is, in the tracer's own numbers, and what that does to points of the plane.
+
+A fit gives the covariance C of its free vector x; the tracer gives the derivative G of a landing point by the
+numbers of the scene (`tracer.sensitivity`; rotations about the world's axes at the fitted pose).  Between them
+stands T = d numbers / d x, so with C = L L^T one matrix says everything:
+
+    root = T L,        spread of a pixel's plane point = G root,        sigma^2 = sum of its squares.
+
+Rows of `spread` at two pixels belong to the same draws.  Hence the sigma of the DIFFERENCE of two plane points is
+the length of the difference of their spreads: what both share, such as a camera that stands 0.1 mm beside its
+place, cancels.  The size of the target's squares is taken as exact.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.result import SceneFit
+from correction.fit.unknowns import left_jacobian
+from tracer.errors import MapFileError, StaleMap
+from tracer.map_file import load_arrays
+from tracer.scene import Scene
+from tracer.sensitivity import CAMERA, TARGET, landings
+
+KIND = "scene fit"
+BLOCK = 65536  # pixels at a time: some 60 MB of derivatives
+
+
+@dataclass(frozen=True)
+class SceneSigma:
+    """Uncertainty of a fitted scene.
+
+    Parameters
+    ----------
+    scene_hash : str
+        Of the fitted scene.
+    root : (Q, P) float64
+        root root^T is the covariance of the scene's Q numbers: camera (14), then 5 of each sphere.
+    """
+
+    scene_hash: str
+    root: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, fit: SceneFit) -> "SceneSigma":
+        """Uncertainty of the scene of a fit."""
+        bench, full = fit.bench, fit.bench.full(fit.x)
+        turned = bench.columns[: bench.glass.stop].copy()
+        turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
+        return cls(fit.scene.content_hash(), turned @ np.linalg.cholesky(fit.covariance))
+
+    @classmethod
+    def load(cls, path: Path | str) -> "SceneSigma":
+        """Read it from a fit file.
+
+        Raises
+        ------
+        MapFileError
+            The file is damaged, or of a version that did not store it.
+        """
+        header, arrays = load_arrays(path, KIND)
+        root = arrays.get("scene_root")
+        if root is None or root.dtype != np.float64 or root.ndim != 2:
+            raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
+        return cls(str(header["scene_hash"]), root)
+
+    def check(self, scene: Scene) -> None:
+        """Refuse to speak for another scene.
+
+        Raises
+        ------
+        StaleMap
+            The scene has other numbers than the fitted one.
+        """
+        wanted = scene.content_hash()
+        if self.scene_hash != wanted:
+            raise StaleMap(f"the fit belongs to scene {self.scene_hash}, not to {wanted}; calibrate again")
+
+    def spread(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Spread (N, 2, P) [mm] of the plane points that raw pixels (N, 2) show; NaN where none is shown.
+
+        Parameters
+        ----------
+        scene : Scene
+            The fitted scene, or the same without its bodies: then only the camera counts.
+        pixels : (N, 2) float64
+            Acquired pixels.
+        """
+        asked = np.isfinite(pixels).all(axis=1)
+        rate = landings(scene, pixels[asked]).rate[:, :, : -len(TARGET)]
+        if rate.shape[2] not in (len(self.root), len(CAMERA)):
+            raise StaleMap("the scene has not the spheres of the fitted one; calibrate again")
+        found = np.full((len(pixels), 2, self.root.shape[1]), np.nan)
+        found[asked] = rate @ self.root[: rate.shape[2]]
+        return found
+
+    def sigma(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Standard deviation (N, 2) [mm] of the plane points that raw pixels (N, 2) show."""
+        out = np.empty((len(pixels), 2))
+        for first in range(0, len(pixels), BLOCK):
+            here = slice(first, first + BLOCK)
+            out[here] = np.sqrt((self.spread(scene, pixels[here]) ** 2).sum(axis=2))
+        return out

@@ -1,0 +1,142 @@
+"""One pair from frames to figures: correct, correlate, carry the map's uncertainty along, compare with truth."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.correction_map import build_correction_map
+from correction.corrector import Corrector
+from correction.dewarp import Dewarp
+from correction.evaluate.piv import evaluate_pair
+from correction.evaluate.regions import Regions, regions_of
+from correction.evaluate.routes import Routes, compare_routes, joined
+from correction.evaluate.shift import ShiftResult, evaluate_shift
+from correction.evaluate.vector_field import VectorField
+from correction.evaluate.vector_map_sigma import VectorMapSigma, vector_map_sigma
+from correction.evaluate.velocity_route import PlaneVectors, velocity_route
+from correction.fit.scene_sigma import SceneSigma
+from correction.frame_file import read_frame
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+
+Route = Literal["image", "compare", "best"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One pair to evaluate.
+
+    Parameters
+    ----------
+    name : str
+        What the pair is called.
+    frames : (Path, Path)
+        Frame A and frame B as acquired.
+    scene : Scene
+        What the camera looked through.
+    out : Path
+        Folder of its results.
+    shift_mm : (float, float) or None
+        True displacement, x right, y UP; None if it is not known, or not one number for all particles.
+    commanded_mm : (float, float) or None
+        What was asked of the stage that moved them.
+    note : str
+        What a reader must know.
+    """
+
+    name: str
+    frames: tuple[Path, Path]
+    scene: Scene
+    out: Path
+    shift_mm: tuple[float, float] | None = None
+    commanded_mm: tuple[float, float] | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Result of one pair.
+
+    Parameters
+    ----------
+    task : Task
+        What was asked.
+    corrector : Corrector
+        How the frames were corrected.
+    frame_a : ndarray (H, W)
+        Frame A as acquired.
+    corrected_a : (h, w) float32
+        The same, corrected.
+    field : VectorField
+        Vectors on the corrected image, of the image route unless the better routes were asked for.
+    regions : Regions
+        Where each belongs.
+    shift : ShiftResult or None
+        Errors, if the true displacement is known.
+    map_sigma : VectorMapSigma or None
+        What the fitted scene is unsure of, if its fit lies beside it.
+    traced : PlaneVectors or None
+        Vectors of the velocity route, if asked for.
+    routes : Routes or None
+        Both routes against each other.
+    by_velocity : (ny, nx) bool or None
+        Vectors of `field` that come from the velocity route.
+    """
+
+    task: Task
+    corrector: Corrector
+    frame_a: NDArray[Any]
+    corrected_a: NDArray[np.float32]
+    field: VectorField
+    regions: Regions
+    shift: ShiftResult | None
+    map_sigma: VectorMapSigma | None
+    traced: PlaneVectors | None
+    routes: Routes | None
+    by_velocity: NDArray[np.bool_] | None
+
+
+def evaluate_task(
+    task: Task, dewarp: Dewarp | None, sigma: SceneSigma | None, stage_um: float, route: Route
+) -> Evaluation:
+    """Evaluate one pair.
+
+    Parameters
+    ----------
+    task : Task
+        The pair.
+    dewarp : Dewarp, optional
+        Of the camera, where the scene's own lens terms are not trusted.
+    sigma : SceneSigma, optional
+        Uncertainty of the fitted scene; it does not hold for a dewarped camera.
+    stage_um : float
+        Standard error of the stage.
+    route : {"image", "compare", "best"}
+        Image route alone; the velocity route beside it; or each where it is better.
+    """
+    scene = task.scene
+    frame_a, frame_b = (read_frame(path, scene.camera.shape) for path in task.frames)
+    ray_map = build_ray_map(scene)
+    corrector = Corrector(build_correction_map(scene, ray_map), dewarp)
+    grid = corrector.map.grid
+    corrected_a, corrected_b = corrector(frame_a), corrector(frame_b)
+    field = evaluate_pair(corrected_a, corrected_b, corrector.recovered)
+    regions = regions_of(field, corrector.map, scene)
+    truth = None
+    if task.shift_mm is not None:
+        truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
+    traced = routes = by_velocity = None
+    if route != "image":
+        traced = velocity_route(frame_a, frame_b, scene, ray_map)
+        routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
+        if route == "best":
+            field, by_velocity = joined(field, regions, traced, corrector.map, routes)
+    stage_px = stage_um * 1e-3 * grid.px_per_mm
+    result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
+    unsure = vector_map_sigma(field, corrector.map, scene, sigma) if sigma is not None else None
+    return Evaluation(
+        task, corrector, frame_a, corrected_a, field, regions, result, unsure, traced, routes, by_velocity
+    )

@@ -1,0 +1,194 @@
+"""One self-contained HTML page: pictures, figures and tables that go straight into a lab book.
+
+No script or style comes from anywhere else, and everything is embedded, so the page can be mailed and will look
+the same in ten years.  Every text that came from a file or a name is escaped.  Figures are also written beside
+the page, as SVG for papers and PNG for slides.
+"""
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tracer.whole_file import whole_file
+
+WIDEST_PX = 1008  # pictures in the page; the full frames are files beside it
+PAGE_DPI, FILE_DPI = 150, 200
+
+_STYLE = Path(__file__).with_name("page.css")
+Row = Sequence[str]
+
+
+class Page:
+    """A page that grows chapter by chapter.
+
+    Parameters
+    ----------
+    title, subtitle : str
+        Heading, and what stands under it.
+    """
+
+    def __init__(self, title: str, subtitle: str = "") -> None:
+        self._title, self._subtitle = title, subtitle
+        self._parts: list[str] = []
+        self._figures: dict[str, Figure] = {}
+        self._sliders = 0
+
+    def heading(self, text: str) -> None:
+        """Start a chapter."""
+        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+
+    def text(self, text: str) -> None:
+        """Add a paragraph."""
+        self._parts.append(f"<p>{html.escape(text)}</p>")
+
+    def tiles(self, tiles: Sequence[tuple[str, str, str]]) -> None:
+        """Add the figures that matter most, large: (value, what it is, what it is measured against)."""
+        inner = "".join(
+            f"<div><b>{html.escape(value)}</b><span>{html.escape(name)}</span><small>{html.escape(rest)}</small></div>"
+            for value, name, rest in tiles
+        )
+        self._parts.append(f'<div class="tiles">{inner}</div>')
+
+    def table(self, head: Row, rows: Sequence[Row], caption: str = "") -> None:
+        """Add a table; the first column is text, the others numbers."""
+        top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+        body = "".join(
+            "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
+        )
+        said = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
+        inner = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+        self._parts.append(f'<figure class="table">{said}<div class="wide">{inner}</div></figure>')
+
+    def facts(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Add names and what they stand for."""
+        inner = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in rows)
+        self._parts.append(f"<dl>{inner}</dl>")
+
+    def folded(self, name: str, text: str) -> None:
+        """Add a long text, such as a file, that opens on a click."""
+        self._parts.append(
+            f"<details><summary>{html.escape(name)}</summary><pre>{html.escape(text)}</pre></details>"
+        )
+
+    def figure(self, name: str, figure: Figure, caption: str, dense: bool = False) -> None:
+        """Add a figure; `write` also puts NAME.svg and NAME.png beside the page.
+
+        Parameters
+        ----------
+        name : str
+            Of the files, once a page.
+        figure : Figure
+            What was drawn.
+        caption : str
+            Said below.
+        dense : bool
+            Embed pixels: thousands of arrows as lines would make the page slow.
+        """
+        self._figures[name] = figure
+        kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
+        data = base64.b64encode(_drawn(figure, kind, PAGE_DPI)).decode()
+        self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption))
+
+    def picture(self, image: NDArray[np.uint8], caption: str) -> None:
+        """Add a picture, grey (H, W) or RGB (H, W, 3)."""
+        self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="{_encoded(image)}">', caption))
+
+    def slider(self, layers: Sequence[tuple[str, NDArray[np.uint8]]], caption: str) -> None:
+        """Lay pictures of one shape over each other: a line to drag uncovers one beside the next.
+
+        Parameters
+        ----------
+        layers : sequence of (name, picture)
+            Two or more, neighbours in the order in which they are compared.
+        caption : str
+            Said below.
+        """
+        self._sliders += 1
+        name = f"slider{self._sliders}"
+        pictures = "".join(
+            f'<div class="layer"><img alt="{html.escape(title)}" src="{_encoded(image)}">'
+            f"<i>{html.escape(title)}</i></div>"
+            for title, image in layers
+        )
+        choices = "".join(
+            f'<label><input type="radio" name="{name}" {"checked" if k == 0 else ""} '
+            f"onchange=\"this.closest('.slider').dataset.pair={k}\">"
+            f"{html.escape(layers[k][0])} | {html.escape(layers[k + 1][0])}</label>"
+            for k in range(len(layers) - 1)
+        )
+        self._parts.append(
+            f'<figure class="slider" data-pair="0">'
+            f'<div class="choice">{choices if len(layers) > 2 else ""}</div><div class="stage">{pictures}<hr>'
+            '<input type="range" min="0" max="100" value="50" aria-label="uncover" '
+            "oninput=\"this.parentNode.style.setProperty('--cut',this.value+'%')\"></div>"
+            f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        )
+
+    def html(self) -> str:
+        """Return the whole page."""
+        title, style = html.escape(self._title), _STYLE.read_text(encoding="utf-8")
+        return (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            f"<title>{title}</title><style>{style}</style></head><body>"
+            f"<header><h1>{title}</h1><p>{html.escape(self._subtitle)}</p></header>"
+            + "".join(self._parts)
+            + "</body></html>\n"
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the page and its figures, each atomically, the page last."""
+        for name, figure in self._figures.items():
+            for kind in ("svg", "png"):
+                with whole_file(path.with_name(f"{name}.{kind}")) as stream:
+                    stream.write(_drawn(figure, kind, FILE_DPI))
+        with whole_file(path) as stream:
+            stream.write(self.html().encode())
+
+
+def grey(frame: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
+    """8-bit picture of a frame between two grey levels; NaN is the darker one."""
+    low, high = limits
+    scaled = (np.nan_to_num(frame.astype(np.float32), nan=low) - low) / max(high - low, 1e-9)
+    return np.asarray(np.clip(scaled * 255.0, 0.0, 255.0), dtype=np.uint8)
+
+
+def tinted(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """RGB picture of a grey one (H, W): where `colours` (H, W, 3) is not black, that."""
+    covered = colours.any(axis=-1)
+    rgb = np.repeat(picture[..., None], 3, axis=-1)
+    rgb[covered] = colours[covered]
+    return rgb
+
+
+def _framed(inner: str, caption: str) -> str:
+    return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
+
+
+def _drawn(figure: Figure, kind: str, dpi: int) -> bytes:
+    """Bytes of a figure as SVG or PNG."""
+    FigureCanvasAgg(figure)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    return buffer.getvalue()
+
+
+def _encoded(image: NDArray[np.uint8]) -> str:
+    """Data address of a picture, reduced to WIDEST_PX."""
+    height, width = image.shape[:2]
+    if width > WIDEST_PX:
+        size = (WIDEST_PX, round(height * WIDEST_PX / width))
+        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    if image.ndim == 3:
+        image = np.ascontiguousarray(image[..., ::-1])
+    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()

@@ -1,0 +1,139 @@
+"""`rtpiv report`: a run as one page that goes into a lab book."""
+
+from pathlib import Path
+
+import numpy as np
+
+from correction.correction_map import build_correction_map
+from correction.corrector import Corrector
+from correction.dewarp import Dewarp, fit_dewarp
+from correction.evaluate.image_figures import image_figures
+from correction.evaluate.target_error import target_error
+from correction.frame_file import read_frame
+from correction.target import Chessboard
+from daq.errors import ResumeRefused
+from daq.evaluation import Evaluation, Route
+from daq.report.page import Page
+from daq.report.pair import FULL_SCALE, pair_chapters, pair_tiles, scene_chapter, slider_chapter
+from daq.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
+from daq.report.tables import IMAGE_HEAD, image_rows
+from daq.run_folder import RunFolder
+from daq.run_views import first_view, scene_text
+from daq.terminal import console
+from daq.verbs.evaluate import evaluate
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+TARGET_HEAD = ("region", "corners found", "bias u, v", "rms u, v", "largest")
+
+
+def report(
+    run: Path,
+    out: Path | None = None,
+    scene: Path | None = None,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    stage_um: float = 10.0,
+    route: Route = "compare",
+) -> Path:
+    """Evaluate a run and write its page.
+
+    Parameters
+    ----------
+    run : Path
+        Folder of a run.  Pairs of a shift run are evaluated (each also gets a folder with its vectors); of any
+        other run the first frame through the glass is shown corrected.
+    out : Path, optional
+        Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair.
+    scene : Path, optional
+        scene.yaml, best a fitted one; default the run's own.
+    target_clear, dewarp_order
+        As for `correct`.
+    stage_um, route
+        As for `evaluate`.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    ResumeRefused
+        The folder is no run, or holds no frame yet.
+    ConfigError, FrameError, PairError, TargetNotFound, DewarpError
+        As for `evaluate`.
+    """
+    folder = RunFolder.open(run)
+    about = folder.about
+    out = out if out is not None else run / "report"
+    out.mkdir(parents=True, exist_ok=True)
+    given = scene
+    if scene is None:
+        scene = out / "scene.yaml"
+        scene.write_text(scene_text(run), encoding="utf-8")
+    loaded, square_mm = load_scene(scene), float(about["square_mm"])
+    page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}")
+    if (run / "displacements.json").is_file():
+        chosen = route if target_clear is None else "image"
+        found = evaluate([run], out, given or scene, target_clear, dewarp_order, square_mm, None, stage_um, chosen)
+        shown = _most_telling(found)
+        page.tiles(pair_tiles(shown))
+        pairs_chapter(page, found)
+        page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")
+        pair_chapters(page, shown)
+    else:
+        _single_frame(page, folder, loaded, target_clear, dewarp_order, square_mm)
+    moved_chapter(page, folder)
+    books_chapter(page, folder)
+    provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(given or "the run's own"))])
+    path = out / "report.html"
+    page.write(path)
+    console().print(f"look at {path}", style="bold")
+    return path
+
+
+def _most_telling(found: list[Evaluation]) -> Evaluation:
+    """Return the first pair through the glass whose shift is known, else what comes nearest to that."""
+    return max(found, key=lambda e: (bool(e.task.scene.bodies), e.shift is not None))
+
+
+def _single_frame(
+    page: Page, folder: RunFolder, scene: Scene, target_clear: Path | None, dewarp_order: int, square_mm: float
+) -> None:
+    """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
+    view = first_view(folder)
+    if view is None:
+        raise ResumeRefused(f"{folder.path}: holds no frame yet; resume the run first")
+    board = Chessboard(square_mm)
+    dewarp: Dewarp | None = None
+    if target_clear is not None:
+        clear = read_frame(target_clear, scene.camera.shape)
+        dewarp = fit_dewarp(clear, scene.camera, board, dewarp_order)
+    seen = scene if view.glass else scene.with_bodies(())
+    corrector = Corrector(build_correction_map(seen, build_ray_map(seen)), dewarp)
+    frame = read_frame(view.path, scene.camera.shape)
+    corrected = corrector(frame)
+    full = FULL_SCALE[frame.dtype.itemsize]
+    recovered = f"{100 * float(corrector.recovered.mean()):.1f} %"
+    tiles = [(recovered, "of the plane recovered", "share of the corrected frame")]
+    if view.shows == "chessboard" and view.on_plane:
+        errors = target_error(corrected, corrector, board)
+        for name, region in list(errors.regions.items())[1:]:
+            if region.found:
+                rms = float(np.max(region.rms_px))
+                tiles.append(
+                    (f"{rms:.3f} px", f"corner error, {name}", f"{region.found} of {region.expected} corners")
+                )
+        page.tiles(tiles)
+        page.heading("Target")
+        page.table(TARGET_HEAD, errors.rows(), "Position error of target corners, corrected minus grid [px]")
+    else:
+        page.tiles(tiles)
+    page.heading("Acquired, corrected, recovered")
+    slider_chapter(page, frame, corrected, corrector, f"Frame {view.path.name}, {view.tag}.")
+    named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
+    figures = {name: image_figures(image, full, mask) for name, (image, mask) in named.items()}
+    page.table(IMAGE_HEAD, image_rows(figures), "Figures of merit")
+    scene_chapter(page, seen)

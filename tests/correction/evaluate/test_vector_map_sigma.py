@@ -1,0 +1,95 @@
+"""Sigma of place and displacement against scenes drawn from the covariance and traced plainly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.correction_map import build_correction_map
+from correction.evaluate.vector_map_sigma import vector_map_sigma
+from correction.fit.scene_sigma import SceneSigma
+from correction.fit.unknowns import bench_of
+from tests.correction.evaluate.vectors import uniform_field
+from tests.correction.small_scenes import small_scene
+from tracer.errors import StaleMap
+from tracer.fit_section import FitCameraTable, FitSphereTable, FitTable
+from tracer.ray_map import build_ray_map
+from tracer.trace import trace
+
+PRIORS = FitTable(
+    camera=FitCameraTable(position_mm=0.05, rotation_deg=0.005, k1=0.001),
+    spheres=FitSphereTable(centre_mm=0.02, radius_mm=0.004),
+    n=0.0005,
+)
+SHIFT_PX = (4.0, -2.0)
+DRAWS = 800  # their spread is known to 1/sqrt(1600)
+
+
+@pytest.fixture(scope="module")
+def known():
+    """A bench with correlated numbers, as a fit leaves them: its sigma, its map, and what draws x."""
+    scene = small_scene("tilted_pair", 252)
+    low, high = scene.spheres
+    scene = scene.with_bodies([replace(low, centre_mm=(-12.0, 8.0, 26.0)), high])
+    bench = bench_of(scene, [0.0], PRIORS)
+    rng = np.random.default_rng(4)
+    mix = np.eye(len(bench.names)) + 0.2 * rng.normal(size=(len(bench.names),) * 2)
+    columns = bench.columns[: bench.glass.stop]  # the nominal rotation vector is 0, its left Jacobian 1
+    sigma = SceneSigma(scene.content_hash(), columns @ mix)
+    return bench, sigma, build_correction_map(scene, build_ray_map(scene)), lambda: mix @ rng.normal(size=len(mix))
+
+
+def drawn_landings(bench, draw, pixels, glass):
+    for _ in range(DRAWS):
+        scene = bench.moved(bench.full(draw()))
+        yield trace(scene if glass else scene.with_bodies(()), pixels).plane_mm
+
+
+@pytest.mark.parametrize("glass", [True, False])
+def test_sigma_is_the_spread_of_drawn_scenes(known, glass):
+    bench, sigma, cmap, draw = known
+    scene = bench.scene
+    if not glass:
+        scene = scene.with_bodies(())
+        cmap = build_correction_map(scene, build_ray_map(scene))
+    field = uniform_field(cmap.grid.shape, SHIFT_PX, step_px=16)
+    found = vector_map_sigma(field, cmap, scene, sigma)
+    half = np.array(SHIFT_PX, int) // 2
+    ends = [field.grid_px.astype(int) + way * half for way in (0, -1, 1)]
+    seen = [cmap.pixel[0, end[..., 1], end[..., 0]] for end in ends]
+    branch = [np.where(cmap.recovered, cmap.branch[0] + 1, 0)[end[..., 1], end[..., 0]] for end in ends]
+    alike = (branch[0] == branch[1]) & (branch[0] == branch[2]) & (branch[0] > 0)
+    assert (np.isfinite(found.displacement_px).all(axis=-1) >= alike).all()
+    pixels = np.concatenate([pixel[alike] for pixel in seen])
+    landed = np.array(list(drawn_landings(bench, draw, pixels, glass))).reshape(DRAWS, 3, -1, 2)
+    place = np.nanstd(landed[:, 0], axis=0) / cmap.grid.pitch_mm
+    gap = np.nanstd(landed[:, 2] - landed[:, 1], axis=0) / cmap.grid.pitch_mm
+    assert np.median(found.position_px[alike] / place) == pytest.approx(1.0, abs=0.06)
+    assert np.median(found.displacement_px[alike] / gap) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(np.abs(found.displacement_px[alike] / gap - 1.0) < 0.25) > 0.95
+    # What both ends share cancels: a displacement is known far better than a place.
+    assert np.median(found.displacement_px[alike]) < 0.1 * np.median(found.position_px[alike])
+
+
+def test_no_displacement_no_uncertainty_and_nothing_where_nothing_is_seen(known):
+    bench, sigma, cmap, _ = known
+    found = vector_map_sigma(uniform_field(cmap.grid.shape, (0.0, 0.0)), cmap, bench.scene, sigma)
+    seen = np.isfinite(found.position_px[..., 0])
+    assert seen.any()
+    assert np.nanmax(found.displacement_px) < 1e-9
+    field = uniform_field(cmap.grid.shape, SHIFT_PX, step_px=16)
+    row, column = np.rint(field.grid_px[..., 1]).astype(int), np.rint(field.grid_px[..., 0]).astype(int)
+    recovered = cmap.recovered[row, column]
+    assert not (seen & ~recovered).any()
+    assert seen.sum() >= 0.99 * recovered.sum()  # at a rim, half a pixel beside a recovered node may land nowhere
+
+
+def test_another_scene_is_refused(known):
+    bench, sigma, cmap, _ = known
+    other = small_scene("two_spheres_500", 252)
+    with pytest.raises(StaleMap):
+        vector_map_sigma(uniform_field(cmap.grid.shape, SHIFT_PX), cmap, other, sigma)
+    with pytest.raises(StaleMap, match="calibrate again"):
+        sigma.check(other)
+    with pytest.raises(StaleMap, match="spheres"):
+        sigma.spread(bench.scene.with_bodies(bench.scene.bodies[:1]), np.zeros((1, 2)))
