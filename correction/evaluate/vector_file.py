@@ -1,7 +1,7 @@
 """Vectors on disk: NetCDF for programs, VTK for pictures.
 
 NetCDF (classic, 64-bit offsets) in the layout that PIVPy and xarray read: dimensions (y, x, t), coordinates in mm
-with y UP (it falls along its dimension, as rows do).  Everything has the dimensions (y, x, t):
+with y UP and both axes rising, so that row 0 of the file is the lowest of the image.  Everything has the dimensions (y, x, t):
 
     u, v                    displacement [mm per pair], NaN where there is no vector
     chc, mask, flag         1 = measured; 1 = masked; VectorFlag
@@ -29,7 +29,7 @@ from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from tracer.whole_file import whole_file
 
-SCHEMA = "1"
+SCHEMA = 1
 UNITS = dict.fromkeys(("x", "y", "u", "v", "sigma_u", "sigma_v"), "mm")
 UNITS |= {f"map_sigma_{axis}": "mm" for axis in "uvxy"}
 STANDARD = {"u": "u_velocity", "v": "v_velocity", "chc": "validity_flag"}
@@ -61,6 +61,7 @@ def write_netcdf(
         Vectors of the velocity route.
     """
     x_mm, y_mm = _axes(field, grid)
+    y_mm = y_mm[::-1]
     variables = _variables(field, grid)
     if map_sigma is not None:
         for names, values in (("uv", map_sigma.displacement_px), ("xy", map_sigma.position_px)):
@@ -79,7 +80,7 @@ def write_netcdf(
         for name, values in variables.items():
             kind = "i4" if values.dtype.kind in "iu" else "f8"
             variable = file.createVariable(name, kind, ("y", "x", "t"))
-            variable[:] = values[:, :, None]
+            variable[:] = values[::-1, :, None]
             variable.units = UNITS.get(name, "1")
             if name in STANDARD:
                 variable.standard_name = STANDARD[name]

@@ -102,7 +102,7 @@ def _pixels(
     row, column = _nearest(correction_map, points)
     off = points - np.stack((column, row), axis=-1)
     jacobian = correction_map.jacobian[0, row, column].reshape(-1, 2, 2).astype(np.float64)
-    found = correction_map.pixel[0, row, column] + (jacobian @ off[:, :, None])[:, :, 0]
+    found: NDArray[np.float64] = correction_map.pixel[0, row, column] + (jacobian @ off[:, :, None])[:, :, 0]
     found[(_branch(correction_map, points) != branch) | (branch < 0) | (np.abs(off) > 1.0).any(axis=1)] = np.nan
     asked = np.nonzero(np.isfinite(found).all(axis=1))[0]
     rays = trace(scene, found[asked])

@@ -5,7 +5,9 @@ import pytest
 from scipy.io import netcdf_file
 
 from correction.evaluate.vector_field import VectorField, VectorFlag
-from correction.evaluate.vector_file import write_netcdf, write_vtk
+from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
+from correction.evaluate.vector_map_sigma import VectorMapSigma
+from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 
 GRID = PlaneGrid((-10.0, 5.0), 0.1, (100, 120))
@@ -41,16 +43,57 @@ def test_netcdf_holds_mm_with_y_up(tmp_path, field):
     with netcdf_file(path, mmap=False) as file:
         assert file.dimensions == {"y": 3, "x": 4, "t": 1}
         assert np.allclose(file.variables["x"][:], -10.0 + 0.1 * field.x_px)
-        assert np.allclose(file.variables["y"][:], 5.0 - 0.1 * field.y_px)
-        u, v = file.variables["u"][:, :, 0], file.variables["v"][:, :, 0]
+        assert np.allclose(file.variables["y"][:], 5.0 - 0.1 * field.y_px[::-1])
+        u, v = file.variables["u"][::-1, :, 0], file.variables["v"][::-1, :, 0]
         assert np.allclose(u, 0.1 * field.u_px, equal_nan=True)
         assert np.allclose(v, -0.1 * field.v_px, equal_nan=True)
         assert file.variables["u"].units == b"mm"
-        assert file.variables["chc"][:, :, 0].tolist() == field.valid.astype(int).tolist()
-        assert file.variables["mask"][0, 0, 0] == 1
+        assert file.variables["chc"][::-1, :, 0].tolist() == field.valid.astype(int).tolist()
+        assert file.variables["mask"][-1, 0, 0] == 1
         assert file.scene_hash == b"abc"
         assert file.Conventions == b"CF-1.8"
     assert [p.name for p in tmp_path.iterdir()] == ["vectors.nc"]
+
+
+def test_the_map_s_sigmas_and_the_route_stand_beside_the_vectors(tmp_path, field):
+    place, way = (scale * np.ones((3, 4, 2)) * (1.0, 2.0) for scale in (0.1, 0.01))
+    place[0, 0] = np.nan
+    traced = np.arange(12).reshape(3, 4) > 8
+    write_netcdf(tmp_path / "vectors.nc", field, GRID, {}, VectorMapSigma(place, way), traced)
+    with netcdf_file(tmp_path / "vectors.nc", mmap=False) as file:
+        read = {
+            name: variable[::-1, :, 0] for name, variable in file.variables.items() if variable.shape == (3, 4, 1)
+        }
+        assert file.variables["map_sigma_x"].units == b"mm"
+    for name, expected in (("u", 0.001), ("v", 0.002), ("x", 0.01), ("y", 0.02)):
+        assert read[f"map_sigma_{name}"][2, 3] == pytest.approx(expected)
+    assert np.isnan(read["map_sigma_x"][0, 0])
+    assert np.array_equal(read["route"], traced)
+
+
+def test_traced_vectors_are_a_list(tmp_path):
+    values = np.arange(6.0).reshape(3, 2)
+    write_traced(
+        tmp_path / "t.nc",
+        PlaneVectors(values, 2 * values, 3 * values, 4 * values, np.array([0, 1, 1], np.uint16)),
+        {},
+    )
+    with netcdf_file(tmp_path / "t.nc", mmap=False) as file:
+        assert file.dimensions == {"vector": 3}
+        assert file.variables["v"][:].tolist() == [2.0, 6.0, 10.0]
+        assert file.variables["sigma_u"][:].tolist() == [0.0, 6.0, 12.0]
+        assert file.variables["branch"][:].tolist() == [0, 1, 1]
+
+
+def test_xarray_and_pivpy_read_it(tmp_path, field):
+    xarray = pytest.importorskip("xarray", reason="xarray is not installed; the layout is checked with scipy")
+    write_netcdf(tmp_path / "vectors.nc", field, GRID, {"scene_hash": "abc"})
+    data = xarray.open_dataset(tmp_path / "vectors.nc", engine="scipy")
+    assert dict(data.sizes) == {"y": 3, "x": 4, "t": 1}
+    assert data.u.attrs["units"] == "mm"
+    assert float(data.v.isel(t=0).sel(x=-10.0 + 4.75, y=5.0 - 3.15, method="nearest")) == pytest.approx(-1.2)
+    pytest.importorskip("pivpy.pivpy", reason="PIVPy is not installed")
+    assert "w" in data.piv.vorticity()
 
 
 def test_vtk_lists_points_and_vectors(tmp_path, field):
