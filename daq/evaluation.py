@@ -78,6 +78,8 @@ class Evaluation:
         Errors, if the true displacement is known.
     map_sigma : VectorMapSigma or None
         What the fitted scene is unsure of, if its fit lies beside it.
+    no_map_sigma : str
+        Why `map_sigma` is None.
     traced : PlaneVectors or None
         Vectors of the velocity route, if asked for.
     routes : Routes or None
@@ -94,13 +96,14 @@ class Evaluation:
     regions: Regions
     shift: ShiftResult | None
     map_sigma: VectorMapSigma | None
+    no_map_sigma: str
     traced: PlaneVectors | None
     routes: Routes | None
     by_velocity: NDArray[np.bool_] | None
 
 
 def evaluate_task(
-    task: Task, dewarp: Dewarp | None, sigma: SceneSigma | None, stage_um: float, route: Route
+    task: Task, dewarp: Dewarp | None, sigma: SceneSigma | str, stage_um: float, route: Route
 ) -> Evaluation:
     """Evaluate one pair.
 
@@ -110,8 +113,8 @@ def evaluate_task(
         The pair.
     dewarp : Dewarp, optional
         Of the camera, where the scene's own lens terms are not trusted.
-    sigma : SceneSigma, optional
-        Uncertainty of the fitted scene; it does not hold for a dewarped camera.
+    sigma : SceneSigma or str
+        Uncertainty of the fitted scene, or why there is none.
     stage_um : float
         Standard error of the stage.
     route : {"image", "compare", "best"}
@@ -136,7 +139,8 @@ def evaluate_task(
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)
     stage_px = stage_um * 1e-3 * grid.px_per_mm
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
-    unsure = vector_map_sigma(field, corrector.map, scene, sigma) if sigma is not None else None
+    why = sigma if isinstance(sigma, str) else ""
+    unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
     return Evaluation(
-        task, corrector, frame_a, corrected_a, field, regions, result, unsure, traced, routes, by_velocity
+        task, corrector, frame_a, corrected_a, field, regions, result, unsure, why, traced, routes, by_velocity
     )

@@ -22,6 +22,7 @@ from correction.evaluate.velocity_route import PlaneVectors
 from tracer.scene import Scene
 
 DIRECT = "seen directly"
+CLEARLY = 0.95  # a route is better if its error is at most this share of the other's; else the image route stays
 Rings = Mapping[tuple[float, float], Scatter]
 
 
@@ -49,8 +50,9 @@ class Routes:
         if velocity is None or not velocity.count:
             return False
         if self.known:
-            return velocity.rms_px < image.rms_px
-        return float(np.sum(np.square(velocity.sigma_px))) < float(np.sum(np.square(image.sigma_px)))
+            return velocity.rms_px < CLEARLY * image.rms_px
+        one, two = (float(np.sqrt(np.sum(np.square(scatter.sigma_px)))) for scatter in (image, velocity))
+        return two < CLEARLY * one
 
     def rows(self) -> list[tuple[str, Scatter, Scatter | None, str]]:
         """Region, both scatters, and which is better."""

@@ -1,7 +1,8 @@
 """Vectors on disk: NetCDF for programs, VTK for pictures.
 
 NetCDF (classic, 64-bit offsets) in the layout that PIVPy and xarray read: dimensions (y, x, t), coordinates in mm
-with y UP and both axes rising, so that row 0 of the file is the lowest of the image.  Everything has the dimensions (y, x, t):
+with y UP and both axes rising, so that row 0 of the file is the lowest of the image.  Everything has the
+dimensions (y, x, t):
 
     u, v                    displacement [mm per pair], NaN where there is no vector
     chc, mask, flag         1 = measured; 1 = masked; VectorFlag

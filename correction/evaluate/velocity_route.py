@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import PairError
+from correction.evaluate.outliers import outliers
 from correction.evaluate.piv import PivSettings, evaluate_pair
 from correction.evaluate.vector_field import VectorField
 from tracer.ray_map import RayMap
@@ -91,7 +92,7 @@ def velocity_route(
         raise PairError("no ray of this scene reaches the plane; look at the scene with rtpiv trace")
     settings = settings or RAW_SETTINGS
     parts = [
-        _on_plane(evaluate_pair(frame_a, frame_b, mask, settings=settings), number, scene)
+        _on_plane(evaluate_pair(frame_a, frame_b, mask, settings=settings), number, scene, settings)
         for number, mask in _usable_branches(ray_map, scene, settings.windows_px[-1])
     ]
     if not parts:
@@ -123,9 +124,13 @@ def _usable_branches(ray_map: RayMap, scene: Scene, window_px: int) -> list[tupl
 
 
 def _on_plane(
-    field: VectorField, number: int, scene: Scene
+    field: VectorField, number: int, scene: Scene, settings: PivSettings
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint16]]:
-    """Trace both ends of every measured vector of a branch."""
+    """Trace both ends of every measured vector of a branch; what then does not fit its neighbours is left out.
+
+    Glass distorts raw displacements so much that a wrong one may well fit its neighbours on the sensor; on the
+    plane the flow is smooth and it does not.
+    """
     centre = field.grid_px[field.valid]
     shift = np.stack((field.u_px, field.v_px), axis=-1)[field.valid]
     sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[field.valid]
@@ -135,7 +140,12 @@ def _on_plane(
     good &= np.isfinite(rate).all(axis=(1, 2)) & np.isfinite(sigma).all(
         axis=1
     )  # without sigma, no peak to speak of
+    step = last.plane_mm - first.plane_mm
+    scale_px_mm = scene.camera.focal_px / scene.camera.position_mm[2]
+    plane, measured = np.full((*field.flags.shape, 2), np.nan), np.zeros(field.flags.shape, bool)
+    plane[field.valid], measured[field.valid] = scale_px_mm * step, good
+    wrong = outliers(plane, measured, settings.outlier_threshold, settings.outlier_epsilon_px)
+    good &= ~wrong[field.valid]
     sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate[good] ** 2, sigma[good] ** 2))
     middle = 0.5 * (first.plane_mm + last.plane_mm)[good]
-    step = (last.plane_mm - first.plane_mm)[good]
-    return middle, step, sigma_mm, centre[good], np.full(int(good.sum()), number, np.uint16)
+    return middle, step[good], sigma_mm, centre[good], np.full(int(good.sum()), number, np.uint16)

@@ -20,8 +20,9 @@ from tracer.scene import Scene
 EVERY = 2  # vectors drawn along each axis
 INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
 SERIES = ("#2b6a99", "#b4472f", "#6a8f3c", "#8a5a9e")
-HEAT = LinearSegmentedColormap.from_list("heat", ("#fbf7ea", "#f4cf6b", "#dd7a3a", "#a8323e", "#451a3f"))
-HEAT.set_bad(NOTHING)
+HEAT = LinearSegmentedColormap.from_list(
+    "heat", ("#fbf7ea", "#f4cf6b", "#dd7a3a", "#a8323e", "#451a3f")
+).with_extremes(bad=NOTHING)
 
 Floats = NDArray[np.float64]
 

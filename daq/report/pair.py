@@ -165,9 +165,7 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     caption = "Root mean square of the standard uncertainty of a component [px of the corrected frame]"
     page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
     if evaluation.map_sigma is None:
-        page.text(
-            "What the map itself is unsure of is not known: " + (evaluation.task.note or "no fit was given.")
-        )
+        page.text(f"What the map itself is unsure of is not known: {evaluation.no_map_sigma}.")
         return
     page.text(
         "Random: correlation statistics of each vector. Map: the covariance of the scene fit, carried through the "

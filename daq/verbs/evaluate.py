@@ -81,9 +81,9 @@ def evaluate(
             "the velocity route traces raw pixels; give the camera's lens terms in the scene, no dewarp"
         )
     tasks, fitted = _tasks(paths, out, scene, shift_mm)
-    sigma, why = _scene_sigma(scene, fitted, target_clear is not None)
-    if why:
-        screen.print(f"no uncertainty of the map: {why}")
+    sigma = _scene_sigma(scene, fitted, target_clear is not None)
+    if isinstance(sigma, str):
+        screen.print(f"no uncertainty of the map: {sigma}")
     dewarp: Dewarp | None = None
     if target_clear is not None:
         clear = read_frame(target_clear, fitted.camera.shape)
@@ -91,7 +91,7 @@ def evaluate(
     found = []
     for task in tasks:
         evaluation = evaluate_task(task, dewarp, sigma, stage_um, route)
-        _write(evaluation, why, vtk)
+        _write(evaluation, vtk)
         _print(screen, evaluation)
         found.append(evaluation)
     return found
@@ -127,21 +127,21 @@ def _tasks(
     return [Task(name, (paths[0], paths[1]), loaded, out, shift_mm)], loaded
 
 
-def _scene_sigma(scene: Path | None, fitted: Scene, dewarped: bool) -> tuple[SceneSigma | None, str]:
+def _scene_sigma(scene: Path | None, fitted: Scene, dewarped: bool) -> SceneSigma | str:
     """Uncertainty of the scene from the fit beside its file, or why there is none."""
     if scene is None or not scene.with_name(FIT_FILE).is_file():
-        return None, "there is no fit beside the scene; run rtpiv calibrate"
+        return "there is no fit beside the scene; run rtpiv calibrate"
     if dewarped:
-        return None, "the fit does not hold for a dewarped camera"
+        return "the fit does not hold for a dewarped camera"
     try:
         sigma = SceneSigma.load(scene.with_name(FIT_FILE))
         sigma.check(fitted)
     except TracerError as error:
-        return None, str(error)
-    return sigma, ""
+        return str(error)
+    return sigma
 
 
-def _write(evaluation: Evaluation, why: str, vtk: bool) -> None:
+def _write(evaluation: Evaluation, vtk: bool) -> None:
     """Write the folder of a pair, the page last."""
     task, field, grid = evaluation.task, evaluation.field, evaluation.corrector.map.grid
     out = task.out
@@ -153,7 +153,7 @@ def _write(evaluation: Evaluation, why: str, vtk: bool) -> None:
         write_traced(out / "vectors_velocity.nc", evaluation.traced, about)
     if vtk:
         write_vtk(out / "vectors.vtk", field, grid)
-    summary: dict[str, Any] = {**about, "note": task.note, "no_map_sigma": why}
+    summary: dict[str, Any] = {**about, "note": task.note, "no_map_sigma": evaluation.no_map_sigma}
     summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels}
     summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
     if evaluation.shift is not None:

@@ -1,0 +1,128 @@
+"""`rtpiv report` on small runs that lie on the disk as an acquisition leaves them."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from correction.frame_file import write_frame
+from correction.grid import grid_of
+from daq.cli import DONE, USAGE, main
+from daq.conservation import Ledger
+from daq.journal import Journal
+from daq.run_folder import RunFolder, write_json
+from sim.patterns import Chessboard, printed_particles
+from sim.renderer import render
+from sim.sensor import Sensor
+from tests.correction.small_scenes import small_scene
+from tracer.scene_file import dump_scene
+
+SIZE_PX = 336
+SHIFT_MM = (0.9, 0.6, 0.0)
+
+
+def run_folder(path, name, prints, done=True):
+    """A run whose frames show `prints`: (tag, view, print's name, print, reference or None)."""
+    scene = small_scene("two_spheres_500", SIZE_PX)
+    steps = [
+        {"index": k, "tag": tag, "first_frame": k, "frames": 1, "view": view, "shows": shows, "on_plane": True,
+         "reference": reference}
+        for k, (tag, view, shows, _, reference) in enumerate(prints)
+    ]  # fmt: skip
+    about = {"name": name, "plan": f"experiment: {name}\n", "bench": "name: bench\n", "scene": dump_scene(scene)}
+    about |= {"square_mm": 8.0, "hashes": {"plan": "p1", "scene": scene.content_hash()}}
+    about |= {"versions": {"python": "3"}, "steps": steps, "request": {}}
+    folder = RunFolder.create(path, name, about)
+    journal = Journal(folder.journal_path)
+    for k, (_, view, _, print_, _) in enumerate(prints):
+        seen = scene if view == "glass" else scene.with_bodies(())
+        image = render(seen, print_, Sensor(), samples=3, seed=k)
+        write_frame(folder.frame_path(k), image, 1.0, {})
+        journal.append("frame", frame=k, file=f"frames/{k:06d}.tif")
+        journal.append("step", step=k)
+    journal.close()
+    if done:
+        books = Ledger(triggered=len(prints), written=len(prints)).to_dict()
+        latency = {"p50": 12.0, "p99": 20.0}
+        flow = [{"corrected_live": 1, "skipped_live": 0, "latency_ms": latency}]
+        write_json(folder.path / "done.json", {"conservation": books, "flow": flow})
+    return folder
+
+
+@pytest.fixture(scope="module")
+def shift_run(tmp_path_factory):
+    """Glass and clear pairs, and one that moved out of the plane."""
+    scene = small_scene("two_spheres_500", SIZE_PX)
+    scale = scene.camera.focal_px / scene.camera.position_mm[2]
+    sheet = printed_particles((190.0, 190.0), scale, seed=3)
+    moved = sheet.displaced(SHIFT_MM[:2])
+    pairs = [("clear_b", "clear", SHIFT_MM), ("glass_b", "glass", SHIFT_MM), ("deep_b", "glass", (0.9, 0.6, -0.5))]
+    prints, found = [], []
+    for tag, view, shift in pairs:
+        frames = [len(prints), len(prints) + 1]
+        prints.append((tag.replace("_b", "_a"), view, "particles", sheet, None))
+        prints.append((tag, view, "particles", moved, frames[0]))
+        found.append({"tag": tag, "frames": frames, "commanded_mm": shift, "measured_mm": shift, "true_mm": None})
+    folder = run_folder(tmp_path_factory.mktemp("runs"), "shift", prints)
+    write_json(folder.path / "displacements.json", found)
+    assert main(["report", str(folder.path)]) == DONE
+    return folder.path
+
+
+def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
+    text = (shift_run / "report" / "report.html").read_text()
+    headings = re.findall("<h2>(.*?)</h2>", text)
+    for heading in ("Pairs of this run", "Acquired, corrected, recovered", "Displacement", "Uncertainty",
+                    "Errors against the known shift", "Image route and velocity route", "Images", "Scene",
+                    "What the stages did", "Every frame accounted for", "Provenance"):  # fmt: skip
+        assert heading in headings
+    assert "6 triggered = 6 written" in text
+    assert "there is no fit beside the scene" in text
+    assert "deep_b: moved by -0.500 mm along z" in text
+    for tag in ("clear_b", "glass_b", "deep_b"):
+        assert (shift_run / "report" / tag / "vectors.nc").is_file()
+        assert (shift_run / "report" / tag / "report.html").is_file()
+    for name in ("vectors", "uncertainty", "errors", "intensity", "radius", "scene"):
+        assert (shift_run / "report" / f"{name}.svg").is_file()
+        assert (shift_run / "report" / f"{name}.png").is_file()
+
+
+def test_errors_are_stated_where_one_shift_is_true_for_all(shift_run):
+    summaries = {
+        tag: json.loads((shift_run / "report" / tag / "evaluation.json").read_text())
+        for tag in ("clear_b", "glass_b", "deep_b")
+    }
+    assert "shift" not in summaries["deep_b"]
+    assert "along z" in summaries["deep_b"]["note"]
+    pitch = grid_of(small_scene("two_spheres_500", SIZE_PX).camera).pitch_mm
+    for tag in ("clear_b", "glass_b"):
+        shift = summaries[tag]["shift"]
+        assert shift["shift_px"] == pytest.approx([SHIFT_MM[0] / pitch, -SHIFT_MM[1] / pitch])
+        assert np.abs(shift["regions"]["seen directly"]["bias_px"]).max() < 0.03
+    assert set(summaries["glass_b"]["vectors"]) == {"valid", "masked", "replaced", "rejected"}
+    assert summaries["glass_b"]["routes"][0]["better"] in ("image", "velocity")
+    assert summaries["glass_b"]["no_map_sigma"].startswith("there is no fit")
+
+
+def test_a_target_run_shows_its_first_frame_through_the_glass(tmp_path):
+    board = Chessboard(8.0, 3.2)
+    prints = [(f"target_{view}", view, "chessboard", board, None) for view in ("clear", "glass")]
+    folder = run_folder(tmp_path, "target", prints, done=False)
+    assert main(["report", str(folder.path), "-o", str(tmp_path / "page")]) == DONE
+    text = (tmp_path / "page" / "report.html").read_text()
+    assert "Position error of target corners" in text
+    assert "000001.tif, target_glass" in text
+    assert "The run is not finished" in text
+
+
+def test_what_is_no_run_or_holds_nothing_is_one_sentence(tmp_path, capsys):
+    assert main(["report", str(tmp_path)]) == USAGE
+    assert "is no run folder" in capsys.readouterr().err
+    folder = run_folder(tmp_path, "target", [])
+    assert main(["report", str(folder.path)]) == USAGE
+    assert "holds no frame yet" in capsys.readouterr().err
+    (folder.path / "done.json").write_text("{")
+    (folder.path / "displacements.json").write_text("[]")
+    assert main(["report", str(folder.path)]) == USAGE
+    assert "no displacement is complete" in capsys.readouterr().err
