@@ -41,7 +41,7 @@ lint: $(STAMP)
 picture: demo
 	chromium --headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking \
 	  --hide-scrollbars --window-size=900,1560 --user-data-dir=demo/browser \
-	  --screenshot=docs/images/report.png "file://$(CURDIR)/$$(ls -t demo/shift/*/report.html | head -1)"
+	  --screenshot=docs/images/report.png "file://$(CURDIR)/demo/report/report.html"
 	cp demo/fitted/overview.png docs/images/overview.png
 	rm -rf demo/browser
 

@@ -17,9 +17,9 @@ from daq.evaluation import Evaluation, Route, Task, evaluate_task
 from daq.report.page import Page
 from daq.report.pair import pair_chapters, pair_tiles
 from daq.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
-from daq.run_folder import write_json
 from daq.run_views import is_run, scene_text, shift_pairs
 from daq.terminal import console
+from daq.whole_text import write_json, write_text
 from tracer.errors import TracerError
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -106,7 +106,7 @@ def _tasks(
         if scene is None:
             out.mkdir(parents=True, exist_ok=True)
             scene = out / "scene.yaml"
-            scene.write_text(scene_text(paths[0]), encoding="utf-8")
+            write_text(scene, scene_text(paths[0]))
         loaded = load_scene(scene)
         tasks = []
         for pair in pairs:

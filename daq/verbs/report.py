@@ -21,6 +21,7 @@ from daq.run_folder import RunFolder
 from daq.run_views import first_view, scene_text
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate
+from daq.whole_text import write_text
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -72,7 +73,7 @@ def report(
     given = scene
     if scene is None:
         scene = out / "scene.yaml"
-        scene.write_text(scene_text(run), encoding="utf-8")
+        write_text(scene, scene_text(run))
     loaded, square_mm = load_scene(scene), float(about["square_mm"])
     page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}")
     if (run / "displacements.json").is_file():

@@ -11,7 +11,8 @@ from correction.grid import grid_of
 from daq.cli import DONE, USAGE, main
 from daq.conservation import Ledger
 from daq.journal import Journal
-from daq.run_folder import RunFolder, write_json
+from daq.run_folder import RunFolder
+from daq.whole_text import write_json
 from sim.patterns import Chessboard, printed_particles
 from sim.renderer import render
 from sim.sensor import Sensor
