@@ -1,4 +1,4 @@
-"""10 Hz pairs (20 frames/s) through Harvesters to the disk, corrected as they arrive: losses, latency, rates.
+"""10 Hz pairs (20 frames/s) to the disk, corrected as they arrive, through Harvesters or Aravis: losses, latency.
 
     python -m benchmarks.pipeline --seconds 60 --method bilinear -o benchmarks/results
 
@@ -31,7 +31,7 @@ from sim.sensor import Sensor
 
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples"
 SETTINGS = """camera:
-  backend: harvesters
+  backend: {backend}
   settings: {{PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerSelector: FrameStart, TriggerMode: "Off",
              AcquisitionFrameRate: {rate_hz}}}
   buffers: 32
@@ -39,7 +39,7 @@ SETTINGS = """camera:
 """
 
 
-def write_bench(folder: Path, rate_hz: float) -> Path:
+def write_bench(folder: Path, rate_hz: float, backend: str) -> Path:
     """The example bench with a free-running camera that replays rendered frames."""
     (folder / "ring").mkdir()
     scene = named_scene("two_spheres_500")
@@ -50,17 +50,21 @@ def write_bench(folder: Path, rate_hz: float) -> Path:
     text = (EXAMPLE / "bench-sim.yaml").read_text(encoding="utf-8")
     head, rest = text.split("camera:\n  backend", 1)
     rest = rest[rest.index("simulation:") :].replace("  seed: 7\n", "  seed: 7\n  ring: ring\n")
-    (folder / "bench.yaml").write_text(head + SETTINGS.format(rate_hz=rate_hz) + rest, encoding="utf-8")
+    (folder / "bench.yaml").write_text(
+        head + SETTINGS.format(rate_hz=rate_hz, backend=backend) + rest, encoding="utf-8"
+    )
     (folder / "two_spheres_500.yaml").write_bytes((EXAMPLE / "two_spheres_500.yaml").read_bytes())
     return folder / "bench.yaml"
 
 
-def measure(folder: Path, seconds: float, rate_hz: float, method: Any, correct: bool) -> dict[str, Any]:  # noqa: ANN401
+def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Run the stream once; return books, latencies and times."""
-    bench = load_bench(write_bench(folder, rate_hz))
-    (folder / "plan.yaml").write_text(f"experiment: stream\nview: glass\nframes: {round(seconds * rate_hz)}\n")
+    bench = load_bench(write_bench(folder, options.rate_hz, options.backend))
+    count = round(options.seconds * options.rate_hz)
+    (folder / "plan.yaml").write_text(f"experiment: stream\nview: glass\nframes: {count}\n")
     plan = load_plan(folder / "plan.yaml", bench)
-    request = Request(bench.path, plan.path, simulate=True, correct=correct, method=method, live_queue=1)
+    correction = {"correct": options.correct, "method": options.method, "live_queue": options.live_queue}
+    request = Request(bench.path, plan.path, simulate=True, **correction)
     run = begin(request, bench, plan, folder / "runs")
     meter: list[ProcessorTime] = []
     carried: dict[str, Any] = {}
@@ -103,14 +107,19 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--rate-hz", type=float, default=20.0)
     parser.add_argument("--method", choices=("quintic", "bilinear"), default="quintic")
+    parser.add_argument("--backend", choices=("harvesters", "aravis"), default="harvesters")
+    parser.add_argument("--live-queue", type=int, default=1)
     parser.add_argument("--no-correct", dest="correct", action="store_false")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out) as folder:  # the disk that is measured
         began_s = time.monotonic()
-        found = measure(Path(folder), options.seconds, options.rate_hz, options.method, options.correct)
+        found = measure(
+            Path(folder), options.seconds, options.rate_hz, options.method, options.correct, options.backend
+        )
         found["wall_s"] = round(time.monotonic() - began_s, 1)
     found |= {"method": options.method if options.correct else "raw only", "seconds": options.seconds}
+    found["backend"] = options.backend
     (options.out / "pipeline.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
     Console().print(found)
 

@@ -24,6 +24,7 @@ from correction.resample import Method
 from daq.errors import DiskError
 from daq.priority import step_back
 from daq.steps import CLEAR, Step
+from daq.whole_text import why
 from tracer.errors import TracerError
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
@@ -89,7 +90,7 @@ class Corrections:
         try:
             write_frame(path, stored, grid.px_per_mm, about)
         except OSError as error:
-            raise DiskError(f"{path}: {error.strerror}; make room, then resume the run") from error
+            raise DiskError(f"{path}: {why(error)}; make room, then resume the run") from error
 
     def write_masks(self, folder: Path) -> None:
         """Write the mask of every prepared view."""

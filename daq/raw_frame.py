@@ -16,6 +16,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from daq.errors import DiskError
+from daq.whole_text import why
 from tracer.whole_file import whole_file
 
 
@@ -57,8 +58,7 @@ def write_raw(path: Path, pixels: NDArray[np.uint16], about: dict[str, Any]) -> 
                 metadata=None,
             )
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise DiskError(f"{path}: {reason}; make room or mend the disk, then resume the run") from error
+        raise DiskError(f"{path}: {why(error)}; make room or mend the disk, then resume the run") from error
 
 
 def read_raw(path: Path) -> tuple[NDArray[np.uint16], dict[str, Any]]:

@@ -22,7 +22,7 @@ def write_text(path: Path, text: str) -> None:
             stream.write(text.encode())
         sync_folder(path.parent)
     except OSError as error:
-        raise DiskError(f"{path}: {error.strerror}; make room, then try again") from error
+        raise DiskError(f"{path}: {why(error)}; make room, then try again") from error
 
 
 def write_json(path: Path, tree: Any) -> None:  # noqa: ANN401 - anything JSON can hold
@@ -37,3 +37,8 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def why(error: OSError) -> str:
+    """Reason of a failed write; arrays that the disk took only a part of come without one."""
+    return error.strerror or f"the disk is full, it took only a part ({error})"

@@ -1,9 +1,10 @@
-"""The simulated bench: emulators behind serial lines, a camera behind a GenTL producer, one world behind both.
+"""The simulated bench: emulators behind serial lines, a camera behind its transport, one world behind both.
 
 The world knows three elements: camera, glass, target.  Motors carry them, with play, lead error and whole steps,
 so an element stands where its screw has really brought it, not where a controller says.  The camera's pictures are
 rendered at these TRUE places, with a camera, glass and aim that are all a little off the scene file (`misaligned`,
-by the seed): what a bench does to an experimenter.  The target's plane is z = 0 of the scene.
+by the seed): what a bench does to an experimenter.  The target's plane is z = 0 of the scene.  The camera stands
+behind a GenTL producer; if the bench file's backend is `aravis`, it is a GigE Vision device on the loopback.
 
     simulation:
       bench: "sim.bench:SimulatedBench"
@@ -36,6 +37,7 @@ from daq.bench_file import Bench, CameraSection
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
 from sim.camera.gentl import write_producer
+from sim.camera.gige.process import device_process
 from sim.camera.remote import FrameServer
 from sim.clock import ScaledClock, VirtualClock
 from sim.demo_scenes import misaligned
@@ -219,9 +221,15 @@ class SimulatedBench:
             server = FrameServer(self.world, folder, width, height)
             self._stack.callback(server.close)
             config = replace(config, source="sim.camera.remote:RemoteSource", source_arguments=server.arguments())
-        cti = write_producer(folder / "bench.cti", [config])
-        options = {"cti": str(cti), "serial": SERIAL}
-        return bench.table.camera.model_copy(update={"backend": "harvesters", "options": options})
+        if bench.table.camera.backend == "aravis":
+            return _section_with(bench, "aravis", address=self._stack.enter_context(device_process(config)))
+        return _section_with(
+            bench, "harvesters", cti=str(write_producer(folder / "bench.cti", [config])), serial=SERIAL
+        )
+
+
+def _section_with(bench: Bench, backend: str, **options: str) -> CameraSection:
+    return bench.table.camera.model_copy(update={"backend": backend, "options": options})
 
 
 def _section(bench: Bench) -> SimulationTable:

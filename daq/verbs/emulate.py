@@ -26,7 +26,9 @@ def emulate(bench: Path, shows: str = "chessboard", for_s: float | None = None) 
     try:
         for name, controller in simulation.stages.controllers.items():
             screen.print(f"controller {name}: {controller.driver} on {controller.port}")
-        screen.print(f"camera: GenTL producer {simulation.camera.options['cti']}", soft_wrap=True)
+        options = simulation.camera.options
+        camera = f"GenTL producer {options['cti']}" if "cti" in options else f"GigE Vision at {options['address']}"
+        screen.print(f"camera: {camera}", soft_wrap=True)
         screen.print("Ctrl-C ends it")
         end_s = None if for_s is None else time.monotonic() + for_s
         while end_s is None or time.monotonic() < end_s:

@@ -6,8 +6,6 @@ everything down again.
 
 import ctypes
 import importlib.util
-import itertools
-import os
 from pathlib import Path
 
 import pytest
@@ -16,8 +14,7 @@ from daq.camera import Camera
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
 from sim.camera.gige import GigeDevice
-
-_hosts = itertools.count(1)
+from sim.camera.gige.process import loopback_address
 
 
 def need_harvesters():
@@ -30,12 +27,6 @@ def need_aravis():
         ctypes.CDLL("libaravis-0.8.so.0")
     except OSError:
         pytest.skip("libaravis-0.8.so.0 is not installed (apt-get install libaravis-0.8-0)")
-
-
-def loopback_address():
-    """An address of this machine that no other test process uses: port 3956 is fixed by the standard."""
-    number = next(_hosts)
-    return f"127.{20 + os.getpid() % 200}.{1 + os.getpid() // 200 % 250}.{number}"
 
 
 class HarvestersRig:

@@ -1,17 +1,16 @@
 """The rate of the paper's bench: 10 Hz double-frames, 2016 x 2016, 12 bit, nothing lost."""
 
-import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
-from rigs import loopback_address, need_aravis, need_harvesters
+from rigs import need_aravis, need_harvesters
 
 from daq.cameras.aravis import AravisCamera
 from daq.cameras.harvesters import HarvestersCamera
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
+from sim.camera.gige.process import device_process
 
 SIDE, SECONDS = 2016, 60
 SETTINGS = {
@@ -82,11 +81,7 @@ def test_every_frame_of_a_minute_through_aravis_is_accounted_for(ring):
     """
     need_aravis()
     config, frames = ring
-    address = loopback_address()
-    command = [sys.executable, "-m", "sim.camera.gige", address, config.to_json()]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as device:
-        device.stdout.readline()
+    with device_process(config) as address:
         rate, _, counters = run(AravisCamera(address), frames)
-        device.stdin.close()
     assert rate > 10
     assert counters.lost < 0.01 * counters.delivered

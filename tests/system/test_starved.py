@@ -1,0 +1,51 @@
+"""A stream that computer or disk cannot follow: it ends with the reason, and every frame is in the books."""
+
+import time
+
+import numpy as np
+import pytest
+from small_bench import write_bench
+
+from daq import pipeline
+from daq.cli import DEVICE, main
+from daq.raw_frame import checksum, read_raw, write_raw
+from daq.run_folder import RunFolder, frame_entries
+
+pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
+
+FRAMES, SIDE_PX = 200, 64
+CAMERA = """camera:
+  backend: harvesters
+  settings: {PixelFormat: Mono12p, ExposureTime: 100.0, TriggerMode: "Off", AcquisitionFrameRate: 200.0}
+  buffers: 4
+  timeout_s: 5.0
+"""
+
+
+def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, monkeypatch, capsys):
+    write_bench(tmp_path, SIDE_PX, "ring: ring\nrow_time_us: 1.0", CAMERA)
+    (tmp_path / "ring").mkdir()
+    np.save(tmp_path / "ring" / "0.npy", np.full((SIDE_PX, SIDE_PX), 100, np.uint16))
+    (tmp_path / "plan.yaml").write_text(f"experiment: stream\nview: clear\nframes: {FRAMES}\n")
+
+    def slow(path, pixels, about):
+        time.sleep(0.1)  # two writers: 20 frames/s
+        write_raw(path, pixels, about)
+
+    monkeypatch.setattr(pipeline, "write_raw", slow)
+    options = ["--bench", str(tmp_path / "bench.yaml"), "-o", str(tmp_path / "runs"), "--simulate", "--home"]
+    assert main(["acquire", str(tmp_path / "plan.yaml"), *options, "--no-correct"]) == DEVICE
+    said = capsys.readouterr().err
+    assert "no buffer was free (disk or computer too slow)" in said
+    assert "rtpiv resume" in said
+
+    run = RunFolder(next((tmp_path / "runs").glob("*_plan")))
+    assert not run.is_done
+    books = next(entry for entry in run.entries() if entry["kind"] == "counts")["books"]
+    assert books["imbalance"] == 0
+    assert books["underrun"] > 50
+    assert books["missing"] == books["unwritten"] == 0
+    frames = frame_entries(run.entries())
+    assert len(frames) == books["written"] > 4
+    for number, entry in frames.items():
+        assert checksum(read_raw(run.frame_path(number))[0]) == entry["crc32"]
