@@ -71,6 +71,7 @@ class Controller(ABC):
     default_baud: ClassVar[int]
     example_channels: ClassVar[tuple[str, str]]  # two valid names, for messages and contract tests
     hold_dtr: ClassVar[bool] = False
+    wakes_within_s: ClassVar[float] = 0.0  # deaf after opening for as long as this, because opening resets it
     counts_steps: ClassVar[bool] = False  # the protocol speaks steps, so every channel needs steps_per_mm
     homes_together: ClassVar[bool] = False  # one command homes every channel
     senses_stall: ClassVar[bool] = False  # an encoder notices when the motor does not follow
@@ -130,13 +131,23 @@ class Controller(ABC):
         self._suspect = self._stopped = False
         self._reset_state()
         self.port.drain(QUIET_S)
-        identity = self._agreed(self._identify)
+        identity = self._agreed(self._woken)
         if not first_time and identity != self.identity:
             raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
         self.identity = identity
         self._set_up()
         if first_time:  # after a loss nobody vouches for the position, whatever the controller says
             self._referenced |= {name for name in self._channels if self._remembers_reference(name)}
+
+    def _woken(self) -> str:
+        """Ask who answers until somebody does, or the time is over in which the controller may still wake up."""
+        end_s = self.clock.now_s() + self.wakes_within_s
+        while True:
+            try:
+                return self._identify()
+            except (NoReply, ProtocolViolation):
+                if self.clock.now_s() >= end_s:
+                    raise
 
     def close(self) -> None:
         """Close the port; safe at any time."""

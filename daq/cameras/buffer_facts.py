@@ -70,15 +70,19 @@ def frame_id(buffer: Any) -> int | None:  # noqa: ANN401
 
 
 def timestamp_ns(buffer: Any) -> int:  # noqa: ANN401
-    """Camera clock; 0 if it has none."""
-    return _told(buffer, "timestamp_ns", "timestamp") or 0
+    """Camera clock; 0 if it has none, or one whose ticks nobody knows."""
+    found = _told(buffer, "timestamp_ns")
+    if found is not None:
+        return found
+    ticks, per_s = _told(buffer, "timestamp"), _told(buffer.parent.parent, "timestamp_frequency")
+    return round(ticks * 1e9 / per_s) if ticks and per_s else 0
 
 
-def _told(buffer: Any, *names: str) -> int | None:  # noqa: ANN401
+def _told(module: Any, *names: str) -> int | None:  # noqa: ANN401
     """First answer that is available."""
     for name in names:
         try:
-            return int(getattr(buffer, name))
+            return int(getattr(module, name))
         except gentl.GenericException:
             continue
     return None

@@ -71,10 +71,11 @@ def apply_settings(nodes: Nodes, settings: Mapping[str, Setting]) -> dict[str, S
             raise SettingRefused(f"{asked} = {value} is no number a camera could take")
     if "Width" in settings or "Height" in settings:
         for offset in ("OffsetX", "OffsetY"):
-            if nodes.has(offset):
+            if nodes.has(offset) and nodes.get(offset) != 0:  # a fixed region lets nobody write a 0 either
                 nodes.set(offset, 0)
-    if "AcquisitionFrameRate" in settings and nodes.has("AcquisitionFrameRateEnable"):
-        nodes.set("AcquisitionFrameRateEnable", True)
+    enable = "AcquisitionFrameRateEnable"
+    if "AcquisitionFrameRate" in settings and nodes.has(enable) and nodes.get(enable) is not True:
+        nodes.set(enable, True)
     if any(name.startswith("Trigger") for name in settings):
         _triggers_off(nodes)
     for asked in sorted(settings, key=_rank):

@@ -33,12 +33,18 @@ class GrblEmulator(Emulator):
         X, Y, Z.
     settings : mapping of int to float
         Settings ($n) other than the board's defaults.
+    boot_s : float
+        Time that the boot loader takes from now on; nothing is heard meanwhile, and a banner ends it.
     """
 
     zero_at_top = True
 
     def __init__(
-        self, motors: Mapping[str, Motor], clock: Clock, settings: Mapping[int, float] | None = None
+        self,
+        motors: Mapping[str, Motor],
+        clock: Clock,
+        settings: Mapping[int, float] | None = None,
+        boot_s: float = 0.0,
     ) -> None:
         super().__init__(motors, clock)
         self._stream = grbl.CommandStream()
@@ -61,16 +67,15 @@ class GrblEmulator(Emulator):
         self._queue: deque[tuple[dict[str, float], float]] = deque()
         self._homing: deque[str] = deque()
         self._phase = ""
+        self._boots_until_s: float | None = self.event_s + boot_s if boot_s else None
         for name, motor in self.motors.items():
             motor.listener = self.hear(name)
-
-    def power_up(self) -> None:
-        """Say what a board says when its port is opened with DTR."""
-        self._greet()
 
     # ---- input ---------------------------------------------------------------------------------
 
     def _take(self, data: bytes) -> None:
+        if self._boots_until_s is not None:
+            return
         for command in self._stream.feed(data):
             if isinstance(command, grbl.RealTime):
                 self._real_time(command.code)
@@ -83,6 +88,9 @@ class GrblEmulator(Emulator):
         self._work()
 
     def _tick(self, now_s: float) -> None:
+        if self._boots_until_s is not None and now_s >= self._boots_until_s:
+            self._boots_until_s = None
+            self._greet()
         if self._message_s is not None and now_s >= self._message_s:
             self.say(grbl.Feedback("MSG", "Reset to continue").to_bytes(), self._message_s)
             self._message_s = None

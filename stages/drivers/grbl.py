@@ -7,7 +7,8 @@ with the bench file, never written (every write wears the EEPROM and blocks the 
 
 During ``$H`` no status is answered; its end is the ``ok``. After a hard limit (ALARM:1) the board takes nothing
 but a reset, and throws that away if it comes before ``[MSG:Reset to continue]``. DTR is held low because it
-resets most boards. There is no encoder: a stalled motor is not noticed.
+resets most boards; the system raises it on opening all the same, so a board may be deaf for the two seconds of its
+boot loader. There is no encoder: a stalled motor is not noticed.
 """
 
 from collections.abc import Sequence
@@ -43,6 +44,7 @@ class GrblController(Controller):
     default_baud = 115_200
     example_channels = ("X", "Y")
     hold_dtr = True
+    wakes_within_s = 4.0
     homes_together = True
 
     _settings: dict[int, float]

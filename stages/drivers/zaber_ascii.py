@@ -5,8 +5,9 @@ controller's units: microsteps/s x 1.6384, microsteps/s2 x 1.6384/10000 (Zaber, 
 Appendix).
 
 Every command carries a number that comes back with its answer, so a late answer is recognised and skipped. With
-the flag WR or WH the position means nothing. FS, FQ, FD (stalled, encoder, driver off) and WL (unexpected
-limit) end a motion and stay until ``warnings clear``, which homing sends first.
+the flag WR or WH the position means nothing. Every flag that begins with F is a fault that has ended the motion,
+and so is WL (unexpected limit); they stay until ``warnings clear``, which homing sends first. An answer carries
+only the flag that matters most, so what else is wrong is asked for with ``warnings``.
 """
 
 import re
@@ -29,7 +30,13 @@ PER_SECOND = 1.6384
 LARGEST_SETTING = 2**31 - 1
 STOP_ID = 99  # answers to a stop belong to nobody and are skipped
 
-STALLED = {"FS": "stalled", "FQ": "has an encoder error", "FD": "has its driver switched off", "FE": "hit a fault"}
+FAULTS = {
+    "FS": "stalled", "FQ": "has an encoder error", "FD": "has its driver switched off",
+    "FE": "found no limit sensor", "FR": "went beyond its overdrive limit",
+    "FO": "has its driver switched off by command",
+    "FV": "had too much or too little voltage", "FC": "had too much current", "FM": "is too hot",
+    "FH": "was stopped by the emergency switch",
+}  # fmt: skip
 LIMITS = {"WL": "ran into a limit"}
 UNREFERENCED = {"WR", "WH"}
 INTERRUPTED = {"NI", "NC"}
@@ -71,9 +78,10 @@ class ZaberController(Controller):
         """Ask once; an empty command only brings the state."""
         reply = self._repeated(lambda: self._tell(channel, ""))
         where = f"{self.name} channel {channel}"
-        if reply.flag in STALLED:
+        if reply.flag.startswith("F"):
             self._forget(channel)
-            raise AxisStalled(f"{where} {STALLED[reply.flag]} ({reply.flag}); clear the way and home it")
+            what = FAULTS.get(reply.flag, "reports a fault")
+            raise AxisStalled(f"{where} {what} ({reply.flag}); clear the way and home it")
         if reply.flag in LIMITS:
             self._forget(channel)
             raise LimitHit(f"{where} {LIMITS[reply.flag]} ({reply.flag}); home it")
