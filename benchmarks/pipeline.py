@@ -114,9 +114,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.out) as folder:  # the disk that is measured
         began_s = time.monotonic()
-        found = measure(
-            Path(folder), options.seconds, options.rate_hz, options.method, options.correct, options.backend
-        )
+        found = measure(Path(folder), options)
         found["wall_s"] = round(time.monotonic() - began_s, 1)
     found |= {"method": options.method if options.correct else "raw only", "seconds": options.seconds}
     found["backend"] = options.backend
