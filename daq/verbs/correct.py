@@ -1,5 +1,6 @@
 """`rtpiv correct`: frames as if the glass were not there."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,16 @@ def _refuse_same_names(frames: list[Path]) -> None:
 
 
 def _pattern_seen(scene: Scene, board: Chessboard) -> np.ndarray[Any, np.dtype[np.float32]]:
-    return seen(scene, board.shade, samples=2)
+    """Computer-generated image of the target, with half the pixels a side: the overview shows no more."""
+    camera = scene.camera
+    (cu, cv), (width, height) = camera.principal_px, camera.sensor_px
+    half = replace(
+        camera,
+        focal_px=0.5 * camera.focal_px,
+        principal_px=(0.5 * cu - 0.25, 0.5 * cv - 0.25),
+        sensor_px=(max(1, width // 2), max(1, height // 2)),
+    )
+    return seen(scene.with_camera(half), board.shade, samples=2)
 
 
 def _print(
