@@ -22,7 +22,7 @@ from benchmarks.processor_time import ProcessorTime
 from daq.bench_file import load_bench
 from daq.errors import DaqError
 from daq.plan import load_plan
-from daq.runner import Progress
+from daq.progress import Progress
 from daq.session import Request, begin, carry_out
 from sim.demo_scenes import named_scene
 from sim.patterns import printed_particles

@@ -10,7 +10,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from daq.runner import Progress, Watcher
+from daq.progress import Progress, Watcher
 
 DRAW_S = 0.25
 LOG_S = 15.0
@@ -19,13 +19,13 @@ RECENT = 50
 
 def panel(progress: Progress) -> Table:
     """Return the state of a run as a table."""
-    elapsed_s = max(1e-9, time.monotonic() - progress.begun_s)
     latency = progress.flow.latency_ms[-RECENT:]
     raw, live = progress.waiting
     rows = [
         ("step", f"{progress.step + 1} of {progress.steps}  {progress.tag}"),
         ("doing", progress.doing),
-        ("frames", f"{progress.frames}  ({progress.frames / elapsed_s:.1f} /s)"),
+        ("frames", f"{progress.frames} of {progress.planned}  ({progress.frames / progress.elapsed_s:.1f} /s)"),
+        ("time", progress.left() or "-"),
         ("waiting", f"{raw} to be written, {live} to be corrected"),
         ("latency", f"{np.median(latency):.0f} ms frame to corrected" if latency else "-"),
         ("skipped", f"{len(progress.flow.skipped)} not corrected live (done after the run)"),
@@ -38,6 +38,12 @@ def panel(progress: Progress) -> Table:
     return table
 
 
+def line(progress: Progress) -> str:
+    """Return the state of a run as one line of a log."""
+    words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}", progress.doing, progress.left()]
+    return "; ".join([*filter(None, words), progress.ledger.sentence()])
+
+
 @contextmanager
 def watch(screen: Console) -> Iterator[Watcher]:
     """Yield a watcher that shows the progress on a terminal, or writes a line every `LOG_S` elsewhere."""
@@ -48,10 +54,7 @@ def watch(screen: Console) -> Iterator[Watcher]:
             nonlocal last_s
             if time.monotonic() - last_s >= LOG_S:
                 last_s = time.monotonic()
-                screen.print(
-                    f"step {progress.step + 1}/{progress.steps} {progress.tag}: {progress.doing}; "
-                    f"{progress.ledger.sentence()}"
-                )
+                screen.print(line(progress), soft_wrap=True)
 
         yield log
         return

@@ -9,8 +9,7 @@ discarded, and the step is taken again from the start, so that the frames of a p
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -20,10 +19,10 @@ from daq.conservation import Ledger
 from daq.corrections import Corrections
 from daq.errors import BadBalance, CameraError, CameraLost, RunInterrupted, SettingsChanged
 from daq.exposures import Exposures
-from daq.flow import Flow
 from daq.interrupts import Interrupts
 from daq.journal import Journal
 from daq.pipeline import LIVE_QUEUE, Job, Pipeline
+from daq.progress import Progress, Watcher
 from daq.run_folder import RunFolder, frame_entries, remaining, versions
 from daq.session_books import total_ledger
 from daq.steps import Step, frame_count, route
@@ -32,25 +31,6 @@ from stages.errors import DeviceLost, StageError
 
 REPEATS = 3  # of a step that the camera has spoiled
 RETRY_S = 0.5
-
-
-@dataclass
-class Progress:
-    """What a person wants to know while a run goes on."""
-
-    steps: int = 0
-    step: int = 0
-    tag: str = ""
-    doing: str = ""
-    frames: int = 0
-    begun_s: float = field(default_factory=time.monotonic)
-    positions_mm: dict[str, float] = field(default_factory=dict)
-    ledger: Ledger = field(default_factory=Ledger)
-    waiting: tuple[int, int] = (0, 0)
-    flow: Flow = field(default_factory=Flow)
-
-
-Watcher = Callable[[Progress], None]
 
 
 def discard_unfinished(folder: RunFolder, steps: Sequence[Step], journal: Journal) -> int:
@@ -124,6 +104,7 @@ class Runner:
         journal = Journal(self._folder.journal_path)
         try:
             left = remaining(self._steps, self._folder.entries())
+            self.progress.planned = frame_count(left)
             journal.append("session", sync=True, utc=_utc(), versions=versions(), steps_left=len(left))
             discard_unfinished(self._folder, self._steps, journal)
             if self._corrections is not None:

@@ -23,8 +23,9 @@ from daq.displacement import displacements
 from daq.errors import DiskError, ResumeRefused
 from daq.pipeline import LIVE_QUEUE
 from daq.plan import Plan, load_plan
+from daq.progress import Progress, Watcher
 from daq.run_folder import RunFolder, remaining, versions
-from daq.runner import Runner, Watcher
+from daq.runner import Runner
 from daq.steps import frame_count
 from daq.whole_text import write_json, write_text
 from tracer.scene_file import dump_scene, load_scene
@@ -201,7 +202,14 @@ def carry_out(
         if before is not None:
             before(hardware)
         if home:
-            hardware.stage.home()
+            progress = Progress(len(plan.steps))
+
+            def tell(axis: str) -> None:
+                progress.doing = f"homing {axis}"
+                if watcher is not None:
+                    watcher(progress)
+
+            hardware.stage.home(tell=tell)
         runner = Runner(hardware, folder, plan.steps, corrections, watcher, request.live_queue)
         done = runner.run()
     moved = displacements(bench, plan.steps, folder.entries())

@@ -215,6 +215,8 @@ class SimulatedBench:
         config = CameraConfig(width, height, serial=SERIAL, row_time_us=table.row_time_us, faults=faults)
         if table.ring is not None:
             ring = bench.path.parent / table.ring
+            if not list(ring.glob("*.npy")):
+                raise SceneError(f"{bench.path}: simulation.ring: {ring} holds no .npy frames")
             arguments = {"folder": str(ring), "first": exposures_before}
             config = replace(config, source="sim.camera.source:RingSource", source_arguments=arguments)
         else:

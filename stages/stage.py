@@ -8,7 +8,7 @@ Homing happens on request, in the configured order. A stop goes to every control
 and is harmless when nothing moves.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
@@ -174,8 +174,15 @@ class Stage:
             self.stop_quietly()
             raise
 
-    def home(self, names: Iterable[str] | None = None) -> None:
+    def home(self, names: Iterable[str] | None = None, tell: Callable[[str], None] | None = None) -> None:
         """Home axes in the configured order; all of them if none are named.
+
+        Parameters
+        ----------
+        names : iterable of str, optional
+            Which.
+        tell : callable, optional
+            Called with the name of an axis before it begins: a long rail takes its time.
 
         Raises
         ------
@@ -196,6 +203,8 @@ class Stage:
             for name in order:
                 if name in done:
                     continue
+                if tell is not None:
+                    tell(name)
                 self._axes[name].home()
                 for other in self._homes_with(name):
                     self._axes[other].trust_reference()

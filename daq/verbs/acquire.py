@@ -106,7 +106,8 @@ def run_and_report(
         with watch(error_console()) as watcher:
             done = carry_out(request, bench, plan, folder, home, watcher)
     except BaseException:
-        print(f"the run is in {folder.path}; go on with: rtpiv resume {folder.path}", file=sys.stderr)
+        again = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
+        print(f"the run is in {folder.path}; go on with: rtpiv resume {folder.path}{again}", file=sys.stderr)
         raise
     print_done(screen, folder, done)
     return done

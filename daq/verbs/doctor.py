@@ -65,7 +65,10 @@ def _serial_ports() -> Iterator[Finding]:
     for port in ports:
         usable = os.access(port.device, os.R_OK | os.W_OK)
         cure = "" if usable else "; add the user to the group that owns it (often dialout)"
-        yield f"port {port.device}", usable, f"{port.description}, serial number {port.serial_number}{cure}"
+        what = (
+            port.description if port.serial_number is None else f"{port.description}, serial {port.serial_number}"
+        )
+        yield f"port {port.device}", usable, f"{what}{cure}"
 
 
 def _cameras() -> Iterator[Finding]:
@@ -87,7 +90,7 @@ def _cameras() -> Iterator[Finding]:
 def _disk() -> Iterator[Finding]:
     usage = shutil.disk_usage(Path.cwd())
     yield "disk here", None, f"{usage.free / 1e9:.0f} GB free"
-    yield "python", sys.version_info >= (3, 11), sys.executable
+    yield "runs in", None, sys.prefix
 
 
 def _bench(bench: Bench) -> Iterator[Finding]:

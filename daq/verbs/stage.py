@@ -8,7 +8,7 @@ from rich.table import Table
 from daq.bench import open_stage
 from daq.bench_file import load_bench
 from daq.errors import RunUsageError
-from daq.terminal import console
+from daq.terminal import console, error_console
 
 
 def stage(
@@ -41,7 +41,8 @@ def stage(
     loaded = load_bench(bench)
     with open_stage(loaded, simulate) as opened:
         if action == "home":
-            opened.home(named or None)
+            say = error_console()
+            opened.home(named or None, tell=lambda axis: say.print(f"homing {axis}"))
         elif action == "move":
             opened.move(_numbers(named))
         elif action == "jog":

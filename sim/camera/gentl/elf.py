@@ -15,6 +15,7 @@ process that runs CPython, and in no other.  If the line of Python fails, every 
 
 Layout: one read-execute segment (headers, symbols, SysV hash, relocations, code, script) and one read-write
 segment (dynamic section, imports, table) whose addresses lie one 64 KiB page further on.
+Why this and not C: docs/adr/0008-gentl-producer-without-a-compiler.md.
 Reference: System V ABI, "Object files" and "Program loading"; its x86-64 and AArch64 supplements.
 """
 
