@@ -37,13 +37,17 @@ class ScaledClock:
     """
 
     def __init__(self, speed: float = 1.0) -> None:
-        self._speed = speed
-        self._start_s = time.monotonic()
+        self._last = (time.monotonic(), 0.0, speed)  # wall, world, speed since then: replaced as one
 
     def now_s(self) -> float:
         """Seconds of the simulated world."""
-        return (time.monotonic() - self._start_s) * self._speed
+        wall_s, world_s, speed = self._last
+        return world_s + (time.monotonic() - wall_s) * speed
+
+    def set_speed(self, speed: float) -> None:
+        """Go on from now at another speed."""
+        self._last = (time.monotonic(), self.now_s(), speed)
 
     def sleep_s(self, duration_s: float) -> None:
         """Sleep until that much simulated time has passed."""
-        time.sleep(max(duration_s, 0.0) / self._speed)
+        time.sleep(max(duration_s, 0.0) / self._last[2])

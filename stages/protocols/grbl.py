@@ -225,7 +225,8 @@ class Banner:
         return (Example(b"Grbl 1.1h ['$' for help]\r\n", cls("1.1h"), f"{DOC}/interface.md, Start Up Message"),)
 
 
-MESSAGES = (Line, RealTime, Ok, Refusal, Alarm, Status, Setting, Feedback, Banner)
+COMMANDS = (Line, RealTime)
+ANSWERS = (Ok, Refusal, Alarm, Status, Setting, Feedback, Banner)
 Answer = Ok | Refusal | Alarm | Status | Setting | Feedback | Banner
 
 

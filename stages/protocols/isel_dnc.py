@@ -234,9 +234,8 @@ class Identity:
         return (Example(b"0iMC-S8 V1.0", cls("iMC-S8 V1.0"), "shape only: the text differs between firmwares"),)
 
 
-MESSAGES = (
-    Identify, Initialise, Numbered, ReferenceSpeeds, Move, AskPosition, Stop, Ack, Position, Identity,
-)  # fmt: skip
+COMMANDS = (Identify, Initialise, Numbered, ReferenceSpeeds, Move, AskPosition, Stop)
+ANSWERS = (Ack, Position, Identity)
 Command = Identify | Initialise | Numbered | ReferenceSpeeds | Move | AskPosition | Stop
 
 

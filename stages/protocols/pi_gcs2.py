@@ -124,7 +124,8 @@ class Answer:
         )
 
 
-MESSAGES = (Command, SingleByte, Answer)
+COMMANDS = (Command, SingleByte)
+ANSWERS = (Answer,)
 
 
 def parse_command(line: bytes) -> Command:

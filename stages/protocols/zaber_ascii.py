@@ -157,7 +157,8 @@ class Alert:
         return (Example(b"!01 1 IDLE --\r\n", cls(1, 1, False, "--", "", False), f"{MANUAL}, Alerts"),)
 
 
-MESSAGES = (Command, Reply, Info, Alert)
+COMMANDS = (Command,)
+ANSWERS = (Reply, Info, Alert)
 Answer = Reply | Info | Alert
 
 

@@ -50,8 +50,8 @@ def test_a_device_file_behaves_like_the_controller(served, driver):
 
 def test_pulled_out_in_motion(served, driver):
     """Error within half a second, position unknown, absolute moves refused."""
-    stage, world = served(driver, speed=1.0)
-    trusted(stage, world, driver)
+    stage, world = served(driver)
+    homed_in_haste(stage, world)
     line = world.lines["box"]
     pulled = []
 
@@ -71,31 +71,17 @@ def test_pulled_out_in_motion(served, driver):
     timer.join()
 
 
-def trusted(stage, world, driver):
-    """Reference axis a at once: in real time homing takes its time."""
-    stage.axis("a").trust_reference()
-    stage.axis("a").controller._referenced.add(stage.axis("a").settings.channel)
-    if driver in ("isel_dnc", "pi_gcs2", "grbl"):  # these refuse to move unreferenced: make the world agree
-        reference(world, driver)
-
-
-def reference(world, driver):
-    """Reference the emulated firmware without the travel."""
-    emulator = world.lines["box"].emulator
-    if driver == "isel_dnc":
-        emulator.feed(b"@0n3\r")
-    elif driver == "pi_gcs2":
-        for axis in emulator._axes.values():
-            axis.servo = axis.referenced = True
-    else:
-        emulator.feed(b"$X\n")
-        emulator._zero = dict.fromkeys(emulator._zero, 45_000)
-    emulator.said()
+def homed_in_haste(stage, world):
+    """Home at the speed of tests, then go on in real time: in real time homing takes its time."""
+    world.clock.set_speed(10.0 * SPEED)
+    stage.home()
+    stage.move({"a": 40.0})
+    world.clock.set_speed(1.0)
 
 
 def test_stop_from_another_thread_gets_through(served, driver):
-    stage, world = served(driver, speed=1.0)  # real time: the way takes seconds, however late the stop comes
-    trusted(stage, world, driver)
+    stage, world = served(driver)
+    homed_in_haste(stage, world)
     threading.Timer(0.3, stage.stop).start()
     begun_s = time.monotonic()
     with pytest.raises(MotionStopped):

@@ -1,22 +1,19 @@
 """The grammars against what the vendors wrote, not against each other."""
 
 import dataclasses
+from importlib import import_module
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stages.drivers import DRIVERS
 from stages.errors import ProtocolViolation
-from stages.protocols import grbl, isel_dnc, pi_gcs2, zaber_ascii
+from stages.protocols import isel_dnc, pi_gcs2, zaber_ascii
 from stages.protocols.framing import Lines
 
-GRAMMARS = {"zaber_ascii": zaber_ascii, "isel_dnc": isel_dnc, "pi_gcs2": pi_gcs2, "grbl": grbl}
-CLASSES = [(grammar, cls) for grammar in GRAMMARS.values() for cls in grammar.MESSAGES]
-HOST = (
-    zaber_ascii.Command, isel_dnc.Identify, isel_dnc.Initialise, isel_dnc.Numbered, isel_dnc.ReferenceSpeeds,
-    isel_dnc.Move, isel_dnc.AskPosition, isel_dnc.Stop, pi_gcs2.Command, pi_gcs2.SingleByte,
-    grbl.Line, grbl.RealTime,
-)  # fmt: skip
+GRAMMARS = {name: import_module(f"stages.protocols.{name}") for name in DRIVERS}
+CLASSES = [(grammar, cls) for grammar in GRAMMARS.values() for cls in (*grammar.COMMANDS, *grammar.ANSWERS)]
 
 
 def decode(grammar, cls, raw):
@@ -27,7 +24,7 @@ def decode(grammar, cls, raw):
         return isel_dnc.parse_position(raw)
     if cls is isel_dnc.Identity:
         return isel_dnc.parse_identity(raw)
-    stream = grammar.CommandStream() if cls in HOST else grammar.AnswerStream()
+    stream = grammar.CommandStream() if cls in grammar.COMMANDS else grammar.AnswerStream()
     messages = stream.feed(raw)
     assert len(messages) == 1
     return messages[0]
@@ -118,7 +115,8 @@ def test_chunk_boundaries_mean_nothing(grammar, side, data):
         raw = b"".join(isel_dnc.Position(steps).to_bytes() for steps in messages)
         make = lambda: isel_dnc.PositionStream(1)  # noqa: E731
     else:
-        pool = [e for cls in grammar.MESSAGES if (cls in HOST) == host for e in cls.examples()]
+        classes = grammar.COMMANDS if host else grammar.ANSWERS
+        pool = [example for cls in classes for example in cls.examples()]
         raw = b"".join(e.raw for e in data.draw(st.lists(st.sampled_from(pool), max_size=8)))
         make = getattr(grammar, side)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(raw)), max_size=6)))
