@@ -7,9 +7,12 @@ pixel by pixel.  Both give the same map to rounding; a test holds them together.
 Branches are numbered beforehand: number k < 2^N means "of the N spheres from the highest centre down, those
 whose bit is set in k, in this order", whether or not a ray takes it.  What rays meet in another order is
 traced again by ``march``, which names it.
+
+A camera that looks straight down on x = 0 (or y = 0) at bodies that are their own mirror image sees a picture
+that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.sensor``).
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +27,17 @@ from tracer.kernels.chain import (
     TRIP_NUMBERS,
     UNKNOWN,
     VECTOR,
-    chain_rows,
 )
+from tracer.kernels.sensor import sensor_rows
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.trace import Branch, pack_camera, trace
 
 MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
 LINE = 64  # bytes of a cache line
-ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND
+SKIP_MIRRORED = 4
+ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND | SKIP_MIRRORED
+STRAIGHT_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 
 
 def fits_lockstep(scene: Scene) -> bool:
@@ -54,27 +59,82 @@ def trace_lockstep(
 ) -> tuple[Branch, ...]:
     """Trace every pixel into plane (H, W, 2), status (H, W) and branch (H, W); return the branches.
 
-    `skips` says which bodies may be passed over without a look; the result has the same bits for any.
+    `skips` says what may be passed over without a look; the result has the same bits for any.
     """
     height, width = status.shape
-    camera = pack_camera(scene.camera)
-    chain, balls, flat = _chain(scene), pack_chain(scene), scene.camera.lens.is_ideal
+    camera, balls, flat = pack_camera(scene.camera), pack_chain(scene), scene.camera.lens.is_ideal
+    mirrors = find_mirrors(scene)
+    paired = len(mirrors.swap_x) + len(mirrors.swap_y) > 0
+    if not skips & SKIP_MIRRORED:
+        mirrors = NO_MIRRORS
     point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
-        x, y = np.empty(width + VECTOR), np.empty(width + VECTOR)
-        spans, wanted = np.empty((2 * len(chain) + 1, 2), np.int64), np.empty(len(chain), np.int64)
-        scratch = (x, y, spans, wanted, *block_scratch())
-        chain_rows(camera, balls, flat, skips, first, last, *scratch, unknown, point, status, branch)
+        scratch = row_scratch(width, len(balls))
+        sensor_rows(
+            camera, balls, flat, paired, skips, *mirrors, first, last, *scratch, unknown, point, status, branch
+        )
 
-    run_rows(work, height)
-    names = [sphere.name for sphere in chain]
-    branches = [tuple(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in range(1 << len(names))]
-    _name_unknown(scene, np.nonzero(unknown)[0], branches, plane, status, branch)
+    run_rows(work, (height + 1) // 2 if mirrors.in_y else height)
+    branches = chain_branches(scene)
+    name_unknown(scene, np.nonzero(unknown)[0], branches, plane, status, branch)
     return tuple(branches)
 
 
-def _name_unknown(
+class Mirrors(NamedTuple):
+    """Mirror images that a scene is of itself, and which branch number is the image of which, see `_swap`."""
+
+    in_x: bool
+    in_y: bool
+    swap_x: NDArray[np.int64]
+    swap_y: NDArray[np.int64]
+
+
+NO_MIRRORS = Mirrors(False, False, np.empty(0, np.int64), np.empty(0, np.int64))
+
+
+def find_mirrors(scene: Scene) -> Mirrors:
+    """Mirrors of a scene.  All numbers must agree to the last bit: nearly symmetric is not symmetric."""
+    camera, rows = scene.camera, [_constants(sphere, scene) for sphere in _chain(scene)]
+    if camera.rotation != STRAIGHT_DOWN or not camera.lens.is_ideal:
+        return NO_MIRRORS
+    there, images = [], []
+    for axis in (0, 1):
+        places = [(*row[:axis], -row[axis], *row[axis + 1 :]) for row in rows]
+        symmetric = camera.position_mm[axis] == 0.0 and set(places) == set(rows)
+        there.append(symmetric and camera.principal_px[axis] == (camera.sensor_px[axis] - 1) / 2.0)
+        images.append([rows.index(place) if there[axis] else k for k, place in enumerate(places)])
+    swap_x, swap_y = map(_swap, images)
+    return Mirrors(there[0], there[1], swap_x, swap_y)
+
+
+def _swap(image: list[int]) -> NDArray[np.int64]:
+    """Branch number of the mirror image of each branch number, then UNKNOWN; empty if all stay what they are."""
+    if image == sorted(image):
+        return np.empty(0, np.int64)
+    numbers = np.arange(1 << len(image))
+    return np.append(sum((numbers >> k & 1) << other for k, other in enumerate(image)), UNKNOWN)
+
+
+def chain_branches(scene: Scene) -> list[Branch]:
+    """Branches by number, 2^N of them."""
+    names = [sphere.name for sphere in _chain(scene)]
+    return [tuple(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in range(1 << len(names))]
+
+
+def row_scratch(width: int, bodies: int) -> tuple[NDArray[Any], ...]:
+    """Scratch of the kernels in ``tracer.kernels.sensor``: x, y, spans, wanted, rays, trips."""
+    spans, wanted = np.empty((2 * bodies + 1, 2), np.int64), np.empty(bodies, np.int64)
+    return (
+        _aligned(width + VECTOR, np.float64),
+        _aligned(width + VECTOR, np.float64),
+        spans,
+        wanted,
+        *block_scratch(),
+    )
+
+
+def name_unknown(
     scene: Scene,
     lines: NDArray[np.int64],
     branches: list[Branch],

@@ -16,7 +16,9 @@ from tracer.kernels.camera import ideal_xy, pixel_ray, pixel_ray_tangents
 from tracer.kernels.maps import trace_rays, trace_rows, trace_trails
 from tracer.kernels.march import MAX_EVENTS, march, march_pixel_tangents, next_body
 from tracer.kernels.rod import meets_rod
+from tracer.kernels.sensor import sensor_rows
 from tracer.kernels.sphere import angles, foot, through, transmittance, turned
+from tracer.lockstep import find_mirrors, pack_chain, row_scratch
 from tracer.scene import Scene
 from tracer.status import RayStatus
 from tracer.trace import RAY, pack_camera, trace, trace_from
@@ -99,6 +101,25 @@ def test_array_kernels_compiled_and_interpreted() -> None:
     trace_trails(starts, ways, spheres, NO_RODS, trails[0])
     trace_trails.py_func(starts, ways, spheres, NO_RODS, trails[1])
     np.testing.assert_array_equal(*trails)
+
+
+@pytest.mark.parametrize("name", ["one_sphere_250", "pyramid_500"])
+def test_rows_of_the_sensor_compiled_and_interpreted(name: str) -> None:
+    """Both ways through a block, and the mirrors."""
+    where = scene(name)
+    camera, balls = pack_camera(where.camera), pack_chain(where)
+    camera[12], camera[13], camera[14] = camera[12] / 84.0, 11.5, 11.5
+    outcomes = []
+    for kernel in (sensor_rows, sensor_rows.py_func):
+        point, status = np.empty((24, 48)), np.empty((24, 24), np.uint8)
+        outputs = np.empty(24, np.int64), point, status, np.empty((24, 24), np.uint16)
+        with np.errstate(over="ignore"):  # NumPy warns where the branch number of an unknown way wraps
+            kernel(
+                camera, balls, True, True, 3, *find_mirrors(where), 0, 12, *row_scratch(24, len(balls)), *outputs
+            )
+        outcomes.append(outputs)
+    for one, other in zip(*outcomes, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
 def exact_derivatives(where: Scene, u: float, v: float) -> np.ndarray:

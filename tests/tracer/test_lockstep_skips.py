@@ -1,19 +1,23 @@
 """What lockstep passes over without a look must change nothing: each skip off, each bound held."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene
 from tests.tracer.test_lockstep import shrunk
+from tracer.camera import Lens, look_at
 from tracer.kernels.chain import (
+    BALL,
     SKIP_LEFT_BEHIND,
     SKIP_SILHOUETTES,
-    branch_number,
     glass_span,
     insert_span,
     place_row,
 )
-from tracer.lockstep import ALL_SKIPS, pack_chain, trace_lockstep
+from tracer.kernels.sensor import branch_number
+from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, pack_chain, trace_lockstep
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.trace import pack_camera
@@ -38,21 +42,56 @@ def random_lockstep_scene(seed: int) -> Scene:
     return Scene(shrunk(random_camera(rng, bodies), 4.0), tuple(bodies))
 
 
-@pytest.mark.parametrize("where", [*map(some_scene, SCENES), *map(random_lockstep_scene, range(8))])
-def test_every_skip_keeps_branches_and_points(where: Scene) -> None:
-    """A pixel without glass may come from either formula of the direct view: rounding apart, nothing else is."""
-    plane, status, branch, branches = traced(where, ALL_SKIPS)
-    for skips in (0, SKIP_SILHOUETTES, SKIP_LEFT_BEHIND):
-        other = traced(where, skips)
-        assert np.array_equal(status, other[1])
-        assert branches == other[3]
-        assert np.array_equal(branch, other[2])
-        if skips & SKIP_SILHOUETTES:
-            assert plane.tobytes() == other[0].tobytes()
-        glass = branch != 0
-        assert plane[glass].tobytes() == other[0][glass].tobytes()
-        far = 1.0 + (plane[~glass] ** 2).sum(axis=-1, keepdims=True)
-        assert np.nanmax(np.abs(plane[~glass] - other[0][~glass]) / far, initial=0.0) < 1e-12
+def mirrored_scene(seed: int) -> Scene:
+    """Spheres on both mirrors, on one, and in fours, under a straight camera; odd and even sensors."""
+    rng = np.random.default_rng(seed)
+    bodies, top = [], 0.0
+    for level in range(3):
+        radius = float(rng.uniform(4.0, 9.0))
+        aside = [float(rng.uniform(radius, 20.0)) if rng.random() < 0.5 else 0.0 for _ in range(2)]
+        places = {(sx * aside[0], sy * aside[1]) for sx in (-1.0, 1.0) for sy in (-1.0, 1.0)}
+        if len(bodies) + len(places) > 8:
+            break
+        index = float(rng.uniform(1.02, 1.9))
+        bodies += [
+            ball(f"{level}{x}{y}", x + 0.0, y + 0.0, top + radius, radius, index) for x, y in sorted(places)
+        ]
+        top += 2.0 * radius
+    size = (161, 120) if seed % 2 else (160, 121)
+    return Scene(camera_at((0.0, 0.0, top + 200.0), focal_px=700.0, sensor_px=size), tuple(bodies))
+
+
+@pytest.mark.parametrize(
+    "where",
+    [*map(some_scene, SCENES), *map(random_lockstep_scene, range(8)), *map(mirrored_scene, range(8))],
+)
+def test_no_skip_changes_a_bit(where: Scene) -> None:
+    whole = traced(where, 0)
+    for skips in (ALL_SKIPS, SKIP_SILHOUETTES, SKIP_LEFT_BEHIND, SKIP_MIRRORED):
+        skipped = traced(where, skips)
+        assert skipped[3] == whole[3]
+        for one, other in zip(skipped[:3], whole[:3], strict=True):
+            assert one.tobytes() == other.tobytes()
+
+
+def test_only_exact_mirrors_count() -> None:
+    for seed in range(8):
+        mirrors = find_mirrors(mirrored_scene(seed))
+        assert mirrors.in_x
+        assert mirrors.in_y
+    where = mirrored_scene(0)
+    body = where.spheres[0]
+    x, y, z = body.centre_mm
+    nudged = replace(body, centre_mm=(float(np.nextafter(x, -99.0)), y, z))
+    assert not find_mirrors(where.with_bodies((nudged, *where.bodies[1:]))).in_x
+    camera = where.camera
+    for other in (
+        replace(camera, principal_px=(camera.principal_px[0] + 1e-9, camera.principal_px[1])),
+        replace(camera, position_mm=(1e-300, 0.0, camera.position_mm[2])),
+        replace(camera, rotation=look_at(camera.position_mm, (1e-6, 0.0, 0.0))),
+        replace(camera, lens=Lens(p1=1e-9)),
+    ):
+        assert not find_mirrors(where.with_camera(other)).in_x
 
 
 @pytest.mark.parametrize("where", [*map(some_scene, SCENES), *map(random_lockstep_scene, range(8))])
@@ -114,12 +153,15 @@ def test_arrays_of_an_earlier_map_are_written_in_full(name: str) -> None:
 
 def test_branch_numbers() -> None:
     """Ascending trips have the number of their set; others and overlong ones are unknown."""
-    assert branch_number(0) == 0
-    assert branch_number(0x1) == 1
-    assert branch_number(0x13) == 0b101
-    assert branch_number(0x1248) == 0b10001011
-    unknown = {branch_number(trip) for trip in (0x21, 0x11, 0x343, -1)}
-    assert unknown == {1 << 15}
+    balls = np.zeros((8, BALL))
+    balls[:, 2] = (9.0, 8.0, 7.0, 7.0, 5.0, 4.0, 3.0, 2.0)
+    assert branch_number(0, False, balls) == 0
+    assert branch_number(0x1, True, balls) == 1
+    assert branch_number(0x13, True, balls) == 0b101
+    assert branch_number(0x34, False, balls) == 0b1100
+    assert branch_number(0x1248, True, balls) == 0b10001011
+    unknown = {branch_number(trip, False, balls) for trip in (0x21, 0x11, 0x343, -1)}
+    assert unknown | {branch_number(0x34, True, balls)} == {1 << 15}
 
 
 def test_joined_spans() -> None:

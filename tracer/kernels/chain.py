@@ -36,14 +36,13 @@ import math
 
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import ideal_row
-from tracer.kernels.march import MISSED_PLANE, RECOVERED
 
 LANES = 256  # rays of a block: 24 kB, what the first-level cache holds
 BALL = 11
 VECTOR = 8  # rays of the widest vector instruction
 STEP = LANES + 40  # columns a power of two apart would fight for the same lines of that cache
-PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR = (k * STEP for k in range(9))
-RAY_NUMBERS = 9 * STEP
+PX, PY, PZ, DX, DY, DZ, QQ, IQ, NEAR, COS_I, COS_T = (k * STEP for k in range(11))
+RAY_NUMBERS = 11 * STEP
 PICK, TRIP = (k * STEP for k in range(2))
 TRIP_NUMBERS = 2 * STEP
 NOBODY = -1
@@ -154,56 +153,6 @@ def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Arra
 
 
 @kernel
-def end_block(count: int, rays: Array, point: Array, status: Array) -> None:
-    """Take the rays to the plane: point (2 n,) x and y in turn, status (n,)."""
-    for i in range(count):
-        dz = rays[DZ + i]
-        t = -rays[PZ + i] / dz
-        tx, ty = rays[PX + i] + t * rays[DX + i], rays[PY + i] + t * rays[DY + i]
-        down = dz < 0.0
-        point[2 * i] = tx if down else math.nan
-        point[2 * i + 1] = ty if down else math.nan
-        status[i] = RECOVERED if down else MISSED_PLANE
-
-
-@kernel
-def branch_number(trip: int) -> int:
-    """Number of a trip, bit k for body k, if its bodies come in order; else UNKNOWN."""
-    if trip < 0:
-        return UNKNOWN
-    number, later = 0, ALL_BITS + 1
-    while trip > 0:
-        body = trip & ALL_BITS
-        if body >= later:
-            return UNKNOWN
-        number |= 1 << (body - 1)
-        later = body
-        trip >>= BITS
-    return number
-
-
-@kernel
-def number_branches(count: int, trips: Array, branch: Array) -> int:
-    """Write the branch numbers (n,) of the block's rays; return how many are UNKNOWN."""
-    others = 0
-    for i in range(count):
-        others += trips[TRIP + i] != trips[TRIP]
-    number = branch_number(trips[TRIP])
-    if others == 0:
-        for i in range(count):
-            branch[i] = number
-        return count if number == UNKNOWN else 0
-    known, unknown = trips[TRIP], 0
-    for i in range(count):
-        if trips[TRIP + i] != known:  # they come in long runs
-            known = trips[TRIP + i]
-            number = branch_number(known)
-        unknown += number == UNKNOWN
-        branch[i] = number
-    return unknown
-
-
-@kernel
 def follow_block(
     low: int, count: int, skips: int, balls: Array, spans: Array, rays: Array, trips: Array, wanted: Array
 ) -> None:
@@ -246,25 +195,6 @@ def follow_block(
             wanted[k] = 0 if behind else 1
     for i in range(count):
         trips[TRIP + i] = NOBODY
-
-
-@kernel
-def direct_row(x: Array, y: Array, camera: Array, point: Array, status: Array, branch: Array) -> None:
-    """Trace a span of one row that no glass touches: the pinhole's line to the plane."""
-    ox, oy, oz = camera[0], camera[1], camera[2]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11 = camera[9], camera[10], camera[11]
-    for i in range(x.shape[0]):
-        dz = c5 * x[i] + c8 * y[i] + c11
-        t = -oz / dz
-        tx = ox + t * (c3 * x[i] + c6 * y[i] + c9)
-        ty = oy + t * (c4 * x[i] + c7 * y[i] + c10)
-        down = dz < 0.0
-        point[2 * i] = tx if down else math.nan
-        point[2 * i + 1] = ty if down else math.nan
-        status[i] = RECOVERED if down else MISSED_PLANE
-    for i in range(x.shape[0]):
-        branch[i] = 0
 
 
 @kernel
@@ -314,65 +244,6 @@ def place_row(row: int, flat: bool, camera: Array, x: Array, y: Array) -> None:
             y[i] = level
     else:
         ideal_row(row, camera, x, y)
-
-
-@kernel
-def chain_rows(
-    camera: Array,
-    balls: Array,
-    flat: bool,
-    skips: int,
-    first: int,
-    last: int,
-    x: Array,
-    y: Array,
-    spans: Array,
-    wanted: Array,
-    rays: Array,
-    trips: Array,
-    unknown: Array,
-    point: Array,
-    status: Array,
-    branch: Array,
-) -> None:
-    """Trace rows first..last-1: the direct view everywhere, the chain only where glass can be met.
-
-    Scratch: ``x``, ``y`` (W + VECTOR,), ``spans`` (2 N + 1, 2) and ``wanted`` (N,) int64, ``rays``, ``trips``.
-    Outputs: ``unknown`` (H,) int64, pixels a row without a branch number, ``point`` (H, 2 W), ``status`` and
-    ``branch`` (H, W).
-    """
-    width, bodies = status.shape[1], balls.shape[0]
-    if flat:
-        for i in range(x.shape[0]):
-            x[i] = (i - camera[13]) / camera[12]
-    joined = spans[bodies:]
-    for row in range(first, last):
-        place_row(row, flat, camera, x, y)
-        count = 0
-        for k in range(bodies):
-            low, high = glass_span(x[:width], y[:width], flat, camera, balls, k)
-            if not skips & SKIP_SILHOUETTES:
-                low, high = 0, width
-            spans[k, 0], spans[k, 1] = low, high
-            if low < high:
-                count = insert_span(joined, count, low, high)
-        p, s, b = point[row], status[row], branch[row]
-        unknown[row] = 0
-        done = 0
-        for j in range(count + 1):
-            low = joined[j, 0] if j < count else width
-            direct_row(x[done:low], y[done:low], camera, p[2 * done : 2 * low], s[done:low], b[done:low])
-            if j == count:
-                break
-            done = joined[j, 1]
-            while low < done:
-                high = min(low + LANES, done)
-                full = low + whole_vectors(high - low)
-                begin_block(x[low:full], y[low:full], camera, rays, trips)
-                follow_block(low, full - low, skips, balls, spans, rays, trips, wanted)
-                end_block(high - low, rays, p[2 * low : 2 * high], s[low:high])
-                unknown[row] += number_branches(high - low, trips, b[low:high])
-                low = high
 
 
 @kernel
