@@ -70,10 +70,8 @@ def trace_lockstep(
     point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
-        scratch = row_scratch(width, len(balls))
-        sensor_rows(
-            camera, balls, flat, paired, skips, *mirrors, first, last, *scratch, unknown, point, status, branch
-        )
+        arrays = [*row_scratch(width, len(balls)), unknown, point, status, branch]
+        sensor_rows(camera, balls, flat, paired, skips, *mirrors, first, last, *arrays)
 
     run_rows(work, (height + 1) // 2 if mirrors.in_y else height)
     branches = chain_branches(scene)
