@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp
+from correction.errors import FrameError
 from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import Regions, regions_of
 from correction.evaluate.routes import Routes, compare_routes, joined
@@ -125,7 +126,9 @@ def evaluate_task(
     ray_map = build_ray_map(scene)
     corrector = Corrector(build_correction_map(scene, ray_map), dewarp)
     grid = corrector.map.grid
-    corrected_a, corrected_b = corrector(frame_a), corrector(frame_b)
+    corrected_a, corrected_b = (
+        _corrected(corrector, *named) for named in zip(task.frames, (frame_a, frame_b), strict=True)
+    )
     field = evaluate_pair(corrected_a, corrected_b, corrector.recovered)
     regions = regions_of(field, corrector.map, scene)
     truth = None
@@ -144,3 +147,11 @@ def evaluate_task(
     return Evaluation(
         task, corrector, frame_a, corrected_a, field, regions, result, unsure, why, traced, routes, by_velocity
     )
+
+
+def _corrected(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Correct a frame; what is wrong with it is said with its name."""
+    try:
+        return corrector(frame)
+    except FrameError as error:
+        raise FrameError(f"{path}: {error}") from None

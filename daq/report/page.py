@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from tracer.whole_file import whole_file
 
 WIDEST_PX = 1008  # pictures in the page; the full frames are files beside it
-PAGE_DPI, FILE_DPI = 150, 200
+PNG_DPI = 170
 
 _STYLE = Path(__file__).with_name("page.css")
 Row = Sequence[str]
@@ -39,7 +39,7 @@ class Page:
     def __init__(self, title: str, subtitle: str = "") -> None:
         self._title, self._subtitle = title, subtitle
         self._parts: list[str] = []
-        self._figures: dict[str, Figure] = {}
+        self._files: dict[str, bytes] = {}
         self._sliders = 0
 
     def heading(self, text: str) -> None:
@@ -93,9 +93,10 @@ class Page:
         dense : bool
             Embed pixels: thousands of arrows as lines would make the page slow.
         """
-        self._figures[name] = figure
+        for kind in ("svg", "png"):
+            self._files[f"{name}.{kind}"] = _drawn(figure, kind)
         kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
-        data = base64.b64encode(_drawn(figure, kind, PAGE_DPI)).decode()
+        data = base64.b64encode(self._files[f"{name}.{kind}"]).decode()
         self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption))
 
     def picture(self, image: NDArray[np.uint8], caption: str) -> None:
@@ -147,12 +148,9 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page and its figures, each atomically, the page last."""
-        for name, figure in self._figures.items():
-            for kind in ("svg", "png"):
-                with whole_file(path.with_name(f"{name}.{kind}")) as stream:
-                    stream.write(_drawn(figure, kind, FILE_DPI))
-        with whole_file(path) as stream:
-            stream.write(self.html().encode())
+        for name, content in (*self._files.items(), (path.name, self.html().encode())):
+            with whole_file(path.with_name(name)) as stream:
+                stream.write(content)
 
 
 def grey(frame: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
@@ -174,11 +172,11 @@ def _framed(inner: str, caption: str) -> str:
     return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
-def _drawn(figure: Figure, kind: str, dpi: int) -> bytes:
+def _drawn(figure: Figure, kind: str) -> bytes:
     """Bytes of a figure as SVG or PNG."""
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Date": None} if kind == "svg" else None)
+    figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None} if kind == "svg" else None)
     return buffer.getvalue()
 
 

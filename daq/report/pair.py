@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.corrector import Corrector
-from correction.evaluate.image_figures import image_figures
+from correction.evaluate.image_figures import ImageFigures, image_figures
 from correction.evaluate.shift import shift_errors
 from correction.node_status import MEANING, NodeStatus
 from daq.evaluation import Evaluation
@@ -35,7 +35,7 @@ from daq.report.tables import (
 )
 from tracer.scene import Scene
 
-FULL_SCALE = {1: 255.0, 2: 4095.0, 4: 4095.0}  # by bytes a pixel; 12-bit cameras deliver uint16
+DEPTHS = (255.0, 4095.0, 65535.0)  # full scales of cameras; 12 bit come in uint16, right- or left-aligned
 COLOURS = {
     NodeStatus.RECOVERED: (226, 232, 226),
     NodeStatus.RIM: (56, 66, 92),
@@ -190,12 +190,21 @@ def _routes(page: Page, evaluation: Evaluation) -> None:
         page.figure("radius", radius_figure(routes.image, routes.velocity), "Behind the glass, by radius.")
 
 
+def image_table(
+    page: Page, frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector
+) -> dict[str, ImageFigures]:
+    """Figures of merit, acquired against corrected; returns them."""
+    least = DEPTHS[0] if frame.dtype == np.uint8 else DEPTHS[1]
+    full = next((depth for depth in DEPTHS if depth >= max(least, float(np.nanmax(frame)))), DEPTHS[-1])
+    named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
+    figures = {name: image_figures(image, full, mask) for name, (image, mask) in named.items()}
+    page.table(IMAGE_HEAD, image_rows(figures), f"Figures of merit of the frame; saturated at {full:.0f}")
+    return figures
+
+
 def _images(page: Page, evaluation: Evaluation) -> None:
     page.heading("Images")
     frame, corrected = evaluation.frame_a, evaluation.corrected_a
-    full = FULL_SCALE[frame.dtype.itemsize]
-    named = {"acquired": (frame, None), "corrected": (corrected, evaluation.corrector.recovered)}
-    figures = {name: image_figures(image, full, mask) for name, (image, mask) in named.items()}
-    page.table(IMAGE_HEAD, image_rows(figures), "Figures of merit of frame A")
+    figures = image_table(page, frame, corrected, evaluation.corrector)
     counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in figures.items()}
     page.figure("intensity", grey_histogram(counts), "Intensity of frame A.")

@@ -7,16 +7,14 @@ import numpy as np
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp, fit_dewarp
-from correction.evaluate.image_figures import image_figures
 from correction.evaluate.target_error import target_error
 from correction.frame_file import read_frame
 from correction.target import Chessboard
 from daq.errors import ResumeRefused
 from daq.evaluation import Evaluation, Route
 from daq.report.page import Page
-from daq.report.pair import FULL_SCALE, pair_chapters, pair_tiles, scene_chapter, slider_chapter
+from daq.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
 from daq.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
-from daq.report.tables import IMAGE_HEAD, image_rows
 from daq.run_folder import RunFolder
 from daq.run_views import first_view, scene_text
 from daq.terminal import console
@@ -116,7 +114,6 @@ def _single_frame(
     corrector = Corrector(build_correction_map(seen, build_ray_map(seen)), dewarp)
     frame = read_frame(view.path, scene.camera.shape)
     corrected = corrector(frame)
-    full = FULL_SCALE[frame.dtype.itemsize]
     recovered = f"{100 * float(corrector.recovered.mean()):.1f} %"
     tiles = [(recovered, "of the plane recovered", "share of the corrected frame")]
     if view.shows == "chessboard" and view.on_plane:
@@ -134,7 +131,5 @@ def _single_frame(
         page.tiles(tiles)
     page.heading("Acquired, corrected, recovered")
     slider_chapter(page, frame, corrected, corrector, f"Frame {view.path.name}, {view.tag}.")
-    named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
-    figures = {name: image_figures(image, full, mask) for name, (image, mask) in named.items()}
-    page.table(IMAGE_HEAD, image_rows(figures), "Figures of merit")
+    image_table(page, frame, corrected, corrector)
     scene_chapter(page, seen)

@@ -1,0 +1,93 @@
+"""What people hand to `rtpiv evaluate` by mistake: one sentence with the name, or a count; never silence."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+
+from daq.cli import DONE, USAGE, main
+from sim.patterns import printed_particles
+from sim.renderer import render
+from sim.sensor import Sensor
+from tests.correction.small_scenes import small_scene
+from tracer.scene_file import dump_scene
+
+SIZE_PX = 224
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """A pair of the bare view, 12 bit."""
+    folder = tmp_path_factory.mktemp("pair")
+    scene = small_scene("two_spheres_500", SIZE_PX).with_bodies(())
+    (folder / "scene.yaml").write_text(dump_scene(scene))
+    sheet = printed_particles((180.0, 180.0), scene.camera.focal_px / 500.0, seed=1)
+    frames = [
+        render(scene, print_, Sensor(), seed=k) for k, print_ in enumerate((sheet, sheet.displaced((1.5, 0.8))))
+    ]
+    return folder / "scene.yaml", frames
+
+
+def evaluate(tmp_path, scene, frames, *options, write=tifffile.imwrite, ending="tif"):
+    paths = [tmp_path / f"{name}.{ending}" for name, _ in zip("ab", frames, strict=False)]
+    for path, frame in zip(paths, frames, strict=True):
+        write(str(path), frame)
+    return main(["evaluate", *map(str, paths), "--scene", str(scene), "-o", str(tmp_path / "out"), *options])
+
+
+def spoiled(frames, kind):
+    a, b = frames
+    return {
+        "sizes": (a, b[:-2]),
+        "smaller than the scene": (a[:100, :100], b[:100, :100]),
+        "colour": (np.repeat(a[..., None], 3, axis=-1), b),
+        "constant": (a, np.full_like(b, 90)),
+        "stack": (np.stack((a, b)), b),
+        "one frame": (a,),
+        "NaN": (a.astype(np.float32), np.where(a > 1000, np.nan, b).astype(np.float32)),
+    }[kind]
+
+
+SENTENCES = {
+    "sizes": "b.tif: is 224 x 222 px, the scene's camera 224 x 224 px",
+    "smaller than the scene": "a.tif: is 100 x 100 px, the scene's camera 224 x 224 px",
+    "colour": "a.tif: has shape (224, 224, 3); one grey image is needed",
+    "constant": "frame B is constant",
+    "stack": "one frame a file is needed",
+    "one frame": "give two frames and --scene",
+    "NaN": "pixels are NaN or infinite",
+}
+
+
+@pytest.mark.parametrize("kind", SENTENCES)
+def test_what_is_no_pair_is_one_sentence(good, tmp_path, capsys, kind):
+    scene, frames = good
+    assert evaluate(tmp_path, scene, spoiled(frames, kind)) == USAGE
+    error = capsys.readouterr().err
+    assert error.startswith("rtpiv evaluate: ")
+    assert SENTENCES[kind] in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out" / "vectors.nc").exists()
+
+
+def test_what_cannot_go_together_is_named(good, tmp_path, capsys):
+    scene, frames = good
+    options = ("--target-clear", str(tmp_path / "a.tif"), "--route", "best")
+    assert evaluate(tmp_path, scene, frames, *options) == USAGE
+    assert "traces raw pixels" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["8 bit png", "16 bit left-aligned"])
+def test_other_depths_give_the_same_vectors(good, tmp_path, kind):
+    scene, frames = good
+    changed = [(frame >> 4).astype(np.uint8) for frame in frames]
+    how = {"write": cv2.imwrite, "ending": "png"} if kind.endswith("png") else {}
+    if kind.startswith("16"):
+        changed = [frame << 4 for frame in frames]
+    assert evaluate(tmp_path, scene, changed, "--shift-mm", "1.5", "0.8", **how) == DONE
+    shift = json.loads((tmp_path / "out" / "evaluation.json").read_text())["shift"]
+    assert np.abs(shift["regions"]["seen directly"]["bias_px"]).max() < 0.02
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert {"8": "255", "1": "65535"}[kind[0]] in text
