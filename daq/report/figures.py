@@ -47,7 +47,7 @@ def vector_figure(
     limit : float, optional
         End of the colour scale; default the 99th percentile of `colour`.
     """
-    figure, axes = _figure(6.2, 5.6)
+    figure, axes = _figure(6.2, 5.3)
     x_mm, y_mm = _axes_mm(field, grid)
     half = 0.5 * field.step_px * grid.pitch_mm
     extent = (x_mm[0] - half, x_mm[-1] + half, y_mm[-1] - half, y_mm[0] + half)

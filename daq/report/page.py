@@ -22,6 +22,7 @@ from tracer.whole_file import whole_file
 
 WIDEST_PX = 1008  # pictures in the page; the full frames are files beside it
 PNG_DPI = 170
+GAMMA = 0.6  # particles are few and small: shown as recorded, a reduced picture of them is black
 
 _STYLE = Path(__file__).with_name("page.css")
 Row = Sequence[str]
@@ -93,6 +94,8 @@ class Page:
         dense : bool
             Embed pixels: thousands of arrows as lines would make the page slow.
         """
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
         for kind in ("svg", "png"):
             self._files[f"{name}.{kind}"] = _drawn(figure, kind)
         kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
@@ -154,10 +157,10 @@ class Page:
 
 
 def grey(frame: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
-    """8-bit picture of a frame between two grey levels; NaN is the darker one."""
+    """8-bit picture of a frame between two grey levels, brightened for the eye; NaN is the darker one."""
     low, high = limits
     scaled = (np.nan_to_num(frame.astype(np.float32), nan=low) - low) / max(high - low, 1e-9)
-    return np.asarray(np.clip(scaled * 255.0, 0.0, 255.0), dtype=np.uint8)
+    return np.asarray(255.0 * np.clip(scaled, 0.0, 1.0) ** GAMMA, dtype=np.uint8)
 
 
 def tinted(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:

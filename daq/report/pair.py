@@ -66,7 +66,7 @@ def slider_chapter(
     page: Page, frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, what: str
 ) -> None:
     """Acquired | corrected | mask, and what the mask says."""
-    limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.7)))
+    limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
     palette = np.array([COLOURS[status] for status in NodeStatus], np.uint8)
     mask = palette[corrector.status]
     covered = np.where(corrector.recovered[..., None], 0, mask).astype(np.uint8)

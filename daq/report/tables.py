@@ -15,7 +15,7 @@ SHIFT_HEAD = ("region", "vectors", "bias u, v", "std u, v", "estimated sigma u, 
 SIGMA_HEAD = ("region", "vectors", "random", "map: displacement", "map: position", "errors within 1 sigma")
 ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
 IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
-BUDGET_HEAD = ("what", "standard uncertainty [px]", "how it acts")
+BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
 
 Row = tuple[str, ...]
 
@@ -107,12 +107,12 @@ def budget_rows(evaluation: Evaluation) -> list[Row]:
     field = evaluation.field
     random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]
     rows: list[Row] = [
-        ("correlation, one vector", _rms(random), "scatter"),
-        ("stage, two positions", f"{np.sqrt(2.0) * result.stage_px:.4f}", "common bias of all vectors"),
+        ("correlation of one vector: scatter", _rms(random)),
+        ("stage, two positions: a common bias of all vectors", f"{np.sqrt(2.0) * result.stage_px:.4f}"),
     ]
     if evaluation.map_sigma is not None:
         way = evaluation.map_sigma.displacement_px[where]
-        rows.insert(1, ("fitted map, displacement", _rms(way), "smooth over the plane, the same in every pair"))
+        rows.insert(1, ("fitted map, displacement: smooth over the plane, the same in every pair", _rms(way)))
     return rows
 
 
