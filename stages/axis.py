@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TypeVar
 
+from stages.axis_settings import AxisSettings
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.controller import Controller
 from stages.errors import (
@@ -31,52 +32,14 @@ from stages.errors import (
     NotReferenced,
     OutOfRange,
     ProtocolViolation,
-    StageUsageError,
 )
-from stages.profile import Approach, Leg, duration_s, legs
+from stages.profile import Leg, duration_s, legs
 
 POLL_S = 0.03
 STOP_AGAIN_S = 0.2
 CALM_S = 3.0  # time given to a motion to end after a stop
-LONGEST_TOLERANCE_UM = 10.0
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class AxisSettings:
-    """What the bench file says about an axis; see `stages.config` for the meaning of each."""
-
-    channel: str
-    limits_mm: tuple[float, float]
-    speed_mm_s: float
-    acceleration_mm_s2: float
-    sign: int = 1
-    offset_mm: float = 0.0
-    steps_per_mm: float | None = None
-    approach: Approach | None = None
-    settle_s: float = 0.1
-    in_position_um: float = LONGEST_TOLERANCE_UM
-    retries: int = 2
-    home_timeout_s: float = 180.0
-
-    def __post_init__(self) -> None:
-        low, high = self.limits_mm
-        numbers = (low, high, self.speed_mm_s, self.acceleration_mm_s2, self.offset_mm, self.settle_s)
-        if not all(map(math.isfinite, numbers)):
-            raise StageUsageError("every number of an axis must be finite")
-        if not low < high:
-            raise StageUsageError(f"limits_mm must rise, not {low} to {high}; (0, 0) never means no limit")
-        if self.sign not in (1, -1) or self.speed_mm_s <= 0 or self.acceleration_mm_s2 <= 0 or self.settle_s < 0:
-            raise StageUsageError("sign must be 1 or -1, speed and acceleration positive, settle_s not negative")
-        if not 0 < self.in_position_um <= LONGEST_TOLERANCE_UM:
-            raise StageUsageError(f"in_position_um must be above 0 and at most {LONGEST_TOLERANCE_UM:g}")
-        if self.steps_per_mm is not None and 500.0 / self.steps_per_mm > self.in_position_um:
-            raise StageUsageError("half a step is more than in_position_um; no target could be reached for sure")
-        if self.approach and not 0 < self.approach.distance_mm < high - low:
-            raise StageUsageError(
-                "the approach distance must be positive and shorter than the way between the limits"
-            )
 
 
 class AxisState(Enum):

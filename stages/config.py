@@ -31,7 +31,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from stages.axis import AxisSettings
+from stages.axis_settings import AxisSettings
 from stages.drivers import driver_class
 from stages.errors import StageUsageError
 from stages.profile import Approach

@@ -14,19 +14,16 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sim.camera.config import CameraConfig
+from sim.camera.darkroom import Darkroom, Picture
 from sim.camera.exposure import Exposure, Shutter
-from sim.camera.packing import FORMATS, pack, payload_bytes, to_format_bits
+from sim.camera.packing import payload_bytes
 from sim.camera.registers import RegisterMap, Value, WriteProtected
 from sim.camera.source import FrameSource, PatternSource, load_source
 
 log = logging.getLogger(__name__)
 VENDOR = "rtpiv"
 MODEL = "SimCamera"
-CACHED_FRAMES = 64
 
 
 class CameraGone(Exception):  # noqa: N818 - what the client will see
@@ -35,18 +32,13 @@ class CameraGone(Exception):  # noqa: N818 - what the client will see
 
 @dataclass(frozen=True, slots=True)
 class SimFrame:
-    """One packed frame on its way to a transport."""
+    """One frame on its way to a transport."""
 
     number: int
     frame_id: int
     trigger_index: int
     timestamp_ns: int
-    width: int
-    height: int
-    offset_x: int
-    offset_y: int
-    format_code: int
-    payload: NDArray[np.uint8]
+    picture: Picture
     is_incomplete: bool
 
 
@@ -86,7 +78,7 @@ class SimCamera:
         self._frames_left = -1
         self._missed_before = 0
         self._next_free_run_ns = 0
-        self._cache: dict[tuple[object, ...], tuple[NDArray[np.uint16], NDArray[np.uint8]]] = {}
+        self._darkroom = Darkroom(self.registers, config.bits)
         self.registers.on_write = self._written
         self.registers.before_read = self._refresh
         self._power_up_settings()
@@ -311,7 +303,14 @@ class SimCamera:
             return
         if not self._is_acquiring:
             return
-        frame = self._develop(number, pending, sensor)
+        frame = SimFrame(
+            number,
+            self.config.first_frame_id + number,
+            pending.trigger_index,
+            pending.exposure.start_ns - self._power_up_ns,
+            self._darkroom.develop(sensor),
+            number in faults.incomplete,
+        )
         time.sleep(float(faults.late_s.get(str(number), 0.0)))
         sink = self.sink
         if sink is not None and number not in faults.dropped:
@@ -324,38 +323,6 @@ class SimCamera:
             self._stop()
         if self.on_lost is not None:
             self.on_lost()
-
-    def _develop(self, number: int, pending: _Pending, sensor: NDArray[np.uint16]) -> SimFrame:
-        registers = self.registers
-        width, height = registers.integer("Width"), registers.integer("Height")
-        left, top = registers.integer("OffsetX"), registers.integer("OffsetY")
-        name = registers.entry("PixelFormat")
-        gain = 10 ** (registers.number("Gain") / 20)
-        key = (id(sensor), name, left, top, width, height, gain)
-        cached = self._cache.get(key)
-        if cached is None or cached[0] is not sensor:
-            image = sensor[top : top + height, left : left + width]
-            if gain != 1.0:
-                white = (1 << self.config.bits) - 1
-                image = np.minimum(np.rint(image * gain), white).astype(np.uint16)
-            payload = pack(to_format_bits(image, self.config.bits, name), name)
-            if not sensor.flags.writeable and len(self._cache) < CACHED_FRAMES:
-                self._cache[key] = (sensor, payload)
-        else:
-            payload = cached[1]
-        return SimFrame(
-            number,
-            self.config.first_frame_id + number,
-            pending.trigger_index,
-            pending.exposure.start_ns - self._power_up_ns,
-            width,
-            height,
-            left,
-            top,
-            FORMATS[name][0],
-            payload,
-            number in self.config.faults.incomplete,
-        )
 
 
 def _source_of(config: CameraConfig) -> FrameSource:

@@ -13,7 +13,7 @@ boot loader. There is no encoder: a stalled motor is not noticed.
 
 from collections.abc import Sequence
 
-from stages.controller import QUIET_S, Channel, Controller, Stream
+from stages.controller import Channel, Controller
 from stages.errors import (
     CommandRejected,
     DeviceError,
@@ -24,6 +24,7 @@ from stages.errors import (
     StageUsageError,
     WrongDevice,
 )
+from stages.link import QUIET_S, Stream
 from stages.protocols import grbl
 
 AXES = ("X", "Y", "Z")

@@ -12,7 +12,7 @@ noticed.
 
 from collections.abc import Sequence
 
-from stages.controller import QUIET_S, Channel, Controller, Stream
+from stages.controller import Channel, Controller
 from stages.errors import (
     CommandRejected,
     DeviceError,
@@ -23,6 +23,7 @@ from stages.errors import (
     ProtocolViolation,
     StageUsageError,
 )
+from stages.link import QUIET_S, Stream
 from stages.protocols import isel_dnc as dnc
 
 AXES = ("X", "Y", "Z")

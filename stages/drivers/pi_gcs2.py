@@ -11,7 +11,7 @@ servo has switched itself off. ``ONT?`` is not used: its window is the controlle
 import re
 from collections.abc import Sequence
 
-from stages.controller import Channel, Controller, Stream
+from stages.controller import Channel, Controller
 from stages.errors import (
     AxisStalled,
     CommandRejected,
@@ -21,6 +21,7 @@ from stages.errors import (
     StageUsageError,
     WrongDevice,
 )
+from stages.link import Stream
 from stages.protocols import pi_gcs2 as gcs
 
 ON_LIMIT_SWITCH = (49, 216)

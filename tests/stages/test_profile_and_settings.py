@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages.axis import AxisSettings
+from stages.axis_settings import AxisSettings
 from stages.errors import StageUsageError
 from stages.profile import Approach, duration_s, legs
 

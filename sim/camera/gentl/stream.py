@@ -59,23 +59,23 @@ class Buffer:
             3: (Kind.UINT64, frame.timestamp_ns),
             7: (Kind.BOOL8, int(frame.is_incomplete)),
             9: (Kind.SIZET, self.filled),
-            10: (Kind.SIZET, frame.width),
-            11: (Kind.SIZET, frame.height),
-            12: (Kind.SIZET, frame.offset_x),
-            13: (Kind.SIZET, frame.offset_y),
+            10: (Kind.SIZET, frame.picture.width),
+            11: (Kind.SIZET, frame.picture.height),
+            12: (Kind.SIZET, frame.picture.offset_x),
+            13: (Kind.SIZET, frame.picture.offset_y),
             14: (Kind.SIZET, 0),
             15: (Kind.SIZET, 0),
             16: (Kind.UINT64, frame.frame_id),
             17: (Kind.BOOL8, 1),
             18: (Kind.SIZET, 0),
             19: (Kind.SIZET, PAYLOAD_IMAGE),
-            20: (Kind.UINT64, frame.format_code),
+            20: (Kind.UINT64, frame.picture.format_code),
             21: (Kind.UINT64, NAMESPACE_PFNC_32BIT),
-            22: (Kind.SIZET, frame.height),
+            22: (Kind.SIZET, frame.picture.height),
             26: (Kind.INT32, LITTLE_ENDIAN_PIXELS),
             27: (Kind.SIZET, self.filled),
             28: (Kind.UINT64, frame.timestamp_ns),
-            29: (Kind.BOOL8, int(self.filled < frame.payload.size and not frame.is_incomplete)),
+            29: (Kind.BOOL8, int(self.filled < frame.picture.payload.size and not frame.is_incomplete)),
         }
         if command not in of_frame:
             raise GenTLError(Status.NOT_AVAILABLE, f"buffer info {command}")
@@ -114,9 +114,9 @@ class Stream:
                 self.underrun += 1
                 return
             buffer = self.input.popleft()
-        whole = min(buffer.size, frame.payload.size)
+        whole = min(buffer.size, frame.picture.payload.size)
         filled = whole // 2 if frame.is_incomplete else whole
-        ctypes.memmove(buffer.address, frame.payload.ctypes.data, filled)
+        ctypes.memmove(buffer.address, frame.picture.payload.ctypes.data, filled)
         with self.ready:
             buffer.frame, buffer.filled, buffer.is_queued = frame, filled, False
             buffer.received_ns = time.monotonic_ns()

@@ -45,7 +45,7 @@ class Block:
     @property
     def last_packet(self) -> int:
         """Number of the trailer."""
-        return -(-self.frame.payload.size // self.data_bytes) + 1
+        return -(-self.frame.picture.payload.size // self.data_bytes) + 1
 
     def is_unsent(self, packet: int) -> bool:
         """Whether this packet is never sent: the second half of a frame that is to arrive incomplete."""
@@ -62,19 +62,19 @@ class Block:
                 IMAGE,
                 stamp >> 32 & 0xFFFFFFFF,
                 stamp & 0xFFFFFFFF,
-                frame.format_code,
-                frame.width,
-                frame.height,
-                frame.offset_x,
-                frame.offset_y,
+                frame.picture.format_code,
+                frame.picture.width,
+                frame.picture.height,
+                frame.picture.offset_x,
+                frame.picture.offset_y,
                 0,
                 0,
             )
             return _header(self.id, LEADER, 0), content
         if number == self.last_packet:
-            return _header(self.id, TRAILER, number), struct.pack(">HHI", 0, IMAGE, frame.height)
+            return _header(self.id, TRAILER, number), struct.pack(">HHI", 0, IMAGE, frame.picture.height)
         start = (number - 1) * self.data_bytes
-        return _header(self.id, DATA, number), frame.payload.data[start : start + self.data_bytes]
+        return _header(self.id, DATA, number), frame.picture.payload.data[start : start + self.data_bytes]
 
 
 def unavailable(block: int, packet: int) -> bytes:

@@ -80,7 +80,7 @@ def test_gain_is_applied_and_clipped(client):
     one = client()
     one.set("Gain", 20.0)  # dB, ten times
     one.set("AcquisitionStart", 1)
-    payload = one.wait(1)[0].payload.view("<u2").reshape(8, 16)
+    payload = one.wait(1)[0].picture.payload.view("<u2").reshape(8, 16)
     plain = PatternSource(16, 8).frame(0, 0)
     np.testing.assert_array_equal(payload, np.minimum(plain.astype(int) * 10, 4095))
 

@@ -1,0 +1,61 @@
+"""From the sensor's grey values to the payload a client gets: crop, gain, bits, packing, as the registers say."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.camera.packing import FORMATS, pack, to_format_bits
+from sim.camera.registers import RegisterMap
+
+CACHED_PICTURES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """Packed pixels, and where on the sensor they were."""
+
+    width: int
+    height: int
+    offset_x: int
+    offset_y: int
+    format_code: int
+    payload: NDArray[np.uint8]
+
+
+class Darkroom:
+    """Develops sensor images; those that come again, from a ring of frames, only once.
+
+    Parameters
+    ----------
+    registers : RegisterMap
+        The camera's settings.
+    bits : int
+        Significant bits of the sensor.
+    """
+
+    def __init__(self, registers: RegisterMap, bits: int) -> None:
+        self._registers = registers
+        self._bits = bits
+        self._known: dict[tuple[object, ...], tuple[NDArray[np.uint16], Picture]] = {}
+
+    def develop(self, sensor: NDArray[np.uint16]) -> Picture:
+        """Picture of what the sensor (H, W) has seen."""
+        registers = self._registers
+        width, height = registers.integer("Width"), registers.integer("Height")
+        left, top = registers.integer("OffsetX"), registers.integer("OffsetY")
+        name = registers.entry("PixelFormat")
+        gain = 10 ** (registers.number("Gain") / 20)
+        key = (id(sensor), name, left, top, width, height, gain)
+        known = self._known.get(key)
+        if known is not None and known[0] is sensor:
+            return known[1]
+        image = sensor[top : top + height, left : left + width]
+        if gain != 1.0:
+            white = (1 << self._bits) - 1
+            image = np.minimum(np.rint(image * gain), white).astype(np.uint16)
+        payload = pack(to_format_bits(image, self._bits, name), name)
+        picture = Picture(width, height, left, top, FORMATS[name][0], payload)
+        if not sensor.flags.writeable and len(self._known) < CACHED_PICTURES:
+            self._known[key] = (sensor, picture)
+        return picture

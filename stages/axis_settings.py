@@ -1,0 +1,45 @@
+"""What is said about an axis, and what makes no sense to say."""
+
+import math
+from dataclasses import dataclass
+
+from stages.errors import StageUsageError
+from stages.profile import Approach
+
+LONGEST_TOLERANCE_UM = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSettings:
+    """What the bench file says about an axis; see `stages.config` for the meaning of each."""
+
+    channel: str
+    limits_mm: tuple[float, float]
+    speed_mm_s: float
+    acceleration_mm_s2: float
+    sign: int = 1
+    offset_mm: float = 0.0
+    steps_per_mm: float | None = None
+    approach: Approach | None = None
+    settle_s: float = 0.1
+    in_position_um: float = LONGEST_TOLERANCE_UM
+    retries: int = 2
+    home_timeout_s: float = 180.0
+
+    def __post_init__(self) -> None:
+        low, high = self.limits_mm
+        numbers = (low, high, self.speed_mm_s, self.acceleration_mm_s2, self.offset_mm, self.settle_s)
+        if not all(map(math.isfinite, numbers)):
+            raise StageUsageError("every number of an axis must be finite")
+        if not low < high:
+            raise StageUsageError(f"limits_mm must rise, not {low} to {high}; (0, 0) never means no limit")
+        if self.sign not in (1, -1) or self.speed_mm_s <= 0 or self.acceleration_mm_s2 <= 0 or self.settle_s < 0:
+            raise StageUsageError("sign must be 1 or -1, speed and acceleration positive, settle_s not negative")
+        if not 0 < self.in_position_um <= LONGEST_TOLERANCE_UM:
+            raise StageUsageError(f"in_position_um must be above 0 and at most {LONGEST_TOLERANCE_UM:g}")
+        if self.steps_per_mm is not None and 500.0 / self.steps_per_mm > self.in_position_um:
+            raise StageUsageError("half a step is more than in_position_um; no target could be reached for sure")
+        if self.approach and not 0 < self.approach.distance_mm < high - low:
+            raise StageUsageError(
+                "the approach distance must be positive and shorter than the way between the limits"
+            )

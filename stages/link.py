@@ -1,0 +1,185 @@
+"""The one way of talking to a controller, that makes late and damaged answers harmless.
+
+**Late answers.** Most protocols carry no message number, so the answer to a question that timed out could be
+taken for the answer to the next one. After every timeout, unreadable or surplus byte the link is SUSPECT: before
+anything else is asked, input is drained, then the controller must identify itself. A wire keeps its order, so
+once the identity has come, every older answer has come too. Questions are repeated after that; commands that
+move are never repeated here, because only the caller knows what moving twice would do.
+
+**Damaged answers.**  Where the protocol has no checksum, a position counts only when two readings in a row agree.
+"""
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Protocol, TypeVar
+
+from stages.clock import Clock
+from stages.errors import DeviceLost, NoReply, ProtocolViolation, WrongDevice
+from stages.port import Port
+
+QUIET_S = 0.12  # silence that ends draining
+REPEATS = 3  # times a question is asked
+FENCES = 6  # times a controller is asked to identify itself before it is given up
+
+T = TypeVar("T")
+
+
+class Stream(Protocol):
+    """A grammar's decoder: bytes in, answers (or violations) out."""
+
+    @property
+    def rest(self) -> bytes:
+        """Bytes that are no whole answer yet."""
+        ...
+
+    def feed(self, chunk: bytes) -> Sequence[object]:
+        """Add bytes; return what is complete."""
+        ...
+
+
+class Link(ABC):
+    """A port and the questions that go through it; base of `stages.controller.Controller`.
+
+    Parameters
+    ----------
+    name : str
+        Used in messages.
+    clock : Clock
+        Clock of every deadline.
+    """
+
+    reply_timeout_s: float = 0.5
+
+    def __init__(self, name: str, clock: Clock) -> None:
+        self.name = name
+        self.clock = clock
+        self.identity = ""
+        self._port: Port | None = None
+        self._lock = threading.RLock()
+        self._suspect = False
+
+    @property
+    def port(self) -> Port:
+        """The open port.
+
+        Raises
+        ------
+        DeviceLost
+            There is none.
+        """
+        if self._port is None:
+            raise DeviceLost(f"{self.name} is not connected; open it and home its axes")
+        return self._port
+
+    @abstractmethod
+    def _identify(self) -> str:
+        """Ask who answers; also the fence after which no older answer can come."""
+
+    @abstractmethod
+    def _stream(self) -> Stream:
+        """Decoder for the next answer."""
+
+    def _drained(self, data: bytes) -> None:  # noqa: B027 - most protocols have no alarms
+        """Look at what was swallowed before a fence; alarms must not get lost there."""
+
+    def _unsolicited(self, data: bytes) -> None:
+        """Judge bytes that came when nothing was asked; nobody may take them for an answer later."""
+        self._suspect = True
+
+    def _transact(
+        self,
+        data: bytes,
+        accept: Callable[[object], T | None],
+        timeout_s: float | None = None,
+        stream: Stream | None = None,
+    ) -> T:
+        """Send, and wait for the answer that `accept` recognises.
+
+        `accept` returns None for answers to skip and may raise.  Surplus answers make the link suspect.
+        """
+        with self._lock:
+            self._clear_line()
+            return self._converse(data, accept, timeout_s, stream)
+
+    def _send(self, data: bytes) -> None:
+        """Send what is answered when its motion has ended, or not at all."""
+        with self._lock:
+            self._clear_line()
+            self.port.write(data)
+
+    def _clear_line(self) -> None:
+        """See that nothing older can be taken for the next answer."""
+        if self._suspect:
+            self._resynchronise()
+        if early := self.port.pending():
+            self._unsolicited(early)
+            if self._suspect:
+                self._resynchronise()
+
+    def _converse(
+        self,
+        data: bytes,
+        accept: Callable[[object], T | None],
+        timeout_s: float | None = None,
+        stream: Stream | None = None,
+    ) -> T:
+        port, stream = self.port, stream or self._stream()
+        deadline_s = self.clock.now_s() + (timeout_s or self.reply_timeout_s)
+        try:
+            port.write(data)
+            while True:
+                answers = list(stream.feed(port.read(deadline_s)))
+                while answers:
+                    answer = answers.pop(0)
+                    if isinstance(answer, ProtocolViolation):
+                        raise answer
+                    if (result := accept(answer)) is not None:
+                        if answers or stream.rest:
+                            self._surplus(answers, stream.rest)
+                        return result
+        except (NoReply, ProtocolViolation):
+            self._suspect = True
+            raise
+
+    def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
+        """Judge what came in one chunk with, but after, the answer."""
+        self._suspect = True
+
+    def _resynchronise(self) -> None:
+        """Drain, then make the controller identify itself; afterwards no older answer can be under way."""
+        identity = self.identity
+        for _ in range(FENCES):
+            self._drained(self.port.drain(QUIET_S))
+            self._suspect = False
+            try:
+                identity = self._identify()
+                if not self._suspect and identity == (self.identity or identity):
+                    return
+            except (NoReply, ProtocolViolation):
+                identity = self.identity
+            self._suspect = (
+                True  # late answers to earlier fences, or the rest of a damaged one before the identity
+            )
+        if identity != self.identity:
+            raise WrongDevice(f"{self.name}: {identity!r} answers instead of {self.identity!r}; check the cables")
+        raise NoReply(f"{self.name} gives no clear answer; is it switched on, is the cable good?")
+
+    def _repeated(self, ask: Callable[[], T]) -> T:
+        """Ask a question again when its answer was late or damaged; never for commands that move."""
+        for _ in range(REPEATS - 1):
+            try:
+                return ask()
+            except (NoReply, ProtocolViolation):
+                continue
+        return ask()
+
+    def _agreed(self, ask: Callable[[], T], same: Callable[[T, T], bool] = lambda a, b: a == b) -> T:
+        """Ask until two readings in a row agree: one damaged answer is then never believed."""
+        before = self._repeated(ask)
+        for _ in range(2 * REPEATS):
+            now = self._repeated(ask)
+            if same(before, now):
+                return now
+            before = now
+        raise ProtocolViolation(f"{self.name}: readings at rest do not agree; check the cable")
