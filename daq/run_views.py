@@ -8,6 +8,9 @@ from typing import Any
 from daq.bench_file import Vector
 from daq.errors import ResumeRefused
 from daq.run_folder import RunFolder, frame_entries
+from daq.whole_text import write_text
+from tracer.errors import TracerError
+from tracer.scene_file import load_scene
 
 RUN_MARK = "run.json"
 
@@ -51,9 +54,22 @@ def is_run(path: Path) -> bool:
     return (path / RUN_MARK).is_file()
 
 
-def scene_text(path: Path) -> str:
-    """Scene of a run as it was described when the run began, as the text of a scene file."""
-    return str(RunFolder.open(path).about["scene"])
+def scene_file(path: Path, out: Path) -> Path:
+    """Scene file of a run: the one its frames were corrected with as they arrived, if it still says the same.
+
+    Otherwise the bench's scene as it was when the run began, written to ``scene.yaml`` in `out`.
+    """
+    about = RunFolder.open(path).about
+    used = about["request"].get("scene")
+    if used is not None and Path(used).is_file():
+        try:
+            if load_scene(used).content_hash() == about["hashes"].get("scene for the correction"):
+                return Path(used)
+        except TracerError:
+            pass  # no longer a scene: not the file that was used
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(out / "scene.yaml", str(about["scene"]))
+    return out / "scene.yaml"
 
 
 def target_frames(path: Path) -> dict[str, Path]:

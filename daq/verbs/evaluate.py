@@ -17,9 +17,9 @@ from daq.evaluation import Evaluation, Route, Task, evaluate_task
 from daq.report.page import Page
 from daq.report.pair import pair_chapters, pair_tiles
 from daq.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
-from daq.run_views import is_run, scene_text, shift_pairs
+from daq.run_views import ShiftPair, is_run, scene_file, shift_pairs
 from daq.terminal import console
-from daq.whole_text import write_json, write_text
+from daq.whole_text import write_json
 from tracer.errors import TracerError
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -51,7 +51,7 @@ def evaluate(
         request ``vectors.vtk`` and ``vectors_velocity.nc``; for a run one such folder a pair.
     scene : Path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
-        A run without it is evaluated with the scene it was taken with.
+        A run without it is evaluated with the scene that its frames were corrected with.
     target_clear, dewarp_order, square_mm
         As for `correct`.
     shift_mm : (float, float), optional
@@ -80,7 +80,13 @@ def evaluate(
         raise PairError(
             "the velocity route traces raw pixels; give the camera's lens terms in the scene, no dewarp"
         )
-    tasks, fitted = _tasks(paths, out, scene, shift_mm)
+    run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
+    if run is None and (len(paths) != 2 or scene is None):
+        raise PairError("give two frames and --scene, or the folder of a shift run")
+    pairs = shift_pairs(run) if run is not None else []
+    if scene is None:
+        scene = scene_file(paths[0], out)
+    fitted = load_scene(scene)
     sigma = _scene_sigma(scene, fitted, target_clear is not None)
     if isinstance(sigma, str):
         screen.print(f"no uncertainty of the map: {sigma}")
@@ -89,7 +95,7 @@ def evaluate(
         clear = read_frame(target_clear, fitted.camera.shape)
         dewarp = fit_dewarp(clear, fitted.camera, Chessboard(square_mm), dewarp_order)
     found = []
-    for task in tasks:
+    for task in [_task(pair, fitted, out) for pair in pairs] or [_two_frames(paths, fitted, out, shift_mm)]:
         evaluation = evaluate_task(task, dewarp, sigma, stage_um, route)
         _write(evaluation, vtk)
         _print(screen, evaluation)
@@ -97,39 +103,26 @@ def evaluate(
     return found
 
 
-def _tasks(
-    paths: list[Path], out: Path, scene: Path | None, shift_mm: tuple[float, float] | None
-) -> tuple[list[Task], Scene]:
-    """Pairs to evaluate (the two frames given, or every pair of a run) and the scene with its glass."""
-    if len(paths) == 1 and is_run(paths[0]):
-        pairs = shift_pairs(paths[0])
-        if scene is None:
-            out.mkdir(parents=True, exist_ok=True)
-            scene = out / "scene.yaml"
-            write_text(scene, scene_text(paths[0]))
-        loaded = load_scene(scene)
-        tasks = []
-        for pair in pairs:
-            through = loaded if pair.glass else loaded.with_bodies(())
-            note = ""
-            shift: tuple[float, float] | None = pair.measured_mm[:2]
-            if abs(pair.measured_mm[2]) > IN_PLANE_MM:
-                shift = None
-                note = (
-                    f"moved by {pair.measured_mm[2]:+.3f} mm along z: no one displacement is true for all vectors."
-                )
-            tasks.append(Task(pair.tag, pair.frames, through, out / pair.tag, shift, pair.commanded_mm[:2], note))
-        return tasks, loaded
-    if len(paths) != 2 or scene is None:
-        raise PairError("give two frames and --scene, or the folder of a shift run")
-    loaded = load_scene(scene)
-    name = f"{paths[0].stem}, {paths[1].stem}"
-    return [Task(name, (paths[0], paths[1]), loaded, out, shift_mm)], loaded
+def _two_frames(paths: list[Path], scene: Scene, out: Path, shift_mm: tuple[float, float] | None) -> Task:
+    """Task of two frames."""
+    first, second = paths
+    return Task(f"{first.stem}, {second.stem}", (first, second), scene, out, shift_mm)
 
 
-def _scene_sigma(scene: Path | None, fitted: Scene, dewarped: bool) -> SceneSigma | str:
+def _task(pair: ShiftPair, scene: Scene, out: Path) -> Task:
+    """Task of a pair of a run."""
+    through = scene if pair.glass else scene.with_bodies(())
+    x, y, z = pair.measured_mm
+    shift: tuple[float, float] | None = (x, y)
+    note = ""
+    if abs(z) > IN_PLANE_MM:
+        shift, note = None, f"moved by {z:+.3f} mm along z: no one displacement is true for all vectors."
+    return Task(pair.tag, pair.frames, through, out / pair.tag, shift, pair.commanded_mm[:2], note)
+
+
+def _scene_sigma(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str:
     """Uncertainty of the scene from the fit beside its file, or why there is none."""
-    if scene is None or not scene.with_name(FIT_FILE).is_file():
+    if not scene.with_name(FIT_FILE).is_file():
         return "there is no fit beside the scene; run rtpiv calibrate"
     if dewarped:
         return "the fit does not hold for a dewarped camera"

@@ -16,10 +16,9 @@ from daq.report.page import Page
 from daq.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
 from daq.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
 from daq.run_folder import RunFolder
-from daq.run_views import first_view, scene_text
+from daq.run_views import first_view, scene_file
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate
-from daq.whole_text import write_text
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -46,7 +45,7 @@ def report(
     out : Path, optional
         Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair.
     scene : Path, optional
-        scene.yaml, best a fitted one; default the run's own.
+        scene.yaml, best a fitted one; default the one that the run was corrected with, else the bench's.
     target_clear, dewarp_order
         As for `correct`.
     stage_um, route
@@ -68,15 +67,12 @@ def report(
     about = folder.about
     out = out if out is not None else run / "report"
     out.mkdir(parents=True, exist_ok=True)
-    given = scene
-    if scene is None:
-        scene = out / "scene.yaml"
-        write_text(scene, scene_text(run))
+    scene = scene or scene_file(run, out)
     loaded, square_mm = load_scene(scene), float(about["square_mm"])
     page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}")
     if (run / "displacements.json").is_file():
         chosen = route if target_clear is None else "image"
-        found = evaluate([run], out, given or scene, target_clear, dewarp_order, square_mm, None, stage_um, chosen)
+        found = evaluate([run], out, scene, target_clear, dewarp_order, square_mm, None, stage_um, chosen)
         shown = _most_telling(found)
         page.tiles(pair_tiles(shown))
         pairs_chapter(page, found)
@@ -86,7 +82,7 @@ def report(
         _single_frame(page, folder, loaded, target_clear, dewarp_order, square_mm)
     moved_chapter(page, folder)
     books_chapter(page, folder)
-    provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(given or "the run's own"))])
+    provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])
     path = out / "report.html"
     page.write(path)
     console().print(f"look at {path}", style="bold")

@@ -12,6 +12,7 @@ from daq.cli import DONE, USAGE, main
 from daq.conservation import Ledger
 from daq.journal import Journal
 from daq.run_folder import RunFolder
+from daq.run_views import scene_file
 from daq.whole_text import write_json
 from sim.patterns import Chessboard, printed_particles
 from sim.renderer import render
@@ -127,3 +128,19 @@ def test_what_is_no_run_or_holds_nothing_is_one_sentence(tmp_path, capsys):
     (folder.path / "displacements.json").write_text("[]")
     assert main(["report", str(folder.path)]) == USAGE
     assert "no displacement is complete" in capsys.readouterr().err
+
+
+def test_a_run_is_shown_as_it_was_corrected(tmp_path):
+    """The scene file that the frames were corrected with, while it says the same; else the bench's as it was."""
+    board = Chessboard(8.0, 3.2)
+    folder = run_folder(tmp_path, "target", [("target_glass", "glass", "chessboard", board, None)])
+    fitted = small_scene("two_spheres_500", SIZE_PX)
+    (tmp_path / "fit.yaml").write_text(dump_scene(fitted))
+    about = folder.about
+    about["request"]["scene"] = str(tmp_path / "fit.yaml")
+    about["hashes"]["scene for the correction"] = fitted.content_hash()
+    write_json(folder.path / "run.json", about)
+    assert scene_file(folder.path, tmp_path / "out") == tmp_path / "fit.yaml"
+    (tmp_path / "fit.yaml").write_text(dump_scene(fitted.with_bodies(())))
+    assert scene_file(folder.path, tmp_path / "out") == tmp_path / "out" / "scene.yaml"
+    assert (tmp_path / "out" / "scene.yaml").read_text() == about["scene"]
