@@ -1,15 +1,13 @@
 """The page: self-contained, escaped, and as wide as the screen that a real browser shows it on."""
 
-import html
-import json
 import re
 
 import numpy as np
 import pytest
-from browser import browse
 from matplotlib.figure import Figure
 
 from daq.report.page import Page, grey, tinted
+from tests.daq.report.browser import browse, measured
 
 
 def page():
@@ -63,33 +61,12 @@ def test_pages_and_figures_are_written_whole_or_not_at_all(tmp_path, mocker):
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
-MEASURE = """<script>
-addEventListener("load", () => {
-  const widths = [document.documentElement.scrollWidth, innerWidth];
-  const loaded = [...document.images].every(image => image.complete && image.naturalWidth > 0);
-  const slider = document.querySelector(".stage input");
-  slider.value = 20;
-  slider.oninput();
-  const clip = getComputedStyle(document.querySelectorAll(".layer")[1]).clipPath;
-  document.querySelectorAll(".choice input")[1].click();
-  const mask = getComputedStyle(document.querySelectorAll(".layer")[2]).display;
-  parent.document.title = JSON.stringify({widths, loaded, clip, mask});
-});
-</script>"""
-
-
 @pytest.mark.parametrize("width", [390, 1400])
 def test_a_browser_shows_it(tmp_path, width):
     """No sideways scrolling, every picture loads, the line moves, and the mask comes up when asked for."""
-    inner = page().html().replace("</body>", MEASURE + "</body>")
-    path = tmp_path / "frame.html"  # in a frame, because no browser window is as narrow as a phone
-    path.write_text(f'<title></title><iframe width="{width}" height="800" srcdoc="{html.escape(inner)}"></iframe>')
-    dom = browse(path, tmp_path, "--window-size=1600,900", "--virtual-time-budget=2000", "--dump-dom")
-    found = re.search(r"<title>(\{.*?\})</title>", dom)
-    assert found, dom[:300]
-    seen = json.loads(html.unescape(found[1]))
-    assert seen["widths"][1] == width
-    assert seen["widths"][0] <= seen["widths"][1]
+    seen = measured(page().html(), tmp_path, width)
+    assert seen["inside"] == width
+    assert seen["needed"] <= width
     assert seen["loaded"]
     assert "20%" in seen["clip"]
     assert seen["mask"] == "block"

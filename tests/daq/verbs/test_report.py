@@ -18,6 +18,7 @@ from sim.patterns import Chessboard, printed_particles
 from sim.renderer import render
 from sim.sensor import Sensor
 from tests.correction.small_scenes import small_scene
+from tests.daq.report.browser import measured
 from tracer.scene_file import dump_scene
 
 SIZE_PX = 336
@@ -88,6 +89,12 @@ def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
     for name in ("vectors", "uncertainty", "errors", "intensity", "radius", "scene"):
         assert (shift_run / "report" / f"{name}.svg").is_file()
         assert (shift_run / "report" / f"{name}.png").is_file()
+
+
+def test_a_phone_shows_it_without_sideways_scrolling(shift_run, tmp_path):
+    seen = measured((shift_run / "report" / "report.html").read_text(), tmp_path, 390)
+    assert seen["needed"] <= seen["inside"] == 390
+    assert seen["loaded"]
 
 
 def test_errors_are_stated_where_one_shift_is_true_for_all(shift_run):
