@@ -1,0 +1,158 @@
+"""The drivers against boxes that share no code with our emulators: answers in the very shapes that manuals print.
+
+Signs, leading zeros, more fields, no checksums, lower-case digits: all of it is documented, and not how our own
+emulators speak.  Each box takes a motion at once and remembers where it was sent.
+"""
+
+import re
+from contextlib import closing
+
+import pytest
+
+from sim.clock import VirtualClock
+from sim.emulators.device import Emulator
+from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
+from stages.axis import AxisState
+from stages.stage import Stage
+from tests.stages.benches import stages_table
+
+
+class Box(Emulator):
+    """Cuts bytes into units and lets `reply` answer each."""
+
+    unit = rb"[^\n]*\n"
+
+    def __init__(self, clock):
+        super().__init__({}, clock)
+        self.left, self.at, self.asked = b"", {}, []
+
+    def _take(self, data):
+        self.left += data
+        while match := re.match(self.unit, self.left, re.DOTALL):
+            self.left = self.left[match.end() :]
+            self.asked.append(match[0])
+            self.say(self.reply(match[0].decode("latin-1").strip()).encode("latin-1"))
+
+
+class Zaber(Box):
+    """ASCII Protocol Manual: replies without checksum, information lines, an alert, flags with the answer."""
+
+    homed = False
+
+    def reply(self, said):
+        body = said[1:].rsplit(":", 1)[0]
+        device, axis, number, *words = body.split(" ")
+        head = f"@{int(device):02d} {axis} {number} OK"
+        flag = "--" if self.homed else "WR"
+        match words:
+            case ["get", "deviceid"]:
+                data = "43211"
+            case ["get", "system.serial" | "version" | "system.axiscount" as what]:
+                data = {"system.serial": "84251", "version": "6.28", "system.axiscount": "2"}[what]
+            case ["get", "pos"]:
+                data = str(self.at.get(axis, 0))
+            case ["warnings"]:
+                data = "00" if self.homed else "02 WR WH"
+            case ["home"]:
+                self.homed, data = True, "0"
+                self.at[axis] = 0
+                return f"!{int(device):02d} {axis} IDLE --\r\n{head} BUSY -- 0\r\n"
+            case ["move", "abs", steps]:
+                self.at[axis], data = int(steps), "0"
+            case _:
+                data = "0"
+        return f"{head} IDLE {flag} {data}\r\n#{int(device):02d} {axis} {number} for your information\r\n"
+
+
+class Pi(Box):
+    """MS249E: values with sign and leading zeros (p. 117), the bytes 5 and 7 (p. 127), CR before LF."""
+
+    unit = rb"[\x05\x07\x18]|[^\n\x05\x07\x18]*\n"
+    referenced = ""
+
+    def reply(self, said):
+        name, *words = said.split(" ")
+        axis = words[0] if words else ""
+        fixed = {"*IDN?": "(c)2011 Physik Instrumente (PI) Karlsruhe, C-863.11,0,1.2.0.0", "ERR?": "0",
+                 "\x05": "0", "\x07": "\xb1"}  # fmt: skip
+        if said in ("\x05", "") or name in fixed:
+            answer = fixed.get(name, "0")
+        elif name == "SAI?":
+            return "1 \n2\n"
+        elif name == "FRF":
+            self.referenced += axis
+            return ""
+        elif name == "FRF?":
+            answer = f"{axis}={int(axis in self.referenced)}"
+        elif name == "MOV":
+            self.at[axis] = float(words[1])
+            return ""
+        elif name == "POS?":
+            answer = f"{axis}={self.at.get(axis, 0.0):+010.4f}"
+        else:
+            return ""
+        return answer + ("\n" if answer == "\xb1" else "\r\n")
+
+
+class Grbl(Box):
+    """interface.md: every field that a report can have, numbers with few decimals, messages before the answer."""
+
+    unit = rb"[?!~\x18\x85]|[^\n?!~\x18\x85]*\n"
+
+    def reply(self, said):
+        place = f"{self.at.get('X', -1.0):.3f},{self.at.get('Y', -1.0):.3f},0.000"
+        if said == "?":
+            return f"<Idle|MPos:{place}|Bf:15,128|Ln:99999|FS:500,8000|Pn:XYZPDHRS|WCO:0.000,1.551,5.664>\r\n"
+        if said == "$I":
+            return "[VER:1.1h.20190830:my board]\r\n[OPT:V,15,128]\r\nok\r\n"
+        if said == "$$":
+            values = {10: "1", 13: "0", 22: "1", 100: "250.000", 101: "250.000", 110: "3000.000", 111: "3000.000",
+                      120: "100.000", 121: "100.000", 130: "200.000"}  # fmt: skip
+            return "".join(f"${number}={value}\r\n" for number, value in values.items()) + "ok\r\n"
+        if match := re.match(r"\$J=.*([XY])(-?[\d.]+)F", said):
+            self.at[match[1]] = float(match[2])
+        return (
+            "[MSG:Caution: Unlocked]\r\nok\r\n" if said == "$H" else "ok\r\n" if said not in "\x18\x85!~" else ""
+        )
+
+
+class Isel(Box):
+    """Programming guide: one character and no line end; hexadecimal digits of either case."""
+
+    unit = rb"\xfd|[^\r]*\r"
+
+    def reply(self, said):
+        if said == "@0V":
+            return "0iMC-S8 V2.03\r\n"
+        if said == "@0P":
+            return "0" + "".join(f"{self.at.get(axis, 0) & 0xFFFFFF:06x}" for axis in "XY")
+        if match := re.match(r"@0A (-?\d+),\d+,(-?\d+),\d+", said):
+            for axis, steps in zip("XY", match.groups(), strict=True):
+                self.at[axis] = self.at.get(axis, 0) + int(steps)
+        return "" if said == "\xfd" else "0"
+
+
+BOXES = {"zaber_ascii": Zaber, "pi_gcs2": Pi, "grbl": Grbl, "isel_dnc": Isel}
+
+
+@pytest.mark.parametrize("spoken", BOXES)
+def test_a_driver_understands_a_box_that_is_none_of_ours(spoken):
+    clock = VirtualClock()
+    box = BOXES[spoken](clock)
+    LINES["stranger"] = Line(box, clock)
+    table = stages_table(spoken).model_copy(deep=True)
+    table.controllers["box"].__dict__["port"] = "sim://stranger"
+    try:
+        with closing(Stage.open(table, clock)) as stage:
+            assert stage.axis("a").state is AxisState.UNREFERENCED
+            stage.home()
+            for target_mm in (30.0, 29.5, 101.25):
+                stage.move({"a": target_mm, "b": 130.0 - target_mm})
+                here = stage.where_mm()
+                assert here == pytest.approx({"a": target_mm, "b": 130.0 - target_mm}, abs=2e-3)
+            stage.stop()
+            assert stage.where_mm() == here
+    finally:
+        LINES.pop("stranger")
+    assert len(box.asked) > 20
