@@ -15,7 +15,7 @@ ignored_triggers   triggers that came while the camera was busy; None if the cam
 =================  ==================================================================================
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -99,10 +99,6 @@ class Camera(Protocol):
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Wait for the next complete frame; CameraTimeout if the camera lives, CameraLost if it does not."""
-        ...
-
-    def frames(self, timeout_s: float) -> Iterator[Frame]:
-        """Yield frames until none came for `timeout_s`."""
         ...
 
     def disarm(self) -> Counters:

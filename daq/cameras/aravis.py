@@ -9,7 +9,7 @@ Discovery would broadcast on all interfaces of the machine, so the device is mad
 import ctypes
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -182,15 +182,6 @@ class AravisCamera:
             raise CameraTimeout("every buffer is held by frames that were not released; release them")
         self._probe(max(PROBE_MIN_S, timeout_s / 2))
         raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
-
-    def frames(self, timeout_s: float) -> Iterator[Frame]:
-        """Yield frames until none came for `timeout_s`."""
-        while True:
-            try:
-                frame = self.next_frame(timeout_s)
-            except CameraTimeout:
-                return
-            yield frame
 
     def disarm(self) -> Counters:
         """Stop the acquisition; complete frames that nobody fetched count as underrun."""

@@ -8,7 +8,7 @@ hole in a recorded run is a hole here too; without numbers the files are counted
 import re
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -137,15 +137,6 @@ class FilesCamera:
         if self._values["TriggerMode"] == "Off":
             due.append(due_ns + round(1e9 / float(self._values["AcquisitionFrameRate"])))
         return self._show(due_ns)
-
-    def frames(self, timeout_s: float) -> Iterator[Frame]:
-        """Yield frames until none came for `timeout_s`."""
-        while True:
-            try:
-                frame = self.next_frame(timeout_s)
-            except CameraTimeout:
-                return
-            yield frame
 
     def disarm(self) -> Counters:
         """Stop; files not shown are simply not shown."""

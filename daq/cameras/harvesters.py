@@ -9,7 +9,7 @@ import multiprocessing
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -144,15 +144,6 @@ class HarvestersCamera:
         if not self._waiting:
             raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
         return self._frame(self._waiting.popleft())
-
-    def frames(self, timeout_s: float) -> Iterator[Frame]:
-        """Yield frames until none came for `timeout_s`."""
-        while True:
-            try:
-                frame = self.next_frame(timeout_s)
-            except CameraTimeout:
-                return
-            yield frame
 
     def disarm(self) -> Counters:
         """Stop the acquisition; frames that nobody fetched count as underrun."""
