@@ -162,7 +162,10 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
 
 def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     page.heading("Uncertainty")
-    caption = "Root mean square of the standard uncertainty of a component [px of the corrected frame]"
+    caption = (
+        "Root mean square of the standard uncertainty of a component [px of the corrected frame]; share of the errors "
+        "within it, the common error of the stage taken off"
+    )
     page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
     if evaluation.map_sigma is None:
         page.text(f"What the map itself is unsure of is not known: {evaluation.no_map_sigma}.")

@@ -12,7 +12,14 @@ from correction.node_status import MEANING, NodeStatus
 from daq.evaluation import Evaluation
 
 SHIFT_HEAD = ("region", "vectors", "bias u, v", "std u, v", "estimated sigma u, v")
-SIGMA_HEAD = ("region", "vectors", "random", "map: displacement", "map: position", "errors within 1 sigma")
+SIGMA_HEAD = (
+    "region",
+    "vectors",
+    "random",
+    "map: displacement",
+    "map: position",
+    "errors within 1 sigma",
+)
 ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
 IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
 BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
@@ -36,13 +43,19 @@ def shift_rows(result: ShiftResult) -> list[Row]:
 
 
 def sigma_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under SIGMA_HEAD: rms of each share of the uncertainty over u and v, and what it covers."""
+    """Rows under SIGMA_HEAD: rms of each share of the uncertainty over u and v, and what it covers.
+
+    An error is within 1 sigma of random and map together; the common error of the stage is taken off first.
+    """
     field, joined = evaluation.field, evaluation.map_sigma
     random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
     nothing = np.full_like(random, np.nan)
     place, way = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
     total = np.hypot(random, np.nan_to_num(way))
-    errors = nothing if evaluation.shift is None else shift_errors(field, evaluation.shift.shift_px)
+    errors = nothing
+    if evaluation.shift is not None:
+        errors = shift_errors(field, evaluation.shift.shift_px)
+        errors = errors - np.nanmedian(errors.reshape(-1, 2), axis=0)  # what the stage missed is the same for all
     rows: list[Row] = []
     for name, where in region_masks(evaluation).items():
         if not where.any():

@@ -76,7 +76,8 @@ def report(
         shown = _most_telling(found)
         page.tiles(pair_tiles(shown))
         pairs_chapter(page, found)
-        page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")
+        if len(found) > 1:
+            page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")
         pair_chapters(page, shown)
     else:
         _single_frame(page, folder, loaded, target_clear, dewarp_order, square_mm)
