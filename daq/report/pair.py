@@ -163,8 +163,8 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
 def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     page.heading("Uncertainty")
     caption = (
-        "Root mean square of the standard uncertainty of a component [px of the corrected frame]; share of the errors "
-        "within it, the common error of the stage taken off"
+        "Root mean square of the standard uncertainty of a component [px of the corrected frame]; share of the "
+        "errors within it, the common error of the stage taken off"
     )
     page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
     if evaluation.map_sigma is None:
