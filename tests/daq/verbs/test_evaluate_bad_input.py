@@ -12,6 +12,7 @@ from sim.patterns import printed_particles
 from sim.renderer import render
 from sim.sensor import Sensor
 from tests.correction.small_scenes import small_scene
+from tracer.map_file import save_arrays
 from tracer.scene_file import dump_scene
 
 SIZE_PX = 224
@@ -91,3 +92,18 @@ def test_other_depths_give_the_same_vectors(good, tmp_path, kind):
     assert np.abs(shift["regions"]["seen directly"]["bias_px"]).max() < 0.02
     text = (tmp_path / "out" / "report.html").read_text()
     assert {"8": "255", "1": "65535"}[kind[0]] in text
+
+
+def test_a_fit_that_cannot_be_used_is_said_and_left_out(good, tmp_path, capsys):
+    """Damaged, or of another scene: vectors are measured without the map's uncertainty, and the page says so."""
+    scene, frames = good
+    (tmp_path / "scene.yaml").write_text(scene.read_text())
+    (tmp_path / "fit.npz").write_bytes(b"PK nonsense")
+    assert evaluate(tmp_path, tmp_path / "scene.yaml", frames) == DONE
+    assert "no uncertainty of the map" in capsys.readouterr().out
+    summary = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert "is damaged" in summary["no_map_sigma"]
+    header = {"scene_hash": "0123456789abcdef"}
+    save_arrays(tmp_path / "fit.npz", "scene fit", header, {"scene_root": np.eye(14)})
+    assert evaluate(tmp_path, tmp_path / "scene.yaml", frames) == DONE
+    assert "the fit belongs to scene 0123456789abcdef" in " ".join(capsys.readouterr().out.split())
