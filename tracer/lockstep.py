@@ -44,9 +44,7 @@ def fits_lockstep(scene: Scene) -> bool:
     """Whether a scene can be traced in lockstep."""
     table = scene.sphere_table()
     return (
-        not scene.rods
-        and 0 < len(table) <= MAX_CHAIN
-        and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
+        not scene.rods and len(table) <= MAX_CHAIN and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
     )
 
 
@@ -141,18 +139,24 @@ def name_unknown(
     branch: NDArray[np.uint16],
 ) -> None:
     """Trace the pixels without a branch number, all in the rows `lines`, by `march` and append their branches."""
-    if not len(lines):
-        return
     rows, columns = np.nonzero(branch[lines] == UNKNOWN)
     rows = lines[rows]
-    again = trace(scene, np.stack((columns, rows), axis=-1))
-    plane[rows, columns] = again.plane_mm
-    status[rows, columns] = again.rays["status"]
+    if len(rows):
+        places = rows, columns
+        plane[places], status[places], branch[places] = by_march(scene, np.stack((columns, rows), -1), branches)
+
+
+def by_march(
+    scene: Scene, pixels: NDArray[np.int64], branches: list[Branch]
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint16]]:
+    """Plane points, status and branch numbers of pixels (N, 2); branches not among `branches` are appended."""
+    again = trace(scene, pixels)
+    numbers = np.empty(len(pixels), np.uint16)
     for key, sequence in sorted(again.branches.items(), key=lambda item: item[1]):
         if sequence not in branches:
             branches.append(sequence)
-        taken = again.rays["key"] == key
-        branch[rows[taken], columns[taken]] = branches.index(sequence)
+        numbers[again.rays["key"] == key] = branches.index(sequence)
+    return again.plane_mm, again.rays["status"], numbers
 
 
 def block_scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -162,7 +166,7 @@ def block_scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 def pack_chain(scene: Scene) -> NDArray[np.float64]:
     """Spheres for ``tracer.kernels.chain`` (N, BALL), from the highest centre down."""
-    return np.array([_constants(sphere, scene) for sphere in _chain(scene)])
+    return np.array([_constants(sphere, scene) for sphere in _chain(scene)]).reshape(-1, BALL)
 
 
 def chain_trip(scene: Scene, sequence: NDArray[np.int64]) -> int:

@@ -36,6 +36,7 @@ from tracer.kernels.chain import (
     SKIP_SILHOUETTES,
     TRIP,
     UNKNOWN,
+    VECTOR,
     begin_block,
     follow_block,
     foot_of,
@@ -375,6 +376,9 @@ def trace_runs(
     Outputs: ``unknown`` (R,) int64, pixels a run without a branch number, ``point`` (2 P,), ``status`` and
     ``branch`` (P,).  The pixels have the bits that `sensor_rows` gives them.
     """
+    camera, balls, runs, x, y = unowned(camera), unowned(balls), unowned(runs), unowned(x), unowned(y)
+    spans, wanted, rays, trips = unowned(spans), unowned(wanted), unowned(rays), unowned(trips)
+    point, status, branch = unowned(point), unowned(status), unowned(branch)
     flat_columns(flat, camera, x)
     placed, skips = -1, SKIP_SILHOUETTES | SKIP_LEFT_BEHIND
     for r in range(first, last):
@@ -401,3 +405,106 @@ def trace_runs(
             )
             write_block(n, rays, trips, point[2 * at : 2 * (at + n)], status[at : at + n], branch[at : at + n])
             low, at = low + n, at + n
+
+
+@kernel
+def list_spans(
+    camera: Array, balls: Array, flat: bool, first: int, last: int, x: Array, y: Array, found: Array, counts: Array
+) -> None:
+    """List the columns of rows first..last-1 in which glass can be met.
+
+    Outputs: ``found`` (H, 2 N + 1, 2) int64, whose rows from N on hold the joined spans, ``counts`` (H,) of them.
+    Scratch: ``x``, ``y`` (W + VECTOR,).
+    """
+    camera, balls, x, y, found = unowned(camera), unowned(balls), unowned(x), unowned(y), unowned(found)
+    flat_columns(flat, camera, x)
+    for row in range(first, last):
+        width = x.shape[0] - VECTOR
+        counts[row] = silhouettes(row, flat, SKIP_SILHOUETTES, camera, balls, x, y, width, found[row])
+
+
+@kernel
+def mark_touched(
+    low: int, high: int, moved: Array, balls: Array, legs: Array, point: Array, branch: Array, mark: Array
+) -> None:
+    """Mark the pixels low..high-1 of a row of an earlier map whose rays a moved sphere may have touched.
+
+    ``moved`` (M,) int64 numbers of the spheres in ``balls``, where they are now; ``legs`` (branches, 5) what is
+    known of each branch: 0 clear, 1 touched, 2 look; centre and radius of the last sphere left.  The last leg of a
+    ray runs inside the hull of that sphere and the plane point.
+    """
+    for i in range(low, high):
+        b = branch[i]
+        if legs[b, 0] == 1.0:
+            mark[i] = 1
+        elif legs[b, 0] == 2.0:
+            cx, cy, cz = legs[b, 1], legs[b, 2], legs[b, 3]
+            vx, vy, vz = point[2 * i] - cx, point[2 * i + 1] - cy, -cz
+            for k in moved:
+                wx, wy, wz = balls[k, 0] - cx, balls[k, 1] - cy, balls[k, 2] - cz
+                t = (wx * vx + wy * vy + wz * vz) / (vx * vx + vy * vy + vz * vz)
+                t = max(0.0, min(1.0, t))
+                ux, uy, uz = wx - t * vx, wy - t * vy, wz - t * vz
+                reach = legs[b, 4] + 1.0 / balls[k, 8]
+                if not ux * ux + uy * uy + uz * uz > 1.0000001 * reach * reach:  # NaN: it goes anywhere
+                    mark[i] = 1
+
+
+@kernel
+def retrace_rows(
+    camera: Array,
+    old: Array,
+    balls: Array,
+    flat: bool,
+    paired: bool,
+    moved: Array,
+    legs: Array,
+    first: int,
+    last: int,
+    mark: Array,
+    x: Array,
+    y: Array,
+    spans: Array,
+    wanted: Array,
+    rays: Array,
+    trips: Array,
+    unknown: Array,
+    point: Array,
+    status: Array,
+    branch: Array,
+) -> None:
+    """Trace again what moved spheres touch in rows first..last-1 of the map of the spheres ``old``.
+
+    Arguments as `sensor_rows` and `mark_touched`; ``mark`` (W,) uint8 is scratch.
+    """
+    camera, old, balls, moved, legs = unowned(camera), unowned(old), unowned(balls), unowned(moved), unowned(legs)
+    mark, x, y, spans, wanted = unowned(mark), unowned(x), unowned(y), unowned(spans), unowned(wanted)
+    rays, trips = unowned(rays), unowned(trips)
+    point, status, branch = unowned(point), unowned(status), unowned(branch)
+    width, bodies = status.shape[1], balls.shape[0]
+    skips = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND
+    flat_columns(flat, camera, x)
+    for row in range(first, last):
+        unknown[row] = 0
+        mark[:] = 0
+        p, s, b = point[row], status[row], branch[row]
+        for j in range(silhouettes(row, flat, skips, camera, old, x, y, width, spans)):
+            mark_touched(spans[bodies + j, 0], spans[bodies + j, 1], moved, balls, legs, p, b, mark)
+        silhouettes(row, flat, skips, camera, balls, x, y, width, spans)
+        for k in moved:
+            mark[spans[k, 0] : spans[k, 1]] = 1
+        low = 0
+        while low < width:
+            if mark[low] == 0:
+                low += 1
+                continue
+            high, seen = low + 1, low + 1
+            while high < width and high - seen < VECTOR:  # a gap shorter than a vector costs nothing
+                high += 1
+                if mark[high - 1]:
+                    seen = high
+            while low < seen:
+                n = min(LANES, seen - low)
+                unknown[row] += glass_block(x, y, low, n, skips, paired, camera, balls, spans, rays, trips, wanted)
+                write_block(n, rays, trips, p[2 * low : 2 * (low + n)], s[low : low + n], b[low : low + n])
+                low += n
