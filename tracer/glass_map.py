@@ -106,16 +106,31 @@ def build_glass_map(scene: Scene) -> GlassMap:
     count = int(ends[-1]) if len(ends) else 0
     plane, status, branch = np.empty((count, 2)), np.empty(count, np.uint8), np.empty(count, np.uint16)
     point, unknown = plane.reshape(-1), np.zeros(len(runs), np.int64)
+    twins, done_with = _twins(runs, height) if mirrors.in_y else (np.full(len(runs), -1), len(runs))
 
     def work(first: int, last: int) -> None:
-        outputs = [*row_scratch(width, len(balls)), unknown, point, status, branch]
-        trace_runs(camera, balls, flat, paired, width, runs, first, last, *outputs)
+        arrays = [*row_scratch(width, len(balls)), unknown, point, status, branch]
+        swaps = mirrors.in_x, mirrors.swap_x, mirrors.swap_y
+        trace_runs(camera, balls, flat, paired, *swaps, width, runs, twins, first, last, *arrays)
 
-    run_rows(work, len(runs), block=RUNS_PER_CALL)
+    run_rows(work, done_with, block=RUNS_PER_CALL)
     branches = chain_branches(scene)
     made = GlassMap(runs, plane, status, branch, tuple(branches), scene.content_hash())
     if not unknown.any():
         return made
     lost = np.nonzero(branch == UNKNOWN)[0]
-    plane[lost], status[lost], branch[lost] = by_march(scene, made.pixels[lost], branches)
+    which = np.searchsorted(ends, lost, side="right")
+    pixels = np.stack((runs[which, 1] + lost - runs[which, 3], runs[which, 0]), axis=-1)
+    plane[lost], status[lost], branch[lost] = by_march(scene, pixels, branches)
     return GlassMap(runs, plane, status, branch, tuple(branches), made.scene_hash)
+
+
+def _twins(runs: NDArray[np.int64], height: int) -> tuple[NDArray[np.int64], int]:
+    """For each run its mirror image in y or -1, and how many runs must be traced: those down to the middle."""
+    rows = runs[:, 0]
+    begin = np.searchsorted(rows, np.arange(height + 1))
+    twins = begin[height - 1 - rows] + np.arange(len(runs)) - begin[rows]
+    middle = int(begin[(height + 1) // 2])
+    twins[rows == height - 1 - rows] = -1
+    assert np.array_equal(runs[twins[:middle], 1:3][twins[:middle] >= 0], runs[:middle, 1:3][twins[:middle] >= 0])
+    return twins, middle

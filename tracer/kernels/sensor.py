@@ -356,8 +356,12 @@ def trace_runs(
     balls: Array,
     flat: bool,
     paired: bool,
+    mirror_x: bool,
+    swap_x: Array,
+    swap_y: Array,
     width: int,
     runs: Array,
+    twins: Array,
     first: int,
     last: int,
     x: Array,
@@ -373,38 +377,41 @@ def trace_runs(
 ) -> None:
     """Trace runs first..last-1 (R, 4) int64: row, columns from and to, and where they go in the flat outputs.
 
+    ``twins`` (R,) int64: the run that is the mirror image in y and is written with this one, or -1.
     Outputs: ``unknown`` (R,) int64, pixels a run without a branch number, ``point`` (2 P,), ``status`` and
     ``branch`` (P,).  The pixels have the bits that `sensor_rows` gives them.
     """
     camera, balls, runs, x, y = unowned(camera), unowned(balls), unowned(runs), unowned(x), unowned(y)
     spans, wanted, rays, trips = unowned(spans), unowned(wanted), unowned(rays), unowned(trips)
     point, status, branch = unowned(point), unowned(status), unowned(branch)
+    swap_x, swap_y = unowned(swap_x), unowned(swap_y)
     flat_columns(flat, camera, x)
     placed, skips = -1, SKIP_SILHOUETTES | SKIP_LEFT_BEHIND
     for r in range(first, last):
         row, low, high, at = runs[r, 0], runs[r, 1], runs[r, 2], runs[r, 3]
+        count = high - low
+        p, s, b = point[2 * at : 2 * (at + count)], status[at : at + count], branch[at : at + count]
         if row != placed:
             silhouettes(row, flat, skips, camera, balls, x, y, width, spans)
             placed = row
         unknown[r] = 0
-        while low < high:
-            n = min(LANES, high - low)
+        half = (count + 1) // 2 if mirror_x and low + high == width else count
+        done = 0
+        while done < half:
+            n = min(LANES, half - done)
             unknown[r] += glass_block(
-                x,
-                y,
-                low,
-                n,
-                SKIP_SILHOUETTES | SKIP_LEFT_BEHIND,
-                paired,
-                camera,
-                balls,
-                spans,
-                rays,
-                trips,
-                wanted,
+                x, y, low + done, n, skips, paired, camera, balls, spans, rays, trips, wanted
             )
-            write_block(n, rays, trips, point[2 * at : 2 * (at + n)], status[at : at + n], branch[at : at + n])
-            low, at = low + n, at + n
+            write_block(n, rays, trips, p[2 * done : 2 * (done + n)], s[done : done + n], b[done : done + n])
+            done += n
+        if half < count:
+            n = count - half
+            mirror_left_right(n, swap_x, p[: 2 * n], s[:n], b[:n], p[2 * half :], s[half:], b[half:])
+        twin = twins[r]
+        if twin >= 0:
+            at = runs[twin, 3]
+            q = point[2 * at : 2 * (at + count)]
+            mirror_up_down(count, swap_y, p, s, b, q, status[at : at + count], branch[at : at + count])
 
 
 @kernel
@@ -487,19 +494,22 @@ def retrace_rows(
     for row in range(first, last):
         unknown[row] = 0
         mark[:] = 0
+        low, end = width, 0
         p, s, b = point[row], status[row], branch[row]
         for j in range(silhouettes(row, flat, skips, camera, old, x, y, width, spans)):
+            low, end = min(low, spans[bodies + j, 0]), max(end, spans[bodies + j, 1])
             mark_touched(spans[bodies + j, 0], spans[bodies + j, 1], moved, balls, legs, p, b, mark)
         silhouettes(row, flat, skips, camera, balls, x, y, width, spans)
         for k in moved:
-            mark[spans[k, 0] : spans[k, 1]] = 1
-        low = 0
-        while low < width:
+            if spans[k, 0] < spans[k, 1]:
+                low, end = min(low, spans[k, 0]), max(end, spans[k, 1])
+                mark[spans[k, 0] : spans[k, 1]] = 1
+        while low < end:
             if mark[low] == 0:
                 low += 1
                 continue
             high, seen = low + 1, low + 1
-            while high < width and high - seen < VECTOR:  # a gap shorter than a vector costs nothing
+            while high < end and high - seen < VECTOR:  # a gap shorter than a vector costs nothing
                 high += 1
                 if mark[high - 1]:
                     seen = high
