@@ -120,7 +120,7 @@ def chain_branches(scene: Scene) -> list[Branch]:
 
 def row_scratch(width: int, bodies: int) -> tuple[NDArray[Any], ...]:
     """Scratch of the kernels in ``tracer.kernels.sensor``: x, y, spans, wanted, rays, trips."""
-    spans, wanted = np.empty((2 * bodies + 1, 2), np.int64), np.empty(bodies, np.int64)
+    spans, wanted = np.empty((3 * bodies + 1, 2), np.int64), np.empty(bodies, np.int64)
     return (
         _aligned(width + VECTOR, np.float64),
         _aligned(width + VECTOR, np.float64),

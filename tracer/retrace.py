@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.kernels.sensor import retrace_rows
+from tracer.kernels.part import retrace_rows
 from tracer.lockstep import (
     chain_branches,
     find_mirrors,
