@@ -132,7 +132,9 @@ def test_other_programs_can_use_the_simulated_bench(tmp_path):
 def test_ctrl_c_on_terminals(tmp_path, presses):
     """Once: the step is finished.  Twice: the axis that moves is stopped now.  Both can be resumed."""
     pytest.importorskip("harvesters")
-    write_bench(tmp_path, side_px=64, simulation="transport: pty\nspeed: 4.0\nring: ring")
+    bench = write_bench(tmp_path, side_px=64, simulation="transport: pty\nspeed: 20.0\nring: ring")
+    fast, slow = (f"limits_mm: [-45.0, 45.0], speed_mm_s: {speed}" for speed in ("10.0", "1.0"))
+    bench.write_text(bench.read_text().replace(fast, slow))  # a second of ours for every step's way of 20 mm
     import numpy as np
 
     (tmp_path / "ring").mkdir()
@@ -140,12 +142,13 @@ def test_ctrl_c_on_terminals(tmp_path, presses):
     (tmp_path / "plan.yaml").write_text(PLAN)
     process = start(tmp_path, "acquire", "plan.yaml", "--simulate", "--home", "--no-correct")
     runs, run = tmp_path / "runs", None
-    while process.poll() is None:  # until the first step is in the journal: now the target moves by 20 mm
+    while process.poll() is None:  # until the first step is in the journal; then the target moves by 20 mm
         run = next(iter(runs.glob("*_plan")), None)
         if run is not None and finished_steps(RunFolder(run).entries()):
             break
         time.sleep(0.01)
     assert process.poll() is None, process.communicate()[1]
+    time.sleep(0.3)
     for _ in range(presses):
         process.send_signal(signal.SIGINT)
         time.sleep(0.05)
