@@ -44,7 +44,7 @@ from tracer.map_file import load_arrays, save_arrays
 from tracer.ray_map import RayMap
 from tracer.rows import run_rows
 from tracer.scene import Scene
-from tracer.trace import DIRECT, Branch, pack_camera
+from tracer.trace import DIRECT, Branch, Numbers, pack_camera
 
 KIND = "correction map"
 NODES_PER_CALL = 4096  # whole groups, so that threads change no group
@@ -72,7 +72,7 @@ class CorrectionMap:
         Weights, summing to 1 over the layers of a recovered node.
     transmittance : (K, h, w) float32
         Share of the light that passes the glass.
-    branch : (K, h, w) uint16
+    branch : (K, h, w) uint16 or uint32, as in the ray map
         Index into `branches`.
     branches : tuple of tuple of str
         Names of the spheres crossed; number 0 is the direct view.
@@ -88,7 +88,7 @@ class CorrectionMap:
     jacobian: NDArray[np.float32]
     weight: NDArray[np.float32]
     transmittance: NDArray[np.float32]
-    branch: NDArray[np.uint16]
+    branch: Numbers
     branches: tuple[Branch, ...]
     sensor_px: tuple[int, int]
     scene_hash: str
@@ -156,7 +156,7 @@ class CorrectionMap:
         layers, height, width, _ = arrays["pixel"].shape
         for name, (kind, trailing) in _LAYOUT.items():
             lead = (height, width) if name == "status" else (layers, height, width)
-            if arrays[name].dtype.str != kind or arrays[name].shape != lead + trailing:
+            if arrays[name].dtype.str not in kind or arrays[name].shape != lead + trailing:
                 raise MapFileError(f"{path}: array {name!r} does not fit; make the map again")
         try:
             x0, y0 = header["origin_mm"]
@@ -169,13 +169,13 @@ class CorrectionMap:
             raise MapFileError(f"{path}: the header is damaged; make the map again") from None
 
 
-_LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
-    "status": ("|u1", ()),
-    "pixel": ("<f8", (2,)),
-    "jacobian": ("<f4", (4,)),
-    "weight": ("<f4", ()),
-    "transmittance": ("<f4", ()),
-    "branch": ("<u2", ()),
+_LAYOUT: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
+    "status": (("|u1",), ()),
+    "pixel": (("<f8",), (2,)),
+    "jacobian": (("<f4",), (4,)),
+    "weight": (("<f4",), ()),
+    "transmittance": (("<f4",), ()),
+    "branch": (("<u2", "<u4"), ()),
 }
 
 
@@ -242,7 +242,8 @@ class _Inversion:
         self.lockstep = fits_lockstep(scene)
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
-        if out is not None and out.pixel.shape == (layers, height, width, 2):
+        fits = out is not None and out.pixel.shape == (layers, height, width, 2)
+        if out is not None and fits and out.branch.dtype == ray_map.branch.dtype:
             self.status, self.pixel, self.jacobian = out.status, out.pixel, out.jacobian
             self.weight, self.transmittance, self.branch = out.weight, out.transmittance, out.branch
             return
@@ -251,7 +252,7 @@ class _Inversion:
         self.jacobian = np.empty((layers, height, width, 4), np.float32)
         self.weight = np.empty((layers, height, width), np.float32)
         self.transmittance = np.empty((layers, height, width), np.float32)
-        self.branch = np.empty((layers, height, width), np.uint16)
+        self.branch = np.empty((layers, height, width), ray_map.branch.dtype)
 
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""

@@ -31,7 +31,7 @@ from tracer.kernels.chain import (
 from tracer.kernels.sensor import sensor_rows
 from tracer.rows import run_rows
 from tracer.scene import Scene
-from tracer.trace import Branch, pack_camera, trace
+from tracer.trace import Branch, Numbers, pack_camera, trace
 
 MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
 LINE = 64  # bytes of a cache line
@@ -52,7 +52,7 @@ def trace_lockstep(
     scene: Scene,
     plane: NDArray[np.float64],
     status: NDArray[np.uint8],
-    branch: NDArray[np.uint16],
+    branch: Numbers,
     skips: int = ALL_SKIPS,
 ) -> tuple[Branch, ...]:
     """Trace every pixel into plane (H, W, 2), status (H, W) and branch (H, W); return the branches.
@@ -136,7 +136,7 @@ def name_unknown(
     branches: list[Branch],
     plane: NDArray[np.float64],
     status: NDArray[np.uint8],
-    branch: NDArray[np.uint16],
+    branch: Numbers,
 ) -> None:
     """Trace the pixels without a branch number, all in the rows `lines`, by `march` and append their branches."""
     rows, columns = np.nonzero(branch[lines] == UNKNOWN)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.cells import FEW, sort_into_cells
-from tracer.errors import MapFileError, SceneError, StaleMap
+from tracer.errors import MapFileError, StaleMap
 from tracer.kernels.bed import trace_bed_rows
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import DIRECT, MAX_EVENTS
@@ -22,10 +22,10 @@ from tracer.map_file import load_arrays, save_arrays
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.status import RayStatus
-from tracer.trace import Branch, name_branches, pack_camera
+from tracer.trace import Branch, Numbers, name_branches, pack_camera
 
 KIND = "ray map"
-MOST_BRANCHES = 1 << 16  # numbers that fit into the branch array
+SHORT_NUMBERS = 1 << 16  # branches that uint16 can number; a packed bed seen by a whole sensor has more
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RayMap:
         Plane point of each pixel centre [mm]; NaN unless the status is RECOVERED.
     status : (H, W) uint8
         RayStatus.
-    branch : (H, W) uint16
+    branch : (H, W) uint16, or uint32 where there are more than 65536 branches
         Index into `branches`.
     branches : tuple of tuple of str
         Names of the spheres crossed, in order; number 0 is the direct view, ().
@@ -48,7 +48,7 @@ class RayMap:
 
     plane_mm: NDArray[np.float64]
     status: NDArray[np.uint8]
-    branch: NDArray[np.uint16]
+    branch: Numbers
     branches: tuple[Branch, ...]
     scene_hash: str
 
@@ -93,7 +93,7 @@ class RayMap:
         except TypeError:
             raise MapFileError(f"{path}: branches are not lists of names; trace the scene again") from None
         fits = plane.shape == (*status.shape, 2) and branch.shape == status.shape and status.ndim == 2
-        kinds = [array.dtype.str for array in (plane, status, branch)] == ["<f8", "|u1", "<u2"]
+        kinds = (plane.dtype.str, status.dtype.str) == ("<f8", "|u1") and branch.dtype.str in ("<u2", "<u4")
         if not (fits and kinds and branches and int(branch.max(initial=0)) < len(branches)):
             raise MapFileError(f"{path}: arrays do not fit together; trace the scene again")
         points = plane[status == RayStatus.RECOVERED]
@@ -117,14 +117,9 @@ def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
     -------
     RayMap
         Float64, the same bits for any number of threads.
-
-    Raises
-    ------
-    SceneError
-        Rays take more ways through a bed than the map can number.
     """
     height, width = scene.camera.shape
-    if out is not None and out.status.shape == (height, width):
+    if out is not None and out.status.shape == (height, width) and out.branch.dtype == np.uint16:
         plane, status, branch = out.plane_mm, out.status, out.branch
     else:
         plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)
@@ -144,11 +139,11 @@ def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
             trace_rows(camera, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
 
     run_rows(work, height)
-    branch, branches = _number_branches(scene, key)
-    return RayMap(plane, status, branch, branches, scene.content_hash())
+    numbers, branches = _number_branches(scene, key)
+    return RayMap(plane, status, numbers, branches, scene.content_hash())
 
 
-def _number_branches(scene: Scene, key: NDArray[np.int64]) -> tuple[NDArray[np.uint16], tuple[Branch, ...]]:
+def _number_branches(scene: Scene, key: NDArray[np.int64]) -> tuple[Numbers, tuple[Branch, ...]]:
     """Number the branches 0, 1, ... by the names of their spheres, so that file order does not matter."""
     fresh = np.ones(key.shape, dtype=bool)  # keys come in long runs: look only where one begins
     fresh[:, 1:] = key[:, 1:] != key[:, :-1]
@@ -160,12 +155,8 @@ def _number_branches(scene: Scene, key: NDArray[np.int64]) -> tuple[NDArray[np.u
     trails = name_branches(scene, origins, directions, keys)
     trails[DIRECT] = ()
     order = sorted(trails, key=lambda k: (len(trails[k]), trails[k]))
-    if len(order) > MOST_BRANCHES:
-        raise SceneError(
-            f"rays take {len(order)} different ways through the spheres and {MOST_BRANCHES} can be told apart; "
-            "trace a smaller part of the sensor or of the bed"
-        )
+    kind = np.uint16 if len(order) <= SHORT_NUMBERS else np.uint32
     lookup = {k: number for number, k in enumerate(order)}
-    runs = np.array([lookup[int(k)] for k in key[rows, columns]], dtype=np.uint16)
+    runs = np.array([lookup[int(k)] for k in key[rows, columns]], dtype=kind)
     branch = runs[np.cumsum(fresh.ravel()) - 1].reshape(key.shape)
     return branch, tuple(trails[k] for k in order)

@@ -27,6 +27,7 @@ RAY = np.dtype(
 )
 
 Branch = tuple[str, ...]
+Numbers = NDArray[np.uint16 | np.uint32]  # of branches, whichever is long enough
 
 
 @dataclass(frozen=True)
@@ -132,4 +133,14 @@ def name_branches(
     }
 
 
-__all__ = ["DIRECT", "RAY", "Branch", "TraceResult", "name_branches", "pack_camera", "trace", "trace_from"]
+__all__ = [
+    "DIRECT",
+    "RAY",
+    "Branch",
+    "Numbers",
+    "TraceResult",
+    "name_branches",
+    "pack_camera",
+    "trace",
+    "trace_from",
+]

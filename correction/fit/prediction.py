@@ -26,7 +26,7 @@ from tracer.camera import Vector3
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
-from tracer.trace import trace
+from tracer.trace import Numbers, trace
 
 LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
 LARGEST_SQUARE_PX = 600.0
@@ -50,7 +50,7 @@ class Expected:
         Acquired pixel u, v.
     axes_px : (N, 2, 2) float64
         Columns: displacement by one square along the board's +x, +y.
-    branch : (N,) uint16
+    branch : (N,) uint16 or uint32
         Number of the branch in `branches`; 0 is the direct view.
     rim_px : (N,) float64
         Distance to the border of the branch.
@@ -65,7 +65,7 @@ class Expected:
     index: NDArray[np.int64]
     pixel: NDArray[np.float64]
     axes_px: NDArray[np.float64]
-    branch: NDArray[np.uint16]
+    branch: Numbers
     rim_px: NDArray[np.float64]
     window: NDArray[np.float64]
     branches: tuple[tuple[str, ...], ...]
@@ -119,7 +119,7 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     middle = (grid.shape[0] - 1) // 2
     index = np.stack((columns - middle, middle - rows), axis=-1)
     axes = found.jacobian[seen].astype(np.float64).reshape(-1, 2, 2) * np.array([1.0, -1.0])
-    branch = np.where(ray_map.recovered, ray_map.branch, np.uint16(len(ray_map.branches)))
+    branch = np.where(ray_map.recovered, ray_map.branch.astype(np.float64), -1.0)  # a type that OpenCV takes
     kernel = np.ones((3, 3), np.uint8)
     within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
     away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)

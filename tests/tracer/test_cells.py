@@ -1,14 +1,19 @@
 """Many spheres: the walk through cells finds what asking every sphere finds, bit for bit."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from correction.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
+from tracer import ray_map
 from tracer.bodies import Rod
 from tracer.cells import sort_into_cells
 from tracer.kernels.bed import next_in_bed, trace_bed_rows
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import MAX_EVENTS, next_body
+from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.trace import pack_camera
 
@@ -90,3 +95,22 @@ def test_every_sphere_is_listed_in_every_cell_it_reaches() -> None:
         i, j, k = np.floor((inside + np.array([x, y, z]) - frame[:3]) / frame[3]).astype(int).T
         for cell in set(((k * count[1] + j) * count[0] + i).tolist()):
             assert number in items[begin[cell] : begin[cell + 1]]
+
+
+def test_more_branches_than_short_numbers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The same map with longer numbers, all the way to the correction map, and back from the disk."""
+    where = bed("cubic")
+    short = build_ray_map(where)
+    first = build_correction_map(where, short)
+    monkeypatch.setattr(ray_map, "SHORT_NUMBERS", 4)
+    long = build_ray_map(where, short)
+    assert long.branch.dtype == np.uint32
+    assert np.array_equal(long.branch, build_ray_map(where).branch)
+    assert long.branches == build_ray_map(where).branches
+    assert len(long.branches) > 20
+    made = build_correction_map(where, long, out=first)
+    assert np.array_equal(made.pixel, first.pixel, equal_nan=True)
+    assert np.array_equal(made.branch, first.branch)
+    for each in (long, made):
+        each.save(tmp_path / "map")
+        assert np.array_equal(type(each).load(tmp_path / "map").branch, each.branch)
