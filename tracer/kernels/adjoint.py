@@ -16,14 +16,11 @@ with w = p - c, m = -w . d, a = w + m d, beta = a . a, C and q the turn, a' = C 
 Cost: about two tangents, whatever the number of parameters.
 """
 
-import math
-
 from tracer.kernels._jit import Array, kernel
 from tracer.kernels.march import (
     BLOCKED,
     DIRECT,
     MAX_EVENTS,
-    MISSED_PLANE,
     RECOVERED,
     ROD,
     TIR,
@@ -146,65 +143,3 @@ def land_on_target(
     k = (dx * ex + dy * ey + dz * ez) / slope
     fx, fy, fz = ex - k * nx, ey - k * ny, ez - k * nz
     return value, t, fx, fy, fz, t * fx, t * fy, t * fz
-
-
-@kernel
-def trace_adjoint(
-    origins: Array,
-    directions: Array,
-    spheres: Array,
-    rods: Array,
-    target: Array,
-    first: int,
-    last: int,
-    trail: Array,
-    state: Array,
-    status: Array,
-    key: Array,
-    landing: Array,
-    exit_ray: Array,
-    ray_rates: Array,
-    sphere_rates: Array,
-) -> None:
-    """Trace rays first..last-1 onto a target plane with all derivatives.
-
-    ``landing`` (N, 2) target coordinates; ``exit_ray`` (N, 7) foot point, direction and t of the last piece;
-    ``ray_rates`` (N, 2, 6) their derivatives by origin and direction (the direction taken as a free vector);
-    ``sphere_rates`` (N, 2, S, 5) by centre, radius and n of each sphere.  NaN unless recovered.
-    """
-    for i in range(first, last):
-        s, px, py, pz, dx, dy, dz, k, events = march_recorded(
-            origins[i, 0],
-            origins[i, 1],
-            origins[i, 2],
-            directions[i, 0],
-            directions[i, 1],
-            directions[i, 2],
-            spheres,
-            rods,
-            trail,
-            state,
-        )
-        slope = dx * target[9] + dy * target[10] + dz * target[11]
-        if s == RECOVERED and not slope < 0.0:
-            s = MISSED_PLANE
-        status[i], key[i] = s, k
-        sphere_rates[i] = 0.0
-        if s != RECOVERED:
-            landing[i] = math.nan
-            ray_rates[i] = math.nan
-            exit_ray[i] = math.nan
-            continue
-        for axis in range(2):
-            value, t, fx, fy, fz, gx, gy, gz = land_on_target(px, py, pz, dx, dy, dz, target, axis)
-            landing[i, axis] = value
-            exit_ray[i, 6] = t
-            for event in range(int(events) - 1, -1, -1):
-                body = trail[event]
-                fx, fy, fz, gx, gy, gz = back_through(
-                    fx, fy, fz, gx, gy, gz, spheres[body], state[event], sphere_rates[i, axis, body]
-                )
-            ray_rates[i, axis, 0], ray_rates[i, axis, 1], ray_rates[i, axis, 2] = fx, fy, fz
-            ray_rates[i, axis, 3], ray_rates[i, axis, 4], ray_rates[i, axis, 5] = gx, gy, gz
-        exit_ray[i, 0], exit_ray[i, 1], exit_ray[i, 2] = px, py, pz
-        exit_ray[i, 3], exit_ray[i, 4], exit_ray[i, 5] = dx, dy, dz
