@@ -54,5 +54,6 @@ def supplied(name: str) -> Supplied:
     rotation = look_at(position, target, truth["roll"])
     camera = Camera(focal_px, (1007.5, 1007.5), (2016, 2016), position, rotation, lens)
     glass = ConstantMedium(truth["n"])
-    bodies = [Sphere(f"s{i}", tuple(c), r, glass) for i, (c, r) in enumerate(truth["spheres"])]
+    names = [sphere.name for sphere in nominal.spheres]
+    bodies = [Sphere(name, tuple(c), r, glass) for name, (c, r) in zip(names, truth["spheres"], strict=True)]
     return Supplied(name, nominal, Scene(camera, tuple(bodies)), tuple(truth["shift_mm"]))

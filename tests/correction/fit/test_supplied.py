@@ -1,8 +1,9 @@
 """The supplied frames, of a camera that is not ours, from the nominal scene.
 
-Bounds are those asked for.  One is not met, and says so: the corners in the supplied frames themselves lie
-0.03-0.13 px farther out behind glass than truth.json puts them (corners in frames of the project's own
-renderer, measured the same way, do not), so no fit can match both frames and file to 0.05 px.
+Bounds are those asked for.  Behind glass the frames do not show what truth.json says, but what their
+renderer's rays do (`ray_offset`): corners lie 0.02-0.13 px farther out, by its offset to 0.01 px at every
+radius, with nothing fitted.  So the map is held to the file over the recovered region, as asked, and behind
+glass to the optics that the frames show.
 """
 
 from functools import cache
@@ -14,13 +15,17 @@ from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.evaluate.target_error import target_error
 from correction.fit.measurement import TargetFrame
+from correction.fit.prediction import expect, measure
 from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.grid import grid_of
 from correction.target import Chessboard
 from tests.correction.fit.benches import map_error_px
+from tests.correction.fit.ray_offset import OFFSET, shown_mm
 from tests.supplied import Supplied, supplied
 from tracer.ray_map import build_ray_map
+from tracer.sensitivity import TargetPose, landings
+from tracer.trace import trace
 
 FAST_AND_SLOW = ["one_sphere", pytest.param("two_spheres", marks=pytest.mark.slow)]
 BARE_MM, GLASS_MM = (-20.0, -10.0, 10.0, 20.0), (-10.0, -20.0)
@@ -67,19 +72,45 @@ def test_geometry_against_the_true_file(name):
         assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.004
 
 
-def map_errors(name: str) -> np.ndarray:
+@pytest.mark.parametrize("name", ["one_sphere", "two_spheres"])
+def test_corners_lie_where_the_rays_of_their_renderer_put_them(name):
+    made = supplied(name)
+    expected = expect(made.truth, TargetPose(), Chessboard())
+    expected = expected.take(expected.branch != 0)
+    found = measure(made.frame("target_glass"), expected, Chessboard())
+    expected = expected.take(found.valid)
+    pixels, node = found.position_px[found.valid], Chessboard().corner_mm(expected.index)
+    to_px = np.linalg.inv(landings(made.truth, pixels).pixel_rate)
+    outward = pixels - made.truth.camera.project(np.array([made.truth.spheres[0].centre_mm]))
+    radius = np.hypot(*outward.T)
+    rings = np.digitize(radius, np.quantile(radius, (0.2, 0.4, 0.6, 0.8)))
+
+    def outwards(offset: float) -> np.ndarray:
+        error = (to_px @ (shown_mm(made.truth, pixels, 0.0, offset) - node)[:, :, None])[:, :, 0]
+        along = np.sum(error * outward, axis=1) / radius
+        return np.array([np.median(along[rings == ring]) for ring in range(5)])
+
+    assert np.abs(outwards(OFFSET)).max() < 0.01
+    assert np.abs(outwards(0.0)).max() > 0.04
+
+
+@pytest.mark.parametrize("name", FAST_AND_SLOW)
+def test_fitted_map_against_the_true_file_and_against_what_the_frames_show(name):
     made, fit = fit_of(name)
     grid = grid_of(made.truth.camera)
     truth = build_correction_map(made.truth, build_ray_map(made.truth), grid)
     off = map_error_px(fit.scene, made.truth, truth.pixel[0][truth.recovered][::5], grid)
-    return np.linalg.norm(off[np.isfinite(off[:, 0])], axis=1)
-
-
-@pytest.mark.parametrize("name", FAST_AND_SLOW)
-def test_fitted_map_against_the_true_file(name):
-    length = map_errors(name)
+    assert np.isfinite(off[:, 0]).mean() > 0.99
+    length = np.linalg.norm(off[np.isfinite(off[:, 0])], axis=1)
     assert np.sqrt(np.mean(length**2)) <= 0.05
     assert length.max() <= 0.2
+    behind = truth.pixel[0][truth.behind_glass][::5]
+    here = trace(fit.scene, behind).plane_mm
+    length = np.linalg.norm(here - shown_mm(made.truth, behind), axis=1) / grid.pitch_mm
+    known = np.isfinite(length)
+    assert known.mean() > 0.99
+    assert np.sqrt(np.mean(length[known] ** 2)) <= 0.05
+    assert length[known].max() <= 0.2
 
 
 @pytest.mark.slow
@@ -92,7 +123,7 @@ def test_stack_separates_depth_from_n():
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="the frames themselves disagree with truth.json, see above", strict=False)
+@pytest.mark.xfail(reason="the frames disagree with truth.json, see above: 73 um", strict=False)
 def test_stack_finds_depths_to_60_um():
     made, fit = fit_of("two_spheres", stack=True)
     for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
