@@ -3,7 +3,8 @@
 The cost, the distance of every candidate to its nearest corner (`candidates`) through a Cauchy loss, is a
 continuous function of the scene and is minimised as it is, pairing anew at every step, with the knee of the
 loss drawn in from rough to fine.  Several starts escape from pairings shifted by a corner; such a scene
-bends light so differently elsewhere that it never gathers the inliers of the right one.
+bends light so differently elsewhere that it never gathers the inliers of the right one.  What this leaves
+behind are spheres that show few corners (`lost_sphere`).
 """
 
 from collections.abc import Sequence
@@ -13,17 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.candidates import Candidates, paired_residuals
+from correction.fit.contact import pushed_apart
 from correction.fit.solver import Residuals, Solution, minimise
-from correction.fit.starts import group_starts, random_starts, sphere_starts
 from correction.fit.unknowns import Bench
 from correction.target import Chessboard
+from tracer.sensitivity import SPHERE
 
 KNEES_PX = (12.0, 4.0, 1.0)  # of the loss, in corrected pixels, from rough to fine
 INLIER_PX = 1.0
 ENOUGH = 0.9  # share of inliers at which no further start is tried
 TWICE = 0.6  # the same, if two starts have ended at the same scene
 SAME_MM = 0.05
-SWEEPS = 3  # over all spheres, as long as one of them gains
+RANDOM_STARTS = 16
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,30 @@ def pair_from(
     return Start(solution, len(near), len(square), float(np.sqrt(near.mean())) if len(near) else float("nan"))
 
 
+def group_starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
+    """Full vectors to start from: as given, then the glass as one, moved by half a square along each axis."""
+    moves = [np.zeros(3), *(0.5 * sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0))]
+    everything = np.ones(len(bench.scene.spheres), bool)
+    return [moved(bench, full, board.square_mm * np.where(everything[:, None], move, 0.0)) for move in moves]
+
+
+def random_starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
+    """Full vectors with every sphere moved by up to 0.4 squares (fixed seed: same frames, same fit)."""
+    rng = np.random.default_rng(0)
+    count = len(bench.scene.spheres)
+    moves = rng.uniform(-0.4, 0.4, (RANDOM_STARTS, count, 3))
+    return [moved(bench, full, board.square_mm * move) for move in moves]
+
+
+def moved(bench: Bench, full: NDArray[np.float64], by_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the full vector with the spheres moved by (N, 3), then pushed apart."""
+    found = np.array(full)
+    rows = found[bench.glass].reshape(-1, len(SPHERE))
+    rows[:, :3] += by_mm
+    rows[:, :4] = pushed_apart(np.c_[rows, np.zeros(len(rows))])[:, :4]
+    return found
+
+
 def pair(
     bench: Bench,
     full: NDArray[np.float64],
@@ -111,14 +137,6 @@ def pair(
         attempt(start)
         if explained():
             return sorted(tried, key=lambda one: -one.inliers)
-    for _ in range(SWEEPS):  # one sphere may be lost while the others explain the most
-        before = best().inliers
-        for number in range(len(bench.scene.spheres)):
-            at = bench.full(best().solution.x)
-            for start in sphere_starts(bench, at, frames, board, pitch_mm, number):
-                attempt(start)
-        if best().inliers == before:
-            break
     if best().share < TWICE:
         for start in random_starts(bench, full, board):
             attempt(start)

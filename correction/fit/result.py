@@ -13,6 +13,7 @@ RMS_LIMIT_PX = 0.3  # a right fit leaves 0.02-0.07, a wrong one at least several
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
 WAY_LIMIT = 0.5  # the same of one way through the glass, if the scene shows at least so many corners on it
 WAY_CORNERS = 5
+SPHERE_CORNERS = 2  # a sphere that should show so many and shows none is not where the scene has it
 OVERLAP_LIMIT_MM = 0.02
 PRIOR_LIMIT = 5.0  # sigmas
 
@@ -155,6 +156,13 @@ def check(fit: SceneFit) -> None:
             if count >= WAY_CORNERS and share < WAY_LIMIT:
                 text = f"the corners seen through {way} are not where it would show them; start its centre nearer"
                 raise FitFailed(f"share of corners paired through {way}", share, WAY_LIMIT, f"{text}, and {cure}")
+        for sphere in fit.bench.scene.spheres:
+            ways = [way for way in fit.expected if sphere.name in way.split(" > ")]
+            count = sum(fit.expected[way] for way in ways)
+            if count >= SPHERE_CORNERS and not any(fit.paired(way) for way in ways):
+                text = f"none of the {count} corners seen through {sphere.name} is where it would show them"
+                cure = "start its centre nearer, use smaller squares, or hold it fixed in the fit section"
+                raise FitFailed(f"corners paired through {sphere.name}", 0.0, 1.0, f"{text}; {cure}")
     if fit.pushed_mm > OVERLAP_LIMIT_MM:
         raise FitFailed("overlap of bodies [mm]", fit.pushed_mm, OVERLAP_LIMIT_MM, cure)
     pull = float(np.abs(fit.x).max(initial=0.0))

@@ -18,6 +18,7 @@ from correction.errors import FrameError
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
+from correction.fit.lost_sphere import find_sphere, lost_spheres
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, SceneFit, check
@@ -30,7 +31,6 @@ from correction.target.saddles import find_saddles
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 
-PASSES = 2
 WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
 FEWEST = 12  # corners behind glass from which a fit may begin
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
@@ -155,33 +155,58 @@ class _Fit:
         """Stage 2."""
         prefixes = [f"{sphere.name}." for sphere in self.bench.scene.spheres] + ["glass "]
         bench = self.bench.around(self.full).only(prefixes)
-        self.pair(bench)
-        for number in range(PASSES):
-            self.measure_glass(only_behind=number < PASSES - 1)
-            behind = [_behind(frame) for frame in self.behind]
-            solution = self.fits.solve(bench, bench.free(self.full), behind)
-            self.full = bench.full(solution.x)
-            count = sum(len(frame) for frame in behind)
-            self.note(f"glass, pass {number + 1}: {count} corners, {self.fits.rms(bench, solution, behind)}")
-
-    def pair(self, bench: Bench) -> None:
-        """Find out which corner each saddle shows."""
         coarse = bench.only([f"{s.name}.{part}" for s in bench.scene.spheres for part in "xyz"] + ["glass "])
+        candidates = self.candidates(coarse)
+        self.pair(coarse, candidates)
+        self.fit_glass(bench, "pass 1", only_behind=True)
+        if self.find_lost(coarse, candidates):
+            self.fit_glass(bench, "pass 1 again", only_behind=True)
+        self.fit_glass(bench, "pass 2", only_behind=False)
+
+    def fit_glass(self, bench: Bench, name: str, only_behind: bool) -> None:
+        """Measure the corners where the scene shows them, and fit the glass to them."""
+        self.measure_glass(only_behind)
+        behind = [_behind(frame) for frame in self.behind]
+        solution = self.fits.solve(bench, bench.free(self.full), behind)
+        self.full = bench.full(solution.x)
+        count = sum(len(frame) for frame in behind)
+        self.note(f"glass, {name}: {count} corners, {self.fits.rms(bench, solution, behind)}")
+
+    def candidates(self, coarse: Bench) -> Candidates:
+        """Saddles of the first frame with glass that may be seen through it."""
         frame = self.glass_frames[0]
         saddles = find_saddles(frame.image)
         usual = float(np.median(find_saddles(self.bare_frames[0].image).strength))
         least = WEAKEST * usual
-        candidates = candidates_of(saddles, least, coarse, self.full, self.height(frame), self.board)
-        self.check_glass(frame, candidates)
-        camera = coarse.camera(self.full)
-        pitch = camera.position_mm[2] / camera.focal_px
-        found = pair(coarse, self.full, [candidates], self.board, pitch)
+        found = candidates_of(saddles, least, coarse, self.full, self.height(frame), self.board)
+        self.check_glass(frame, found)
+        return found
+
+    def pair(self, coarse: Bench, candidates: Candidates) -> None:
+        """Find out which corner each saddle shows."""
+        found = pair(coarse, self.full, [candidates], self.board, self.pitch_mm)
         best = found[0]
         self.full = coarse.full(best.solution.x)
         self.note(
-            f"pairing on {frame.name}: {best.inliers} of {best.candidates} saddles, rms {best.rms_px:.2f} px,"
-            f" {len(found)} start(s)"
+            f"pairing on {self.glass_frames[0].name}: {best.inliers} of {best.candidates} saddles,"
+            f" rms {best.rms_px:.2f} px, {len(found)} start(s)"
         )
+
+    def find_lost(self, coarse: Bench, candidates: Candidates) -> bool:
+        """Look for spheres through which the frames do not show what the scene says; whether one was moved."""
+        kept = [self.fits.inliers(self.bench, self.bench.free(self.full), frame) for frame in self.behind]
+        before = self.full
+        for number in lost_spheres(self.bench, self.behind, kept):
+            self.full = find_sphere(coarse, self.full, [candidates], self.board, self.pitch_mm, number)
+            moved = self.full is not before
+            self.note(f"{self.bench.scene.spheres[number].name} was {'found elsewhere' if moved else 'not found'}")
+        return self.full is not before
+
+    @property
+    def pitch_mm(self) -> float:
+        """A corrected pixel on the plane."""
+        camera = self.bench.camera(self.full)
+        return camera.position_mm[2] / camera.focal_px
 
     def check_glass(self, frame: TargetFrame, candidates: Candidates) -> None:
         """Refuse a frame in which the lattice goes on undisturbed where the glass should be."""

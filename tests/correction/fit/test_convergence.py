@@ -13,7 +13,7 @@ from tests.correction.fit.benches import bench
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 
-STARTS = 40
+STARTS = 40  # of the 200 that docs/adr/0005 reports
 SCENES = [("one_sphere_250", 7), ("two_spheres_500", 6), ("three_spheres_500", 3), ("pyramid_500", 5)]
 
 
@@ -40,11 +40,11 @@ def disturbed(truth: Scene, nominal: Scene, rng: np.random.Generator) -> Scene:
 @pytest.mark.parametrize(("name", "seed"), SCENES)
 def test_random_starts_converge_or_say_so(name, seed):
     made = bench(name, seed)
-    rng = np.random.default_rng(2)
     right, refused = 0, 0
-    for _ in range(STARTS):
+    for number in range(STARTS):
+        nominal = disturbed(made.truth, made.nominal, np.random.default_rng((2, number)))
         try:
-            fit = fit_scene(disturbed(made.truth, made.nominal, rng), made.frames, made.board)
+            fit = fit_scene(nominal, made.frames, made.board)
         except FitError:
             refused += 1
             continue
@@ -53,3 +53,13 @@ def test_random_starts_converge_or_say_so(name, seed):
         right += max(off) < 0.03
     assert right + refused == STARTS
     assert right >= 0.95 * STARTS
+
+
+@pytest.mark.slow
+def test_a_ball_that_shows_three_corners_is_found():
+    """Start 4 of the pyramid: alone, three corners do not weigh enough to be missed among four hundred."""
+    made = bench("pyramid_500", 5)
+    fit = fit_scene(disturbed(made.truth, made.nominal, np.random.default_rng((2, 4))), made.frames, made.board)
+    assert [line for line in fit.history if "found elsewhere" in line]
+    for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
+        assert np.abs(np.subtract(found.centre_mm, true.centre_mm)[:2]).max() < 0.03
