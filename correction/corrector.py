@@ -4,6 +4,12 @@ Dewarp, crop and correction are all maps of coordinates; they are composed once,
 interpolated once.  A node whose view is magnified covers several sensor pixels: the corrected value is the
 mean over that footprint (one sample a pixel along each side), so no recorded light is thrown away where the
 corrected image shrinks the view.  Footprints are symmetric about the node, hence they shift nothing.
+
+What a frame needs is laid out when the corrector is made: a list of samples in order of use and, for the spline,
+the tiles of the frame that any of them reads.  A frame then costs in proportion to what is corrected.
+
+Skips, both switched off by ``skip=False``: tiles that no sample reads are not filtered (the result has the same
+bits), and a dewarp that moves no pixel by more than `NEGLIGIBLE_PX` is left out (the result moves by no more).
 """
 
 from typing import Any
@@ -14,13 +20,17 @@ from numpy.typing import NDArray
 from correction.correction_map import CorrectionMap
 from correction.dewarp import Dewarp
 from correction.errors import FrameError
-from correction.kernels.correct import correct_rows
+from correction.footprints import Views, lay_footprints
+from correction.kernels.correct import CHUNK, WEIGHTS, correct_rows
+from correction.kernels.lanes import TAPS, WIDE
 from correction.kernels.store import to_offset_uint16
 from correction.node_status import NodeStatus
-from correction.resample import Method, checked_frame, prefilter
+from correction.resample import Method, checked_frame, filter_tiles, tile_grid
 from tracer.rows import run_rows
 
 UINT16_OFFSET = 1024  # room for the negative lobes beside bright particles: clipping them shifts centroids
+NEGLIGIBLE_PX = 1e-3  # a tenth of what calibrated glass is good for
+RIM = 2  # mirrored coefficients above and to the left of the frame
 
 
 class Corrector:
@@ -36,6 +46,10 @@ class Corrector:
         Interpolation.
     fill : float
         Value of nodes that cannot be recovered.
+    mask : (h, w) bool, optional
+        Nodes that are wanted; the others get `fill` and cost nothing.
+    skip : bool
+        Whether work may be left out whose effect is bounded, see the top of this file.
 
     Attributes
     ----------
@@ -44,7 +58,7 @@ class Corrector:
 
     Notes
     -----
-    Positions are kept in float32: on a sensor 2016 px wide that rounds by 6e-5 px at most.
+    Positions are kept as a pixel and fractions of 1/65535 px, which rounds them by 8e-6 px at most.
     """
 
     def __init__(
@@ -53,25 +67,25 @@ class Corrector:
         dewarp: Dewarp | None = None,
         method: Method = "quintic",
         fill: float = float("nan"),
+        mask: NDArray[np.bool_] | None = None,
+        skip: bool = True,
     ) -> None:
         self.map, self.dewarp, self.method, self.fill = correction_map, dewarp, method, fill
         self.status = correction_map.status
-        position: NDArray[np.float64] = correction_map.pixel
-        self._jacobian = correction_map.jacobian
-        if dewarp is not None:
-            self._jacobian = _chain(dewarp.jacobian(position), correction_map.jacobian)
-            position = dewarp.apply(position)
-            u, v = position[0, ..., 0], position[0, ..., 1]
-            width, height = correction_map.sensor_px
-            outside = ~((u >= 0) & (u <= width - 1) & (v >= 0) & (v <= height - 1))
-            lost = outside & (self.status == NodeStatus.RECOVERED)
+        views = Views(correction_map.pixel, correction_map.jacobian, correction_map.weight)
+        width, height = correction_map.sensor_px
+        if dewarp is not None and not (skip and dewarp.largest_shift_px((width, height)) <= NEGLIGIBLE_PX):
+            views = _bent(correction_map, dewarp)
+            lost = (self.status == NodeStatus.RECOVERED) & ~(views.weight > 0.0).any(axis=0)
             self.status = np.where(lost, np.uint8(NodeStatus.OUT_OF_FRAME), self.status)
-        self._position = position.astype(np.float32)
-
-    @property
-    def recovered(self) -> NDArray[np.bool_]:
-        """Nodes that get a value (h, w)."""
-        return np.asarray(self.status == NodeStatus.RECOVERED)
+        self.recovered: NDArray[np.bool_] = self.status == NodeStatus.RECOVERED
+        if mask is not None:
+            self.recovered &= mask
+        margin = (TAPS - 2, WIDE - 2) if method == "quintic" else (0, 0)
+        self._memory = (height + margin[0], width + margin[1])
+        self._footprints = lay_footprints(views, self.recovered, (width, height), self._memory[1])
+        self._tiles = self._footprints.tiles(self._memory) if skip else tile_grid(self._memory).reshape(-1, 4)
+        self._spare: list[NDArray[np.float32]] = []
 
     def __call__(self, frame: NDArray[Any], out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
         """Correct one frame.
@@ -100,23 +114,49 @@ class Corrector:
                 f"the frame is {frame.shape[1]} x {frame.shape[0]} px, the scene's camera {width} x {height}; "
                 "correct sensor_px in the scene file or give the frames of this camera"
             )
-        quintic = self.method == "quintic"
-        image = prefilter(frame) if quintic else frame
         rows, columns = self.map.grid.shape
         result = np.empty((rows, columns), np.float32) if out is None else out
-        maps = (self._position, self._jacobian, self.map.weight, self.status)
+        quintic, image = self.method == "quintic", frame
+        if quintic:
+            # One buffer for each thread that corrects at the same time; what no tile covers must be finite.
+            image = self._spare.pop() if self._spare else np.zeros(self._memory, np.float32)
+            filter_tiles(frame, RIM, self._tiles, image)
+        flat, stride = image.reshape(image.size), image.shape[1]
+        feet = self._footprints
+        laid = (feet.anchor, feet.fraction, feet.begin, feet.span, feet.share)
 
         def work(first: int, last: int) -> None:
-            correct_rows(image, quintic, *maps, self.fill, first, last, result)
+            pixels = np.empty((2, 2 * CHUNK), frame.dtype)
+            scratch = np.empty((WEIGHTS, CHUNK), np.float32) if quintic else pixels
+            values = np.empty(CHUNK, np.float32)
+            correct_rows(flat, quintic, stride, *laid, self.fill, first, last, scratch, values, result)
 
         run_rows(work, rows)
+        if quintic:
+            self._spare.append(image)
         return result
 
 
-def _chain(outer: NDArray[np.float64], inner: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Jacobian product (..., 2, 2) @ (..., 4) -> (..., 4)."""
-    product = outer.astype(np.float32) @ inner.reshape(*inner.shape[:-1], 2, 2)
-    return np.asarray(product.reshape(inner.shape), dtype=np.float32)
+def _bent(correction_map: CorrectionMap, dewarp: Dewarp) -> Views:
+    """Views on the acquired frame; weight 0 where one is off the sensor."""
+    position, jacobian = np.empty_like(correction_map.pixel), np.empty_like(correction_map.jacobian)
+    weight = np.empty_like(correction_map.weight)
+    right, bottom = correction_map.sensor_px[0] - 1, correction_map.sensor_px[1] - 1
+
+    def work(first: int, last: int) -> None:
+        ideal, inner = correction_map.pixel[:, first:last], correction_map.jacobian[:, first:last]
+        acquired = dewarp.apply(ideal)
+        u, v = acquired[..., 0], acquired[..., 1]
+        inside = (u >= 0.0) & (u <= right) & (v >= 0.0) & (v <= bottom)
+        part = np.where(inside, correction_map.weight[:, first:last], np.float32(0.0))
+        total = part.sum(axis=0)
+        weight[:, first:last] = part / np.where(total > 0.0, total, np.float32(1.0))
+        position[:, first:last] = acquired
+        outer = dewarp.jacobian(ideal).astype(np.float32)
+        jacobian[:, first:last] = (outer @ inner.reshape(*inner.shape[:-1], 2, 2)).reshape(inner.shape)
+
+    run_rows(work, position.shape[1])
+    return Views(position, jacobian, weight)
 
 
 def to_uint16(corrected: NDArray[np.float32], offset: int = UINT16_OFFSET) -> tuple[NDArray[np.uint16], int]:

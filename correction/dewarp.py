@@ -106,6 +106,21 @@ class Dewarp:
                 out[..., row, 1] += pair[row] * by_y
         return out
 
+    def largest_shift_px(self, sensor_px: tuple[int, int]) -> float:
+        """Bound on |acquired - ideal| of u or v over a sensor of this width and height [px].
+
+        Sum of the absolute values of all terms of the difference, each at the sensor's far edge.
+        """
+        reach = [
+            max(abs(centre), abs(size - 1.0 - centre)) / self.scale_px
+            for centre, size in zip(self.centre_px, sensor_px, strict=True)
+        ]
+        largest = np.zeros(2)
+        for (k, m), pair in zip(powers(self.order), self.coefficients, strict=True):
+            same = ((k, m) == (1, 0), (k, m) == (0, 1))  # u = x and v = y move nothing
+            largest += np.abs(np.subtract(pair, same)) * reach[0] ** k * reach[1] ** m
+        return float(largest.max() * self.scale_px)
+
     def summary(self) -> str:
         """One line for people."""
         left = f", {self.left_out} left out" if self.left_out else ""

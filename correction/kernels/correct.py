@@ -1,125 +1,132 @@
-"""Sample a frame at every recovered node, over the node's whole footprint on the sensor."""
+"""Correct a frame: values at the samples laid out by ``correction.kernels.footprint``, means over the nodes.
 
-import math
+Samples are taken `CHUNK` at a time, in steps of which each is a plain loop: fractions and the spline's weights for
+all of them (vectors across samples), the sums over their pixels (vectors along a row of the footprint), the means.
+"""
 
 import numpy as np
 
-from correction.kernels.bspline import INDEX, bilinear_at, quintic_at, weight_inner, weight_middle, weight_outer
-from tracer.kernels._jit import Array, kernel, kernel_inlined
+from correction.kernels.bspline import weight_inner, weight_middle, weight_outer
+from correction.kernels.footprint import ADDS, COLUMN, FIRST, FRACTIONS, NODES, SAMPLES
+from correction.kernels.lanes import copy_pair, footprint_sum
+from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 
-MAX_SAMPLES = 16  # a side; the largest magnification that a correction map keeps
-ONE_SAMPLE_PX2 = np.float32(1.25 * 1.25)  # square of the longest side for which `samples_along` is 1
+CHUNK = 256  # samples at a time; a node has no more
+WEIGHTS = 7  # lines of scratch for the spline: the fraction along a row, the weights of six rows
 _ONE = np.float32(1.0)
+_STEP = np.float32(1.0 / FRACTIONS)
+_LOW, _HIGH = np.uint32(0xFFFF), np.uint32(16)
 
-bilinear_inlined = kernel_inlined(bilinear_at.py_func)  # type: ignore[attr-defined]
 outer_inlined = kernel_inlined(weight_outer.py_func)  # type: ignore[attr-defined]
 middle_inlined = kernel_inlined(weight_middle.py_func)  # type: ignore[attr-defined]
 inner_inlined = kernel_inlined(weight_inner.py_func)  # type: ignore[attr-defined]
 
 
-@kernel
-def samples_along(du: float, dv: float) -> int:
-    """Samples needed along a footprint side (du, dv) [px]: one a pixel; a quarter too much is no reason."""
-    return int(min(MAX_SAMPLES, max(1.0, math.ceil(math.sqrt(du * du + dv * dv) - 0.25))))
+@kernel_inlined
+def along(fraction: np.uint32) -> np.float32:
+    """Fraction of a pixel along u."""
+    return np.float32(np.int32(fraction & _LOW)) * _STEP
 
 
 @kernel_inlined
-def quintic_inside(flat: Array, width: int, i: int, j: int, s: np.float32, t: np.float32) -> np.float32:
-    """`quintic_at` (i + s, j + t) at least three pixels inside the frame, from the flat coefficients (H W,)."""
-    s1, t1 = _ONE - s, _ONE - t
-    y0, y1, y2 = outer_inlined(t), middle_inlined(t), inner_inlined(t)
-    y3, y4, y5 = inner_inlined(t1), middle_inlined(t1), outer_inlined(t1)
-    x0, x1, x2 = outer_inlined(s), middle_inlined(s), inner_inlined(s)
-    x3, x4, x5 = inner_inlined(s1), middle_inlined(s1), outer_inlined(s1)
-    c = flat
-    p = ((j - 2) * width + i - 2) & INDEX
-    value = y0 * (x0 * c[p] + x1 * c[p + 1] + x2 * c[p + 2] + x3 * c[p + 3] + x4 * c[p + 4] + x5 * c[p + 5])
-    p += width
-    value += y1 * (x0 * c[p] + x1 * c[p + 1] + x2 * c[p + 2] + x3 * c[p + 3] + x4 * c[p + 4] + x5 * c[p + 5])
-    p += width
-    value += y2 * (x0 * c[p] + x1 * c[p + 1] + x2 * c[p + 2] + x3 * c[p + 3] + x4 * c[p + 4] + x5 * c[p + 5])
-    p += width
-    value += y3 * (x0 * c[p] + x1 * c[p + 1] + x2 * c[p + 2] + x3 * c[p + 3] + x4 * c[p + 4] + x5 * c[p + 5])
-    p += width
-    value += y4 * (x0 * c[p] + x1 * c[p + 1] + x2 * c[p + 2] + x3 * c[p + 3] + x4 * c[p + 4] + x5 * c[p + 5])
-    p += width
-    value += y5 * (x0 * c[p] + x1 * c[p + 1] + x2 * c[p + 2] + x3 * c[p + 3] + x4 * c[p + 4] + x5 * c[p + 5])
-    return value  # type: ignore[no-any-return]
+def down(fraction: np.uint32) -> np.float32:
+    """Fraction of a pixel along v."""
+    return np.float32(np.int32(fraction >> _HIGH)) * _STEP
 
 
 @kernel
-def mean_over(
-    image: Array,
-    quintic: bool,
-    u: float,
-    v: float,
-    uc: float,
-    ur: float,
-    vc: float,
-    vr: float,
-) -> float:
-    """Mean of the image over the footprint of a node."""
-    right, bottom = image.shape[1] - 1.0, image.shape[0] - 1.0
-    n_c, n_r = samples_along(uc, vc), samples_along(ur, vr)
-    total = 0.0
-    for i in range(n_r):
-        r = (i + 0.5) / n_r - 0.5
-        for j in range(n_c):
-            c = (j + 0.5) / n_c - 0.5
-            a = min(max(u + uc * c + ur * r, 0.0), right)
-            b = min(max(v + vc * c + vr * r, 0.0), bottom)
-            total += float(quintic_at(image, a, b) if quintic else bilinear_at(image, a, b))
-    return total / (n_c * n_r)
+def spline_weights(fraction: Array, s: Array, y: Array) -> None:
+    """Fractions along u (n,), and y (6, CHUNK) the weights of the rows of the footprint, of samples (n,)."""
+    y0, y1, y2, y3, y4, y5 = y[0], y[1], y[2], y[3], y[4], y[5]
+    for k in range(fraction.shape[0]):
+        s[k] = along(fraction[k])
+    for k in range(fraction.shape[0]):
+        t = down(fraction[k])
+        y0[k], y1[k], y2[k] = outer_inlined(t), middle_inlined(t), inner_inlined(t)
+    for k in range(fraction.shape[0]):
+        t = _ONE - down(fraction[k])
+        y3[k], y4[k], y5[k] = inner_inlined(t), middle_inlined(t), outer_inlined(t)
+
+
+@kernel
+def spline_values(flat: Array, stride: int, anchor: Array, fraction: Array, scratch: Array, out: Array) -> None:
+    """Spline values out (n,) of n <= CHUNK samples from flat coefficients; an anchor is a footprint's first."""
+    s, y = scratch[0], scratch[1:]
+    y0, y1, y2, y3, y4, y5 = y[0], y[1], y[2], y[3], y[4], y[5]
+    spline_weights(fraction, s, y)
+    for k in range(out.shape[0]):
+        out[k] = footprint_sum(flat, anchor[k], stride, s[k], y0[k], y1[k], y2[k], y3[k], y4[k], y5[k])
+
+
+@kernel
+def bilinear_values(flat: Array, stride: int, anchor: Array, fraction: Array, scratch: Array, out: Array) -> None:
+    """Bilinear values out (n,) of n <= CHUNK samples from a flat frame; an anchor is their pixel above and left.
+
+    ``scratch`` (2, 2 CHUNK) has the dtype of the frame: pixels are collected first, then all is one vector loop.
+    """
+    above, below = scratch[0], scratch[1]
+    for k in range(out.shape[0]):
+        copy_pair(flat, anchor[k], above, 2 * k)
+        copy_pair(flat, anchor[k] + stride, below, 2 * k)
+    for k in range(out.shape[0]):
+        s, t = along(fraction[k]), down(fraction[k])
+        left, right = np.float32(above[2 * k]), np.float32(above[2 * k + 1])
+        upper = left + s * (right - left)
+        left, right = np.float32(below[2 * k]), np.float32(below[2 * k + 1])
+        out[k] = upper + t * (left + s * (right - left) - upper)
+
+
+@kernel
+def place_means(values: Array, samples: int, share: np.float32, adds: bool, line: Array) -> None:
+    """Store in, or add to, line (n,) the share of the sum over each node's samples; values (n samples,)."""
+    for k in range(line.shape[0]):
+        total = 0.0
+        for i in range(samples):
+            total += values[k * samples + i]
+        value = np.float32(total * share)
+        line[k] = line[k] + value if adds else value
 
 
 @kernel
 def correct_rows(
-    image: Array,
+    flat: Array,
     quintic: bool,
-    position: Array,
-    jacobian: Array,
-    weight: Array,
-    status: Array,
+    stride: int,
+    anchor: Array,
+    fraction: Array,
+    begin: Array,
+    span: Array,
+    share: Array,
     fill: float,
     first: int,
     last: int,
+    scratch: Array,
+    values: Array,
     out: Array,
 ) -> None:
-    """Correct rows first..last-1 into out (h, w) float32; nodes that are not recovered get `fill`.
+    """Correct rows first..last-1 into out (h, w) float32; nodes without a span get `fill`.
 
-    ``image`` holds B-spline coefficients if `quintic`, else the frame.  ``position`` (K, h, w, 2) and
-    ``jacobian`` (K, h, w, 4) say where each layer of a node lies on the sensor and how its square is
-    stretched there; ``weight`` (K, h, w) joins the layers.
-
-    Nearly all nodes have one view that is not magnified and lies inside the frame: one sample, no footprint.
+    ``flat`` holds spline coefficients if `quintic`, else the frame, in rows of `stride`; the next five arrays are
+    those of ``correction.footprints.Footprints``.  ``scratch`` is that of `spline_values`, (WEIGHTS, CHUNK), or of
+    `bilinear_values`; ``values`` (CHUNK,) float32.
     """
-    flat = image.reshape(image.size)
-    height, width = image.shape
-    layers = position.shape[0]
+    flat, anchor, fraction, out = unowned(flat), unowned(anchor), unowned(fraction), unowned(out)
+    scratch, values = unowned(scratch), unowned(values)
     for row in range(first, last):
-        place, slope, state, line = position[0, row], jacobian[0, row], status[row], out[row]
-        for column in range(out.shape[1]):
-            if state[column] != 0:
-                line[column] = fill
-                continue
-            u, v = place[column, 0], place[column, 1]
-            uc, ur, vc, vr = slope[column, 0], slope[column, 1], slope[column, 2], slope[column, 3]
-            i, j = int(u), int(v)
-            small = uc * uc + vc * vc <= ONE_SAMPLE_PX2 and ur * ur + vr * vr <= ONE_SAMPLE_PX2
-            alone = layers == 1 or not weight[1, row, column] > 0.0
-            if small and alone and i >= 2 and j >= 2 and i < width - 3 and j < height - 3:
+        out[row, :] = fill
+        for number in range(begin[row], begin[row + 1]):
+            samples, adds, part = span[number, SAMPLES], span[number, ADDS] != 0, share[number]
+            plain = samples == 1 and not adds and part == _ONE
+            step = CHUNK // samples
+            for low in range(0, span[number, NODES], step):
+                nodes = min(step, span[number, NODES] - low)
+                a = span[number, FIRST] + low * samples
+                b = a + nodes * samples
+                line = out[row, span[number, COLUMN] + low : span[number, COLUMN] + low + nodes]
+                result = line if plain else values[: b - a]
                 if quintic:
-                    s, t = u - np.float32(i), v - np.float32(j)
-                    line[column] = quintic_inside(flat, width, i, j, s, t)
+                    spline_values(flat, stride, anchor[a:b], fraction[a:b], scratch, result)
                 else:
-                    line[column] = bilinear_inlined(image, u, v)
-                continue
-            value = 0.0
-            for layer in range(layers):
-                share = weight[layer, row, column]
-                if share > 0.0:
-                    u, v = position[layer, row, column, 0], position[layer, row, column, 1]
-                    uc, ur = jacobian[layer, row, column, 0], jacobian[layer, row, column, 1]
-                    vc, vr = jacobian[layer, row, column, 2], jacobian[layer, row, column, 3]
-                    value += share * mean_over(image, quintic, u, v, uc, ur, vc, vr)
-            line[column] = value
+                    bilinear_values(flat, stride, anchor[a:b], fraction[a:b], scratch, result)
+                if not plain:
+                    place_means(result, samples, part, adds, line)

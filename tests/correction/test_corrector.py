@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from correction.correction_map import build_correction_map
-from correction.corrector import UINT16_OFFSET, Corrector, to_uint16
+from correction.corrector import NEGLIGIBLE_PX, UINT16_OFFSET, Corrector, to_uint16
+from correction.dewarp import Dewarp, powers
 from correction.errors import FrameError
 from tests.correction.small_scenes import small_scene
 from tracer.ray_map import build_ray_map
@@ -100,6 +101,88 @@ def test_blending_joins_two_views_of_one_node():
     smooth = twice & (both.magnification()[1] < 3.0)
     assert np.abs(two - wavy(both.grid.nodes_mm()))[smooth].max() < 120.0
     assert (one[twice] != two[twice]).any()
+
+
+def test_a_mask_takes_nodes_out_and_their_work_with_them(ball):
+    scene, cmap = ball
+    mask = np.zeros(cmap.grid.shape, bool)
+    mask[20:60, 20:100] = True
+    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    for method in ("quintic", "bilinear"):
+        whole, part = Corrector(cmap, method=method), Corrector(cmap, method=method, mask=mask, fill=-7.0)
+        expected, found = whole(frame), part(frame)
+        wanted = mask & cmap.recovered
+        assert np.array_equal(part.recovered, wanted)
+        assert np.abs(found - expected)[wanted].max() < 0.01  # of 4096: vectors begin elsewhere
+        assert (found[~wanted] == -7.0).all()
+        assert part._footprints.samples < 0.05 * whole._footprints.samples
+    assert len(Corrector(cmap, mask=mask)._tiles) <= 2 < len(Corrector(cmap)._tiles)
+
+
+def test_leaving_out_what_no_sample_reads_changes_no_bit(ball):
+    scene, cmap = ball
+    mask = np.zeros(cmap.grid.shape, bool)
+    mask[230:270, :] = True
+    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    some, every = (Corrector(cmap, mask=mask, skip=skip) for skip in (True, False))
+    assert len(some._tiles) < len(every._tiles)
+    assert np.array_equal(some(frame), every(frame), equal_nan=True)
+
+
+def shifted(shift_px, size=504):
+    """A dewarp of order 2 that moves u by exactly `shift_px` at the corners and less elsewhere."""
+    scale = size / 2.0
+    pairs = {(1, 0): (1.0, 0.0), (0, 1): (0.0, 1.0), (2, 0): (shift_px / scale / ((size - 1) / size) ** 2, 0.0)}
+    coefficients = tuple(pairs.get(power, (0.0, 0.0)) for power in powers(2))
+    return Dewarp(2, ((size - 1) / 2,) * 2, scale, coefficients, 0.0, 0.0, 1.0, 1.0, 100, 0)
+
+
+def test_a_dewarp_is_left_out_only_if_it_moves_nothing_by_more_than_the_bound(ball):
+    scene, cmap = ball
+    corners = np.stack(np.meshgrid((0.0, 100.0, 251.5, 503.0), (0.0, 503.0)), axis=-1)
+    for shift in (0.9 * NEGLIGIBLE_PX, 1.1 * NEGLIGIBLE_PX):
+        moved = np.abs(shifted(shift).apply(corners) - corners).max()
+        assert moved == pytest.approx(shift, rel=1e-6)
+        assert moved <= shifted(shift).largest_shift_px(scene.camera.sensor_px) * (1 + 1e-9)
+    frame = acquired(scene, wavy)
+    steepest = max(np.abs(np.diff(frame, axis=axis)).max() for axis in (0, 1))
+    plain = Corrector(cmap)(frame)
+    small, large = shifted(0.9 * NEGLIGIBLE_PX), shifted(1.1 * NEGLIGIBLE_PX)
+    assert np.array_equal(Corrector(cmap, small)(frame), plain, equal_nan=True)
+    assert not np.array_equal(Corrector(cmap, large)(frame), plain, equal_nan=True)
+    composed = Corrector(cmap, small, skip=False)(frame)
+    assert 0.0 < np.nanmax(np.abs(composed - plain)) < 2.0 * steepest * NEGLIGIBLE_PX
+
+
+def test_a_view_that_the_dewarp_moves_off_the_sensor_leaves_its_share_to_the_others():
+    scene = small_scene("one_sphere_250", 504)
+    both = build_correction_map(scene, build_ray_map(scene), layers=2)
+    flat = np.full(scene.camera.shape, 300, np.uint16)
+    one = Dewarp(
+        2,
+        (251.5, 251.5),
+        252.0,
+        tuple(
+            (0.6 * (k == 1) - (k + m == 0) * 0.55, 0.6 * (m == 1) - (k + m == 0) * 0.55)
+            if k + m < 2
+            else (0.0, 0.0)
+            for k, m in powers(2)
+        ),
+        0.0,
+        0.0,
+        1.0,
+        1.0,
+        100,
+        0,
+    )
+    corrector = Corrector(both, one)
+    found = corrector(flat)
+    assert np.abs(found[corrector.recovered] - 300.0).max() < 0.01
+    position = one.apply(both.pixel)
+    inside = ((position >= 0.0) & (position <= 503.0)).all(axis=-1)
+    some_left = (inside & (both.weight > 0.0)).any(axis=0)
+    assert np.array_equal(corrector.recovered, some_left)
+    assert ((both.weight[1] > 0.0) & (inside[0] != inside[1])).any()
 
 
 def test_frames_of_another_size_are_refused(ball):

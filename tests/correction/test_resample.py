@@ -3,8 +3,10 @@ import pytest
 from scipy import ndimage, special
 
 from correction.errors import FrameError
-from correction.kernels import bspline
-from correction.resample import prefilter, sample
+from correction.kernels import bspline, lanes
+from correction.kernels import prefilter as kernels
+from correction.resample import filter_tiles, prefilter, sample, tile_grid
+from tracer.kernels._jit import kernel
 
 
 def speckle(shape, dtype, seed=3):
@@ -113,11 +115,50 @@ def test_kernels_as_plain_python_agree_with_the_compiled_ones():
     for u, v in [(0.0, 0.0), (4.3, 4.6), (8.9, 7.99), (9.0, 8.0), (-1.0, 2.0)]:
         for function, image in ((bspline.quintic_at, coefficients), (bspline.bilinear_at, frame)):
             assert function.py_func(image, u, v) == pytest.approx(function(image, u, v), rel=1e-5, nan_ok=True)
-    lines = speckle((60, 3), np.float32)
-    plain = lines.copy()
-    bspline.filter_lines(np.empty(3, np.float32), lines)
-    bspline.filter_lines.py_func(np.empty(3, np.float32), plain)
-    assert np.abs(lines - plain).max() <= 1e-6 * 4095
+    line = speckle((30 + 2 * kernels.SPREAD,), np.float32)
+    results = []
+    for function in (kernels.filter_line, kernels.filter_line.py_func):
+        results.append(np.empty(30, np.float32))
+        function(line.copy(), line.copy(), results[-1])
+    assert np.abs(results[0] - results[1]).max() <= 1e-6 * 4095
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_hand_written_vectors_do_what_their_definitions_say(dtype):
+    flat = speckle((200,), dtype)
+    coefficients, weights = flat.astype(np.float32), speckle((7,), np.float32) / np.float32(4095)
+
+    @kernel
+    def both(flat, coefficients, w, out, pair):
+        out[0] = lanes.footprint_sum(coefficients, 7, 20, w[0], w[1], w[2], w[3], w[4], w[5], w[6])
+        lanes.copy_pair(flat, 11, pair, 1)
+
+    found, pair = np.zeros(1, np.float32), np.zeros(4, dtype)
+    both(flat, coefficients, weights, found, pair)
+    expected = lanes.footprint_sum(coefficients, 7, 20, *weights)
+    assert found[0] == pytest.approx(expected, rel=1e-6)
+    assert pair.tolist() == [0, flat[11], flat[12], 0]
+    taps = [bspline.weight_outer, bspline.weight_middle, bspline.weight_inner]
+    s = np.float32(0.3)
+    beta = [tap(s) for tap in taps] + [tap(np.float32(1) - s) for tap in taps[::-1]]
+    assert [np.polyval(column[::-1], 0.3) for column in np.transpose(lanes.TAP_POLYNOMIALS)] == pytest.approx(
+        [*beta, 0.0, 0.0], abs=2e-7
+    )
+
+
+def test_a_tile_has_the_same_bits_whether_others_are_filtered_or_not():
+    frame, rim = speckle((300, 1100), np.uint16), 2
+    shape = (304, 1106)
+    tiles = tile_grid(shape)
+    assert tiles.shape[:2] == (3, 3)
+    whole, some = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    filter_tiles(frame, rim, tiles.reshape(-1, 4), whole)
+    filter_tiles(frame, rim, tiles[1, 1:], some)
+    top, left, bottom, _ = tiles[1, 1]
+    assert np.array_equal(some[top:bottom, left:], whole[top:bottom, left:])
+    assert not some[:, :left].any()
+    assert np.abs(whole[rim:302, rim:1102] - prefilter(frame)).max() <= 1e-6 * 65535
+    assert whole[:2] == pytest.approx(whole[4:2:-1], abs=0.1)  # mirrored at the outermost pixel centres
 
 
 @pytest.mark.parametrize(
