@@ -27,6 +27,8 @@ def ours(scene: Scene) -> Tasks:
     """Ray map, correction map and corrector of this project; arrays of the map before are written again."""
     from correction.correction_map import build_correction_map
     from correction.corrector import Corrector
+    from tracer.glass_map import build_glass_map
+    from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
     from tracer.ray_map import build_ray_map
 
     ray_map = build_ray_map(scene)
@@ -35,7 +37,15 @@ def ours(scene: Scene) -> Tasks:
     quintic, bilinear = Corrector(cmap), Corrector(cmap, method="bilinear")
     out = np.empty(cmap.grid.shape, np.float32)
     spare = build_correction_map(scene, ray_map)
+    arrays = ray_map.plane_mm, ray_map.status, ray_map.branch
+    parts: Tasks = {}
+    if fits_lockstep(scene):
+        parts = {
+            "ray_map, no mirror": lambda: trace_lockstep(scene, *arrays, ALL_SKIPS & ~SKIP_MIRRORED),
+            "ray_map, glass only": lambda: build_glass_map(scene),
+        }
     return {
+        **parts,
         "ray_map": lambda: build_ray_map(scene, ray_map).plane_mm,
         "ray_map_fresh": lambda: build_ray_map(scene).plane_mm,
         "correction_map": lambda: build_correction_map(scene, ray_map, out=spare),
@@ -155,8 +165,7 @@ CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
     "opencv": (opencv, "opencv-contrib-python-headless"),
     "scipy": (scipy, "scipy"),
 }
-LENS_FREE = ("drjit", "torch", "jax")  # their formulas know no lens terms
-STACKED = ("drjit", "torch", "jax", "numpy")  # and one fixed order of spheres
+STACKED = ("drjit", "torch", "jax", "numpy")  # their formulas know one order of spheres and no lens terms
 
 
 def points(result: NDArray[np.float64] | tuple[Any, Any]) -> NDArray[np.float64]:

@@ -6,7 +6,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.ray_map import build_ray_map
 from tracer.rows import run_rows
+from tracer.scene import Scene
 
 REPEATS = 15
 OPTIONS = {"nogil": True, "error_model": "numpy"}
@@ -35,6 +37,19 @@ def fill(first: int, last: int, out: NDArray[np.float64]) -> None:
         line = out[row]
         for i in range(line.shape[0]):
             line[i] = 1.0
+
+
+def limits_of(scene: Scene, measured: dict[str, float]) -> dict[str, float]:
+    """What a ray map must take at least [ms]: 2 roots a sphere met and 2 divisions a traced ray; writing it.
+
+    "arithmetic" is processor time, "writing" wall clock, whatever the number of threads.
+    """
+    made = build_ray_map(scene)
+    met = np.array([len(names) for names in made.branches])[made.branch]
+    traced = float(np.count_nonzero(met))
+    nanoseconds = 2.0 * float(met.sum()) * measured["sqrt_ns"] + 2.0 * traced * measured["div_ns"]
+    stored = made.plane_mm.nbytes + made.status.nbytes + made.branch.nbytes
+    return {"arithmetic": 1e-6 * nanoseconds, "writing": stored / measured["fill_gb_s"] * 1e-6}
 
 
 def limits() -> dict[str, float]:

@@ -24,6 +24,8 @@ BENCH_LIKE = "pyramid, nothing aligned"
 
 def bench_scene(name: str) -> Scene:
     """A scene by its name: an example, the unaligned pyramid, or ``bed N``."""
+    if name.endswith(".yaml"):
+        return load_scene(Path(name))
     if name.startswith("bed "):
         return bed(int(name.split()[1]))
     if name != BENCH_LIKE:
@@ -36,8 +38,11 @@ def bench_scene(name: str) -> Scene:
     return scene.with_camera(moved)
 
 
-def bed(count: int, width_mm: float = 100.0) -> Scene:
-    """Up to `count` equal spheres, body-centred cubic, matched to 1.023, over the same square of the plane."""
+def bed(count: int, width_mm: float = 100.0, packing: str = "bcc") -> Scene:
+    """Up to `count` equal spheres, matched to 1.023, over the same square of the plane.
+
+    `packing` is "bcc", body-centred cubic, or "random": a quarter smaller, at random places, none overlapping.
+    """
     columns = max(1, round((count / 2.0) ** (1.0 / 3.0)))
     pitch = width_mm / columns
     radius = 0.49 * np.sqrt(0.75) * pitch
@@ -47,5 +52,24 @@ def bed(count: int, width_mm: float = 100.0) -> Scene:
             x, y, z = (np.array([i, j, k]) + corner - columns / 2.0 + 0.25) * pitch
             centre = (float(x), float(y), float(z + width_mm / 2.0 + radius + 1.0))
             bodies.append(Sphere(f"s{len(bodies)}", centre, float(radius), glass))
+    bodies = bodies[:count]
+    if packing == "random":
+        bodies = scattered(bodies, width_mm)
     scene = load_scene(EXAMPLES / "pyramid_500.yaml")
-    return scene.with_bodies(bodies[:count])
+    return scene.with_bodies(bodies)
+
+
+def scattered(bodies: list[Sphere], width_mm: float) -> list[Sphere]:
+    """The same spheres, a quarter smaller so that there is room, at random in the same cube."""
+    rng, radius = np.random.default_rng(0), 0.75 * bodies[0].radius_mm
+    low, placed = np.array([-width_mm / 2.0, -width_mm / 2.0, 1.0]) + radius, np.empty((0, 3))
+    for _ in bodies:
+        for _ in range(5000):
+            centre = low + rng.random(3) * (width_mm - 2.0 * radius)
+            if not len(placed) or ((placed - centre) ** 2).sum(axis=1).min() > (2.001 * radius) ** 2:
+                placed = np.vstack((placed, centre))
+                break
+    return [
+        Sphere(body.name, (float(x), float(y), float(z)), radius, body.medium)
+        for body, (x, y, z) in zip(bodies, placed.tolist(), strict=False)
+    ]

@@ -77,6 +77,11 @@ def _parser() -> argparse.ArgumentParser:
 
     _bench_verbs(verbs)
 
+    bench = verbs.add_parser("bench", help="run time against error on this machine, for one scene")
+    bench.add_argument("scene", type=Path, metavar="SCENE", help="scene.yaml")
+    bench.add_argument("-o", "--out", type=Path, default=Path("bench"), help="folder for table and picture")
+    bench.add_argument("--rounds", type=_count, default=9, help="interleaved rounds (default 9)")
+
     demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
     demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
     return parser

@@ -1,0 +1,128 @@
+"""How run time and memory grow: with the pixels of the sensor, the bodies, and the region that is recovered."""
+
+import statistics
+import time
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scenes import bed
+from correction.correction_map import build_correction_map
+from correction.corrector import Corrector
+from tracer.glass_map import build_glass_map
+from tracer.lockstep import fits_lockstep
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+
+REPEATS = 5
+SPHERES = (2, 16, 128, 432, 1000)
+SHARES = (0.25, 0.5, 0.75, 1.0)
+
+
+def core_ms(task: Callable[[], Any]) -> float:
+    """Median processor time of all threads [ms], warm."""
+    task()
+    times = []
+    for _ in range(REPEATS):
+        start = time.process_time()
+        task()
+        times.append(time.process_time() - start)
+    return 1e3 * statistics.median(times)
+
+
+def with_pixels(scene: Scene, factor: float) -> Scene:
+    """The same view on a sensor with `factor` times the pixels each way."""
+    camera = scene.camera
+    width, height = (max(8, round(size * factor)) for size in camera.sensor_px)
+    principal = ((width - 1) / 2.0, (height - 1) / 2.0)
+    small = replace(camera, focal_px=camera.focal_px * factor, sensor_px=(width, height), principal_px=principal)
+    return scene.with_camera(small)
+
+
+def over_pixels(scene: Scene) -> list[dict[str, float]]:
+    """Ray map and correction map of the same view on larger and larger sensors."""
+    rows = []
+    for factor in (0.25, 0.5, 0.75, 1.0):
+        smaller = with_pixels(scene, factor)
+        ray_map = build_ray_map(smaller)
+        corrected = build_correction_map(smaller, ray_map)
+        rows.append(
+            {
+                "pixels": float(ray_map.status.size),
+                "ray_map_ms": core_ms(lambda s=smaller, m=ray_map: build_ray_map(s, m)),  # type: ignore[misc]
+                "correction_map_ms": core_ms(
+                    lambda s=smaller, m=ray_map, c=corrected: build_correction_map(s, m, out=c)  # type: ignore[misc]
+                ),
+            }
+        )
+    return rows
+
+
+def over_bodies() -> list[dict[str, float]]:
+    """Ray maps of body-centred cubic and of random beds over the same square, 252 x 252 pixels."""
+    rows = []
+    for count in SPHERES:
+        for packing in ("bcc", "random"):
+            scene = with_pixels(bed(count, packing=packing), 0.125)
+            made = build_ray_map(scene)
+            time_ms = core_ms(lambda s=scene: build_ray_map(s))  # type: ignore[misc]
+            covered = float(np.count_nonzero(made.branch))
+            rows.append(
+                {
+                    "spheres": float(len(scene.spheres)),
+                    "random": float(packing == "random"),
+                    "core_ms": time_ms,
+                    "us_covered_px": 1e3 * time_ms / max(covered, 1.0),
+                    "covered_share": covered / made.branch.size,
+                    "branches": float(len(made.branches)),
+                }
+            )
+    return rows
+
+
+def over_region(scene: Scene) -> list[dict[str, float]]:
+    """Frames of which less and less is recovered: rows of the corrected image left out."""
+    corrected = build_correction_map(scene, build_ray_map(scene))
+    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    rows = []
+    for share in SHARES:
+        status = corrected.status.copy()
+        status[round(share * len(status)) :] = 1
+        corrector = Corrector(replace(corrected, status=status))
+        out = np.empty(status.shape, np.float32)
+        nodes = float((status == 0).sum())
+        rows.append({"nodes": nodes, "quintic_ms": core_ms(lambda c=corrector, o=out: c(frame, o))})  # type: ignore[misc]
+    return rows
+
+
+def memory(scene: Scene) -> dict[str, float]:
+    """Bytes a pixel, at the peak while it is made and afterwards, of ray map, glass map and correction map."""
+    pixels = float(np.prod(scene.camera.shape))
+    tasks: dict[str, Callable[[], Any]] = {"ray map": lambda: build_ray_map(scene)}
+    if fits_lockstep(scene):
+        tasks["glass map"] = lambda: build_glass_map(scene)
+    ray_map = build_ray_map(scene)
+    tasks["correction map"] = lambda: build_correction_map(scene, ray_map)
+    result = {}
+    for name, task in tasks.items():
+        task()
+        tracemalloc.start()
+        kept = task()
+        held, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        del kept
+        result[f"{name}, peak"], result[f"{name}, kept"] = peak / pixels, held / pixels
+    return result
+
+
+def growth(scene: Scene) -> dict[str, Any]:
+    """All of it."""
+    return {
+        "pixels": over_pixels(scene),
+        "bodies": over_bodies(),
+        "region": over_region(scene),
+        "memory_bytes_px": memory(scene),
+    }

@@ -1,0 +1,44 @@
+"""`rtpiv bench` is the project's benchmark, run on one scene."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from daq.cli import DEVICE, DONE, USAGE, main
+from daq.verbs import bench
+
+SCENE = """
+wavelength_nm: 532.0
+camera: {f_mm: 60.0, L_mm: 500.0, pixel_pitch_um: 220.0, sensor_px: [100, 100]}
+bodies:
+  - {name: near, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: N-BK7}
+"""
+
+
+@pytest.mark.slow
+def test_table_and_picture(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    assert main(["bench", str(tmp_path / "scene.yaml"), "-o", str(tmp_path / "out"), "--rounds", "2"]) == DONE
+    report = json.loads((tmp_path / "out" / "benchmark.json").read_text())
+    row = report["scenes"][0]
+    assert row["scene"] == "scene"
+    assert row["contenders"]["rtpiv"]["error_um"]["centre"]["max_um"] < 1e-9
+    assert {"ray_map", "ray_map, glass only", "correction_map", "quintic"} <= row["contenders"]["rtpiv"][
+        "tasks"
+    ].keys()
+    assert row["limit_ms"]["arithmetic"] > 0.0
+    assert report["growth"]["memory_bytes_px"]["ray map, kept"] < 20.0
+    assert (tmp_path / "out" / "benchmark.png").stat().st_size > 10_000
+
+
+def test_what_goes_wrong_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(SCENE.replace("f_mm: 60.0", "f_mm: wide"))
+    assert main(["bench", str(scene)]) == USAGE
+    assert "scene.yaml:3" in capsys.readouterr().err
+    monkeypatch.setattr(bench, "CHECKOUT", tmp_path)
+    assert main(["bench", str(scene)]) == DEVICE
+    assert "checkout" in capsys.readouterr().err
