@@ -192,7 +192,7 @@ def _chain(scene: Scene) -> list[Sphere]:
 def _aligned(count: int, dtype: type) -> NDArray[Any]:
     """Uninitialised numbers of 8 bytes that begin at a cache line: vectors across two lines cost twice."""
     memory = np.empty(8 * count + LINE, np.uint8)
-    start = -memory.ctypes.data % LINE
+    start = -memory.__array_interface__["data"][0] % LINE  # `ctypes` takes as long as a row
     return memory[start : start + 8 * count].view(dtype)
 
 
