@@ -25,37 +25,29 @@ are about to merge (FOLD).
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
-from correction.kernels.inverse import direct_rows
-from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
-from correction.kernels.sheets import RUN, code_rows, count_useful, join_runs, list_runs, scatter_sheet
+from correction.inversion import Inversion
 from correction.node_status import NodeStatus
-from tracer.errors import MapFileError, StaleMap
-from tracer.kernels.chain import BALL
-from tracer.kernels.march import KEY_MASK, next_key
-from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
+from tracer.errors import MapFileError
 from tracer.map_file import load_arrays, save_arrays
 from tracer.ray_map import RayMap
-from tracer.rows import run_rows
-from tracer.scene import Scene
-from tracer.trace import DIRECT, Branch, Numbers, pack_camera
+from tracer.scene import Scene, SceneBound
+from tracer.trace import Branch, Numbers
 
 KIND = "correction map"
-NODES_PER_CALL = 4096  # whole groups, so that threads change no group
-NO_BALLS = np.empty((0, BALL))
 MIN_MAGNIFICATION = 0.5  # one sensor pixel may cover two corrected pixels, not more
 MAX_LAYERS = 16
+LIGHT = 1.0 + 1e-5  # rounding above a transmittance of 1
 MAX_MAGNIFICATION = 16.0  # within 0.2 corrected pixels of the fold behind a 100 mm ball at L = 250 mm
 
 
 @dataclass(frozen=True)
-class CorrectionMap:
+class CorrectionMap(SceneBound):
     """Plane node -> camera pixel(s).
 
     Parameters
@@ -118,18 +110,6 @@ class CorrectionMap:
         q = np.hypot(uc - vr, vc + ur) / 2
         return np.abs(p - q), p + q
 
-    def check(self, scene: Scene) -> None:
-        """Refuse to serve another scene.
-
-        Raises
-        ------
-        StaleMap
-            The map was made from a scene with other numbers.
-        """
-        wanted = scene.content_hash()
-        if self.scene_hash != wanted:
-            raise StaleMap(f"the map belongs to scene {self.scene_hash}, not to {wanted}; trace the scene again")
-
     def save(self, path: Path | str) -> None:
         """Write the map to a file, atomically."""
         header = {
@@ -164,9 +144,32 @@ class CorrectionMap:
             branches = tuple(tuple(str(name) for name in names) for names in header["branches"])
             columns, rows = header["sensor_px"]
             size, scene_hash = (int(columns), int(rows)), str(header["scene_hash"])
-            return cls(grid, **arrays, branches=branches, sensor_px=size, scene_hash=scene_hash)
         except (KeyError, TypeError, ValueError):
             raise MapFileError(f"{path}: the header is damaged; make the map again") from None
+        made = cls(grid, **arrays, branches=branches, sensor_px=size, scene_hash=scene_hash)
+        if not made._sound():
+            raise MapFileError(f"{path}: holds values that no map has; make the map again")
+        return made
+
+    def _sound(self) -> bool:
+        """Whether all numbers are such as `build_correction_map` makes: nothing outside its range is looked up."""
+        seen, shares = self.weight > 0.0, self.weight.sum(axis=0)
+        right, bottom = self.sensor_px[0] - 1, self.sensor_px[1] - 1
+        u, v = self.pixel[..., 0][seen], self.pixel[..., 1][seen]
+        light = self.transmittance[seen]
+        return bool(
+            1 <= self.layers <= MAX_LAYERS
+            and min(*self.grid.shape, right, bottom) >= 1
+            and np.isfinite(self.grid.origin_mm).all()
+            and 0.0 < self.grid.pitch_mm < np.inf
+            and int(self.status.max()) <= max(NodeStatus)
+            and int(self.branch.max()) < len(self.branches)
+            and (self.weight >= 0.0).all()
+            and np.abs(shares - self.recovered).max() <= 1e-5
+            and ((u >= 0.0) & (u <= right) & (v >= 0.0) & (v <= bottom)).all()
+            and np.isfinite(self.jacobian[seen]).all()
+            and ((light > 0.0) & (light <= LIGHT)).all()
+        )
 
 
 _LAYOUT: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
@@ -188,6 +191,7 @@ def build_correction_map(
     min_magnification: float = MIN_MAGNIFICATION,
     max_magnification: float = MAX_MAGNIFICATION,
     out: CorrectionMap | None = None,
+    skip: bool = True,
 ) -> CorrectionMap:
     """Invert the ray map exactly.
 
@@ -205,6 +209,8 @@ def build_correction_map(
         Limits of the local magnification, sensor px per corrected px.
     out : CorrectionMap, optional
         An earlier map of this size whose arrays are written again, so that `out` is worth nothing afterwards.
+    skip : bool
+        Whether views are left out that cannot be among the best; the map has the same bits.
 
     Raises
     ------
@@ -217,190 +223,12 @@ def build_correction_map(
     grid = grid or grid_of(scene.camera)
     if not 1 <= layers <= MAX_LAYERS:
         raise MapUsageError(f"a node can join 1 to {MAX_LAYERS} views, not {layers}")
-    work = _Inversion(scene, ray_map, grid, layers, (min_magnification, max_magnification), out)
+    arrays = None if out is None else {name: getattr(out, name) for name in _LAYOUT}
+    work = Inversion(scene, ray_map, grid, layers, (min_magnification, max_magnification), arrays, skip)
     work.direct()
     work.glass()
-    return work.result()
-
-
-class _Inversion:
-    """The arrays of a correction map while it grows, sheet by sheet."""
-
-    def __init__(
-        self,
-        scene: Scene,
-        ray_map: RayMap,
-        grid: PlaneGrid,
-        layers: int,
-        limits: tuple[float, float],
-        out: CorrectionMap | None,
-    ) -> None:
-        height, width = grid.shape
-        self.scene, self.ray_map, self.grid, self.least = scene, ray_map, grid, limits[0]
-        self.size = scene.camera.sensor_px
-        self.tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
-        self.lockstep = fits_lockstep(scene)
-        self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
-        self.limits = np.array([*limits, *self.size], dtype=np.float64)
-        fits = out is not None and out.pixel.shape == (layers, height, width, 2)
-        if out is not None and fits and out.branch.dtype == ray_map.branch.dtype:
-            self.status, self.pixel, self.jacobian = out.status, out.pixel, out.jacobian
-            self.weight, self.transmittance, self.branch = out.weight, out.transmittance, out.branch
-            return
-        self.status = np.empty((height, width), np.uint8)
-        self.pixel = np.empty((layers, height, width, 2))
-        self.jacobian = np.empty((layers, height, width, 4), np.float32)
-        self.weight = np.empty((layers, height, width), np.float32)
-        self.transmittance = np.empty((layers, height, width), np.float32)
-        self.branch = np.empty((layers, height, width), ray_map.branch.dtype)
-
-    def direct(self) -> None:
-        """Project the nodes that are seen without glass, and write every other node for the first time."""
-        height, width = self.grid.shape
-        place, discs = self._node_camera(), sphere_discs(self.tables[1])
-        lens_free = self.scene.camera.lens.is_ideal
-        size = np.array(self.size, dtype=np.float64)
-        maps: tuple[NDArray[Any], ...] = (
-            self.status,
-            self.pixel.reshape(len(self.pixel), height, 2 * width),
-            self.jacobian.reshape(len(self.pixel), height, 4 * width),
-            *self._rest(),
-        )
-
-        def work(first: int, last: int) -> None:
-            x, y = np.arange(width, dtype=np.float64), np.empty(width)
-            x = (x - place[13]) / place[12]
-            spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
-            scratch = (x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
-            direct_rows(
-                place,
-                self.tables,
-                discs,
-                self.lockstep,
-                lens_free,
-                self.grid_numbers,
-                size,
-                first,
-                last,
-                *scratch,
-                maps,
-            )
-
-        run_rows(work, height)
-
-    def _rest(self) -> tuple[NDArray[Any], ...]:
-        return self.weight, self.transmittance, self.branch
-
-    def _node_camera(self) -> NDArray[np.float64]:
-        """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
-        x, y, z = self.scene.camera.position_mm
-        (x0, y0), pitch = self.grid.origin_mm, self.grid.pitch_mm
-        straight = [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0]
-        return np.array([x, y, z, *straight, z / pitch, (x - x0) / pitch, (y0 - y) / pitch, *[0.0] * 5])
-
-    def glass(self) -> None:
-        """Cut the sensor into sheets and solve each that is worth it."""
-        height, width = self.ray_map.status.shape
-        plane = self.ray_map.plane_mm.reshape(height, 2 * width)
-        branch, status = self.ray_map.branch, self.ray_map.status
-        code, counts = np.empty((height, width), np.uint32), np.empty(height, np.int64)
-        longest = 2.0 * self.grid.pitch_mm / self.least
-
-        def work(first: int, last: int) -> None:
-            code_rows(*self.tables, longest, first, last, plane, branch, status, code, counts)
-
-        run_rows(work, height)
-        begin = np.concatenate(([0], np.cumsum(counts)))
-        runs = np.empty((int(begin[-1]), RUN), np.int64)
-        run_rows(lambda first, last: list_runs(code, first, last, begin, runs), height)
-        parent, useful = np.empty(len(runs), np.int64), np.zeros(len(runs), np.int64)
-        join_runs(begin, runs, parent)
-        count_useful(code, runs, parent, useful)
-        order = np.argsort(parent, kind="stable")
-        heads = np.nonzero(useful)[0]
-        firsts = np.searchsorted(parent[order], heads)
-        lasts = np.searchsorted(parent[order], heads, side="right")
-        shape = self.grid.shape
-        stamps, away, start = np.zeros(shape, np.int32), np.empty(shape), np.empty((*shape, 2))
-        nodes = np.empty(shape[0] * shape[1], np.int32)
-        # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
-        for stamp, sheet in enumerate(np.lexsort((heads, runs[heads, 3])), start=1):
-            members = runs[order[firsts[sheet] : lasts[sheet]]]
-            found = scatter_sheet(
-                plane,
-                branch,
-                code,
-                members,
-                self.tables,
-                self.grid_numbers,
-                stamp,
-                stamps,
-                away,
-                start,
-                nodes,
-            )
-            if found:
-                self._solve(int(members[0, 3]), start, nodes[:found])
-
-    def _solve(self, code: int, start: NDArray[np.float64], nodes: NDArray[np.int32]) -> None:
-        """Solve the nodes of one sheet and keep the best views."""
-        number, sign = code >> 1, -1.0 if code & 1 else 1.0
-        numbers = {sphere.name: index for index, sphere in enumerate(self.scene.spheres)}
-        sequence = np.array([numbers[name] for name in self.ray_map.branches[number]], np.int64)
-        key = DIRECT
-        for body in sequence.tolist():
-            key = next_key(key, body) & KEY_MASK
-        balls, trip = (
-            (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
-        )
-        maps: tuple[NDArray[Any], ...] = (self.status, self.pixel, self.jacobian, *self._rest())
-
-        def work(first: int, last: int) -> None:
-            scratch = (
-                np.empty(NEWTON_NUMBERS),
-                np.empty(GROUP, np.int64),
-                np.empty((2, GROUP)),
-                np.empty((len(balls), 2), np.int64),
-                np.empty(len(balls), np.int64),
-                *block_scratch(),
-            )
-            solve_nodes(
-                self.tables,
-                self.grid_numbers,
-                balls,
-                sequence,
-                trip,
-                key,
-                number,
-                sign,
-                self.limits,
-                start,
-                nodes,
-                first,
-                last,
-                *scratch,
-                maps,
-            )
-
-        run_rows(work, len(nodes), block=NODES_PER_CALL)
-
-    def result(self) -> CorrectionMap:
-        """Return the finished map: weights normalised, nothing finite where there is no view."""
-
-        def work(first: int, last: int) -> None:
-            total = self.weight[:, first:last].sum(axis=0)
-            self.weight[:, first:last] /= np.where(total > 0.0, total, np.float32(1.0))
-
-        run_rows(work, self.grid.shape[0])
-        return CorrectionMap(
-            self.grid,
-            self.status,
-            self.pixel,
-            self.jacobian,
-            self.weight,
-            self.transmittance,
-            self.branch,
-            self.ray_map.branches,
-            self.size,
-            self.ray_map.scene_hash,
-        )
+    work.join()
+    sensor_px, branches = scene.camera.sensor_px, ray_map.branches
+    return CorrectionMap(
+        grid, **work.arrays, branches=branches, sensor_px=sensor_px, scene_hash=ray_map.scene_hash
+    )

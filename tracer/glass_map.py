@@ -10,20 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.errors import SceneError, StaleMap
+from tracer.errors import SceneError
 from tracer.kernels.chain import UNKNOWN
 from tracer.kernels.part import list_spans, trace_runs
 from tracer.lockstep import by_march, chain_branches, find_mirrors, fits_lockstep, pack_chain, row_scratch
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.rows import run_rows
-from tracer.scene import Scene
+from tracer.scene import Scene, SceneBound
 from tracer.trace import Branch, pack_camera
 
 RUNS_PER_CALL = 64
 
 
 @dataclass(frozen=True)
-class GlassMap:
+class GlassMap(SceneBound):
     """Pixel -> plane point, stored where glass can be met.
 
     Parameters
@@ -65,8 +65,7 @@ class GlassMap:
         StaleMap
             The map was traced from a scene with other numbers.
         """
-        if self.scene_hash != scene.content_hash():
-            raise StaleMap(f"the map belongs to scene {self.scene_hash}; trace the scene again")
+        self.check(scene)
         clear = build_ray_map(scene.with_bodies(()))
         u, v = self.pixels.T
         clear.plane_mm[v, u], clear.status[v, u], clear.branch[v, u] = self.plane_mm, self.status, self.branch

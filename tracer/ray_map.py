@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.cells import FEW, sort_into_cells
-from tracer.errors import MapFileError, StaleMap
+from tracer.errors import MapFileError
 from tracer.kernels.bed import trace_bed_rows
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import DIRECT, MAX_EVENTS
 from tracer.lockstep import fits_lockstep, trace_lockstep
 from tracer.map_file import load_arrays, save_arrays
 from tracer.rows import run_rows
-from tracer.scene import Scene
+from tracer.scene import Scene, SceneBound
 from tracer.status import RayStatus
 from tracer.trace import Branch, Numbers, name_branches, pack_camera
 
@@ -29,7 +29,7 @@ SHORT_NUMBERS = 1 << 16  # branches that uint16 can number; a packed bed seen by
 
 
 @dataclass(frozen=True)
-class RayMap:
+class RayMap(SceneBound):
     """Pixel -> plane point over the whole sensor.
 
     Parameters
@@ -56,18 +56,6 @@ class RayMap:
     def recovered(self) -> NDArray[np.bool_]:
         """Pixels whose ray reaches the plane (H, W)."""
         return np.asarray(self.status == RayStatus.RECOVERED)
-
-    def check(self, scene: Scene) -> None:
-        """Refuse to serve another scene.
-
-        Raises
-        ------
-        StaleMap
-            The map was traced from a scene with other numbers.
-        """
-        wanted = scene.content_hash()
-        if self.scene_hash != wanted:
-            raise StaleMap(f"the map belongs to scene {self.scene_hash}, not to {wanted}; trace the scene again")
 
     def save(self, path: Path | str) -> None:
         """Write the map to a file, atomically."""

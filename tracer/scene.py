@@ -11,16 +11,37 @@ and the order of the bodies do not).  The hash travels into every map and every 
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracer.bodies import Body, Rod, Sphere
 from tracer.camera import Camera
-from tracer.errors import SceneError
+from tracer.errors import SceneError, StaleMap
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 
 CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
+
+
+class SceneBound:
+    """What was made from one scene and serves no other; `scene_hash` says which."""
+
+    scene_hash: str
+    noun: ClassVar[str] = "map"
+    cure: ClassVar[str] = "trace the scene again"
+
+    def check(self, scene: "Scene") -> None:
+        """Refuse to serve another scene.
+
+        Raises
+        ------
+        StaleMap
+            The scene has other numbers than the one this was made from.
+        """
+        wanted = scene.content_hash()
+        if self.scene_hash != wanted:
+            raise StaleMap(f"the {self.noun} belongs to scene {self.scene_hash}, not to {wanted}; {self.cure}")
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ place, cancels.  The size of the target's squares is taken as exact.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from correction.fit.result import SceneFit
 from correction.fit.unknowns import left_jacobian
 from tracer.errors import MapFileError, StaleMap
 from tracer.map_file import load_arrays
-from tracer.scene import Scene
+from tracer.scene import Scene, SceneBound
 from tracer.sensitivity import CAMERA, TARGET, landings
 
 KIND = "scene fit"
@@ -29,7 +30,7 @@ BLOCK = 65536  # pixels at a time: some 60 MB of derivatives
 
 
 @dataclass(frozen=True)
-class SceneSigma:
+class SceneSigma(SceneBound):
     """Uncertainty of a fitted scene.
 
     Parameters
@@ -42,6 +43,8 @@ class SceneSigma:
 
     scene_hash: str
     root: NDArray[np.float64]
+    noun: ClassVar[str] = "fit"
+    cure: ClassVar[str] = "calibrate again"
 
     @classmethod
     def of(cls, fit: SceneFit) -> "SceneSigma":
@@ -65,18 +68,6 @@ class SceneSigma:
         if root is None or root.dtype != np.float64 or root.ndim != 2:
             raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
         return cls(str(header["scene_hash"]), root)
-
-    def check(self, scene: Scene) -> None:
-        """Refuse to speak for another scene.
-
-        Raises
-        ------
-        StaleMap
-            The scene has other numbers than the fitted one.
-        """
-        wanted = scene.content_hash()
-        if self.scene_hash != wanted:
-            raise StaleMap(f"the fit belongs to scene {self.scene_hash}, not to {wanted}; calibrate again")
 
     def spread(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Spread (N, 2, P) [mm] of the plane points that raw pixels (N, 2) show; NaN where none is shown.

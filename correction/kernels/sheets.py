@@ -12,6 +12,8 @@ diagonals included, are joined by union-find.
 
 import math
 
+import numpy as np
+
 from correction.kernels.inverse import inverse_2x2, stretch
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.march import RECOVERED, march_pixel_tangents
@@ -167,6 +169,8 @@ def scatter_sheet(
     runs: Array,
     tables: tuple[Array, Array, Array],
     grid: Array,
+    weight: Array,
+    enough: np.float32,
     stamp: int,
     stamps: Array,
     away: Array,
@@ -181,8 +185,10 @@ def scatter_sheet(
     somewhere before the next: Newton decides where.
 
     ``plane`` (H, 2 W), ``branch``, ``code`` (H, W) as in ``correction.kernels.sheets``, ``runs`` (R, RUN) those of
-    the sheet, ``tables`` camera, spheres, rods.  ``start`` (h, w, 2) and ``away`` (h, w), squared distance, are
-    valid where ``stamps`` (h, w) int32 holds `stamp`; ``nodes`` (h w,) int32 receives the flat numbers of these.
+    the sheet, ``tables`` camera, spheres, rods.
+    Nodes whose ``weight`` (h, w) is `enough` are left out.  ``start`` (h, w, 2) and ``away`` (h, w), squared
+    distance, are valid where ``stamps`` (h, w) int32 holds `stamp`; ``nodes`` (h w,) int32 receives the flat
+    numbers of these.
     """
     height = branch.shape[0]
     rows, columns = away.shape
@@ -218,6 +224,8 @@ def scatter_sheet(
                     if not (abs(du) <= reach and abs(dv) <= reach):
                         continue
                     fresh = stamps[row, column] != stamp
+                    if fresh and weight[row, column] >= enough:
+                        continue
                     if fresh:
                         stamps[row, column] = stamp
                         nodes[found] = row * columns + column

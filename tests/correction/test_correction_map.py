@@ -16,6 +16,9 @@ from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.trace import trace
 
+ARRAYS = ("status", "pixel", "jacobian", "weight", "transmittance", "branch")
+FLOATS = ("pixel", "jacobian")
+
 
 def inverted(name, **options):
     scene = small_scene(name)
@@ -121,6 +124,15 @@ def test_more_layers_do_not_change_the_best_view():
     assert np.array_equal(one.pixel[0], three.pixel[0], equal_nan=True)
 
 
+@pytest.mark.parametrize("layers", [1, 2])
+@pytest.mark.parametrize("name", SCENES)
+def test_views_that_cannot_be_among_the_best_are_left_out_and_no_bit_changes(name, layers):
+    _, some = inverted(name, layers=layers)
+    _, every = inverted(name, layers=layers, skip=False)
+    for array in ARRAYS:
+        assert np.array_equal(getattr(some, array), getattr(every, array), equal_nan=array in FLOATS)
+
+
 def test_reasons():
     """A rod blocks, a ball hides its rim, a small grid leaves the frame."""
     scene = small_scene("one_sphere_500")
@@ -176,8 +188,8 @@ def test_stored_maps_come_back_and_foreign_ones_are_refused(tmp_path):
     path = tmp_path / "map.npz"
     cmap.save(path)
     back = CorrectionMap.load(path)
-    for name in ("status", "pixel", "jacobian", "weight", "transmittance", "branch"):
-        assert np.array_equal(getattr(back, name), getattr(cmap, name), equal_nan=name in ("pixel", "jacobian"))
+    for name in ARRAYS:
+        assert np.array_equal(getattr(back, name), getattr(cmap, name), equal_nan=name in FLOATS)
     assert (back.grid, back.branches, back.sensor_px) == (cmap.grid, cmap.branches, cmap.sensor_px)
     back.check(scene)
     other = small_scene("one_sphere_500")
@@ -192,6 +204,47 @@ def test_stored_maps_come_back_and_foreign_ones_are_refused(tmp_path):
     ray_map = build_ray_map(scene)
     ray_map.save(path)
     with pytest.raises(MapFileError, match="holds a ray map"):
+        CorrectionMap.load(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("status", 77),
+        ("branch", 60000),
+        ("pixel", np.nan),
+        ("pixel", np.inf),
+        ("pixel", -0.001),
+        ("pixel", 335.001),
+        ("jacobian", np.nan),
+        ("jacobian", -np.inf),
+        ("weight", np.nan),
+        ("weight", -1.0),
+        ("weight", 0.5),
+        ("transmittance", np.nan),
+        ("transmittance", 1.5),
+    ],
+)
+def test_a_stored_map_with_a_value_that_no_map_has_is_refused(tmp_path, name, value):
+    _, cmap = inverted("two_spheres_500")
+    array = getattr(cmap, name).copy()
+    row, column = np.argwhere(cmap.recovered)[100]
+    if name == "status":
+        array[row, column] = value
+    else:
+        array[0, row, column] = value
+    path = tmp_path / "map.npz"
+    replace(cmap, **{name: array}).save(path)
+    with pytest.raises(MapFileError, match="make the map again"):
+        CorrectionMap.load(path)
+
+
+@pytest.mark.parametrize("sensor_px", [(336, 300), (0, 336), (-5, -5)])
+def test_a_stored_map_of_a_sensor_that_its_pixels_leave_is_refused(tmp_path, sensor_px):
+    _, cmap = inverted("two_spheres_500")
+    path = tmp_path / "map.npz"
+    replace(cmap, sensor_px=sensor_px).save(path)
+    with pytest.raises(MapFileError, match="make the map again"):
         CorrectionMap.load(path)
 
 

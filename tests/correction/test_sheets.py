@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from correction import correction_map
+from correction import inversion
 from correction.correction_map import build_correction_map
 from correction.kernels.sheets import RUN, join_runs, list_runs
 from tests.correction.small_scenes import SCENES, small_scene
@@ -42,7 +42,7 @@ def test_nodes_in_blocks_and_one_by_one_agree(name: str, monkeypatch: pytest.Mon
     scene = small_scene(name)
     ray_map = build_ray_map(scene)
     blocks = build_correction_map(scene, ray_map, layers=2)
-    monkeypatch.setattr(correction_map, "fits_lockstep", lambda _: False)
+    monkeypatch.setattr(inversion, "fits_lockstep", lambda _: False)
     single = build_correction_map(scene, ray_map, layers=2)
     assert (blocks.status != single.status).sum() <= 2
     both = np.isfinite(blocks.pixel[..., 0]) & np.isfinite(single.pixel[..., 0]) & (blocks.branch == single.branch)

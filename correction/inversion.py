@@ -1,0 +1,205 @@
+"""Inversion of a ray map: the arrays of a correction map, filled view by view.
+
+See ``correction.correction_map`` for what is sought and ``docs/adr/0002-inverse-by-sheets.md`` for why it is
+sought this way.  The direct view comes first, in closed form; then every sheet, those with few events first.
+
+Skipped, with the same result: a view through e spheres weighs at most 1/(1 + e), because the transmittance and
+the share of the magnification that counts are at most 1.  A node whose last layer already weighs as much cannot
+take it, so it is not solved: what is seen directly is not sought through glass unless several views are wanted.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.grid import PlaneGrid
+from correction.kernels.direct import direct_rows
+from correction.kernels.inverse import join_weights
+from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
+from correction.kernels.sheets import RUN, code_rows, count_useful, join_runs, list_runs, scatter_sheet
+from tracer.kernels.chain import BALL
+from tracer.kernels.march import KEY_MASK, next_key
+from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
+from tracer.ray_map import RayMap
+from tracer.rows import run_rows
+from tracer.scene import Scene
+from tracer.trace import DIRECT, pack_camera
+
+NODES_PER_CALL = 4096  # whole groups, so that threads change no group
+NO_BALLS = np.empty((0, BALL))
+
+
+class Inversion:
+    """The arrays of a correction map while it grows, sheet by sheet."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        ray_map: RayMap,
+        grid: PlaneGrid,
+        layers: int,
+        limits: tuple[float, float],
+        out: Mapping[str, NDArray[Any]] | None,
+        skip: bool,
+    ) -> None:
+        height, width = grid.shape
+        self.scene, self.ray_map, self.grid, self.least = scene, ray_map, grid, limits[0]
+        self.skip = skip
+        self.size = scene.camera.sensor_px
+        self.tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
+        self.lockstep = fits_lockstep(scene)
+        self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
+        self.limits = np.array([*limits, *self.size], dtype=np.float64)
+        lead, kind = (layers, height, width), ray_map.branch.dtype
+        if out is None or out["pixel"].shape != (*lead, 2) or out["branch"].dtype != kind:
+            out = {
+                "status": np.empty((height, width), np.uint8),
+                "pixel": np.empty((*lead, 2)),
+                "jacobian": np.empty((*lead, 4), np.float32),
+                "weight": np.empty(lead, np.float32),
+                "transmittance": np.empty(lead, np.float32),
+                "branch": np.empty(lead, kind),
+            }
+        self.arrays = out
+        self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
+        self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
+
+    def direct(self) -> None:
+        """Project the nodes that are seen without glass, and write every other node for the first time."""
+        height, width = self.grid.shape
+        place, discs = self._node_camera(), sphere_discs(self.tables[1])
+        lens_free = self.scene.camera.lens.is_ideal
+        size = np.array(self.size, dtype=np.float64)
+        maps: tuple[NDArray[Any], ...] = (
+            self.status,
+            self.pixel.reshape(len(self.pixel), height, 2 * width),
+            self.jacobian.reshape(len(self.pixel), height, 4 * width),
+            *self._rest(),
+        )
+
+        def work(first: int, last: int) -> None:
+            x, y = np.arange(width, dtype=np.float64), np.empty(width)
+            x = (x - place[13]) / place[12]
+            spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
+            scratch = (x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
+            direct_rows(
+                place,
+                self.tables,
+                discs,
+                self.lockstep,
+                lens_free,
+                self.grid_numbers,
+                size,
+                first,
+                last,
+                *scratch,
+                maps,
+            )
+
+        run_rows(work, height)
+
+    def _rest(self) -> tuple[NDArray[Any], ...]:
+        return self.weight, self.transmittance, self.branch
+
+    def _node_camera(self) -> NDArray[np.float64]:
+        """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
+        x, y, z = self.scene.camera.position_mm
+        (x0, y0), pitch = self.grid.origin_mm, self.grid.pitch_mm
+        straight = [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0]
+        return np.array([x, y, z, *straight, z / pitch, (x - x0) / pitch, (y0 - y) / pitch, *[0.0] * 5])
+
+    def glass(self) -> None:
+        """Cut the sensor into sheets and solve each that is worth it."""
+        height, width = self.ray_map.status.shape
+        plane = self.ray_map.plane_mm.reshape(height, 2 * width)
+        branch, status = self.ray_map.branch, self.ray_map.status
+        code, counts = np.empty((height, width), np.uint32), np.empty(height, np.int64)
+        longest = 2.0 * self.grid.pitch_mm / self.least
+
+        def work(first: int, last: int) -> None:
+            code_rows(*self.tables, longest, first, last, plane, branch, status, code, counts)
+
+        run_rows(work, height)
+        begin = np.concatenate(([0], np.cumsum(counts)))
+        runs = np.empty((int(begin[-1]), RUN), np.int64)
+        run_rows(lambda first, last: list_runs(code, first, last, begin, runs), height)
+        parent, useful = np.empty(len(runs), np.int64), np.zeros(len(runs), np.int64)
+        join_runs(begin, runs, parent)
+        count_useful(code, runs, parent, useful)
+        order = np.argsort(parent, kind="stable")
+        heads = np.nonzero(useful)[0]
+        firsts = np.searchsorted(parent[order], heads)
+        lasts = np.searchsorted(parent[order], heads, side="right")
+        shape = self.grid.shape
+        stamps, away, start = np.zeros(shape, np.int32), np.empty(shape), np.empty((*shape, 2))
+        nodes = np.empty(shape[0] * shape[1], np.int32)
+        events = np.array([len(names) for names in self.ray_map.branches])[runs[heads, 3] >> 1]
+        # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
+        for stamp, sheet in enumerate(np.lexsort((heads, runs[heads, 3], events)), start=1):
+            members = runs[order[firsts[sheet] : lasts[sheet]]]
+            enough = np.float32(1.0 / (1.0 + events[sheet]) if self.skip else np.inf)
+            found = scatter_sheet(
+                plane,
+                branch,
+                code,
+                members,
+                self.tables,
+                self.grid_numbers,
+                self.weight[-1],
+                enough,
+                stamp,
+                stamps,
+                away,
+                start,
+                nodes,
+            )
+            if found:
+                self._solve(int(members[0, 3]), start, nodes[:found])
+
+    def _solve(self, code: int, start: NDArray[np.float64], nodes: NDArray[np.int32]) -> None:
+        """Solve the nodes of one sheet and keep the best views."""
+        number, sign = code >> 1, -1.0 if code & 1 else 1.0
+        numbers = {sphere.name: index for index, sphere in enumerate(self.scene.spheres)}
+        sequence = np.array([numbers[name] for name in self.ray_map.branches[number]], np.int64)
+        key = DIRECT
+        for body in sequence.tolist():
+            key = next_key(key, body) & KEY_MASK
+        balls, trip = (
+            (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
+        )
+        maps: tuple[NDArray[Any], ...] = (self.status, self.pixel, self.jacobian, *self._rest())
+
+        def work(first: int, last: int) -> None:
+            scratch = (
+                np.empty(NEWTON_NUMBERS),
+                np.empty(GROUP, np.int64),
+                np.empty((2, GROUP)),
+                np.empty((len(balls), 2), np.int64),
+                np.empty(len(balls), np.int64),
+                *block_scratch(),
+            )
+            solve_nodes(
+                self.tables,
+                self.grid_numbers,
+                balls,
+                sequence,
+                trip,
+                key,
+                number,
+                sign,
+                self.limits,
+                start,
+                nodes,
+                first,
+                last,
+                *scratch,
+                maps,
+            )
+
+        run_rows(work, len(nodes), block=NODES_PER_CALL)
+
+    def join(self) -> None:
+        """Normalise the weights of each node."""
+        run_rows(lambda first, last: join_weights(first, last, self.weight), self.grid.shape[0])
