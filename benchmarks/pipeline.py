@@ -19,11 +19,11 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.processor_time import ProcessorTime
-from daq.bench_file import load_bench
+from daq.bench.bench_file import load_bench
 from daq.errors import DaqError
-from daq.plan import load_plan
-from daq.progress import Progress
-from daq.session import Request, begin, carry_out
+from daq.plans.plan import load_plan
+from daq.runner.progress import Progress
+from daq.runner.session import Request, begin, carry_out
 from sim.demo_scenes import named_scene
 from sim.patterns import printed_particles
 from sim.renderer import render

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from daq.bench_file import Bench, CameraSection
+from daq.bench.bench_file import Bench, CameraSection
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
 from sim.camera.gentl import write_producer

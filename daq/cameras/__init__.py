@@ -8,7 +8,7 @@ that stand elsewhere.
 from importlib import import_module
 from typing import Any, cast
 
-from daq.camera import Camera
+from daq.cameras.camera import Camera
 from daq.errors import CameraSetupError
 
 BACKENDS = {

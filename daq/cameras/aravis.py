@@ -15,9 +15,10 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.camera import CameraInfo, Counters, Setting
 from daq.cameras.aravis_nodes import AravisNodes
+from daq.cameras.camera import CameraInfo, Counters, Setting
 from daq.cameras.formats import pixel_format
+from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.gvcp_probe import is_controlled, local_address
 from daq.cameras.ids import IdTracker
 from daq.cameras.libaravis import CHECK_ENABLED, STATUS_SUCCESS, AravisError, call, functions
@@ -25,7 +26,6 @@ from daq.cameras.pixels import unpack, warm_up
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.errors import CameraBusy, CameraError, CameraLost, CameraTimeout, CameraUsageError, FrameError
-from daq.frame import Frame, FrameMeta
 
 PROBE_MIN_S = 0.5
 OPEN_PROBE_S = 1.0

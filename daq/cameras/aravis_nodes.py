@@ -3,7 +3,7 @@
 import ctypes
 from ctypes import POINTER, c_char_p, c_void_p
 
-from daq.camera import Setting
+from daq.cameras.camera import Setting
 from daq.cameras.libaravis import AravisError, GSList, call, strings
 from daq.errors import CameraError, SettingRefused
 

@@ -15,10 +15,10 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
-from daq.camera import CameraInfo, Counters, Setting
+from daq.cameras.camera import CameraInfo, Counters, Setting
+from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
 from daq.errors import CameraLost, CameraSetupError, CameraTimeout, CameraUsageError, FrameError, SettingRefused
-from daq.frame import Frame, FrameMeta
 
 CHOICES = {
     "TriggerMode": ("Off", "On"),

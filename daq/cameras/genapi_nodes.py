@@ -4,7 +4,7 @@ from typing import Any
 
 from genicam import genapi
 
-from daq.camera import Setting
+from daq.cameras.camera import Setting
 from daq.errors import SettingRefused
 
 

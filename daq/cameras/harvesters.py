@@ -13,13 +13,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from daq.camera import CameraInfo, Counters, Setting
+from daq.cameras.camera import CameraInfo, Counters, Setting
 from daq.cameras.formats import pixel_format
+from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
 from daq.cameras.ring import FrameRing
 from daq.cameras.wire import Message, raise_error, receive, send
 from daq.errors import CameraError, CameraLost, CameraSetupError, CameraTimeout, CameraUsageError, FrameError
-from daq.frame import Frame, FrameMeta
 
 OPEN_S = 30.0  # a new Python process, numba, a producer that looks for cameras
 CALL_S = 5.0

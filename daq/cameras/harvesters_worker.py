@@ -18,8 +18,8 @@ from typing import Any
 from genicam import genapi, gentl
 from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
 
-from daq.camera import Setting
 from daq.cameras import buffer_facts
+from daq.cameras.camera import Setting
 from daq.cameras.genapi_nodes import GenApiNodes, one_line
 from daq.cameras.quiet import without_complaints
 from daq.cameras.ring import FrameRing

@@ -8,7 +8,7 @@ the frames of neighbouring pairs are further apart.  A frame without partner is 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from daq.frame import Frame
+from daq.cameras.frame import Frame
 
 
 @dataclass(frozen=True, slots=True)

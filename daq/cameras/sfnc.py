@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Protocol
 
-from daq.camera import Setting
+from daq.cameras.camera import Setting
 from daq.errors import SettingRefused, SettingsChanged
 
 FLOAT_TOLERANCE = 0.1  # cameras round floats to their clock; further off than this is a refusal

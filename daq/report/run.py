@@ -4,11 +4,11 @@ import json
 from typing import Any
 
 from correction.evaluate.regions import MIDDLE
-from daq.conservation import Ledger
 from daq.errors import ResumeRefused
 from daq.evaluation import Evaluation
 from daq.report.page import Page
-from daq.run_folder import RunFolder
+from daq.runs.conservation import Ledger
+from daq.runs.run_folder import RunFolder
 
 PAIRS_HEAD = (
     "pair",

@@ -9,15 +9,15 @@ from rich.console import Console
 from rich.table import Table
 
 from correction.resample import Method
-from daq.bench import idle_stage
-from daq.bench_file import Bench, load_bench
+from daq.bench.bench_file import Bench, load_bench
+from daq.bench.opened import idle_stage
 from daq.errors import PlanError
-from daq.forecast import Forecast, forecast
-from daq.live import watch
-from daq.pipeline import LIVE_QUEUE
-from daq.plan import Plan, load_plan
-from daq.run_folder import RunFolder
-from daq.session import Request, begin, carry_out, check_disk
+from daq.pipeline.lanes import LIVE_QUEUE
+from daq.plans.forecast import Forecast, forecast
+from daq.plans.plan import Plan, load_plan
+from daq.runner.session import Request, begin, carry_out, check_disk
+from daq.runner.watch import watch
+from daq.runs.run_folder import RunFolder
 from daq.terminal import console, error_console
 
 SHOWN_STEPS = 40

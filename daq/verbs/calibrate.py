@@ -23,10 +23,10 @@ from correction.fit.weakness import Weakness, weaknesses
 from correction.frame_file import FRAME_ENDINGS, read_frame
 from correction.target import Chessboard
 from daq.pictures.calibration import Panel, draw_map_sigma, draw_residuals
-from daq.run_views import is_run
-from daq.run_views import target_frames as frames_of_run
+from daq.runs.run_views import is_run
+from daq.runs.run_views import target_frames as frames_of_run
+from daq.runs.whole_text import write_json, write_text
 from daq.terminal import console, error_console
-from daq.whole_text import write_json, write_text
 from tracer.scene_file import dump_scene, load_priors, load_scene
 
 NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?)mm)?")

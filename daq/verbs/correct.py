@@ -19,8 +19,8 @@ from correction.resample import Method
 from correction.target import Chessboard
 from daq.pictures.overview import draw_overview
 from daq.pictures.seen import seen
+from daq.runs.whole_text import write_json
 from daq.terminal import console, progress
-from daq.whole_text import write_json
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene

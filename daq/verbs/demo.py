@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from daq.errors import DaqError
-from daq.run_views import target_frames
+from daq.runs.run_views import target_frames
 from daq.terminal import console
 from daq.verbs.acquire import acquire
 from daq.verbs.calibrate import calibrate

@@ -11,8 +11,8 @@ from pathlib import Path
 from rich.table import Table
 from serial.tools import list_ports
 
-from daq.bench_file import Bench, load_bench
-from daq.run_folder import versions
+from daq.bench.bench_file import Bench, load_bench
+from daq.runs.run_folder import versions
 from daq.terminal import console
 
 PACKAGES = ("tracer", "correction", "stages", "daq", "sim")

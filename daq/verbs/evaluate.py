@@ -17,9 +17,9 @@ from daq.evaluation import Evaluation, Route, Task, evaluate_task
 from daq.report.page import Page
 from daq.report.pair import pair_chapters, pair_tiles
 from daq.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
-from daq.run_views import ShiftPair, is_run, scene_file, shift_pairs
+from daq.runs.run_views import ShiftPair, is_run, scene_file, shift_pairs
+from daq.runs.whole_text import write_json
 from daq.terminal import console
-from daq.whole_text import write_json
 from tracer.errors import TracerError
 from tracer.scene import Scene
 from tracer.scene_file import load_scene

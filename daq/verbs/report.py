@@ -15,8 +15,8 @@ from daq.evaluation import Evaluation, Route
 from daq.report.page import Page
 from daq.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
 from daq.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
-from daq.run_folder import RunFolder
-from daq.run_views import first_view, scene_file
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import first_view, scene_file
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate
 from tracer.ray_map import build_ray_map

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from daq.session import reopen
+from daq.runner.session import reopen
 from daq.terminal import console
 from daq.verbs.acquire import run_and_report
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from rich.table import Table
 
-from daq.bench import open_stage
-from daq.bench_file import load_bench
+from daq.bench.bench_file import load_bench
+from daq.bench.opened import open_stage
 from daq.errors import RunUsageError
 from daq.terminal import console, error_console
 

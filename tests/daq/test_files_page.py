@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.bench_file import BenchTable
-from daq.experiments import EXPERIMENTS, plan_table
+from daq.bench.bench_file import BenchTable
+from daq.plans.experiments import EXPERIMENTS, plan_table
 from tracer.config import Table, load_yaml, validate
 from tracer.scene_file import SceneTable, load_scene
 

@@ -3,12 +3,12 @@
 import pytest
 from small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 
-from daq.devices import AxisDevice, CameraDevice
-from daq.exposures import Exposures
-from daq.run_folder import frame_entries
-from daq.runner import Runner
-from daq.session import Request, begin
-from daq.steps import route
+from daq.plans.steps import route
+from daq.runner.devices import AxisDevice, CameraDevice
+from daq.runner.exposures import Exposures
+from daq.runner.runner import Runner
+from daq.runner.session import Request, begin
+from daq.runs.run_folder import frame_entries
 from stages.errors import OutOfRange
 
 protocols = pytest.importorskip("bluesky.protocols")

@@ -8,8 +8,8 @@ from small_bench import SHIFT, TARGET, write_bench
 
 from correction.frame_file import read_frame
 from daq.cli import DONE, main
-from daq.raw_frame import checksum, read_raw
-from daq.run_folder import RunFolder, frame_entries
+from daq.runs.raw_frame import checksum, read_raw
+from daq.runs.run_folder import RunFolder, frame_entries
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

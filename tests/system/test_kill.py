@@ -13,8 +13,8 @@ import pytest
 from small_bench import write_bench
 
 from daq.cli import DONE, main
-from daq.raw_frame import checksum, read_raw
-from daq.run_folder import RunFolder, finished_steps, frame_entries
+from daq.runs.raw_frame import checksum, read_raw
+from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

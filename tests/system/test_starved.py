@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from small_bench import write_bench
 
-from daq import pipeline
 from daq.cli import DEVICE, main
-from daq.raw_frame import checksum, read_raw, write_raw
-from daq.run_folder import RunFolder, frame_entries
+from daq.pipeline import lanes
+from daq.runs.raw_frame import checksum, read_raw, write_raw
+from daq.runs.run_folder import RunFolder, frame_entries
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 
@@ -32,7 +32,7 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
         time.sleep(0.1)  # two writers: 20 frames/s
         write_raw(path, pixels, about)
 
-    monkeypatch.setattr(pipeline, "write_raw", slow)
+    monkeypatch.setattr(lanes, "write_raw", slow)
     options = ["--bench", str(tmp_path / "bench.yaml"), "-o", str(tmp_path / "runs"), "--simulate", "--home"]
     assert main(["acquire", str(tmp_path / "plan.yaml"), *options, "--no-correct"]) == DEVICE
     said = capsys.readouterr().err

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.camera import Camera
+from daq.cameras.camera import Camera
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
 from sim.camera.gige import GigeDevice

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rigs import RIGS
 
-from daq.camera import Camera
+from daq.cameras.camera import Camera
 from daq.cameras.pairs import pairs
 from daq.errors import (
     CameraBusy,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from daq.camera import Camera
 from daq.cameras import make_camera
+from daq.cameras.camera import Camera
 from daq.errors import CameraSetupError, CameraTimeout, CameraUsageError, FrameError, SettingRefused
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
 from daq.cameras.pairs import pairs
-from daq.frame import Frame, FrameMeta
 
 
 def test_wrap_skips_zero():

@@ -9,11 +9,11 @@ import pytest
 from correction.frame_file import write_frame
 from correction.grid import grid_of
 from daq.cli import DONE, USAGE, main
-from daq.conservation import Ledger
-from daq.journal import Journal
-from daq.run_folder import RunFolder
-from daq.run_views import scene_file
-from daq.whole_text import write_json
+from daq.runs.conservation import Ledger
+from daq.runs.journal import Journal
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import scene_file
+from daq.runs.whole_text import write_json
 from sim.patterns import Chessboard, printed_particles
 from sim.renderer import render
 from sim.sensor import Sensor

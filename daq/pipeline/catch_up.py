@@ -1,0 +1,34 @@
+"""Correct from the disk what was not corrected while the frames arrived."""
+
+from collections.abc import Iterable
+
+from daq.pipeline.corrections import Corrections
+from daq.plans.steps import Step
+from daq.runs.raw_frame import read_raw
+from daq.runs.run_folder import RunFolder
+
+
+def uncorrected(folder: RunFolder, corrections: Corrections, steps: Iterable[Step]) -> list[tuple[Step, int]]:
+    """Return the frames (step, number) that are to be corrected and have no corrected file yet."""
+    return [
+        (step, number)
+        for step in steps
+        if corrections.of(step) is not None
+        for number in step.numbers
+        if folder.frame_path(number).exists() and not folder.corrected_path(number).exists()
+    ]
+
+
+def correct_from_disk(folder: RunFolder, corrections: Corrections, step: Step, number: int) -> None:
+    """Correct one raw frame of a run.
+
+    Raises
+    ------
+    DiskError
+        The raw frame is damaged, or the disk takes no corrected one.
+    """
+    corrector = corrections.of(step)
+    assert corrector is not None
+    source = folder.frame_path(number)
+    pixels, _ = read_raw(source)
+    corrections.write(folder.corrected_path(number), corrector(pixels), step, source.name)

@@ -1,0 +1,218 @@
+"""A run from its files: what `acquire` begins and `resume` goes on with.
+
+run.json holds the files' texts for the record and their paths to read them again; hashes of what they mean decide
+whether a run may be continued.  The scene used for correction may be another file than the bench's (a fitted one);
+what moves depends on the bench's scene only through keep-out and scale, so both are hashed.
+"""
+
+import shutil
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from correction.dewarp import fit_dewarp
+from correction.frame_file import read_frame
+from correction.resample import Method
+from correction.target import Chessboard
+from daq.bench.bench_file import Bench, load_bench
+from daq.bench.opened import OpenBench, open_bench
+from daq.errors import DiskError, ResumeRefused
+from daq.pipeline.corrections import Corrections
+from daq.pipeline.lanes import LIVE_QUEUE
+from daq.plans.plan import Plan, load_plan
+from daq.plans.steps import frame_count
+from daq.runner.progress import Progress, Watcher
+from daq.runner.runner import Runner
+from daq.runs.displacement import displacements
+from daq.runs.run_folder import RunFolder, remaining, versions
+from daq.runs.whole_text import write_json, write_text
+from tracer.scene_file import dump_scene, load_scene
+
+DISK_MARGIN = 1.05
+MAPS = "maps"  # beside the runs: maps by the hash of their scene
+
+
+@dataclass(frozen=True)
+class Request:
+    """What somebody asked for; everything that run.json needs to ask again.
+
+    Parameters
+    ----------
+    bench, plan : Path
+        The files.
+    simulate : bool
+        Whether the bench's simulation stands in for the hardware.
+    correct : bool
+        Whether frames are corrected as they arrive.
+    scene : Path, optional
+        Scene for the correction, if another than the bench's.
+    target_clear : Path, optional
+        Frame of the bare target for the dewarp.
+    dewarp_order : int
+        Its order.
+    method : str
+        Interpolation.
+    live_queue : int
+        Frames that may wait to be corrected.
+    """
+
+    bench: Path
+    plan: Path
+    simulate: bool = False
+    correct: bool = True
+    scene: Path | None = None
+    target_clear: Path | None = None
+    dewarp_order: int = 2
+    method: Method = "quintic"
+    live_queue: int = LIVE_QUEUE
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain data, paths made absolute."""
+        return {name: str(v.resolve()) if isinstance(v, Path) else v for name, v in vars(self).items()}
+
+    @classmethod
+    def from_dict(cls, tree: dict[str, Any]) -> "Request":
+        """Inverse of `to_dict`."""
+        paths = ("bench", "plan", "scene", "target_clear")
+        known: dict[str, Any] = {n: Path(v) if n in paths and v is not None else v for n, v in tree.items()}
+        return cls(**known)
+
+
+def hashes(request: Request, bench: Bench, plan: Plan) -> dict[str, str | None]:
+    """What must not change between the sessions of a run."""
+    corrected = load_scene(request.scene) if request.scene is not None else bench.scene
+    return {
+        "plan": plan.content_hash(),
+        "bench": bench.content_hash(),
+        "scene": bench.scene.content_hash(),
+        "scene for the correction": corrected.content_hash() if request.correct else None,
+    }
+
+
+def make_corrections(request: Request, bench: Bench, maps: Path) -> Corrections | None:
+    """Return what corrects the frames of a run, the dewarp fitted; None if nothing is to be corrected."""
+    if not request.correct:
+        return None
+    scene = load_scene(request.scene) if request.scene is not None else bench.scene
+    dewarp = None
+    if request.target_clear is not None:
+        frame = read_frame(request.target_clear, scene.camera.shape)
+        board = Chessboard(bench.table.target.square_mm)
+        dewarp = fit_dewarp(frame, scene.camera, board, request.dewarp_order)
+    return Corrections(scene, dewarp, request.method, maps)
+
+
+def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder:
+    """Make the folder of a new run."""
+    about = {
+        "name": plan.name,
+        "request": request.to_dict(),
+        "hashes": hashes(request, bench, plan),
+        "versions": versions(),
+        "plan": plan.path.read_text(encoding="utf-8"),
+        "bench": bench.path.read_text(encoding="utf-8"),
+        "scene": dump_scene(bench.scene),
+        "square_mm": bench.table.target.square_mm,
+        "steps": [{"index": s.index, "tag": s.tag, "first_frame": s.first_frame, "frames": s.frames,
+                   "view": s.view, "shows": s.shows, "on_plane": s.on_plane, "reference": s.reference}
+                  for s in plan.steps],
+    }  # fmt: skip
+    return RunFolder.create(parent, plan.name, about)
+
+
+def reopen(path: Path) -> tuple[Request, Bench, Plan, RunFolder]:
+    """Read a run's files again and make sure that they still mean the same.
+
+    Raises
+    ------
+    ResumeRefused
+        The run is finished, or a file means something else than when the run began.
+    """
+    folder = RunFolder.open(path)
+    about = folder.about
+    if folder.is_done:
+        raise ResumeRefused(f"{path} is finished; there is nothing to resume")
+    request = Request.from_dict(about["request"])
+    bench = load_bench(request.bench)
+    plan = load_plan(request.plan, bench)
+    for name, now in hashes(request, bench, plan).items():
+        then = about["hashes"].get(name)
+        if now != then:
+            raise ResumeRefused(
+                f"{path}: the {name} is another than when the run began ({now}, was {then}); "
+                "put the old file back, or begin a new run"
+            )
+    if absent := folder.absent(folder.entries()):
+        raise ResumeRefused(f"{path}: frames {absent[:5]} are in the journal and not on the disk; begin a new run")
+    return request, bench, plan, folder
+
+
+def check_disk(folder: Path, needed_bytes: int) -> None:
+    """Refuse to begin what the disk cannot hold.
+
+    Raises
+    ------
+    DiskError
+        There is too little room.
+    """
+    free_bytes = shutil.disk_usage(folder).free
+    if needed_bytes * DISK_MARGIN > free_bytes:
+        raise DiskError(
+            f"{folder}: the run needs about {needed_bytes / 1e9:.2f} GB and {free_bytes / 1e9:.2f} GB are free; "
+            "make room, or choose another folder with -o"
+        )
+
+
+def carry_out(
+    request: Request,
+    bench: Bench,
+    plan: Plan,
+    folder: RunFolder,
+    home: bool,
+    watcher: Watcher | None = None,
+    before: Callable[[OpenBench], None] | None = None,
+) -> dict[str, Any]:
+    """Open the bench and do what is left of a run; return the contents of done.json.
+
+    Parameters
+    ----------
+    request, bench, plan, folder
+        The run.
+    home : bool
+        Home every axis first, in the configured order.
+    watcher : callable, optional
+        Gets the progress.
+    before : callable, optional
+        Called with the open bench before anything moves.
+    """
+    left = remaining(plan.steps, folder.entries())
+    height, width = bench.scene.camera.shape
+    check_disk(folder.path, 2 * width * height * frame_count(left) * (2 if request.correct else 1))
+    corrections = make_corrections(request, bench, folder.path.parent / MAPS)
+    if corrections is not None:
+        corrections.prepare(step.view for step in left if step.on_plane)
+    shows, exposures_before = plan.table.shows, left[0].first_frame if left else frame_count(plan.steps)
+    with ExitStack() as stack:
+        hardware = stack.enter_context(open_bench(bench, request.simulate, shows, exposures_before))
+        if hardware.simulation is not None:
+            for name, text in hardware.simulation.secrets().items():
+                write_text(folder.path / name, text)
+        if before is not None:
+            before(hardware)
+        if home:
+            progress = Progress(len(plan.steps))
+
+            def tell(axis: str) -> None:
+                progress.doing = f"homing {axis}"
+                if watcher is not None:
+                    watcher(progress)
+
+            hardware.stage.home(tell=tell)
+        runner = Runner(hardware, folder, plan.steps, corrections, watcher, request.live_queue)
+        done = runner.run()
+    moved = displacements(bench, plan.steps, folder.entries())
+    if moved:
+        write_json(folder.path / "displacements.json", [entry.to_dict() for entry in moved])
+    return done
