@@ -9,6 +9,12 @@ CELLS_PER_SPHERE = 4.0  # twice as many cells or half as many cost more
 FEW = 8  # up to here it is quicker to ask every sphere
 
 Cells = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]
+NO_CELLS: Cells = np.zeros(7), np.zeros(1, np.int32), np.empty(0, np.int32)
+
+
+def cells_of(spheres: NDArray[np.float64]) -> Cells:
+    """Grid for a sphere table (N, 6) of many, an empty one for few."""
+    return sort_into_cells(spheres) if len(spheres) > FEW else NO_CELLS
 
 
 def sort_into_cells(spheres: NDArray[np.float64]) -> Cells:

@@ -122,7 +122,9 @@ def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
 
     def work(first: int, last: int) -> None:
         if cells is not None:
-            trace_bed_rows(camera, spheres, rods, *cells, first, last, plane, status, key)
+            trace_bed_rows(
+                camera, spheres, rods, *cells, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key
+            )
         else:
             trace_rows(camera, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
 

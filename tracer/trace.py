@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.camera import Camera
+from tracer.cells import cells_of
 from tracer.kernels.maps import trace_rays, trace_trails
 from tracer.kernels.march import DIRECT, MAX_EVENTS
 from tracer.rows import run_rows
@@ -107,9 +108,10 @@ def trace_from(scene: Scene, origins_mm: ArrayLike, directions: ArrayLike) -> Tr
     starts, ways = starts.reshape(-1, 3), np.ascontiguousarray(directions).reshape(-1, 3)
     rays = np.zeros(len(ways), RAY)
     spheres, rods = scene.sphere_table(), scene.rod_table()
+    cells = cells_of(spheres)
 
     def work(first: int, last: int) -> None:
-        trace_rays(starts, ways, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), rays)
+        trace_rays(starts, ways, spheres, rods, *cells, first, last, np.empty(MAX_EVENTS, np.int32), rays)
 
     run_rows(work, len(rays), block=16384)
     rays["path_mm"] *= scene.n_ambient
@@ -125,7 +127,8 @@ def name_branches(
 ) -> dict[int, Branch]:
     """Names of the spheres behind each branch key, from one ray (N, 3), (N, 3) of each branch."""
     trails = np.full((len(keys), MAX_EVENTS), -1, np.int32)
-    trace_trails(origins_mm, directions, scene.sphere_table(), scene.rod_table(), trails)
+    spheres = scene.sphere_table()
+    trace_trails(origins_mm, directions, spheres, scene.rod_table(), *cells_of(spheres), trails)
     names = [sphere.name for sphere in scene.spheres]
     return {
         int(key): tuple(names[body] for body in trail if body >= 0)

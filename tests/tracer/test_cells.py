@@ -7,7 +7,7 @@ import pytest
 
 from correction.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
-from tracer import ray_map
+from tracer import cells, ray_map
 from tracer.bodies import Rod
 from tracer.cells import sort_into_cells
 from tracer.kernels.bed import next_in_bed, trace_bed_rows
@@ -15,7 +15,7 @@ from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import MAX_EVENTS, next_body
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
-from tracer.trace import pack_camera
+from tracer.trace import pack_camera, trace
 
 
 def bed(kind: str, seed: int = 0) -> Scene:
@@ -39,20 +39,33 @@ def test_rows_have_the_same_bits_as_asking_every_sphere(kind: str, seed: int) ->
     height, width = where.camera.shape
     tables = pack_camera(where.camera), where.sphere_table(), where.rod_table()
     results = []
-    for cells in (sort_into_cells(tables[1]), None):
+    for grid in (sort_into_cells(tables[1]), None):
         arrays = (
             np.empty((height, width, 2)),
             np.empty((height, width), np.uint8),
             np.empty((height, width), np.int64),
         )
-        if cells:
-            trace_bed_rows(*tables, *cells, 0, height, *arrays)
+        if grid:
+            trace_bed_rows(*tables, *grid, 0, height, np.empty(MAX_EVENTS, np.int32), *arrays)
         else:
             trace_rows(*tables, 0, height, np.empty(MAX_EVENTS, np.int32), *arrays)
         results.append(arrays)
     for one, other in zip(*results, strict=True):
         assert one.tobytes() == other.tobytes()
     assert len(np.unique(results[0][2])) > 20
+
+
+@pytest.mark.parametrize("kind", ["cubic", "random"])
+def test_single_rays_go_through_cells_too(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every number of a ray, and the names of its way, bit for bit."""
+    where = bed(kind)
+    pixels = np.random.default_rng(2).uniform(0.0, 90.0, (3000, 2))
+    through_cells = trace(where, pixels)
+    monkeypatch.setattr(cells, "FEW", 10_000)
+    asking_all = trace(where, pixels)
+    assert through_cells.rays.tobytes() == asking_all.rays.tobytes()
+    assert through_cells.branches == asking_all.branches
+    assert through_cells.rays["events"].max() > 2
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("cubic", 0), ("random", 5)])

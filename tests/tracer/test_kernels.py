@@ -12,6 +12,7 @@ from tests.tracer.reference import follow, pixel_direction
 from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Lens
+from tracer.cells import NO_CELLS
 from tracer.kernels.camera import ideal_xy, pixel_ray, pixel_ray_tangents
 from tracer.kernels.maps import trace_rays, trace_rows, trace_trails
 from tracer.kernels.march import MAX_EVENTS, march, march_pixel_tangents, next_body
@@ -92,14 +93,14 @@ def test_array_kernels_compiled_and_interpreted() -> None:
     records = []
     for kernel in (trace_rays, trace_rays.py_func):
         rays = np.zeros(50, RAY).view(np.recarray)
-        kernel(starts, ways, spheres, NO_RODS, 0, 50, trail, rays)
+        kernel(starts, ways, spheres, NO_RODS, *NO_CELLS, 0, 50, trail, rays)
         records.append(rays)
     for field in ("status", "events", "key"):
         np.testing.assert_array_equal(records[0][field], records[1][field])
     np.testing.assert_allclose(records[0]["x_mm"], records[1]["x_mm"], rtol=1e-9, atol=1e-9)
     trails = [np.full((50, MAX_EVENTS), -1, np.int32) for _ in range(2)]
-    trace_trails(starts, ways, spheres, NO_RODS, trails[0])
-    trace_trails.py_func(starts, ways, spheres, NO_RODS, trails[1])
+    trace_trails(starts, ways, spheres, NO_RODS, *NO_CELLS, trails[0])
+    trace_trails.py_func(starts, ways, spheres, NO_RODS, *NO_CELLS, trails[1])
     np.testing.assert_array_equal(*trails)
 
 

@@ -27,7 +27,7 @@ from tracer.kernels.march import (
     next_key,
 )
 from tracer.kernels.rod import meets_rod
-from tracer.kernels.sphere import angles, foot, through, turned
+from tracer.kernels.sphere import angles, foot, through, transmittance, turned
 
 GROW = 1e-6  # cells; the walk is off by a few 1e-16 of the distance walked
 
@@ -106,7 +106,7 @@ def next_in_bed(
 
 
 @kernel
-def follow_in_bed(
+def march_in_bed(
     px: float,
     py: float,
     pz: float,
@@ -118,35 +118,44 @@ def follow_in_bed(
     frame: Array,
     begin: Array,
     items: Array,
-) -> tuple[int, float, float, int]:
-    """Status, plane point x, y and branch key of one ray; the rules are those of ``march.march``."""
-    key, events, last = DIRECT, 0, -1
+    trail: Array,
+) -> tuple[float, ...]:
+    """Trace one ray from p along d: what ``march.march`` returns, by the same rules."""
+    key, events = DIRECT, 0
+    path, passed = 0.0, 1.0
+    last = -1
     while True:
         body = next_in_bed(px, py, pz, dx, dy, dz, last, spheres, rods, frame, begin, items)
         if body == -1:
             break
         if body == ROD or spheres[body, 5] != 0.0:
-            return BLOCKED, math.nan, math.nan, key
+            return BLOCKED, px, py, pz, dx, dy, dz, path, 0.0, key, events
         if events == MAX_EVENTS:
-            return TOO_MANY_EVENTS, math.nan, math.nan, key
+            return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, path, 0.0, key, events
         cx, cy, cz = spheres[body, 0], spheres[body, 1], spheres[body, 2]
         radius, n = spheres[body, 3], spheres[body, 4]
-        _, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
+        m, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
         b2 = ax * ax + ay * ay + az * az
+        trail[events] = body
         key = next_key(key, body)
         events += 1
         if b2 < radius * radius:
             if b2 >= n * n * radius * radius:
-                return TIR, math.nan, math.nan, key
+                return TIR, px, py, pz, dx, dy, dz, path, 0.0, key, events
             cos_i, cos_t = angles(b2, radius, n)
+            surface = transmittance(cos_i, cos_t, n)
+            passed *= surface * surface
+            path += m + 2.0 * radius * (n * cos_t - cos_i)
             cosine, q = through(b2, radius, n, cos_i, cos_t)
             ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
+        else:
+            path += m
         px, py, pz = cx + ax, cy + ay, cz + az
         last = body
     if not dz < 0.0:
-        return MISSED_PLANE, math.nan, math.nan, key
+        return MISSED_PLANE, px, py, pz, dx, dy, dz, path, passed, key, events
     t = -pz / dz
-    return RECOVERED, px + t * dx, py + t * dy, key
+    return RECOVERED, px + t * dx, py + t * dy, 0.0, dx, dy, dz, path + t, passed, key, events
 
 
 @kernel
@@ -159,6 +168,7 @@ def trace_bed_rows(
     items: Array,
     first: int,
     last: int,
+    trail: Array,
     point: Array,
     status: Array,
     key: Array,
@@ -167,8 +177,10 @@ def trace_bed_rows(
     for row in range(first, last):
         for column in range(point.shape[1]):
             dx, dy, dz = pixel_ray(float(column), float(row), camera)
-            s, x, y, k = follow_in_bed(
-                camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods, frame, begin, items
+            s, x, y, _, _, _, _, _, _, k, _ = march_in_bed(
+                camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods, frame, begin, items, trail
             )
-            point[row, column, 0], point[row, column, 1] = x, y
+            good = s == RECOVERED
+            point[row, column, 0] = x if good else math.nan
+            point[row, column, 1] = y if good else math.nan
             status[row, column], key[row, column] = s, k

@@ -3,8 +3,30 @@
 import math
 
 from tracer.kernels._jit import Array, kernel
+from tracer.kernels.bed import march_in_bed
 from tracer.kernels.camera import pixel_ray
 from tracer.kernels.march import RECOVERED, march
+
+
+@kernel
+def march_either(
+    px: float,
+    py: float,
+    pz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    spheres: Array,
+    rods: Array,
+    frame: Array,
+    begin: Array,
+    items: Array,
+    trail: Array,
+) -> tuple[float, ...]:
+    """Trace one ray through the grid of cells if there is one (``items`` not empty), else asking every sphere."""
+    if items.shape[0] > 0:
+        return march_in_bed(px, py, pz, dx, dy, dz, spheres, rods, frame, begin, items, trail)
+    return march(px, py, pz, dx, dy, dz, spheres, rods, trail)
 
 
 @kernel
@@ -13,23 +35,23 @@ def trace_rays(
     directions: Array,
     spheres: Array,
     rods: Array,
+    frame: Array,
+    begin: Array,
+    items: Array,
     first: int,
     last: int,
     trail: Array,
     rays: Array,
 ) -> None:
-    """Trace rays first..last-1 from origins (N, 3) along unit directions (N, 3) into records (trace.RAY)."""
+    """Trace rays first..last-1 from origins (N, 3) along unit directions (N, 3) into records (trace.RAY).
+
+    ``frame``, ``begin``, ``items``: grid of cells as in ``tracer.kernels.bed``; no items: every sphere is asked.
+    """
     for i in range(first, last):
-        status, x, y, _, dx, dy, dz, path, passed, key, events = march(
-            origins[i, 0],
-            origins[i, 1],
-            origins[i, 2],
-            directions[i, 0],
-            directions[i, 1],
-            directions[i, 2],
-            spheres,
-            rods,
-            trail,
+        px, py, pz = origins[i, 0], origins[i, 1], origins[i, 2]
+        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        status, x, y, _, dx, dy, dz, path, passed, key, events = march_either(
+            px, py, pz, dx, dy, dz, spheres, rods, frame, begin, items, trail
         )
         good = status == RECOVERED
         rays[i].status = status
@@ -43,20 +65,21 @@ def trace_rays(
 
 
 @kernel
-def trace_trails(origins: Array, directions: Array, spheres: Array, rods: Array, trails: Array) -> None:
+def trace_trails(
+    origins: Array,
+    directions: Array,
+    spheres: Array,
+    rods: Array,
+    frame: Array,
+    begin: Array,
+    items: Array,
+    trails: Array,
+) -> None:
     """Record in trails (N, MAX_EVENTS) int32 the numbers of the spheres that each ray crosses."""
     for i in range(origins.shape[0]):
-        march(
-            origins[i, 0],
-            origins[i, 1],
-            origins[i, 2],
-            directions[i, 0],
-            directions[i, 1],
-            directions[i, 2],
-            spheres,
-            rods,
-            trails[i],
-        )
+        px, py, pz = origins[i, 0], origins[i, 1], origins[i, 2]
+        dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
+        march_either(px, py, pz, dx, dy, dz, spheres, rods, frame, begin, items, trails[i])
 
 
 @kernel
