@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
-from tracer.kernels._jit import Array, kernel
+from tracer.kernels._jit import Array, kernel, unowned
 from tracer.kernels.camera import undistorted
 from tracer.kernels.chain import (
     LANES,
@@ -116,6 +116,9 @@ def direct_rows(
     cleared.  ``size`` (2,) sensor width and height; ``lens`` (6, w) is scratch.  Others see `hide_nodes`.
     """
     status, pixel, jacobian, weight, transmittance, branch = maps
+    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
+    transmittance, branch, lens = unowned(transmittance), unowned(branch), unowned(lens)
+    x, y, spans, rays, trips = unowned(x), unowned(y), unowned(spans), unowned(rays), unowned(trips)
     camera = tables[0]
     nan, nan32, none = math.nan, np.float32(math.nan), np.float32(0.0)
     for row in range(first, last):

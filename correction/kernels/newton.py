@@ -17,7 +17,7 @@ import math
 from correction.kernels.bspline import INDEX
 from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, keep_view, solve_node, stretch
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
-from tracer.kernels._jit import Array, kernel, kernel_inlined
+from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.camera import undistorted, unit_tangent
 from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
 from tracer.kernels.sphere import (
@@ -212,6 +212,7 @@ def solve_nodes(
     """
     camera, spheres = tables[0], tables[1]
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
+    block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
     columns = start.shape[1]
     for low in range(first, last, GROUP):
         count = min(GROUP, last - low)
