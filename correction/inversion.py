@@ -45,7 +45,7 @@ class Inversion:
         skip: bool,
     ) -> None:
         height, width = grid.shape
-        self.scene, self.ray_map, self.grid, self.least = scene, ray_map, grid, limits[0]
+        self.scene, self.ray_map, self.grid = scene, ray_map, grid
         self.skip = skip
         self.size = scene.camera.sensor_px
         self.tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
@@ -63,23 +63,38 @@ class Inversion:
                 "branch": np.empty(lead, kind),
             }
         self.arrays = out
+        self.longest = 2.0 * grid.pitch_mm / limits[0]
+        self.asked: NDArray[np.bool_] | None = None
         self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
         self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
+
+    @property
+    def maps(self) -> tuple[NDArray[Any], ...]:
+        """The arrays in the order in which kernels take them."""
+        return tuple(self.arrays.values())
+
+    def ask(self, nodes: NDArray[np.bool_]) -> None:
+        """Look at these nodes (h, w) only; what the arrays hold of the others means nothing."""
+        self.asked = nodes
 
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
         height, width = self.grid.shape
-        place, discs = self._node_camera(), sphere_discs(self.tables[1])
+        place, discs = self.node_camera(), sphere_discs(self.tables[1])
         lens_free = self.scene.camera.lens.is_ideal
         size = np.array(self.size, dtype=np.float64)
         maps: tuple[NDArray[Any], ...] = (
             self.status,
             self.pixel.reshape(len(self.pixel), height, 2 * width),
             self.jacobian.reshape(len(self.pixel), height, 4 * width),
-            *self._rest(),
+            *self.maps[3:],
         )
 
         def work(first: int, last: int) -> None:
+            others = None if self.asked is None else ~self.asked[first:last]
+            if others is not None and others.all():
+                self.weight[-1, first:last] = np.inf  # nothing can improve a node that is not asked for
+                return
             x, y = np.arange(width, dtype=np.float64), np.empty(width)
             x = (x - place[13]) / place[12]
             spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
@@ -97,13 +112,12 @@ class Inversion:
                 *scratch,
                 maps,
             )
+            if others is not None:
+                self.weight[-1, first:last][others] = np.inf
 
         run_rows(work, height)
 
-    def _rest(self) -> tuple[NDArray[Any], ...]:
-        return self.weight, self.transmittance, self.branch
-
-    def _node_camera(self) -> NDArray[np.float64]:
+    def node_camera(self) -> NDArray[np.float64]:
         """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
         x, y, z = self.scene.camera.position_mm
         (x0, y0), pitch = self.grid.origin_mm, self.grid.pitch_mm
@@ -116,10 +130,9 @@ class Inversion:
         plane = self.ray_map.plane_mm.reshape(height, 2 * width)
         branch, status = self.ray_map.branch, self.ray_map.status
         code, counts = np.empty((height, width), np.uint32), np.empty(height, np.int64)
-        longest = 2.0 * self.grid.pitch_mm / self.least
 
         def work(first: int, last: int) -> None:
-            code_rows(*self.tables, longest, first, last, plane, branch, status, code, counts)
+            code_rows(*self.tables, self.longest, first, last, plane, branch, status, code, counts)
 
         run_rows(work, height)
         begin = np.concatenate(([0], np.cumsum(counts)))
@@ -169,7 +182,7 @@ class Inversion:
         balls, trip = (
             (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
         )
-        maps: tuple[NDArray[Any], ...] = (self.status, self.pixel, self.jacobian, *self._rest())
+        maps = self.maps
 
         def work(first: int, last: int) -> None:
             scratch = (

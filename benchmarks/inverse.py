@@ -1,0 +1,86 @@
+"""Correction maps: in ray maps, without the skip of views that cannot win, and after one sphere has moved.
+
+    python -m benchmarks.inverse [--scenes two_spheres_500 ...] [--rounds 9]
+
+Processor time of all threads [ms], medians of interleaved rounds; arrays of the map before are written again.
+`moved` takes each sphere in turn a tenth of its radius aside (shrunk by as much, so that it touches nobody) and back;
+its time is that of the map alone, both ray maps given, as that of a rebuild.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.scenes import bench_scene
+from correction.correction_map import build_correction_map
+from correction.moved import invert_again
+from tracer.ray_map import build_ray_map
+from tracer.rows import thread_count
+from tracer.scene import Scene
+
+
+def core_ms(task: Callable[[], object]) -> float:
+    """Processor time of one call."""
+    start = time.process_time()
+    task()
+    return 1e3 * (time.process_time() - start)
+
+
+def aside(scene: Scene, which: int) -> Scene:
+    """The scene with one sphere moved and smaller."""
+    bodies = list(scene.spheres)
+    ball = bodies[which]
+    (x, y, z), shift = ball.centre_mm, 0.1 * ball.radius_mm
+    bodies[which] = replace(ball, centre_mm=(x + shift, y, z), radius_mm=ball.radius_mm - shift)
+    return scene.with_bodies(bodies)
+
+
+def measure(name: str, rounds: int) -> dict[str, object]:
+    """Medians of one scene."""
+    scene = bench_scene(name)
+    rays = build_ray_map(scene)
+    spare_rays, spare = build_ray_map(scene), build_correction_map(scene, rays)
+    tasks: dict[str, Callable[[], object]] = {
+        "ray map": lambda: build_ray_map(scene, spare_rays),
+        "correction map": lambda: build_correction_map(scene, rays, out=spare),
+        "without skip": lambda: build_correction_map(scene, rays, out=spare, skip=False),
+    }
+    times: dict[str, list[float]] = {task: [] for task in tasks}
+    for number in range(rounds + 1):
+        for task, function in tasks.items():
+            taken = core_ms(function)
+            if number:
+                times[task].append(taken)
+    ms = {task: round(float(np.median(taken)), 1) for task, taken in times.items()}
+    ratios = []
+    for which in range(len(scene.spheres)):
+        other = aside(scene, which)
+        pair, maps = (scene, other), (rays, build_ray_map(other))
+        moved, anew = [], []
+        for number in range(rounds + 1):
+            a, b = number % 2, 1 - number % 2
+            kept = build_correction_map(pair[a], maps[a])
+            moved.append(
+                core_ms(lambda a=a, b=b, kept=kept: invert_again(kept, pair[a], maps[a], pair[b], maps[b]))
+            )  # type: ignore[misc]
+            anew.append(core_ms(lambda b=b: build_correction_map(pair[b], maps[b], out=spare)))  # type: ignore[misc]
+        ratios.append(round(float(np.median(moved[1:]) / np.median(anew[1:])), 2))
+    return {**ms, "in ray maps": round(ms["correction map"] / ms["ray map"], 2), "moved, of a rebuild": ratios}
+
+
+def main() -> None:
+    """Measure and print one JSON document."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--scenes", nargs="+", default=["one_sphere_250", "two_spheres_500", "pyramid_500"])
+    parser.add_argument("--rounds", type=int, default=9)
+    options = parser.parse_args()
+    report = {name: measure(name, options.rounds) for name in options.scenes}
+    print(json.dumps({"threads": thread_count(), "core_ms": report}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
