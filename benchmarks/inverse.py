@@ -3,8 +3,8 @@
     python -m benchmarks.inverse [--scenes two_spheres_500 ...] [--rounds 9]
 
 Processor time of all threads [ms], medians of interleaved rounds; arrays of the map before are written again.
-`moved` takes each sphere in turn a tenth of its radius aside (shrunk by as much, so that it touches nobody) and back;
-its time is that of the map alone, both ray maps given, as that of a rebuild.
+`moved` takes each sphere in turn a tenth of its radius aside (shrunk by as much, so that it touches nobody) and
+back; its time is that of the map alone, both ray maps given, as that of a rebuild.
 """
 
 import argparse
@@ -12,6 +12,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -56,20 +57,21 @@ def measure(name: str, rounds: int) -> dict[str, object]:
             if number:
                 times[task].append(taken)
     ms = {task: round(float(np.median(taken)), 1) for task, taken in times.items()}
-    ratios = []
-    for which in range(len(scene.spheres)):
-        other = aside(scene, which)
-        pair, maps = (scene, other), (rays, build_ray_map(other))
-        moved, anew = [], []
-        for number in range(rounds + 1):
-            a, b = number % 2, 1 - number % 2
-            kept = build_correction_map(pair[a], maps[a])
-            moved.append(
-                core_ms(lambda a=a, b=b, kept=kept: invert_again(kept, pair[a], maps[a], pair[b], maps[b]))
-            )  # type: ignore[misc]
-            anew.append(core_ms(lambda b=b: build_correction_map(pair[b], maps[b], out=spare)))  # type: ignore[misc]
-        ratios.append(round(float(np.median(moved[1:]) / np.median(anew[1:])), 2))
+    ratios = [after_moving(scene, aside(scene, which), rounds) for which in range(len(scene.spheres))]
     return {**ms, "in ray maps": round(ms["correction map"] / ms["ray map"], 2), "moved, of a rebuild": ratios}
+
+
+def after_moving(scene: Scene, other: Scene, rounds: int) -> float:
+    """Time of a map after a move there or back, in rebuilds."""
+    pair = (scene, other)
+    rays, spare = [build_ray_map(each) for each in pair], build_correction_map(other, build_ray_map(other))
+    moved, anew = [], []
+    for number in range(rounds + 1):
+        a, b = number % 2, 1 - number % 2
+        kept = build_correction_map(pair[a], rays[a])
+        moved.append(core_ms(partial(invert_again, kept, pair[a], rays[a], pair[b], rays[b])))
+        anew.append(core_ms(partial(build_correction_map, pair[b], rays[b], out=spare)))
+    return round(float(np.median(moved[1:]) / np.median(anew[1:])), 2)
 
 
 def main() -> None:
