@@ -69,7 +69,7 @@ def after_moving(scene: Scene, other: Scene, rounds: int) -> float:
     for number in range(rounds + 1):
         a, b = number % 2, 1 - number % 2
         kept = build_correction_map(pair[a], rays[a])
-        moved.append(core_ms(partial(invert_again, kept, pair[a], rays[a], pair[b], rays[b])))
+        moved.append(core_ms(partial(invert_again, kept, pair[a], rays[a], pair[b], rays[b], spare=spare)))
         anew.append(core_ms(partial(build_correction_map, pair[b], rays[b], out=spare)))
     return round(float(np.median(moved[1:]) / np.median(anew[1:])), 2)
 

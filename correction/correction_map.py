@@ -25,6 +25,7 @@ are about to merge (FOLD).
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,6 +111,10 @@ class CorrectionMap(SceneBound):
         q = np.hypot(uc - vr, vc + ur) / 2
         return np.abs(p - q), p + q
 
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Its arrays by name, in the order in which kernels take them."""
+        return {name: getattr(self, name) for name in _LAYOUT}
+
     def save(self, path: Path | str) -> None:
         """Write the map to a file, atomically."""
         header = {
@@ -119,7 +124,7 @@ class CorrectionMap(SceneBound):
             "pitch_mm": self.grid.pitch_mm,
             "sensor_px": list(self.sensor_px),
         }
-        save_arrays(path, KIND, header, {name: getattr(self, name) for name in _LAYOUT})
+        save_arrays(path, KIND, header, self.arrays())
 
     @classmethod
     def load(cls, path: Path | str) -> "CorrectionMap":
@@ -223,7 +228,7 @@ def build_correction_map(
     grid = grid or grid_of(scene.camera)
     if not 1 <= layers <= MAX_LAYERS:
         raise MapUsageError(f"a node can join 1 to {MAX_LAYERS} views, not {layers}")
-    arrays = None if out is None else {name: getattr(out, name) for name in _LAYOUT}
+    arrays = None if out is None else out.arrays()
     work = Inversion(scene, ray_map, grid, layers, (min_magnification, max_magnification), arrays, skip)
     work.direct()
     work.glass()

@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from correction.grid import PlaneGrid
 from correction.kernels.direct import direct_rows
 from correction.kernels.inverse import join_weights
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
-from correction.kernels.sheets import RUN, code_rows, count_useful, join_runs, list_runs, scatter_sheet
+from correction.kernels.sheets import RUN, TILE, code_rows, count_useful, join_runs, list_runs, scatter_sheet
 from tracer.kernels.chain import BALL
 from tracer.kernels.march import KEY_MASK, next_key
 from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
@@ -28,6 +29,7 @@ from tracer.scene import Scene
 from tracer.trace import DIRECT, pack_camera
 
 NODES_PER_CALL = 4096  # whole groups, so that threads change no group
+LARGEST_PLACE = np.iinfo(np.int32).max
 NO_BALLS = np.empty((0, BALL))
 
 
@@ -65,6 +67,7 @@ class Inversion:
         self.arrays = out
         self.longest = 2.0 * grid.pitch_mm / limits[0]
         self.asked: NDArray[np.bool_] | None = None
+        self.tiles = np.ones([-(-side // TILE) for side in grid.shape], np.uint8)
         self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
         self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
 
@@ -76,6 +79,12 @@ class Inversion:
     def ask(self, nodes: NDArray[np.bool_]) -> None:
         """Look at these nodes (h, w) only; what the arrays hold of the others means nothing."""
         self.asked = nodes
+        rows, columns = (TILE * np.array(self.tiles.shape)).tolist()
+        whole = np.zeros((rows, columns), bool)
+        whole[: nodes.shape[0], : nodes.shape[1]] = nodes
+        tiles = whole.reshape(rows // TILE, TILE, columns // TILE, TILE).any(axis=(1, 3))
+        beside = 1 + int(1.5 * self.longest / self.grid.pitch_mm / TILE)  # what a useful pixel's footprint reaches
+        self.tiles = maximum_filter(tiles.astype(np.uint8), 2 * beside + 1)
 
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
@@ -146,11 +155,12 @@ class Inversion:
         firsts = np.searchsorted(parent[order], heads)
         lasts = np.searchsorted(parent[order], heads, side="right")
         shape = self.grid.shape
-        stamps, away, start = np.zeros(shape, np.int32), np.empty(shape), np.empty((*shape, 2))
-        nodes = np.empty(shape[0] * shape[1], np.int32)
+        places = np.zeros(shape, np.int32)
+        nodes, starts = np.empty(places.size, np.int32), np.empty((places.size, 3))
+        base = 1
         events = np.array([len(names) for names in self.ray_map.branches])[runs[heads, 3] >> 1]
         # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
-        for stamp, sheet in enumerate(np.lexsort((heads, runs[heads, 3], events)), start=1):
+        for sheet in np.lexsort((heads, runs[heads, 3], events)).tolist():
             members = runs[order[firsts[sheet] : lasts[sheet]]]
             enough = np.float32(1.0 / (1.0 + events[sheet]) if self.skip else np.inf)
             found = scatter_sheet(
@@ -160,18 +170,21 @@ class Inversion:
                 members,
                 self.tables,
                 self.grid_numbers,
+                self.tiles,
                 self.weight[-1],
                 enough,
-                stamp,
-                stamps,
-                away,
-                start,
+                base,
+                places,
+                starts,
                 nodes,
             )
             if found:
-                self._solve(int(members[0, 3]), start, nodes[:found])
+                self._solve(int(members[0, 3]), starts[:found], nodes[:found])
+            base += found
+            if base > LARGEST_PLACE - places.size:
+                places[:], base = 0, 1
 
-    def _solve(self, code: int, start: NDArray[np.float64], nodes: NDArray[np.int32]) -> None:
+    def _solve(self, code: int, starts: NDArray[np.float64], nodes: NDArray[np.int32]) -> None:
         """Solve the nodes of one sheet and keep the best views."""
         number, sign = code >> 1, -1.0 if code & 1 else 1.0
         numbers = {sphere.name: index for index, sphere in enumerate(self.scene.spheres)}
@@ -203,7 +216,8 @@ class Inversion:
                 number,
                 sign,
                 self.limits,
-                start,
+                starts,
+                self.grid.shape[1],
                 nodes,
                 first,
                 last,

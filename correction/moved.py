@@ -12,6 +12,8 @@ Limit: a sphere that shows less than two pixels wide, where it stands or through
 pixel centres; then only the rays of pixels, not those between them, are known to miss it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,6 +41,7 @@ def invert_again(
     *,
     min_magnification: float = MIN_MAGNIFICATION,
     max_magnification: float = MAX_MAGNIFICATION,
+    spare: CorrectionMap | None = None,
 ) -> CorrectionMap:
     """Correction map of a scene from the map of another that differs in some spheres.
 
@@ -52,6 +55,8 @@ def invert_again(
         Their ray maps, in arrays of their own (copy the earlier one before ``tracer.retrace`` writes on it).
     min_magnification, max_magnification : float
         Limits of the local magnification with which `earlier` was made.
+    spare : CorrectionMap, optional
+        A map of the same size whose arrays serve on the way: memory that needs not be found.
 
     Returns
     -------
@@ -78,18 +83,16 @@ def invert_again(
             max_magnification=max_magnification,
             out=earlier,
         )
-    work = Inversion(scene, rays, earlier.grid, earlier.layers, limits, None, skip=True)
+    arrays = None if spare is None else spare.arrays()
+    work = Inversion(scene, rays, earlier.grid, earlier.layers, limits, arrays, skip=True)
     asked = _touched(work, before, rays_before) > 0
     work.ask(asked)
     work.direct()
     work.glass()
     work.join()
-    fresh, kept = work.maps, tuple(getattr(earlier, name) for name in work.arrays)
+    fresh, kept = work.maps, tuple(earlier.arrays().values())
     run_rows(lambda first, last: take_nodes(asked, first, last, fresh, kept), len(asked))
-    arrays = dict(zip(work.arrays, kept, strict=True))
-    return CorrectionMap(
-        earlier.grid, **arrays, branches=rays.branches, sensor_px=earlier.sensor_px, scene_hash=rays.scene_hash
-    )
+    return replace(earlier, branches=rays.branches, scene_hash=rays.scene_hash)
 
 
 def _touched(work: Inversion, before: Scene, rays_before: RayMap) -> NDArray[np.uint8]:

@@ -118,6 +118,10 @@ def join_weights(first: int, last: int, weight: Array) -> None:
     """Divide the weights (K, h, w) of rows first..last-1 by their sum over the layers, where there is any."""
     none, one = np.float32(0.0), np.float32(1.0)
     for row in range(first, last):
+        if weight.shape[0] == 1:
+            for column in range(weight.shape[2]):
+                weight[0, row, column] = one if weight[0, row, column] > none else none
+            continue
         for column in range(weight.shape[2]):
             total = none
             for layer in range(weight.shape[0]):

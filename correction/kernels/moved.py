@@ -29,9 +29,16 @@ def changed_rows(
     """
     for row in range(first, last):
         for i in range(branch.shape[1]):
-            moved = (point[row, 2 * i] != other[row, 2 * i]) | (point[row, 2 * i + 1] != other[row, 2 * i + 1])
-            moved |= (branch[row, i] != branch_2[row, i]) | (status[row, i] != status_2[row, i])
-            changed[row, i] = moved
+            changed[row, i] = (branch[row, i] != branch_2[row, i]) | (status[row, i] != status_2[row, i])
+        some = 0
+        for i in range(branch.shape[1]):
+            some += branch[row, i] != 0
+        if some == 0:
+            continue
+        for i in range(branch.shape[1]):
+            if branch[row, i] != 0:  # what is seen directly lies where it lay
+                moved = (point[row, 2 * i] != other[row, 2 * i]) | (point[row, 2 * i + 1] != other[row, 2 * i + 1])
+                changed[row, i] |= moved
 
 
 @kernel

@@ -190,7 +190,8 @@ def solve_nodes(
     number: int,
     sign: float,
     limits: Array,
-    start: Array,
+    starts: Array,
+    columns: int,
     nodes: Array,
     first: int,
     last: int,
@@ -207,19 +208,19 @@ def solve_nodes(
 
     ``sequence`` (E,) numbers the spheres of the branch in the sphere table, `trip` is the same in the order of
     ``balls`` (see ``tracer.kernels.chain``), -1 where a scene does not fit lockstep: then every node is solved by
-    itself.  `key` is the branch key of ``march``.  ``start`` (h, w, 2) as scattered; ``maps`` as in `keep_view`.
-    Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy`` (2, GROUP), those of `follow_block`.
+    itself.  `key` is the branch key of ``march``.  ``starts`` (N, 3) and ``nodes`` (N,) as scattered on a grid of
+    `columns`; ``maps`` as in `keep_view`.  Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy``
+    (2, GROUP), those of `follow_block`.
     """
     camera, spheres = tables[0], tables[1]
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
-    columns = start.shape[1]
     for low in range(first, last, GROUP):
         count = min(GROUP, last - low)
         for i in range(count):
             row, column = nodes[low + i] // columns, nodes[low + i] % columns
             block[X + i], block[Y + i] = grid[0] + column * grid[2], grid[1] - row * grid[2]
-            block[U + i], block[V + i] = start[row, column, 0], start[row, column, 1]
+            block[U + i], block[V + i] = starts[low + i, 0], starts[low + i, 1]
             state[i] = FAILED
         full = whole_vectors(count)
         for i in range(count, full):
@@ -230,9 +231,8 @@ def solve_nodes(
             verify(count, camera, balls, xy, spans, wanted, rays, trips, block)
         for i in range(count):
             if not (state[i] == CONVERGED and trips[TRIP + i] == trip):
-                row, column = nodes[low + i] // columns, nodes[low + i] % columns
                 done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
-                    block[X + i], block[Y + i], start[row, column, 0], start[row, column, 1], key, sign, tables
+                    block[X + i], block[Y + i], starts[low + i, 0], starts[low + i, 1], key, sign, tables
                 )
                 block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
                 state[i] = CONVERGED if done > 0.0 else FAILED

@@ -20,6 +20,8 @@ from tracer.kernels.march import RECOVERED, march_pixel_tangents
 
 LONELY = 0xFFFFFFFF
 REACH = 0.7
+AWAY = 2  # column of the starts
+TILE, SHIFT = 64, 6  # nodes along a side of a tile of the grid
 RUN = 4  # row, first column, last column + 1, code without its last bit
 
 singular_values = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
@@ -169,12 +171,12 @@ def scatter_sheet(
     runs: Array,
     tables: tuple[Array, Array, Array],
     grid: Array,
+    tiles: Array,
     weight: Array,
     enough: np.float32,
-    stamp: int,
-    stamps: Array,
-    away: Array,
-    start: Array,
+    base: int,
+    places: Array,
+    starts: Array,
     nodes: Array,
 ) -> int:
     """Give the nodes that one sheet may show the pixel from which Newton starts; how many there are.
@@ -185,13 +187,14 @@ def scatter_sheet(
     somewhere before the next: Newton decides where.
 
     ``plane`` (H, 2 W), ``branch``, ``code`` (H, W) as in ``correction.kernels.sheets``, ``runs`` (R, RUN) those of
-    the sheet, ``tables`` camera, spheres, rods.
-    Nodes whose ``weight`` (h, w) is `enough` are left out.  ``start`` (h, w, 2) and ``away`` (h, w), squared
-    distance, are valid where ``stamps`` (h, w) int32 holds `stamp`; ``nodes`` (h w,) int32 receives the flat
-    numbers of these.
+    the sheet, ``tables`` camera, spheres, rods.  Left out are nodes whose ``weight`` (h, w) is `enough` and pixels
+    that show a tile of TILE x TILE nodes not marked in ``tiles``.
+
+    ``nodes`` (N,) int32 receives the flat numbers of the nodes, ``starts`` (N, 3) their start u, v and its squared
+    distance from the pixel; ``places`` (h, w) int32, where a node stands in these plus `base`, less if nowhere.
     """
     height = branch.shape[0]
-    rows, columns = away.shape
+    rows, columns = places.shape
     per_mm = 1.0 / grid[2]
     found = 0
     for k in range(runs.shape[0]):
@@ -200,12 +203,18 @@ def scatter_sheet(
         for i in range(runs[k, 1], runs[k, 2]):
             if not code[line, i] & 1:
                 continue
+            c, r = (plane[line, 2 * i] - grid[0]) * per_mm, (grid[1] - plane[line, 2 * i + 1]) * per_mm
+            tile_row, tile_column = (
+                int(min(max(r, 0.0), rows - 1.0)) >> SHIFT,
+                int(min(max(c, 0.0), columns - 1.0)) >> SHIFT,
+            )
+            if tiles[tile_row, tile_column] == 0:
+                continue
             xu, xv, yu, yv = slopes(plane, branch, up, line, down, i)
             if xu * xv * yu * yv * 0.0 != 0.0:
                 _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
                     float(i), float(line), tables[0], tables[1], tables[2]
                 )
-            c, r = (plane[line, 2 * i] - grid[0]) * per_mm, (grid[1] - plane[line, 2 * i + 1]) * per_mm
             reach = REACH if i > runs[k, 1] and i + 1 < runs[k, 2] else 1.0
             if code[up, i] >> 1 != code[line, i] >> 1 or code[down, i] >> 1 != code[line, i] >> 1:
                 reach = 1.0
@@ -223,14 +232,14 @@ def scatter_sheet(
                     du, dv = ux * ex + uy * ey, vx * ex + vy * ey
                     if not (abs(du) <= reach and abs(dv) <= reach):
                         continue
-                    fresh = stamps[row, column] != stamp
-                    if fresh and weight[row, column] >= enough:
-                        continue
-                    if fresh:
-                        stamps[row, column] = stamp
-                        nodes[found] = row * columns + column
+                    place, away = places[row, column] - base, du * du + dv * dv
+                    if place < 0:
+                        if weight[row, column] >= enough:
+                            continue
+                        place = found
+                        places[row, column], nodes[place] = base + place, row * columns + column
                         found += 1
-                    if fresh or du * du + dv * dv < away[row, column]:
-                        away[row, column] = du * du + dv * dv
-                        start[row, column, 0], start[row, column, 1] = i + du, line + dv
+                    elif not away < starts[place, AWAY]:
+                        continue
+                    starts[place, 0], starts[place, 1], starts[place, AWAY] = i + du, line + dv, away
     return found
