@@ -9,7 +9,9 @@ Every other node has the same starts on the same rays, hence the same views, and
 go through the inversion of the whole map, which meets the others as nodes that nothing can improve.
 
 Limit: a sphere that shows less than two pixels wide, where it stands or through other glass, can hide between
-pixel centres; then only the rays of pixels, not those between them, are known to miss it.
+pixel centres; then only the rays of pixels, not those between them, are known to miss it.  And where two pieces
+of one sheet code show the same node and the change joins them elsewhere, a map made anew may keep another of the
+two views than this one, both valid.
 """
 
 from dataclasses import replace
