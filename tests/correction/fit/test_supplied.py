@@ -119,12 +119,5 @@ def test_stack_separates_depth_from_n():
     for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
         off = np.abs(np.subtract(found.centre_mm, true.centre_mm))
         assert off[:2].max() <= 0.010
+        assert off[2] <= 0.060
         assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.0008
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(reason="the frames disagree with truth.json, see above: 73 um", strict=False)
-def test_stack_finds_depths_to_60_um():
-    made, fit = fit_of("two_spheres", stack=True)
-    for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
-        assert abs(found.centre_mm[2] - true.centre_mm[2]) <= 0.060

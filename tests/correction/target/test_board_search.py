@@ -7,6 +7,7 @@ import tifffile
 from correction.errors import FrameError, TargetNotFound
 from correction.target import Chessboard
 from correction.target.board_search import find_board, track_board
+from correction.target.corners import refine_corners
 from correction.target.lattice_growth import grow_patches
 from correction.target.saddles import find_saddles
 from tests.correction.frame_truth import FRAMES, nominal_projection, true_projection
@@ -222,12 +223,17 @@ def test_supplied_z_stack(name):
     assert error.std(axis=0).max() < 0.0205
 
 
-def test_search_takes_less_than_three_seconds_of_processor_time():
+def test_search_costs_little_more_than_the_corners_it_finds():
     path = FRAMES / "two_spheres" / "target_clear.tif"
     if not path.exists():
         pytest.skip("supplied frame two_spheres/target_clear is not here")
     image = tifffile.imread(path)
-    find_board(image, BOARD)  # compiles
-    start = time.process_time()
-    find_board(image, BOARD)
-    assert time.process_time() - start < 3.0
+    found = find_board(image, BOARD)  # compiles
+    ratios = []
+    for _ in range(3):  # measured: 1.4
+        start = time.process_time()
+        refine_corners(image, found.position_px, found.axes_px, start_error_px=0.5)
+        middle = time.process_time()
+        find_board(image, BOARD)
+        ratios.append((time.process_time() - middle) / (middle - start))
+    assert np.median(ratios) < 3.0

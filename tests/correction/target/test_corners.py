@@ -93,6 +93,25 @@ def test_bent_edges_and_a_shadow_do_not_pull_on_the_corner():
     assert np.abs(fit.position_px - true).max() < 0.01
 
 
+@pytest.mark.parametrize("blur_px", [0.6, 1.2, 2.0])
+def test_blur_moves_no_corner_whose_edges_bend_and_lean_in_falling_light(blur_px):
+    """As near a rim: squares of 30 px, edges at 65 degrees, bent to a radius of 67 px, light falling 2 % a px."""
+    shape, origin = (150, 160), np.array((81.3, 74.6))
+    inverse = np.linalg.inv([[30.0, 14.0], [2.0, -27.0]])
+
+    def to_board(pixels):
+        off = pixels - origin
+        x, y = np.moveaxis(off @ inverse.T, -1, 0)
+        bend = (off**2).sum(axis=-1) / 120.0
+        return SQUARE * np.stack((x + bend * 0.03, y + bend * 0.02), -1)
+
+    frame = soft_board(to_board, shape, blur_px=blur_px, light=lambda pixels: np.exp(-0.02 * pixels[..., 0]))
+    axes = np.linalg.inv(inverse)
+    fit = refine_corners(frame, origin[None] + 0.4, axes, sign=[-1], window=0.3)
+    assert fit.valid.all(), fit.counts()
+    assert np.abs(fit.position_px - origin).max() < 0.012
+
+
 def test_refusals_carry_their_reason():
     matrix, origin, shape = np.array(VIEWS["upright"]), np.array((150.0, 160.0)), (320, 320)
     image = photographed(soft_board(affine(matrix, origin), shape), 3)
