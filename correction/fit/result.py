@@ -144,7 +144,10 @@ def check(fit: SceneFit) -> None:
     FitFailed
         Naming gate, value and limit.
     """
-    cure = "check that the scene lists every sphere, its radius and glass, and that nothing moved between frames"
+    cure = (
+        "check that the scene lists every sphere, its radius and glass, that the board fills the view behind the"
+        " glass, and that nothing moved between frames"
+    )
     if fit.corners.behind.any():
         rms = float(fit.corners.rms_px(behind=True).max())
         if not rms <= RMS_LIMIT_PX:

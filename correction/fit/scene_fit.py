@@ -16,6 +16,7 @@ import numpy as np
 
 from correction.errors import FrameError
 from correction.fit.adjustment import Adjustment, legal_scene
+from correction.fit.board_pose import in_words, turn_of_bench, turned
 from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.lost_sphere import find_sphere, lost_spheres
@@ -102,9 +103,9 @@ class _Fit:
             raise ViewsMissing("the scene has spheres but no frame shows the target through them; take one")
         _refuse_saturated(frames)
         self.board, self.say, self.history = board, say, list[str]()
-        heights = [f.height_mm for f in frames]
-        bare_heights = len({f.height_mm for f in self.bare_frames})
-        self.bench = bench_of(nominal, heights, priors, focal_free=bare_heights >= 3)
+        self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames]
+        self.focal_free = len({f.height_mm for f in self.bare_frames}) >= 3
+        self.bench = bench_of(nominal, self.heights, priors, self.focal_free)
         self.full = self.bench.start
         self.bare: list[MeasuredFrame] = []
         self.behind: list[MeasuredFrame] = []
@@ -121,15 +122,37 @@ class _Fit:
 
     def camera(self) -> None:
         """Stage 1."""
+        bench, solution = self.fit_camera(self.bare_frames[:1])
+        if _pull(solution) > PRIOR_LIMIT:
+            bench, solution = self.follow_board(bench, solution)
+        if len(self.bare_frames) > 1:
+            bench, solution = self.fit_camera(self.bare_frames[1:])
+        rms = float(np.sqrt(np.mean(self.fits.reprojection(bench, solution.x, self.bare) ** 2)))
+        self.check_camera(rms, _pull(solution), bench, solution)
+
+    def fit_camera(self, frames: Sequence[TargetFrame]) -> tuple[Bench, Solution]:
+        """Find the bare target in more frames, one by one, and fit the camera to all there are."""
         bench = self.bench.only(("camera.", "target"))
-        for frame in self.bare_frames:
+        for frame in frames:
             self.bare.append(bare_frame(frame, self.board, bench.camera(self.full), self.height(frame)))
             solution = self.fits.solve(bench, bench.free(self.full), self.bare)
             self.full = bench.full(solution.x)
             fitted = self.fits.rms(bench, solution, self.bare)
             self.note(f"camera on {frame.name}: {len(self.bare[-1])} corners, {fitted}")
-        rms = float(np.sqrt(np.mean(self.fits.reprojection(bench, solution.x, self.bare) ** 2)))
-        self.check_camera(rms, float(np.abs(solution.x).max(initial=0.0)), bench, solution)
+        return bench, solution
+
+    def follow_board(self, bench: Bench, solution: Solution) -> tuple[Bench, Solution]:
+        """Turn the nominal bench as the board shows it turned, if that explains the camera."""
+        turn = turn_of_bench(self.nominal.camera, bench.camera(self.full), self.priors.camera)
+        travel = (float(turn[0, 2]), float(turn[1, 2]), float(turn[2, 2]))
+        followed = bench_of(turned(self.nominal, turn), self.heights, self.priors, self.focal_free, travel)
+        other = followed.only(("camera.", "target"))
+        again = self.fits.solve(other, np.zeros(len(other.names)), self.bare)
+        if _pull(again) > PRIOR_LIMIT:
+            return bench, solution
+        self.bench, self.full = followed, other.full(again.x)
+        self.note(in_words(turn))
+        return other, again
 
     def check_camera(self, rms_px: float, pull: float, bench: Bench, solution: Solution) -> None:
         """Refuse a camera that does not fit the bare target."""
@@ -239,6 +262,11 @@ class _Fit:
         ]
         if not any(_behind(frame).index.size for frame in self.behind):
             raise GlassNotSeen("no corner behind glass could be measured; check focus, light and the scene")
+
+
+def _pull(solution: Solution) -> float:
+    """Largest distance from the priors, in sigmas."""
+    return float(np.abs(solution.x).max(initial=0.0))
 
 
 def _behind(frame: MeasuredFrame) -> MeasuredFrame:

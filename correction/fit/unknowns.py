@@ -148,7 +148,13 @@ class Bench:
         return table
 
 
-def bench_of(scene: Scene, heights_mm: Sequence[float], priors: FitTable, focal_free: bool = False) -> Bench:
+def bench_of(
+    scene: Scene,
+    heights_mm: Sequence[float],
+    priors: FitTable,
+    focal_free: bool = False,
+    travel: Vector3 = (0.0, 0.0, 1.0),
+) -> Bench:
     """Number everything and decide what is free.
 
     Parameters
@@ -161,6 +167,8 @@ def bench_of(scene: Scene, heights_mm: Sequence[float], priors: FitTable, focal_
         The scene file's ``fit:`` section.
     focal_free : bool
         Whether the focal length is free if the section does not say: the bare target was seen at several heights.
+    travel : (float, float, float)
+        Unit vector along which the stage moves the target to its heights.
     """
     heights = distinct_heights(heights_mm)
     start, columns, names = _Columns(), [], []
@@ -187,7 +195,9 @@ def bench_of(scene: Scene, heights_mm: Sequence[float], priors: FitTable, focal_
         spread = [*[target.sideways_mm] * 2, target.z_mm, *[tilt] * 3]
         label = f"target{height:+g}mm"
         start.add(
-            [f"{label}.{part}" for part in TARGET], [0.0, 0.0, height, 0, 0, 0], [s * known_z for s in spread]
+            [f"{label}.{part}" for part in TARGET],
+            [*(height * along for along in travel), 0.0, 0.0, 0.0],
+            [s * known_z for s in spread],
         )
     for place, spread_of in enumerate(start.sigmas):
         if spread_of > 0.0:
