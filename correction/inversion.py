@@ -19,7 +19,8 @@ from correction.grid import PlaneGrid
 from correction.kernels.direct import direct_rows
 from correction.kernels.inverse import join_weights
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
-from correction.kernels.sheets import RUN, TILE, code_rows, count_useful, join_runs, list_runs, scatter_sheet
+from correction.kernels.sheets import RUN, code_rows, count_useful, join_runs, list_runs
+from correction.kernels.starts import MEASURES, TILE, scatter_sheet
 from tracer.kernels.chain import BALL
 from tracer.kernels.march import KEY_MASK, next_key
 from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
@@ -157,7 +158,7 @@ class Inversion:
         shape = self.grid.shape
         places = np.zeros(shape, np.int32)
         nodes, starts = np.empty(places.size, np.int32), np.empty((places.size, 3))
-        base = 1
+        measured, base = np.empty(MEASURES), 1
         events = np.array([len(names) for names in self.ray_map.branches])[runs[heads, 3] >> 1]
         # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
         for sheet in np.lexsort((heads, runs[heads, 3], events)).tolist():
@@ -177,6 +178,7 @@ class Inversion:
                 places,
                 starts,
                 nodes,
+                measured,
             )
             if found:
                 self._solve(int(members[0, 3]), starts[:found], nodes[:found])

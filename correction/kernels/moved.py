@@ -8,6 +8,7 @@ from tracer.kernels._jit import Array, kernel, unowned
 from tracer.kernels.chain import glass_span, place_row
 from tracer.kernels.march import RECOVERED, march_pixel_tangents
 
+SAFE = 1.0 + 1e-9  # vectors round differently
 NEAR = 2  # pixels: a start depends on its pixel's neighbours, and those on theirs
 
 
@@ -96,7 +97,7 @@ def mark_footprints(
             if not high <= longest:
                 continue
             c, r = (plane[line, 2 * i] - grid[0]) * per_mm, (grid[1] - plane[line, 2 * i + 1]) * per_mm
-            c_half, r_half = per_mm * (abs(xu) + abs(xv)), per_mm * (abs(yu) + abs(yv))
+            c_half, r_half = SAFE * per_mm * (abs(xu) + abs(xv)), SAFE * per_mm * (abs(yu) + abs(yv))
             for row in range(max(0, math.ceil(r - r_half)), min(rows - 1, math.floor(r + r_half)) + 1):
                 for column in range(max(0, math.ceil(c - c_half)), min(columns - 1, math.floor(c + c_half)) + 1):
                     dirty[row, column] = 1

@@ -12,16 +12,11 @@ diagonals included, are joined by union-find.
 
 import math
 
-import numpy as np
-
-from correction.kernels.inverse import inverse_2x2, stretch
+from correction.kernels.inverse import stretch
 from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.march import RECOVERED, march_pixel_tangents
 
 LONELY = 0xFFFFFFFF
-REACH = 0.7
-AWAY = 2  # column of the starts
-TILE, SHIFT = 64, 6  # nodes along a side of a tile of the grid
 RUN = 4  # row, first column, last column + 1, code without its last bit
 
 singular_values = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
@@ -161,85 +156,3 @@ def count_useful(code: Array, runs: Array, parent: Array, useful: Array) -> None
     for k in range(runs.shape[0]):
         for i in range(runs[k, 1], runs[k, 2]):
             useful[parent[k]] += code[runs[k, 0], i] & 1
-
-
-@kernel
-def scatter_sheet(
-    plane: Array,
-    branch: Array,
-    code: Array,
-    runs: Array,
-    tables: tuple[Array, Array, Array],
-    grid: Array,
-    tiles: Array,
-    weight: Array,
-    enough: np.float32,
-    base: int,
-    places: Array,
-    starts: Array,
-    nodes: Array,
-) -> int:
-    """Give the nodes that one sheet may show the pixel from which Newton starts; how many there are.
-
-    Every useful pixel covers, to first order, the parallelogram of the plane that a square around it sees; nodes
-    in there may start from it, and the nearest pixel wins.  The square is REACH wide each way, more than its own
-    half, for what first order leaves out; at the border of the sheet a whole pixel, because the sheet ends
-    somewhere before the next: Newton decides where.
-
-    ``plane`` (H, 2 W), ``branch``, ``code`` (H, W) as in ``correction.kernels.sheets``, ``runs`` (R, RUN) those of
-    the sheet, ``tables`` camera, spheres, rods.  Left out are nodes whose ``weight`` (h, w) is `enough` and pixels
-    that show a tile of TILE x TILE nodes not marked in ``tiles``.
-
-    ``nodes`` (N,) int32 receives the flat numbers of the nodes, ``starts`` (N, 3) their start u, v and its squared
-    distance from the pixel; ``places`` (h, w) int32, where a node stands in these plus `base`, less if nowhere.
-    """
-    height = branch.shape[0]
-    rows, columns = places.shape
-    per_mm = 1.0 / grid[2]
-    found = 0
-    for k in range(runs.shape[0]):
-        line = runs[k, 0]
-        up, down = max(0, line - 1), min(height - 1, line + 1)
-        for i in range(runs[k, 1], runs[k, 2]):
-            if not code[line, i] & 1:
-                continue
-            c, r = (plane[line, 2 * i] - grid[0]) * per_mm, (grid[1] - plane[line, 2 * i + 1]) * per_mm
-            tile_row, tile_column = (
-                int(min(max(r, 0.0), rows - 1.0)) >> SHIFT,
-                int(min(max(c, 0.0), columns - 1.0)) >> SHIFT,
-            )
-            if tiles[tile_row, tile_column] == 0:
-                continue
-            xu, xv, yu, yv = slopes(plane, branch, up, line, down, i)
-            if xu * xv * yu * yv * 0.0 != 0.0:
-                _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
-                    float(i), float(line), tables[0], tables[1], tables[2]
-                )
-            reach = REACH if i > runs[k, 1] and i + 1 < runs[k, 2] else 1.0
-            if code[up, i] >> 1 != code[line, i] >> 1 or code[down, i] >> 1 != code[line, i] >> 1:
-                reach = 1.0
-            scale = reach * per_mm
-            c_half, r_half = scale * (abs(xu) + abs(xv)), scale * (abs(yu) + abs(yv))
-            c_first, c_last = max(0, math.ceil(c - c_half)), min(columns - 1, math.floor(c + c_half))
-            r_first, r_last = max(0, math.ceil(r - r_half)), min(rows - 1, math.floor(r + r_half))
-            if c_first > c_last or r_first > r_last:
-                continue
-            ux, uy, vx, vy = inverse_2x2(xu, xv, yu, yv)
-            for row in range(r_first, r_last + 1):
-                ey = -(row - r) * grid[2]
-                for column in range(c_first, c_last + 1):
-                    ex = (column - c) * grid[2]
-                    du, dv = ux * ex + uy * ey, vx * ex + vy * ey
-                    if not (abs(du) <= reach and abs(dv) <= reach):
-                        continue
-                    place, away = places[row, column] - base, du * du + dv * dv
-                    if place < 0:
-                        if weight[row, column] >= enough:
-                            continue
-                        place = found
-                        places[row, column], nodes[place] = base + place, row * columns + column
-                        found += 1
-                    elif not away < starts[place, AWAY]:
-                        continue
-                    starts[place, 0], starts[place, 1], starts[place, AWAY] = i + du, line + dv, away
-    return found
