@@ -23,6 +23,8 @@ from tracer.ray_map import build_ray_map
 from tracer.rows import thread_count
 from tracer.scene import Scene
 
+SIDE_BY_SIDE = "six side by side"
+
 
 def core_ms(task: Callable[[], object]) -> float:
     """Processor time of one call."""
@@ -40,9 +42,17 @@ def aside(scene: Scene, which: int) -> Scene:
     return scene.with_bodies(bodies)
 
 
+def side_by_side() -> Scene:
+    """Six spheres that hide nothing of each other: what moves touches a sixth of the glass."""
+    scene = bench_scene("pyramid_500")
+    places = [(x, y, 25.0) for x in (-45.0, 0.0, 45.0) for y in (-30.0, 30.0)]
+    balls = [replace(scene.spheres[0], name=f"s{k}", centre_mm=c, radius_mm=19.0) for k, c in enumerate(places)]
+    return scene.with_bodies(balls)
+
+
 def measure(name: str, rounds: int) -> dict[str, object]:
     """Medians of one scene."""
-    scene = bench_scene(name)
+    scene = side_by_side() if name == SIDE_BY_SIDE else bench_scene(name)
     rays = build_ray_map(scene)
     spare_rays, spare = build_ray_map(scene), build_correction_map(scene, rays)
     tasks: dict[str, Callable[[], object]] = {
@@ -77,7 +87,9 @@ def after_moving(scene: Scene, other: Scene, rounds: int) -> float:
 def main() -> None:
     """Measure and print one JSON document."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--scenes", nargs="+", default=["one_sphere_250", "two_spheres_500", "pyramid_500"])
+    parser.add_argument(
+        "--scenes", nargs="+", default=["one_sphere_250", "two_spheres_500", "pyramid_500", SIDE_BY_SIDE]
+    )
     parser.add_argument("--rounds", type=int, default=9)
     options = parser.parse_args()
     report = {name: measure(name, options.rounds) for name in options.scenes}

@@ -15,6 +15,7 @@ two views than this one, both valid.
 """
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,9 @@ from tracer.lockstep import sphere_discs
 from tracer.ray_map import RayMap
 from tracer.rows import run_rows
 from tracer.scene import Scene
-from tracer.trace import pack_camera
+from tracer.trace import Branch, pack_camera
+
+Numbered = TypeVar("Numbered", RayMap, CorrectionMap)
 
 
 def invert_again(
@@ -74,7 +77,7 @@ def invert_again(
     rays_before.check(before)
     rays.check(scene)
     limits = (min_magnification, max_magnification)
-    same = rays.branches == rays_before.branches and rays.branch.dtype == earlier.branch.dtype
+    same = rays.branch.dtype == rays_before.branch.dtype == earlier.branch.dtype
     if not (same and scene.camera == before.camera and np.array_equal(scene.rod_table(), before.rod_table())):
         return build_correction_map(
             scene,
@@ -87,6 +90,7 @@ def invert_again(
         )
     arrays = None if spare is None else spare.arrays()
     work = Inversion(scene, rays, earlier.grid, earlier.layers, limits, arrays, skip=True)
+    rays_before, earlier = _renumbered(rays_before, rays.branches), _renumbered(earlier, rays.branches)
     asked = _touched(work, before, rays_before) > 0
     work.ask(asked)
     work.direct()
@@ -95,6 +99,16 @@ def invert_again(
     fresh, kept = work.maps, tuple(earlier.arrays().values())
     run_rows(lambda first, last: take_nodes(asked, first, last, fresh, kept), len(asked))
     return replace(earlier, branches=rays.branches, scene_hash=rays.scene_hash)
+
+
+def _renumbered(made: Numbered, branches: tuple[Branch, ...]) -> Numbered:
+    """The map with the numbers of other branches; one that is not among them gets a number that no pixel has."""
+    if made.branches == branches:
+        return made
+    numbers = {names: number for number, names in enumerate(branches)}
+    nobody = np.iinfo(made.branch.dtype).max
+    lookup = np.array([numbers.get(names, nobody) for names in made.branches], made.branch.dtype)
+    return replace(made, branch=lookup[made.branch], branches=branches)
 
 
 def _touched(work: Inversion, before: Scene, rays_before: RayMap) -> NDArray[np.uint8]:

@@ -34,10 +34,8 @@ def changed_rows(
         some = 0
         for i in range(branch.shape[1]):
             some += branch[row, i] != 0
-        if some == 0:
-            continue
-        for i in range(branch.shape[1]):
-            if branch[row, i] != 0:  # what is seen directly lies where it lay
+        if some != 0:  # what is seen directly lies where it lay
+            for i in range(branch.shape[1]):
                 moved = (point[row, 2 * i] != other[row, 2 * i]) | (point[row, 2 * i + 1] != other[row, 2 * i + 1])
                 changed[row, i] |= moved
 
@@ -47,19 +45,15 @@ def widen_rows(marks: Array, first: int, last: int, out: Array) -> None:
     """Rows first..last-1 of out (H, W) uint8: whether a mark is at most NEAR rows and columns away."""
     height, width = marks.shape
     for row in range(first, last):
-        some = 0
+        line = out[row]
         for i in range(width):
-            out[row, i] = 0
+            line[i] = 0
         for other in range(max(0, row - NEAR), min(height, row + NEAR + 1)):
-            for i in range(width):
-                some += marks[other, i]
-        if some == 0:
-            continue
-        for other in range(max(0, row - NEAR), min(height, row + NEAR + 1)):
-            for i in range(width):
-                if marks[other, i] != 0:
-                    for j in range(max(0, i - NEAR), min(width, i + NEAR + 1)):
-                        out[row, j] = 1
+            source = marks[other]
+            for shift in range(2 * NEAR + 1):
+                begin, end = max(0, NEAR - shift), min(width, width + NEAR - shift)
+                for i in range(end - begin):
+                    line[begin + i] |= source[begin + shift - NEAR + i]
 
 
 @kernel
