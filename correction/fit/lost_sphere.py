@@ -3,8 +3,9 @@
 In the search for the whole scene such a sphere has no say: its three or five corners drown among hundreds,
 and saddles that are none (rims, ghosts) outnumber them.  Alone it is found by trying: from every place of a
 raster the sphere is moved by Gauss-Newton steps to where its own candidates lie nearest to corners of their
-kind, and what counts is how many lie on one, to SHARP_PX.  A candidate does that by chance once in a hundred
-times, and a place has two coordinates to please one corner with, so three on their corners are no chance.
+kind, and what counts is how many lie on one, to SHARP_PX.  With three coordinates to please them and hundreds of
+tries, two or three do so by chance; the best places are therefore measured, one after the other, until the
+corners themselves are where the place shows them.
 """
 
 from collections.abc import Sequence
@@ -26,6 +27,8 @@ KNEES_PX = (6.0, 6.0, 3.0, 3.0, 1.0, 1.0, 0.5, 0.5)  # of the loss, step by step
 STRIDE, STRIDE_Z = 0.16, 0.6  # of the raster sideways and along z, in squares
 REACH = 1.6  # of the raster, in sigmas of the prior
 MOST = 7  # steps of the raster each way at most
+SAME_MM = 0.05
+TRIES = 6  # places that are measured
 
 
 def lost_spheres(bench: Bench, frames: Sequence[MeasuredFrame], kept: Sequence[NDArray[np.bool_]]) -> list[int]:
@@ -43,15 +46,15 @@ def lost_spheres(bench: Bench, frames: Sequence[MeasuredFrame], kept: Sequence[N
     return lost
 
 
-def find_sphere(
+def likely_places(
     bench: Bench,
     full: NDArray[np.float64],
     frames: Sequence[Candidates],
     board: Chessboard,
     pitch_mm: float,
     number: int,
-) -> NDArray[np.float64]:
-    """Return the full vector (F,) with one sphere where most of its own candidates lie on corners.
+) -> list[NDArray[np.float64]]:
+    """Full vectors (F,) with one sphere where most of its own candidates lie on corners, the best first.
 
     Parameters
     ----------
@@ -73,22 +76,27 @@ def find_sphere(
     believed[row : row + 3] = bench.start[row : row + 3]
     alone = bench.only([f"{name}.{axis}" for axis in "xyz"]).around(believed)
     if not alone.names:
-        return full
+        return []
     reach = REACH * alone.sigma
     wide = np.array(believed)
     wide[row + 3] += reach.max()
     own = [frame.take(_crosses(alone, wide, frame, number)) for frame in frames]
     stride = np.array([STRIDE, STRIDE, STRIDE_Z]) * board.square_mm
     raster = [np.linspace(-REACH, REACH, 2 * n + 1) for n in np.clip(np.ceil(reach / stride), 1, MOST).astype(int)]
-    best, most = full, _on_corners(alone, full, own, board, pitch_mm)
+    found: list[tuple[int, float, NDArray[np.float64]]] = []
     for place in product(*raster):
         x = np.array(place)
         for knee in KNEES_PX:
             x = x + _step(alone, x, own, board, pitch_mm, knee)
-        score = _on_corners(alone, alone.full(x), own, board, pitch_mm)
-        if score > most:
-            best, most = alone.full(x), score
-    return best
+        vector = alone.full(x)
+        found.append((-_on_corners(alone, vector, own, board, pitch_mm), float(x @ x), vector))
+    found.sort(key=lambda one: one[:2])
+    places: list[NDArray[np.float64]] = []
+    for score, _, vector in found:
+        apart = [np.linalg.norm((vector - other)[row : row + 2]) for other in places]
+        if score < 0 and min(apart, default=np.inf) > SAME_MM and len(places) < TRIES:
+            places.append(vector)
+    return places
 
 
 def _crosses(bench: Bench, full: NDArray[np.float64], frame: Candidates, number: int) -> NDArray[np.bool_]:

@@ -25,7 +25,7 @@ INLIER_PX = 1.0
 ENOUGH = 0.9  # share of inliers at which no further start is tried
 TWICE = 0.6  # the same, if two starts have ended at the same scene
 SAME_MM = 0.05
-RANDOM_STARTS = 16
+RANDOM_STARTS = 64
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ RMS_LIMIT_PX = 0.3  # a right fit leaves 0.02-0.07, a wrong one at least several
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
 WAY_LIMIT = 0.5  # the same of one way through the glass, if the scene shows at least so many corners on it
 WAY_CORNERS = 5
-SPHERE_CORNERS = 2  # a sphere that should show so many and shows none is not where the scene has it
 OVERLAP_LIMIT_MM = 0.02
 PRIOR_LIMIT = 5.0  # sigmas
 
@@ -162,7 +161,8 @@ def check(fit: SceneFit) -> None:
         for sphere in fit.bench.scene.spheres:
             ways = [way for way in fit.expected if sphere.name in way.split(" > ")]
             count = sum(fit.expected[way] for way in ways)
-            if count >= SPHERE_CORNERS and not any(fit.paired(way) for way in ways):
+            held = not any(name.startswith(f"{sphere.name}.") for name in fit.names)
+            if count and not held and not any(fit.paired(way) for way in ways):
                 text = f"none of the {count} corners seen through {sphere.name} is where it would show them"
                 cure = "start its centre nearer, use smaller squares, or hold it fixed in the fit section"
                 raise FitFailed(f"corners paired through {sphere.name}", 0.0, 1.0, f"{text}; {cure}")

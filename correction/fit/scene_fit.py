@@ -19,7 +19,7 @@ from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.board_pose import in_words, turn_of_bench, turned
 from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
-from correction.fit.lost_sphere import find_sphere, lost_spheres
+from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, SceneFit, check
@@ -182,8 +182,8 @@ class _Fit:
         candidates = self.candidates(coarse)
         self.pair(coarse, candidates)
         self.fit_glass(bench, "pass 1", only_behind=True)
-        if self.find_lost(coarse, candidates):
-            self.fit_glass(bench, "pass 1 again", only_behind=True)
+        for number in self.lost():
+            self.find_lost(bench, coarse, candidates, number)
         self.fit_glass(bench, "pass 2", only_behind=False)
 
     def fit_glass(self, bench: Bench, name: str, only_behind: bool) -> None:
@@ -215,15 +215,21 @@ class _Fit:
             f" rms {best.rms_px:.2f} px, {len(found)} start(s)"
         )
 
-    def find_lost(self, coarse: Bench, candidates: Candidates) -> bool:
-        """Look for spheres through which the frames do not show what the scene says; whether one was moved."""
-        kept = [self.fits.inliers(self.bench, self.bench.free(self.full), frame) for frame in self.behind]
-        before = self.full
-        for number in lost_spheres(self.bench, self.behind, kept):
-            self.full = find_sphere(coarse, self.full, [candidates], self.board, self.pitch_mm, number)
-            moved = self.full is not before
-            self.note(f"{self.bench.scene.spheres[number].name} was {'found elsewhere' if moved else 'not found'}")
-        return self.full is not before
+    def lost(self) -> list[int]:
+        """Numbers of the spheres through which the frames do not show what the scene says."""
+        x = self.bench.free(self.full)
+        kept = [self.fits.inliers(self.bench, x, frame) for frame in self.behind]
+        return lost_spheres(self.bench, self.behind, kept)
+
+    def find_lost(self, bench: Bench, coarse: Bench, candidates: Candidates, number: int) -> None:
+        """Try a lost sphere in other places until the corners seen through it are where the scene says."""
+        name, before = self.bench.scene.spheres[number].name, self.full
+        for place in likely_places(coarse, before, [candidates], self.board, self.pitch_mm, number):
+            self.full = place
+            self.fit_glass(bench, f"{name} elsewhere", only_behind=True)
+            if number not in self.lost():
+                return
+        self.full = before
 
     @property
     def pitch_mm(self) -> float:
