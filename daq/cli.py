@@ -30,8 +30,15 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     calibrate = verbs.add_parser("calibrate", help="the bench's true geometry from frames of its target")
-    calibrate.add_argument("folder", type=Path, metavar="FOLDER", help="holds target_clear.tif, target_glass.tif")
-    calibrate.add_argument("--scene", type=Path, required=True, help="nominal scene.yaml; may have a fit section")
+    calibrate.add_argument(
+        "folder",
+        type=Path,
+        metavar="FOLDER",
+        help="a target run, or target_clear.tif and target_glass.tif",
+    )
+    calibrate.add_argument(
+        "--scene", type=Path, help="nominal scene.yaml; may have a fit section (default: the run's own)"
+    )
     calibrate.add_argument("-o", "--out", type=Path, required=True, help="folder for the fitted scene and report")
     calibrate.add_argument("--square-mm", type=_positive, default=2.5, help="square of the target (default 2.5)")
     calibrate.add_argument("--disc-mm", type=_positive, default=1.0, help="disc of the target (default 1.0)")

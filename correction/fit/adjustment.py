@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from correction.fit.contact import largest_overlap_mm, pushed_apart
 from correction.fit.measurement import MeasuredFrame, whitening
-from correction.fit.result import FittedCorners, SceneFit
+from correction.fit.result import FitStep, FittedCorners, SceneFit
 from correction.fit.solver import Corners, Residuals, Solution, minimise, normal_equations, residuals
 from correction.fit.unknowns import Bench
 from tracer.scene import Scene
@@ -66,13 +66,12 @@ class Adjustment:
         eye = [replace(f.corners, whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
         return np.concatenate([residuals(bench, x, corners).value for corners in eye])
 
-    def rms(self, bench: Bench, solution: Solution, frames: Sequence[MeasuredFrame]) -> str:
-        """Median distance and rms within the outlier limit, in words."""
-        off = np.linalg.norm(self.reprojection(bench, solution.x, frames), axis=1)
-        middle = float(np.nanmedian(off))
-        near = off[off < OUTLIER * middle]
+    def step(self, name: str, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> FitStep:
+        """Say how well frames are fitted: rms per axis of the corners within the outlier limit."""
+        off = np.linalg.norm(self.reprojection(bench, x, frames), axis=1)
+        near = off[off < OUTLIER * float(np.nanmedian(off))]
         per_axis = float(np.sqrt(np.mean(near**2) / 2.0))
-        return f"rms {per_axis:.3f} px per axis, {len(off) - len(near)} beyond {OUTLIER:g} sigma"
+        return FitStep(name, len(off), per_axis, f"{len(off) - len(near)} beyond {OUTLIER:g} sigma")
 
     def inliers(self, bench: Bench, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:
         """Corners within OUTLIER sigmas."""
@@ -98,7 +97,11 @@ class Adjustment:
         )
 
     def estimate(
-        self, bench: Bench, full: NDArray[np.float64], measured: Sequence[MeasuredFrame], history: Sequence[str]
+        self,
+        bench: Bench,
+        full: NDArray[np.float64],
+        measured: Sequence[MeasuredFrame],
+        history: Sequence[FitStep],
     ) -> SceneFit:
         """Fit everything that is free to everything measured, starting from a full vector (F,).
 
@@ -110,7 +113,7 @@ class Adjustment:
             Start.
         measured : sequence of MeasuredFrame
             All frames.
-        history : sequence of str
+        history : sequence of FitStep
             What happened before.
         """
         solution = self.solve(bench, bench.free(full), measured)
@@ -133,7 +136,7 @@ class Adjustment:
             _summed([frame.expected for frame in measured]),
             _summed([frame.refused for frame in measured]),
             pushed,
-            (*history, f"all together: {self.rms(bench, solution, used)}"),
+            (*history, self.step("all together", bench, solution.x, used)),
         )
 
 

@@ -26,7 +26,7 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
         "scene_hash": fit.scene.content_hash(),
         "nominal_hash": fit.bench.scene.content_hash(),
         "frames": list(fit.frames),
-        "history": list(fit.history),
+        "history": [str(step) for step in fit.history],
     }
     arrays = {
         "values": fit.values,

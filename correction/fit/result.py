@@ -18,6 +18,34 @@ PRIOR_LIMIT = 5.0  # sigmas
 
 
 @dataclass(frozen=True)
+class FitStep:
+    """One line of a fit's history.
+
+    Parameters
+    ----------
+    name : str
+        What happened.
+    corners : int
+        Corners fitted, or saddles paired; 0 where nothing was fitted.
+    rms_px : float
+        Their rms residual per axis; NaN where nothing was fitted.
+    remark : str
+        What else is to be said.
+    """
+
+    name: str
+    corners: int = 0
+    rms_px: float = float("nan")
+    remark: str = ""
+
+    def __str__(self) -> str:
+        """Return one line."""
+        if not self.corners:
+            return self.name
+        return f"{self.name}: {self.corners} corners, rms {self.rms_px:.3f} px, {self.remark}"
+
+
+@dataclass(frozen=True)
 class FittedCorners:
     """Corners of all frames with their residuals, N in total.
 
@@ -82,8 +110,8 @@ class SceneFit:
         Reason -> corners that could not be measured.
     pushed_mm : float
         Overlap removed at the end.
-    history : tuple of str
-        What happened, one line a step.
+    history : tuple of FitStep
+        What happened.
     """
 
     scene: Scene
@@ -96,7 +124,7 @@ class SceneFit:
     expected: dict[str, int]
     refused: dict[str, int]
     pushed_mm: float
-    history: tuple[str, ...] = field(default=())
+    history: tuple[FitStep, ...] = field(default=())
 
     @property
     def names(self) -> tuple[str, ...]:

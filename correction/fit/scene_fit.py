@@ -22,7 +22,7 @@ from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
-from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, SceneFit, check
+from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, FitStep, SceneFit, check
 from correction.fit.solver import Solution
 from correction.fit.unknowns import Bench, bench_of
 from correction.target import Chessboard
@@ -79,7 +79,7 @@ def fit_scene(
     if work.glass_frames:
         work.glass()
     fit = work.fits.estimate(work.bench, work.full, [*work.bare, *work.behind], work.history)
-    say(fit.history[-1])
+    say(str(fit.history[-1]))
     check(fit)
     return fit
 
@@ -102,7 +102,7 @@ class _Fit:
         if nominal.spheres and not self.glass_frames:
             raise ViewsMissing("the scene has spheres but no frame shows the target through them; take one")
         _refuse_saturated(frames)
-        self.board, self.say, self.history = board, say, list[str]()
+        self.board, self.say, self.history = board, say, list[FitStep]()
         self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames]
         self.focal_free = len({f.height_mm for f in self.bare_frames}) >= 3
         self.bench = bench_of(nominal, self.heights, priors, self.focal_free)
@@ -111,10 +111,10 @@ class _Fit:
         self.behind: list[MeasuredFrame] = []
         self.fits = Adjustment()
 
-    def note(self, text: str) -> None:
-        """Remember a line of the history and say it."""
-        self.history.append(text)
-        self.say(text)
+    def note(self, step: FitStep) -> None:
+        """Remember a step and say it."""
+        self.history.append(step)
+        self.say(str(step))
 
     def height(self, frame: TargetFrame) -> int:
         """Number of a frame's height."""
@@ -137,8 +137,7 @@ class _Fit:
             self.bare.append(bare_frame(frame, self.board, bench.camera(self.full), self.height(frame)))
             solution = self.fits.solve(bench, bench.free(self.full), self.bare)
             self.full = bench.full(solution.x)
-            fitted = self.fits.rms(bench, solution, self.bare)
-            self.note(f"camera on {frame.name}: {len(self.bare[-1])} corners, {fitted}")
+            self.note(self.fits.step(f"camera on {frame.name}", bench, solution.x, self.bare[-1:]))
         return bench, solution
 
     def follow_board(self, bench: Bench, solution: Solution) -> tuple[Bench, Solution]:
@@ -151,7 +150,7 @@ class _Fit:
         if _pull(again) > PRIOR_LIMIT:
             return bench, solution
         self.bench, self.full = followed, other.full(again.x)
-        self.note(in_words(turn))
+        self.note(FitStep(in_words(turn)))
         return other, again
 
     def check_camera(self, rms_px: float, pull: float, bench: Bench, solution: Solution) -> None:
@@ -192,8 +191,7 @@ class _Fit:
         behind = [_behind(frame) for frame in self.behind]
         solution = self.fits.solve(bench, bench.free(self.full), behind)
         self.full = bench.full(solution.x)
-        count = sum(len(frame) for frame in behind)
-        self.note(f"glass, {name}: {count} corners, {self.fits.rms(bench, solution, behind)}")
+        self.note(self.fits.step(f"glass, {name}", bench, solution.x, behind))
 
     def candidates(self, coarse: Bench) -> Candidates:
         """Saddles of the first frame with glass that may be seen through it."""
@@ -210,10 +208,9 @@ class _Fit:
         found = pair(coarse, self.full, [candidates], self.board, self.pitch_mm)
         best = found[0]
         self.full = coarse.full(best.solution.x)
-        self.note(
-            f"pairing on {self.glass_frames[0].name}: {best.inliers} of {best.candidates} saddles,"
-            f" rms {best.rms_px:.2f} px, {len(found)} start(s)"
-        )
+        remark = f"{best.candidates - best.inliers} saddles on none, {len(found)} start(s)"
+        name = f"pairing on {self.glass_frames[0].name}"
+        self.note(FitStep(name, best.inliers, float(np.sqrt(0.5)) * best.rms_px, remark))
 
     def lost(self) -> list[int]:
         """Numbers of the spheres through which the frames do not show what the scene says."""

@@ -218,6 +218,16 @@ def bench_of(
     return Bench(scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix)
 
 
+def unit_of(name: str) -> tuple[str, float]:
+    """Unit in which a number is shown to people, and the factor to it from the unit of its value."""
+    part = name.rsplit(".", 1)[-1]
+    if part in ("x", "y", "z", "radius"):
+        return "mm", 1.0
+    if part in ("rx", "ry", "rz"):
+        return "deg", float(np.rad2deg(1.0))
+    return ("px", 1.0) if part in ("focal_px", "cu", "cv") else ("", 1.0)
+
+
 def distinct_heights(heights_mm: Sequence[float]) -> tuple[float, ...]:
     """Return 0 and the other heights, each once, in order."""
     found = [0.0]

@@ -3,7 +3,8 @@
 In units of the prior's sigmas the data's normal matrix N has eigenvalues lambda: along its eigenvector the
 data know a number lambda times as well (in variance) as the prior did.  Where lambda is below LEARNED, the
 answer is the prior's, not the frames'.  Beside that, numbers whose posterior correlation exceeds TIED are
-nearly one unknown even if each alone is known well; those tied to each other, in a chain, are said together.
+nearly one unknown; those tied to each other, in a chain, are said together, unless each of them is known
+well all the same, to LOOSE of what was known before.
 """
 
 from dataclasses import dataclass
@@ -12,9 +13,11 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from correction.fit.result import SceneFit
+from correction.fit.unknowns import unit_of
 
 LEARNED = 1.0
 TIED = 0.97
+LOOSE = 0.05
 SHARE = 0.3  # of a unit eigenvector, from which a number is named
 
 
@@ -37,43 +40,59 @@ class Weakness:
 def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
     found = []
+    lost = {name for sphere in fit.bench.scene.spheres for name in _unseen(fit, sphere.name)}
+    for name in sorted({name.split(".")[0] for name in lost}):
+        text = f"no corner is seen through {name}: its place is what the scene file says"
+        found.append(Weakness(tuple(n for n in fit.names if n in lost), f"{text}; smaller squares may show some"))
     values, vectors = np.linalg.eigh(fit.normal)
     for value, vector in zip(values, vectors.T, strict=True):
-        if value < LEARNED:
-            names = tuple(n for n, share in zip(fit.names, vector, strict=True) if abs(share) > SHARE)
-            text = f"{_list(names)}: the frames add nothing to the prior here"
+        names = tuple(n for n, share in zip(fit.names, vector, strict=True) if abs(share) > SHARE)
+        if value < LEARNED and not set(names) <= lost:
+            text = f"{_list(fit, names)}: known no better than before, the frames do not show it"
             found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
     root = np.sqrt(np.diag(fit.covariance))
     tied = np.abs(fit.covariance / np.outer(root, root)) > TIED
     count, group = connected_components(tied, directed=False)
     for number in range(count):
-        names = tuple(name for name, of in zip(fit.names, group, strict=True) if of == number)
-        if len(names) > 1:
-            text = f"{_list(names)} are nearly one unknown (correlation above {TIED:g})"
+        members = group == number
+        names = tuple(name for name, member in zip(fit.names, members, strict=True) if member)
+        if len(names) > 1 and root[members].max() > LOOSE:
+            text = f"{_list(fit, names)} are nearly one unknown, known well only together"
             found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
     return found
 
 
-def _list(names: tuple[str, ...]) -> str:
-    """Names in a row of words."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+def _unseen(fit: SceneFit, sphere: str) -> tuple[str, ...]:
+    """Free numbers of a sphere through which the fitted scene shows no corner."""
+    if any(sphere in way.split(" > ") for way in fit.expected):
+        return ()
+    return tuple(name for name in fit.names if name.startswith(f"{sphere}."))
+
+
+def _list(fit: SceneFit, names: tuple[str, ...]) -> str:
+    """Names in a row of words, each with its sigma."""
+    sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
+    words = []
+    for name in names:
+        unit, factor = unit_of(name)
+        words.append(f"{name} (+-{sigma[name] * factor:.2g}{f' {unit}' if unit else ''})")
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
     """Frames or figures that would separate these numbers, given the frames there are."""
     stack = {glass: _heights(fit, glass) >= 3 for glass in (False, True)}
-    if any(name.endswith((".n", ".z")) and not name.startswith(("camera.", "target")) for name in names):
+    spheres = [name for name in names if not name.startswith(("camera.", "target"))]
+    if any(name.startswith("target") for name in names) and stack[False]:
+        return "the stage decides: one known better than fit.target.z_mm, or a longer travel, would help"
+    if any(name.endswith((".n", ".z")) for name in spheres):
         if not stack[True]:
             return "add target planes at -10 and -20 mm behind the glass, which separate depth from n"
         return "measure n or the radius on its own, or move the target farther"
-    if any(name.endswith(".radius") for name in names):
+    if spheres:
         return "measure the radius (callipers, catalogue) and give its sigma in fit.spheres.radius_mm"
-    if any(name in ("camera.focal_px", "camera.z") for name in names) or "target" in names[0]:
-        if not stack[False]:
-            return "add bare target frames at z = -20, -10, +10 and +20 mm"
-        return "a stage known better than fit.target.z_mm, or a longer travel, would separate them"
     if not stack[False]:
-        return "add bare target frames at -20 and +20 mm, which separate position from rotation"
+        return "add bare target frames at z = -20, -10, +10 and +20 mm"
     return "move the target farther along z"
 
 

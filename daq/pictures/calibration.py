@@ -1,5 +1,6 @@
 """Pictures of a calibration: residuals as arrows, and the sigma of the map."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from correction.fit.map_sigma import MapSigma
+from correction.fit.result import FitStep
 
 Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]
 
@@ -58,4 +60,21 @@ def draw_map_sigma(path: Path, sigma: MapSigma) -> None:
     shown = axes.imshow(np.log10(np.maximum(total, floor)), extent=extent, cmap="viridis")
     figure.colorbar(shown, ax=axes, label="log10 of sigma [corrected px]")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title="standard deviation of the correction")
+    figure.savefig(path, dpi=100)
+
+
+def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:
+    """Draw the rms of every step of a fit that fitted something, with its corners, as PNG."""
+    steps = [step for step in history if step.corners]
+    figure = Figure(figsize=(8.0, 1.6 + 0.35 * len(steps)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    places = np.arange(len(steps))
+    axes.plot([step.rms_px for step in steps], places, "o-")
+    for place, step in zip(places, steps, strict=True):
+        axes.annotate(f"  {step.corners}", (step.rms_px, place), va="bottom", fontsize=8)
+    axes.set_yticks(places, [step.name for step in steps], fontsize=8)
+    axes.set(xscale="log", xlabel="rms per axis [px], with the number of corners", title="convergence of the fit")
+    axes.invert_yaxis()
+    axes.grid(alpha=0.3)
     figure.savefig(path, dpi=100)

@@ -54,6 +54,11 @@ def is_run(path: Path) -> bool:
     return (path / RUN_MARK).is_file()
 
 
+def bench_scene(path: Path) -> str:
+    """Text of the bench's scene file as it was when a run began."""
+    return str(RunFolder.open(path).about["scene"])
+
+
 def scene_file(path: Path, out: Path) -> Path:
     """Scene file of a run: the one its frames were corrected with as they arrived, if it still says the same.
 
@@ -68,7 +73,7 @@ def scene_file(path: Path, out: Path) -> Path:
         except TracerError:
             pass  # no longer a scene: not the file that was used
     out.mkdir(parents=True, exist_ok=True)
-    write_text(out / "scene.yaml", str(about["scene"]))
+    write_text(out / "scene.yaml", bench_scene(path))
     return out / "scene.yaml"
 
 

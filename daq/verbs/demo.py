@@ -44,7 +44,7 @@ def demo(out: Path) -> None:
     screen.rule("3  corrected as known: everything is a few tenths of a millimetre off")
     correct([frames["target_glass"]], scene, out / "nominal", frames["target_clear"], check_target=True)
     screen.rule("4  the true geometry, found from the target's own frames")
-    calibrate(targets, scene, out / "fit")
+    calibrate(targets, None, out / "fit")
     screen.rule("5  corrected with the geometry found")
     correct([frames["target_glass"]], fitted, out / "fitted", check_target=True)
     screen.rule("6  shift run: printed particles moved by 14 px, corrected as the frames arrive")

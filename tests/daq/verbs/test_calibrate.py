@@ -44,6 +44,8 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
     assert MapSigma.load(tmp_path / "out" / "map_sigma.npz").scene_hash == fitted.content_hash()
     assert (tmp_path / "out" / "residuals.png").stat().st_size > 10_000
     assert (tmp_path / "out" / "map_sigma.png").stat().st_size > 10_000
+    assert (tmp_path / "out" / "convergence.png").stat().st_size > 10_000
+    assert summary["numbers"]["camera.rx"]["unit"] == "deg"
     before = summary["table2_computed_minus_acquired_px"]["nominal glass"]
     after = summary["table2_computed_minus_acquired_px"]["fitted"]
     inside = [
@@ -56,7 +58,7 @@ def test_folder_becomes_a_fitted_scene_with_its_uncertainty_and_report(tmp_path,
         <= 0.10
         < max(grid["nominal glass"]["behind glass"]["rms_px"])
     )
-    assert "nearly one unknown" in out
+    assert "nearly one unknown" in " ".join(out.split())
     assert "camera on target_clear" in err
 
 
@@ -75,3 +77,9 @@ def test_missing_views_are_one_sentence_and_exit_code_2(tmp_path, capsys, kinds,
     assert len(lines) == 1
     assert sentence in lines[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_is_no_run_needs_a_scene(tmp_path, capsys):
+    folder = folder_of("two_spheres_500", 6, tmp_path)
+    assert main(["calibrate", str(folder), "-o", str(tmp_path / "out")]) == 2
+    assert "give the nominal one with --scene" in " ".join(capsys.readouterr().err.split())
