@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from correction.grid import PlaneGrid
 from correction.kernels.direct import direct_rows
 from correction.kernels.inverse import join_weights
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
 from correction.kernels.sheets import RUN, code_rows, count_useful, join_runs, list_runs
-from correction.kernels.starts import MEASURES, TILE, scatter_sheet
+from correction.kernels.starts import MEASURES, scatter_sheet
 from tracer.kernels.chain import BALL
 from tracer.kernels.march import KEY_MASK, next_key
 from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
@@ -67,8 +66,6 @@ class Inversion:
             }
         self.arrays = out
         self.longest = 2.0 * grid.pitch_mm / limits[0]
-        self.asked: NDArray[np.bool_] | None = None
-        self.tiles = np.ones([-(-side // TILE) for side in grid.shape], np.uint8)
         self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
         self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
 
@@ -77,20 +74,10 @@ class Inversion:
         """The arrays in the order in which kernels take them."""
         return tuple(self.arrays.values())
 
-    def ask(self, nodes: NDArray[np.bool_]) -> None:
-        """Look at these nodes (h, w) only; what the arrays hold of the others means nothing."""
-        self.asked = nodes
-        rows, columns = (TILE * np.array(self.tiles.shape)).tolist()
-        whole = np.zeros((rows, columns), bool)
-        whole[: nodes.shape[0], : nodes.shape[1]] = nodes
-        tiles = whole.reshape(rows // TILE, TILE, columns // TILE, TILE).any(axis=(1, 3))
-        beside = 1 + int(1.5 * self.longest / self.grid.pitch_mm / TILE)  # what a useful pixel's footprint reaches
-        self.tiles = maximum_filter(tiles.astype(np.uint8), 2 * beside + 1)
-
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
         height, width = self.grid.shape
-        place, discs = self.node_camera(), sphere_discs(self.tables[1])
+        place, discs = self._node_camera(), sphere_discs(self.tables[1])
         lens_free = self.scene.camera.lens.is_ideal
         size = np.array(self.size, dtype=np.float64)
         maps: tuple[NDArray[Any], ...] = (
@@ -101,10 +88,6 @@ class Inversion:
         )
 
         def work(first: int, last: int) -> None:
-            others = None if self.asked is None else ~self.asked[first:last]
-            if others is not None and others.all():
-                self.weight[-1, first:last] = np.inf  # nothing can improve a node that is not asked for
-                return
             x, y = np.arange(width, dtype=np.float64), np.empty(width)
             x = (x - place[13]) / place[12]
             spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
@@ -122,12 +105,10 @@ class Inversion:
                 *scratch,
                 maps,
             )
-            if others is not None:
-                self.weight[-1, first:last][others] = np.inf
 
         run_rows(work, height)
 
-    def node_camera(self) -> NDArray[np.float64]:
+    def _node_camera(self) -> NDArray[np.float64]:
         """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
         x, y, z = self.scene.camera.position_mm
         (x0, y0), pitch = self.grid.origin_mm, self.grid.pitch_mm
@@ -171,7 +152,6 @@ class Inversion:
                 members,
                 self.tables,
                 self.grid_numbers,
-                self.tiles,
                 self.weight[-1],
                 enough,
                 base,

@@ -20,7 +20,6 @@ from tracer.kernels.march import march_pixel_tangents
 
 REACH = 0.7
 AWAY = 2  # column of the starts
-TILE, SHIFT = 64, 6  # nodes along a side of a tile of the grid
 LANES = 256  # pixels measured at a time
 STEP = LANES + 8  # columns a cache line's multiple apart, but no power of two
 XU, XV, YU, YV, C, R, SIDE, HIT = (k * STEP for k in range(8))
@@ -83,7 +82,6 @@ def give_starts(
     measured: Array,
     tables: tuple[Array, Array, Array],
     grid: Array,
-    tiles: Array,
     weight: Array,
     enough: np.float32,
     base: int,
@@ -99,10 +97,6 @@ def give_starts(
         if measured[HIT + k] == 0.0:
             continue
         i, c, r, reach = first + k, measured[C + k], measured[R + k], measured[SIDE + k]
-        tile_row = int(min(max(r, 0.0), rows - 1.0)) >> SHIFT
-        tile_column = int(min(max(c, 0.0), columns - 1.0)) >> SHIFT
-        if tiles[tile_row, tile_column] == 0:
-            continue
         xu, xv, yu, yv = measured[XU + k], measured[XV + k], measured[YU + k], measured[YV + k]
         if xu * xv * yu * yv * 0.0 != 0.0:
             _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
@@ -141,7 +135,6 @@ def scatter_sheet(
     runs: Array,
     tables: tuple[Array, Array, Array],
     grid: Array,
-    tiles: Array,
     weight: Array,
     enough: np.float32,
     base: int,
@@ -153,8 +146,7 @@ def scatter_sheet(
     """Scatter the starts of one sheet; how many nodes it may show.
 
     ``plane`` (H, 2 W), ``branch``, ``code`` (H, W) as in ``correction.kernels.sheets``, ``runs`` (R, RUN) those of
-    the sheet, ``tables`` camera, spheres, rods.  Left out are nodes whose ``weight`` (h, w) is `enough` and pixels
-    that show a tile of TILE x TILE nodes not marked in ``tiles``.
+    the sheet, ``tables`` camera, spheres, rods.  Nodes whose ``weight`` (h, w) is `enough` are left out.
 
     ``nodes`` (N,) int32 receives the flat numbers of the nodes, ``starts`` (N, 3) their start u, v and its squared
     distance from the pixel; ``places`` (h, w) int32, where a node stands in these plus `base`, less if nowhere.
@@ -169,6 +161,6 @@ def scatter_sheet(
             begins, ends = low == first, low + count == last
             measure_run(plane, branch, code, grid, rows, columns, line, low, count, begins, ends, measured)
             found = give_starts(
-                line, low, count, measured, tables, grid, tiles, weight, enough, base, found, places, starts, nodes
+                line, low, count, measured, tables, grid, weight, enough, base, found, places, starts, nodes
             )
     return found
