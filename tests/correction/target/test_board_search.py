@@ -223,6 +223,7 @@ def test_supplied_z_stack(name):
     assert error.std(axis=0).max() < 0.0205
 
 
+@pytest.mark.slow
 def test_search_costs_little_more_than_the_corners_it_finds():
     path = FRAMES / "two_spheres" / "target_clear.tif"
     if not path.exists():

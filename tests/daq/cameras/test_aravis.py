@@ -136,7 +136,8 @@ def test_the_camera_that_aravis_brings_along():
     assert min(ids) < 20
     assert max(ids) > 65400
     assert 0 not in ids
-    assert frames[-1].meta.sequence == 149 + counters.missing + counters.underrun + counters.incomplete
+    lost = counters.missing + counters.underrun + counters.incomplete  # some of them after the last one fetched
+    assert 149 <= frames[-1].meta.sequence <= 149 + lost
     assert frames[0].meta.exposure_us == 900.0
     assert frames[0].pixels.shape == (48, 64)
 
