@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tracer.errors import SceneError
 from tracer.kernels.chain import UNKNOWN
-from tracer.kernels.part import list_spans, trace_runs
+from tracer.kernels.glass import list_spans, trace_runs
 from tracer.lockstep import by_march, chain_branches, find_mirrors, fits_lockstep, pack_chain, row_scratch
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.rows import run_rows
