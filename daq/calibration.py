@@ -79,7 +79,7 @@ class Calibration:
         """Everything a later reader needs, JSON-able."""
         fit, corners = self.fit, self.fit.corners
         return {
-            "scene_hash": fit.scene.content_hash(),
+            "scene_hash": fit.measured_scene.content_hash(),
             "nominal_hash": fit.bench.scene.content_hash(),
             "wavelength_nm": fit.scene.wavelength_nm,
             "frames": list(fit.frames),
@@ -127,7 +127,7 @@ class Calibration:
             screen.print(f"weak: {weakness.sentence}")
 
     def _number_table(self) -> Table:
-        table = Table(title=f"fitted scene {self.fit.scene.content_hash()}; the rest was held fixed")
+        table = Table(title=f"fitted scene {self.fit.measured_scene.content_hash()}; the rest was held fixed")
         for name in ("free number", "fitted", "sigma", "moved", "prior sigma"):
             table.add_column(name, justify="left" if name == "free number" else "right")
         for name, row in self.numbers.items():

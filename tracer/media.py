@@ -14,7 +14,7 @@ Sources of the coefficients (all at about 20 C):
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tracer.errors import SceneError
 
@@ -103,6 +103,18 @@ class ShiftedMedium:
 
 
 Medium = ConstantMedium | SellmeierMedium | AirMedium | ShiftedMedium
+
+
+def shifted(medium: Medium, change: float) -> Medium:
+    """Return the medium with n changed by `change`, dispersion kept."""
+    if change == 0.0:
+        return medium
+    if isinstance(medium, ConstantMedium):
+        return ConstantMedium(medium.index + change, medium.name)
+    if isinstance(medium, SellmeierMedium | AirMedium):
+        return ShiftedMedium(medium, change, medium.name)
+    return replace(medium, offset=medium.offset + change)
+
 
 VACUUM = ConstantMedium(1.0, "vacuum")
 

@@ -136,6 +136,7 @@ class Adjustment:
             _summed([frame.expected for frame in measured]),
             _summed([frame.refused for frame in measured]),
             pushed,
+            scene,
             (*history, self.step("all together", bench, solution.x, used)),
         )
 

@@ -23,7 +23,7 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
     unit, corners = fit.bench.sigma, fit.corners
     header = {
         "names": list(fit.names),
-        "scene_hash": fit.scene.content_hash(),
+        "scene_hash": fit.measured_scene.content_hash(),
         "nominal_hash": fit.bench.scene.content_hash(),
         "frames": list(fit.frames),
         "history": [str(step) for step in fit.history],

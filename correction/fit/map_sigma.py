@@ -93,22 +93,26 @@ def map_sigma(fit: SceneFit, step: int = STEP) -> MapSigma:
     step : int
         Every how many nodes; 1 is every pixel of a corrected frame.
     """
-    full_grid = grid_of(fit.scene.camera)
+    full_grid = grid_of(fit.measured_scene.camera)
     rows, columns = (-(-size // step) for size in full_grid.shape)
     grid = PlaneGrid(full_grid.origin_mm, full_grid.pitch_mm * step, (rows, columns))
     sheets = build_correction_map(
-        fit.scene, build_ray_map(fit.scene), grid, min_magnification=0.5 * step, max_magnification=16.0 * step
+        fit.measured_scene,
+        build_ray_map(fit.measured_scene),
+        grid,
+        min_magnification=0.5 * step,
+        max_magnification=16.0 * step,
     )
     sigma = np.full((*sheets.status.shape, 2), np.nan, np.float32)
     for glass in (False, True):
         chosen = _seen(sheets, glass)
         sigma[chosen] = sigma_at(fit, sheets.pixel[0][chosen], glass) / full_grid.pitch_mm
-    return MapSigma(grid, sigma, sheets.behind_glass, full_grid.pitch_mm, fit.scene.content_hash())
+    return MapSigma(grid, sigma, sheets.behind_glass, full_grid.pitch_mm, fit.measured_scene.content_hash())
 
 
 def sigma_at(fit: SceneFit, pixels: NDArray[np.float64], glass: bool) -> NDArray[np.float64]:
     """Standard deviation (N, 2) [mm] of the plane points that raw pixels (N, 2) show at z = 0."""
-    return SceneSigma.of(fit).sigma(fit.scene if glass else fit.scene.with_bodies(()), pixels)
+    return SceneSigma.of(fit).sigma(fit.measured_scene if glass else fit.measured_scene.with_bodies(()), pixels)
 
 
 def _seen(sheets: CorrectionMap, glass: bool) -> NDArray[np.bool_]:

@@ -110,6 +110,8 @@ class SceneFit:
         Reason -> corners that could not be measured.
     pushed_mm : float
         Overlap removed at the end.
+    measured_scene : Scene
+        The fitted scene in the light of the measurement; `scene` is in that of the target frames.
     history : tuple of FitStep
         What happened.
     """
@@ -124,6 +126,7 @@ class SceneFit:
     expected: dict[str, int]
     refused: dict[str, int]
     pushed_mm: float
+    measured_scene: Scene
     history: tuple[FitStep, ...] = field(default=())
 
     @property

@@ -11,6 +11,7 @@ A fit that misses a gate is raised as FitFailed with the gate, what was reached 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.board_pose import in_words, turn_of_bench, turned
 from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
+from correction.fit.light import back_from_light, in_light
 from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
@@ -74,14 +76,15 @@ def fit_scene(
     FitFailed
         The best fit is not good enough.
     """
-    work = _Fit(nominal, frames, board, priors or FitTable(), say)
+    priors = priors or FitTable()
+    work = _Fit(in_light(nominal, priors.light), frames, board, priors, say)
     work.camera()
     if work.glass_frames:
         work.glass()
     fit = work.fits.estimate(work.bench, work.full, [*work.bare, *work.behind], work.history)
     say(str(fit.history[-1]))
     check(fit)
-    return fit
+    return replace(fit, measured_scene=back_from_light(fit.scene, nominal, priors.light))
 
 
 class _Fit:

@@ -52,7 +52,7 @@ class SceneSigma(SceneBound):
         bench, full = fit.bench, fit.bench.full(fit.x)
         turned = bench.columns[: bench.glass.stop].copy()
         turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
-        return cls(fit.scene.content_hash(), turned @ np.linalg.cholesky(fit.covariance))
+        return cls(fit.measured_scene.content_hash(), turned @ np.linalg.cholesky(fit.covariance))
 
     @classmethod
     def load(cls, path: Path | str) -> "SceneSigma":

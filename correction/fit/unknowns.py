@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, Vector3
 from tracer.fit_section import FOCAL_SHARE, FitTable
-from tracer.media import AirMedium, ConstantMedium, Medium, SellmeierMedium, ShiftedMedium
+from tracer.media import Medium, shifted
 from tracer.scene import Scene
 from tracer.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
 
@@ -247,17 +247,6 @@ def left_jacobian(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     half = (1.0 - np.cos(angle)) / angle**2
     third = (angle - np.sin(angle)) / angle**3
     return np.asarray(np.eye(3) + half * cross + third * cross @ cross)
-
-
-def shifted(medium: Medium, change: float) -> Medium:
-    """Return the medium with n changed by `change`, dispersion kept."""
-    if change == 0.0:
-        return medium
-    if isinstance(medium, ConstantMedium):
-        return ConstantMedium(medium.index + change, medium.name)
-    if isinstance(medium, SellmeierMedium | AirMedium):
-        return ShiftedMedium(medium, change, medium.name)
-    return replace(medium, offset=medium.offset + change)
 
 
 def _glasses(scene: Scene) -> dict[str, Medium]:

@@ -77,7 +77,7 @@ def calibrate(
     if found.panels:
         draw_residuals(out / "residuals.png", found.panels, nominal.camera.shape)
     write_json(out / "calibration.json", found.to_dict())
-    write_text(out / "scene.yaml", dump_scene(fit.scene))
+    write_text(out / "scene.yaml", dump_scene(fit.measured_scene))
     found.show(console())
     console().print(f"scene.yaml, covariance, map sigma and pictures are in {out}")
     return fit

@@ -20,6 +20,8 @@ from sim.renderer import render_irradiance
 from sim.sensor import Sensor
 from tests.correction.fit.benches import map_error_px
 from tracer.bodies import Rod
+from tracer.fit_section import FitLightTable, FitTable
+from tracer.media import MEDIA
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
@@ -130,3 +132,18 @@ def test_another_square_than_described_is_said(lab, square_mm, words):
     nominal, truth = scenes(lab)
     with pytest.raises(FitFailed, match=words):
         fit_scene(nominal, photographs(lab, truth), Chessboard(square_mm, 0.4 * square_mm))
+
+
+@pytest.mark.slow
+def test_target_frames_in_led_light_give_the_index_of_the_laser():
+    """N-BK7 differs by 0.0028 between 590 and 532 nm; half a pixel behind a ball."""
+    lab = Lab("pair_off_axis", 4)
+    nominal, truth = scenes(lab)
+    glass = MEDIA["N-BK7"]
+    nominal, truth = (s.with_bodies([replace(b, medium=glass) for b in s.bodies]) for s in (nominal, truth))
+    frames = photographs(lab, replace(truth, wavelength_nm=590.0))
+    fit = fit_scene(nominal, frames, Chessboard(3.5, 1.4), FitTable(light=FitLightTable(mean_nm=590.0)))
+    sigma = fit.sigmas[fit.names.index("glass N-BK7.n")]
+    assert fit.measured_scene.spheres[0].medium.n(532.0) == pytest.approx(glass.n(532.0), abs=3.0 * sigma)
+    assert 3.0 * sigma < glass.n(532.0) - glass.n(590.0)  # else the bound above says nothing
+    assert fit.measured_scene.wavelength_nm == 532.0

@@ -8,11 +8,20 @@ from scipy.spatial.transform import Rotation
 
 from correction.fit.adjustment import legal_scene
 from correction.fit.contact import pushed_apart, walls
+from correction.fit.errors import ViewsMissing
+from correction.fit.light import back_from_light, in_light, index_in_light
 from correction.fit.solver import Corners, residuals
 from correction.fit.unknowns import bench_of, left_jacobian
 from sim.demo_scenes import at_size, named_scene
 from tracer.errors import ConfigError
-from tracer.fit_section import FitCameraTable, FitNamedTable, FitSphereTable, FitTable, FitTargetTable
+from tracer.fit_section import (
+    FitCameraTable,
+    FitLightTable,
+    FitNamedTable,
+    FitSphereTable,
+    FitTable,
+    FitTargetTable,
+)
 from tracer.media import MEDIA
 from tracer.scene_file import load_priors, load_scene
 
@@ -123,6 +132,27 @@ def test_a_fitted_index_moves_to_another_wavelength_with_the_dispersion_of_its_g
     # Schott's data sheet of N-BK7: n(589.3) = 1.51673, n(532) = 1.51947
     assert fitted.spheres[0].medium.n(590.0) == pytest.approx(MEDIA["N-BK7"].n(590.0) + 0.0015, abs=1e-12)
     assert there == pytest.approx(1.51947 + 0.0015, abs=1e-5)
+
+
+def test_the_mean_index_of_a_wide_light_follows_the_bend_of_the_dispersion():
+    glass, step = MEDIA["N-BK7"], 5.0
+    bend = (glass.n(560.0 + step) - 2.0 * glass.n(560.0) + glass.n(560.0 - step)) / step**2
+    narrow, wide = (index_in_light(glass, FitLightTable(mean_nm=560.0, width_nm=w)) for w in (0.0, 40.0))
+    assert narrow == pytest.approx(glass.n(560.0), abs=1e-12)
+    assert wide - narrow == pytest.approx(bend * 40.0**2 / (16.0 * np.log(2.0)), rel=0.1)
+
+
+def test_a_glass_seen_in_another_light_comes_back_as_it_was():
+    scene = named_scene("two_spheres_500")
+    light = FitLightTable(mean_nm=590.0, width_nm=60.0)
+    with pytest.raises(ViewsMissing, match="number without dispersion"):
+        in_light(scene, light)
+    glass = scene.with_bodies([replace(sphere, medium=MEDIA["N-BK7"]) for sphere in scene.spheres])
+    seen = in_light(glass, light)
+    assert seen.spheres[0].medium.n(532.0) == pytest.approx(index_in_light(MEDIA["N-BK7"], light), abs=1e-12)
+    assert back_from_light(seen, glass, light).spheres[0].medium.n(532.0) == pytest.approx(
+        MEDIA["N-BK7"].n(532.0), abs=1e-12
+    )
 
 
 def test_fit_section_is_read_strictly(tmp_path):

@@ -1,0 +1,70 @@
+"""Fit in the light of the target frames, hand out the scene in the light of the measurement.
+
+Target frames are taken in LED light, particles in a laser's.  A glass's index differs by some 0.001-0.003
+between the two, which is 0.2-2 px behind a ball.  In light of centre c and Gaussian width w (full, at half
+height) a picture shows the mean index
+
+    n_light = integral n(lambda) g(lambda) dlambda = n(c) + n''(c) w^2 / (16 ln 2) + ...
+
+so the fit works with the glass moved by n_light - n(lambda_scene), and the constant that it finds, the melt's
+own, stays when the glass is moved back.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from correction.fit.errors import ViewsMissing
+from tracer.bodies import Sphere
+from tracer.fit_section import FitLightTable
+from tracer.media import VISIBLE_NM, ConstantMedium, Medium
+from tracer.media import shifted as shifted_medium
+from tracer.scene import Scene
+
+WIDTHS = 2.5  # standard deviations of the light that are counted each way
+NODES = 101
+
+
+def index_in_light(medium: Medium, light: FitLightTable) -> float:
+    """Mean refractive index in a light."""
+    spread = light.width_nm / np.sqrt(8.0 * np.log(2.0))
+    off = np.linspace(-WIDTHS, WIDTHS, NODES)
+    lengths = np.clip(light.mean_nm + spread * off, *VISIBLE_NM)
+    return float(np.average([medium.n(float(length)) for length in lengths], weights=np.exp(-0.5 * off**2)))
+
+
+def in_light(scene: Scene, light: FitLightTable | None) -> Scene:
+    """Return the scene with its glass as it looks in another light.
+
+    Raises
+    ------
+    ViewsMissing
+        A glass has no dispersion to move along.
+    """
+    return _moved(scene, scene, light, 1.0)
+
+
+def back_from_light(fitted: Scene, nominal: Scene, light: FitLightTable | None) -> Scene:
+    """Return a scene fitted in a light with its glass as it is at the scene's wavelength."""
+    return _moved(fitted, nominal, light, -1.0)
+
+
+def _moved(scene: Scene, nominal: Scene, light: FitLightTable | None, way: float) -> Scene:
+    """Move every glass by the difference that the nominal glass of the same body shows."""
+    if light is None:
+        return scene
+    bodies = []
+    for body, before in zip(scene.bodies, nominal.bodies, strict=True):
+        if isinstance(body, Sphere) and body.medium is not None:
+            assert isinstance(before, Sphere)
+            assert before.medium is not None
+            if isinstance(before.medium, ConstantMedium):
+                raise ViewsMissing(
+                    f"the glass of {body.name} is a number without dispersion, which cannot be moved from"
+                    f" {light.mean_nm:g} to {scene.wavelength_nm:g} nm; describe it as a glass, such as"
+                    " {base: N-BK7, offset: 0.0}"
+                )
+            change = index_in_light(before.medium, light) - before.medium.n(scene.wavelength_nm)
+            body = replace(body, medium=shifted_medium(body.medium, way * change))
+        bodies.append(body)
+    return scene.with_bodies(bodies)
