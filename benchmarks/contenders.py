@@ -56,6 +56,7 @@ def ours(scene: Scene) -> Tasks:
 
 def march(scene: Scene) -> Tasks:
     """Our tracer ray by ray, every body asked at every step."""
+    from tracer.cells import NO_CELLS
     from tracer.kernels.maps import trace_rows
     from tracer.kernels.march import MAX_EVENTS
     from tracer.rows import run_rows
@@ -68,7 +69,7 @@ def march(scene: Scene) -> Tasks:
 
     def task() -> NDArray[np.float64]:
         def work(first: int, last: int) -> None:
-            trace_rows(*tables, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
+            trace_rows(*tables, *NO_CELLS, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
 
         run_rows(work, height)
         return plane

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.cells import FEW, sort_into_cells
+from tracer.cells import cells_of
 from tracer.errors import MapFileError
-from tracer.kernels.bed import trace_bed_rows
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import DIRECT, MAX_EVENTS
 from tracer.lockstep import fits_lockstep, trace_lockstep
@@ -117,16 +116,11 @@ def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
         return RayMap(plane, status, branch, branches, scene.content_hash())
     key = np.empty((height, width), np.int64)
     camera, spheres, rods = pack_camera(scene.camera), scene.sphere_table(), scene.rod_table()
-
-    cells = sort_into_cells(spheres) if len(spheres) > FEW else None
+    cells = cells_of(spheres)
 
     def work(first: int, last: int) -> None:
-        if cells is not None:
-            trace_bed_rows(
-                camera, spheres, rods, *cells, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key
-            )
-        else:
-            trace_rows(camera, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
+        trail = np.empty(MAX_EVENTS, np.int32)
+        trace_rows(camera, spheres, rods, *cells, first, last, trail, plane, status, key)
 
     run_rows(work, height)
     numbers, branches = _number_branches(scene, key)

@@ -22,7 +22,8 @@ from tracer.kernels.chain import (
     look,
     place_row,
 )
-from tracer.kernels.march import ROD, next_body
+from tracer.kernels.march import next_body
+from tracer.kernels.rod import ROD
 
 MAX_STEPS = 25
 SETTLED_PX = 1e-10

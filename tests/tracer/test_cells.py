@@ -9,8 +9,8 @@ from correction.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
 from tracer import cells, ray_map
 from tracer.bodies import Rod
-from tracer.cells import sort_into_cells
-from tracer.kernels.bed import next_in_bed, trace_bed_rows
+from tracer.cells import NO_CELLS, sort_into_cells
+from tracer.kernels.bed import next_in_bed
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import MAX_EVENTS, next_body
 from tracer.ray_map import build_ray_map
@@ -39,16 +39,13 @@ def test_rows_have_the_same_bits_as_asking_every_sphere(kind: str, seed: int) ->
     height, width = where.camera.shape
     tables = pack_camera(where.camera), where.sphere_table(), where.rod_table()
     results = []
-    for grid in (sort_into_cells(tables[1]), None):
+    for grid in (sort_into_cells(tables[1]), NO_CELLS):
         arrays = (
             np.empty((height, width, 2)),
             np.empty((height, width), np.uint8),
             np.empty((height, width), np.int64),
         )
-        if grid:
-            trace_bed_rows(*tables, *grid, 0, height, np.empty(MAX_EVENTS, np.int32), *arrays)
-        else:
-            trace_rows(*tables, 0, height, np.empty(MAX_EVENTS, np.int32), *arrays)
+        trace_rows(*tables, *grid, 0, height, np.empty(MAX_EVENTS, np.int32), *arrays)
         results.append(arrays)
     for one, other in zip(*results, strict=True):
         assert one.tobytes() == other.tobytes()

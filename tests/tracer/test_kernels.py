@@ -68,7 +68,7 @@ def test_ray_kernels_compiled_and_interpreted(name: str) -> None:
         assert next_body(*camera[:3], *d, -1, spheres, rods) == next_body.py_func(
             *camera[:3], *d, -1, spheres, rods
         )
-        compiled, plain = both(march, *camera[:3], *d, spheres, rods, trail)
+        compiled, plain = both(march, *camera[:3], *d, spheres, rods, *NO_CELLS, trail)
         np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)
         compiled, plain = both(march_pixel_tangents, u, v, camera, spheres, rods)
         np.testing.assert_allclose(compiled, plain, rtol=1e-7, atol=1e-9)
@@ -82,7 +82,7 @@ def test_array_kernels_compiled_and_interpreted() -> None:
     outcomes = []
     for kernel in (trace_rows, trace_rows.py_func):
         plane, status, key = np.empty((24, 24, 2)), np.empty((24, 24), np.uint8), np.empty((24, 24), np.int64)
-        kernel(camera, spheres, NO_RODS, 0, 24, trail, plane, status, key)
+        kernel(camera, spheres, NO_RODS, *NO_CELLS, 0, 24, trail, plane, status, key)
         outcomes.append((plane, status, key))
     np.testing.assert_array_equal(outcomes[0][1], outcomes[1][1])
     np.testing.assert_array_equal(outcomes[0][2], outcomes[1][2])

@@ -10,6 +10,7 @@ from mpmath import mpf
 from tests.tracer.reference import follow_pixel
 from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, random_bodies, random_camera, scene
 from tracer.camera import Camera, Lens
+from tracer.cells import NO_CELLS
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
 from tracer.lockstep import fits_lockstep
@@ -175,7 +176,7 @@ def test_same_bits_for_any_block(block: int, threads: int) -> None:
         def work(
             first: int, last: int, outputs: tuple[np.ndarray, np.ndarray, np.ndarray] = (plane, status, key)
         ) -> None:
-            trace_rows(packed, spheres, rods, first, last, np.empty(MAX_EVENTS, np.int32), *outputs)
+            trace_rows(packed, spheres, rods, *NO_CELLS, first, last, np.empty(MAX_EVENTS, np.int32), *outputs)
 
         run_rows(work, where.camera.shape[0], block=rows, threads=many)
         outcomes.append((plane.tobytes(), status.tobytes(), key.tobytes()))

@@ -17,6 +17,7 @@ from mpmath import mpf
 
 from tests.tracer.reference import Glass, Vector, along, dot, follow, roots, snell
 from tests.tracer.scenes import ball, camera_at
+from tracer.cells import NO_CELLS
 from tracer.kernels.march import march
 from tracer.kernels.sphere import angles, through
 from tracer.media import ConstantMedium
@@ -75,7 +76,7 @@ def digits(
         centre = 0.3 * distance * radius_mm * rng.normal(size=3)
         start = centre + radius_mm * (impact * side - math.sqrt(distance**2 - impact**2) * way)
         table = np.array([[*centre, radius_mm, n, 0.0]])
-        result = tracer(*start.tolist(), *way.tolist(), table, NO_RODS, trail)
+        result = tracer(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, trail)
         s, d, c = (tuple(mpf(x) for x in vector.tolist()) for vector in (start, way, centre))
         exact = way_out(s, d, c, mpf(radius_mm), mpf(n))
         if exact is None or result[-1] != 1:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, random_scene, scene
 from tracer.bodies import Sphere
+from tracer.cells import NO_CELLS
 from tracer.kernels.march import march
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
@@ -71,7 +72,7 @@ def leaves_at(
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Point and direction of the last straight piece, and the transmittance."""
     trail = np.empty(64, np.int32)
-    result = march(*start.tolist(), *way.tolist(), where.sphere_table(), where.rod_table(), trail)
+    result = march(*start.tolist(), *way.tolist(), where.sphere_table(), where.rod_table(), *NO_CELLS, trail)
     return np.array(result[1:4]), np.array(result[4:7]), float(result[8])
 
 
@@ -145,7 +146,7 @@ def test_angular_momentum_about_a_sphere_is_kept(seed: int) -> None:
         # From the foot point's neighbourhood: the start is exact to an ulp of the radius, not of the distance.
         start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
         trail = np.empty(64, np.int32)
-        result = march(*start.tolist(), *way.tolist(), table, where.rod_table(), trail)
+        result = march(*start.tolist(), *way.tolist(), table, where.rod_table(), *NO_CELLS, trail)
         if result[-1] != 1 or result[6] < 0.0:
             continue
         before = np.cross(start - table[0, :3], way)

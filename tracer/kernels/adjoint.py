@@ -22,12 +22,12 @@ from tracer.kernels.march import (
     DIRECT,
     MAX_EVENTS,
     RECOVERED,
-    ROD,
     TIR,
     TOO_MANY_EVENTS,
     next_body,
     next_key,
 )
+from tracer.kernels.rod import ROD
 from tracer.kernels.sphere import angles, foot, through, through_rates, turned
 
 STATE = 8  # w, d, m, b2 of each sphere crossed

@@ -14,20 +14,7 @@ and ``items`` int32: the spheres of cell c are items[begin[c]:begin[c + 1]].
 import math
 
 from tracer.kernels._jit import Array, kernel
-from tracer.kernels.camera import pixel_ray
-from tracer.kernels.march import (
-    BLOCKED,
-    DIRECT,
-    MAX_EVENTS,
-    MISSED_PLANE,
-    RECOVERED,
-    ROD,
-    TIR,
-    TOO_MANY_EVENTS,
-    next_key,
-)
-from tracer.kernels.rod import meets_rod
-from tracer.kernels.sphere import angles, foot, through, transmittance, turned
+from tracer.kernels.rod import ROD, meets_rod
 
 GROW = 1e-6  # cells; the walk is off by a few 1e-16 of the distance walked
 
@@ -103,84 +90,3 @@ def next_in_bed(
         if distance < nearest:
             best, nearest = ROD, distance
     return best
-
-
-@kernel
-def march_in_bed(
-    px: float,
-    py: float,
-    pz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    spheres: Array,
-    rods: Array,
-    frame: Array,
-    begin: Array,
-    items: Array,
-    trail: Array,
-) -> tuple[float, ...]:
-    """Trace one ray from p along d: what ``march.march`` returns, by the same rules."""
-    key, events = DIRECT, 0
-    path, passed = 0.0, 1.0
-    last = -1
-    while True:
-        body = next_in_bed(px, py, pz, dx, dy, dz, last, spheres, rods, frame, begin, items)
-        if body == -1:
-            break
-        if body == ROD or spheres[body, 5] != 0.0:
-            return BLOCKED, px, py, pz, dx, dy, dz, path, 0.0, key, events
-        if events == MAX_EVENTS:
-            return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, path, 0.0, key, events
-        cx, cy, cz = spheres[body, 0], spheres[body, 1], spheres[body, 2]
-        radius, n = spheres[body, 3], spheres[body, 4]
-        m, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
-        b2 = ax * ax + ay * ay + az * az
-        trail[events] = body
-        key = next_key(key, body)
-        events += 1
-        if b2 < radius * radius:
-            if b2 >= n * n * radius * radius:
-                return TIR, px, py, pz, dx, dy, dz, path, 0.0, key, events
-            cos_i, cos_t = angles(b2, radius, n)
-            surface = transmittance(cos_i, cos_t, n)
-            passed *= surface * surface
-            path += m + 2.0 * radius * (n * cos_t - cos_i)
-            cosine, q = through(b2, radius, n, cos_i, cos_t)
-            ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
-        else:
-            path += m
-        px, py, pz = cx + ax, cy + ay, cz + az
-        last = body
-    if not dz < 0.0:
-        return MISSED_PLANE, px, py, pz, dx, dy, dz, path, passed, key, events
-    t = -pz / dz
-    return RECOVERED, px + t * dx, py + t * dy, 0.0, dx, dy, dz, path + t, passed, key, events
-
-
-@kernel
-def trace_bed_rows(
-    camera: Array,
-    spheres: Array,
-    rods: Array,
-    frame: Array,
-    begin: Array,
-    items: Array,
-    first: int,
-    last: int,
-    trail: Array,
-    point: Array,
-    status: Array,
-    key: Array,
-) -> None:
-    """Trace the pixels of rows first..last-1: plane points (H, W, 2), status and branch key (H, W)."""
-    for row in range(first, last):
-        for column in range(point.shape[1]):
-            dx, dy, dz = pixel_ray(float(column), float(row), camera)
-            s, x, y, _, _, _, _, _, _, k, _ = march_in_bed(
-                camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods, frame, begin, items, trail
-            )
-            good = s == RECOVERED
-            point[row, column, 0] = x if good else math.nan
-            point[row, column, 1] = y if good else math.nan
-            status[row, column], key[row, column] = s, k

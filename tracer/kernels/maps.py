@@ -3,30 +3,8 @@
 import math
 
 from tracer.kernels._jit import Array, kernel
-from tracer.kernels.bed import march_in_bed
 from tracer.kernels.camera import pixel_ray
 from tracer.kernels.march import RECOVERED, march
-
-
-@kernel
-def march_either(
-    px: float,
-    py: float,
-    pz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    spheres: Array,
-    rods: Array,
-    frame: Array,
-    begin: Array,
-    items: Array,
-    trail: Array,
-) -> tuple[float, ...]:
-    """Trace one ray through the grid of cells if there is one (``items`` not empty), else asking every sphere."""
-    if items.shape[0] > 0:
-        return march_in_bed(px, py, pz, dx, dy, dz, spheres, rods, frame, begin, items, trail)
-    return march(px, py, pz, dx, dy, dz, spheres, rods, trail)
 
 
 @kernel
@@ -50,7 +28,7 @@ def trace_rays(
     for i in range(first, last):
         px, py, pz = origins[i, 0], origins[i, 1], origins[i, 2]
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        status, x, y, _, dx, dy, dz, path, passed, key, events = march_either(
+        status, x, y, _, dx, dy, dz, path, passed, key, events = march(
             px, py, pz, dx, dy, dz, spheres, rods, frame, begin, items, trail
         )
         good = status == RECOVERED
@@ -79,7 +57,7 @@ def trace_trails(
     for i in range(origins.shape[0]):
         px, py, pz = origins[i, 0], origins[i, 1], origins[i, 2]
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        march_either(px, py, pz, dx, dy, dz, spheres, rods, frame, begin, items, trails[i])
+        march(px, py, pz, dx, dy, dz, spheres, rods, frame, begin, items, trails[i])
 
 
 @kernel
@@ -87,6 +65,9 @@ def trace_rows(
     camera: Array,
     spheres: Array,
     rods: Array,
+    frame: Array,
+    begin: Array,
+    items: Array,
     first: int,
     last: int,
     trail: Array,
@@ -99,7 +80,7 @@ def trace_rows(
         for column in range(point.shape[1]):
             dx, dy, dz = pixel_ray(float(column), float(row), camera)
             s, x, y, _, _, _, _, _, _, k, _ = march(
-                camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods, trail
+                camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods, frame, begin, items, trail
             )
             good = s == RECOVERED
             point[row, column, 0] = x if good else math.nan

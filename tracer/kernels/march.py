@@ -16,9 +16,10 @@ The branch key is a 43-bit hash of the sequence of spheres crossed; 1 is the dir
 
 import math
 
-from tracer.kernels._jit import Array, kernel
+from tracer.kernels._jit import Array, kernel, kernel_inlined
+from tracer.kernels.bed import next_in_bed
 from tracer.kernels.camera import pixel_ray_tangents
-from tracer.kernels.rod import meets_rod
+from tracer.kernels.rod import ROD, meets_rod
 from tracer.kernels.sphere import (
     angles,
     foot,
@@ -34,7 +35,6 @@ RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS = 0, 1, 2, 3, 4  # RaySta
 MAX_EVENTS = 64  # bodies crossed by one ray; a bed of a thousand spheres stays below 20
 DIRECT = 1  # branch key of the direct view
 KEY_MASK = (1 << 43) - 1  # with the factor below the product stays inside 63 bits
-ROD = -2
 
 
 @kernel
@@ -65,11 +65,22 @@ def next_body(
     return best
 
 
-@kernel
+@kernel_inlined
 def march(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, spheres: Array, rods: Array, trail: Array
+    px: float,
+    py: float,
+    pz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    spheres: Array,
+    rods: Array,
+    frame: Array,
+    begin: Array,
+    items: Array,
+    trail: Array,
 ) -> tuple[float, ...]:
-    """Trace one ray from p along d.
+    """Trace one ray from p along d; through a grid of cells (``frame``, ``begin``, ``items``) if it is not empty.
 
     Returns status, point x, y, z, direction, optical path / n_ambient, transmittance, key, events.  The point
     is the plane point of a recovered ray, else the foot point of its last straight piece.  `trail`
@@ -79,7 +90,10 @@ def march(
     path, passed = 0.0, 1.0
     last = -1
     while True:
-        body = next_body(px, py, pz, dx, dy, dz, last, spheres, rods)
+        if items.shape[0] > 0:
+            body = next_in_bed(px, py, pz, dx, dy, dz, last, spheres, rods, frame, begin, items)
+        else:
+            body = next_body(px, py, pz, dx, dy, dz, last, spheres, rods)
         if body == -1:
             break
         if body == ROD or spheres[body, 5] != 0.0:

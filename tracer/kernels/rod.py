@@ -4,6 +4,8 @@ import math
 
 from tracer.kernels._jit import Array, kernel
 
+ROD = -2  # what a ray meets: the number of a sphere, a rod, or nothing (-1)
+
 
 @kernel
 def meets_rod(px: float, py: float, pz: float, dx: float, dy: float, dz: float, rod: Array) -> float:

@@ -22,7 +22,8 @@ Frames on the stack, one a split: FRAME floats and FRAME_BODY integers.  Events 
 """
 
 from tracer.kernels._jit import Array, kernel
-from tracer.kernels.march import MAX_EVENTS, ROD, next_body
+from tracer.kernels.march import MAX_EVENTS, next_body
+from tracer.kernels.rod import ROD
 from tracer.kernels.sphere import angles, foot, through, transmittance, turned
 
 OUTSIDE = -1
