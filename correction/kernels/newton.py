@@ -212,9 +212,13 @@ def solve_nodes(
     `columns`; ``maps`` as in `keep_view`.  Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy``
     (2, GROUP), those of `follow_block`.
     """
-    camera, spheres = tables[0], tables[1]
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
+    camera, spheres, sequence = unowned(tables[0]), unowned(tables[1]), unowned(sequence)
+    bodies = camera, spheres, unowned(tables[2])
+    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
+    transmittance, branch, starts, nodes = unowned(transmittance), unowned(branch), unowned(starts), unowned(nodes)
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
+    state, balls, spans, wanted = unowned(state), unowned(balls), unowned(spans), unowned(wanted)
     for low in range(first, last, GROUP):
         count = min(GROUP, last - low)
         for i in range(count):
@@ -232,7 +236,7 @@ def solve_nodes(
         for i in range(count):
             if not (state[i] == CONVERGED and trips[TRIP + i] == trip):
                 done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
-                    block[X + i], block[Y + i], starts[low + i, 0], starts[low + i, 1], key, sign, tables
+                    block[X + i], block[Y + i], starts[low + i, 0], starts[low + i, 1], key, sign, bodies
                 )
                 block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
                 state[i] = CONVERGED if done > 0.0 else FAILED

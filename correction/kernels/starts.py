@@ -15,7 +15,7 @@ import numpy as np
 
 from correction.kernels.inverse import inverse_2x2
 from correction.kernels.sheets import slopes
-from tracer.kernels._jit import Array, kernel
+from tracer.kernels._jit import Array, kernel, unowned
 from tracer.kernels.march import march_pixel_tangents
 
 REACH = 0.7
@@ -153,6 +153,10 @@ def scatter_sheet(
     ``measured`` (MEASURES,) is scratch.
     """
     rows, columns = places.shape
+    plane, branch, code, runs = unowned(plane), unowned(branch), unowned(code), unowned(runs)
+    weight, places, starts, nodes = unowned(weight), unowned(places), unowned(starts), unowned(nodes)
+    tables = unowned(tables[0]), unowned(tables[1]), unowned(tables[2])
+    grid, measured = unowned(grid), unowned(measured)
     found = 0
     for k in range(runs.shape[0]):
         line, first, last = runs[k, 0], runs[k, 1], runs[k, 2]
