@@ -36,7 +36,7 @@ def ours(scene: Scene) -> Tasks:
     frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
     quintic, bilinear = Corrector(cmap), Corrector(cmap, method="bilinear")
     out = np.empty(cmap.grid.shape, np.float32)
-    spare = build_correction_map(scene, ray_map)
+    spare, short = build_correction_map(scene, ray_map), build_ray_map(scene, single=True)
     arrays = ray_map.plane_mm, ray_map.status, ray_map.branch
     parts: Tasks = {}
     if fits_lockstep(scene):
@@ -47,6 +47,7 @@ def ours(scene: Scene) -> Tasks:
     return {
         **parts,
         "ray_map": lambda: build_ray_map(scene, ray_map).plane_mm,
+        "ray_map, stored as float32": lambda: build_ray_map(scene, short, single=True),
         "ray_map_fresh": lambda: build_ray_map(scene).plane_mm,
         "correction_map": lambda: build_correction_map(scene, ray_map, out=spare),
         "quintic": lambda: quintic(frame, out),

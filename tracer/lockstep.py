@@ -50,7 +50,7 @@ def fits_lockstep(scene: Scene) -> bool:
 
 def trace_lockstep(
     scene: Scene,
-    plane: NDArray[np.float64],
+    plane: NDArray[np.float64 | np.float32],
     status: NDArray[np.uint8],
     branch: Numbers,
     skips: int = ALL_SKIPS,
@@ -134,7 +134,7 @@ def name_unknown(
     scene: Scene,
     lines: NDArray[np.int64],
     branches: list[Branch],
-    plane: NDArray[np.float64],
+    plane: NDArray[np.float64 | np.float32],
     status: NDArray[np.uint8],
     branch: Numbers,
 ) -> None:

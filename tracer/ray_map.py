@@ -33,7 +33,7 @@ class RayMap(SceneBound):
 
     Parameters
     ----------
-    plane_mm : (H, W, 2) float64
+    plane_mm : (H, W, 2) float64, or float32 if asked for
         Plane point of each pixel centre [mm]; NaN unless the status is RECOVERED.
     status : (H, W) uint8
         RayStatus.
@@ -45,7 +45,7 @@ class RayMap(SceneBound):
         Content hash of the scene.
     """
 
-    plane_mm: NDArray[np.float64]
+    plane_mm: NDArray[np.float64 | np.float32]
     status: NDArray[np.uint8]
     branch: Numbers
     branches: tuple[Branch, ...]
@@ -80,8 +80,15 @@ class RayMap(SceneBound):
         except TypeError:
             raise MapFileError(f"{path}: branches are not lists of names; trace the scene again") from None
         fits = plane.shape == (*status.shape, 2) and branch.shape == status.shape and status.ndim == 2
-        kinds = (plane.dtype.str, status.dtype.str) == ("<f8", "|u1") and branch.dtype.str in ("<u2", "<u4")
-        if not (fits and kinds and branches and int(branch.max(initial=0)) < len(branches)):
+        kinds = plane.dtype.str in ("<f8", "<f4") and branch.dtype.str in ("<u2", "<u4")
+        kinds &= status.dtype.str == "|u1"
+        if not (
+            fits
+            and kinds
+            and status.dtype.str == "|u1"
+            and branches
+            and int(branch.max(initial=0)) < len(branches)
+        ):
             raise MapFileError(f"{path}: arrays do not fit together; trace the scene again")
         points = plane[status == RayStatus.RECOVERED]
         if int(status.max(initial=0)) > max(RayStatus) or not np.isfinite(points).all():
@@ -89,7 +96,7 @@ class RayMap(SceneBound):
         return cls(plane, status, branch, branches, scene_hash)
 
 
-def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
+def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = False) -> RayMap:
     """Trace every pixel of the sensor to the investigation plane.
 
     Parameters
@@ -99,17 +106,26 @@ def build_ray_map(scene: Scene, out: RayMap | None = None) -> RayMap:
     out : RayMap, optional
         An earlier map of a sensor of this size whose arrays are written again, so that `out` is worth nothing
         afterwards.  Fresh memory costs more than the rays: the system clears every page first.
+    single : bool
+        Whether the points, traced in float64 like any other, are stored as float32: 11 instead of 19 bytes a
+        pixel, each coordinate rounded by at most 6e-8 of itself (4 nm at 80 mm).
 
     Returns
     -------
     RayMap
-        Float64, the same bits for any number of threads.
+        The same bits for any number of threads.
     """
     height, width = scene.camera.shape
-    if out is not None and out.status.shape == (height, width) and out.branch.dtype == np.uint16:
+    kind = np.dtype(np.float32 if single else np.float64)
+    if (
+        out is not None
+        and out.status.shape == (height, width)
+        and out.plane_mm.dtype == kind
+        and out.branch.dtype == np.uint16
+    ):
         plane, status, branch = out.plane_mm, out.status, out.branch
     else:
-        plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)
+        plane, status = np.empty((height, width, 2), kind), np.empty((height, width), np.uint8)
         branch = np.empty((height, width), np.uint16)
     if fits_lockstep(scene):
         branches = trace_lockstep(scene, plane, status, branch)
