@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.accuracy import errors_um, reference_pixels
-from benchmarks.contenders import STACKED
+from benchmarks.contenders import IDEAL_LENS, STACKED
 from benchmarks.growth import growth
 from benchmarks.limits import limits, limits_of
 from benchmarks.picture import draw
@@ -29,7 +29,6 @@ from tracer.rows import thread_count
 from tracer.scene import Scene
 
 BEDS = ("bed 2", "bed 16", "bed 128", "bed 1000")
-SLOW = ("numpy", "scipy", "rtpiv, ray by ray")
 
 
 def main() -> None:
@@ -74,12 +73,14 @@ def measure(name: str, rounds: int, rays: int) -> dict[str, Any]:
     """One scene: times of all contenders that are installed, errors of those that make a ray map."""
     scene = bench_scene(name)
     pixels = scene.camera.shape[0] * scene.camera.shape[1]
-    names = ["rtpiv", *(["drjit", "torch", "jax", "opencv"] if rays else [])]
+    names = ["rtpiv", *(["drjit", "torch", "jax", "mitsuba", "opencv"] if rays else [])]
     if not in_one_row(scene):
         names = [peer for peer in names if peer not in STACKED]
+    if not scene.camera.lens.is_ideal:
+        names = [peer for peer in names if peer not in IDEAL_LENS]
     racers = [racer for peer in names if (racer := start(peer, name))]
     race(racers, rounds)
-    slow = ["scipy", "rtpiv, ray by ray", *(["numpy"] if in_one_row(scene) else [])]
+    slow = ["scipy", "raysect", "rtpiv, ray by ray", *(["numpy"] if in_one_row(scene) else [])]
     late = [racer for peer in (slow if rays else []) if (racer := start(peer, name))]
     race(late, 2)
     ray_map = build_ray_map(scene)

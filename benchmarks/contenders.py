@@ -157,6 +157,20 @@ def jax(scene: Scene) -> Tasks:
     return {"ray_map": lambda: jx.block_until_ready(compiled(u, v))}
 
 
+def mitsuba(scene: Scene) -> Tasks:
+    """Mitsuba 3, LLVM, float32."""
+    from benchmarks.renderers import mitsuba_ray_map
+
+    return {"ray_map": mitsuba_ray_map(scene)}
+
+
+def raysect(scene: Scene) -> Tasks:
+    """Raysect, a sample of the rays, float64."""
+    from benchmarks.renderers import SAMPLE, raysect_sample
+
+    return {f"{SAMPLE} rays": raysect_sample(scene)}
+
+
 CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
     "rtpiv": (ours, "numba"),
     "rtpiv, ray by ray": (march, "numba"),
@@ -164,10 +178,13 @@ CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
     "drjit": (drjit, "drjit"),
     "torch": (torch, "torch"),
     "jax": (jax, "jax"),
+    "mitsuba": (mitsuba, "mitsuba"),
+    "raysect": (raysect, "raysect"),
     "opencv": (opencv, "opencv-contrib-python-headless"),
     "scipy": (scipy, "scipy"),
 }
 STACKED = ("drjit", "torch", "jax", "numpy")  # their formulas know one order of spheres and no lens terms
+IDEAL_LENS = ("mitsuba",)
 
 
 def points(result: NDArray[np.float64] | tuple[Any, Any]) -> NDArray[np.float64]:

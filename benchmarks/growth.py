@@ -1,5 +1,7 @@
 """How run time and memory grow: with the pixels of the sensor, the bodies, and the region that is recovered."""
 
+import math
+import os
 import statistics
 import time
 import tracemalloc
@@ -18,6 +20,7 @@ from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 
 REPEATS = 5
+THREAD_ROUNDS = 25
 SPHERES = (2, 16, 128, 432, 1000)
 SHARES = (0.25, 0.5, 0.75, 1.0)
 
@@ -98,6 +101,30 @@ def over_region(scene: Scene) -> list[dict[str, float]]:
     return rows
 
 
+def over_threads(scene: Scene) -> dict[str, float]:
+    """How much faster all threads are than one, wall clock: the best of interleaved rounds with one and with all."""
+    ray_map = build_ray_map(scene)
+    corrected = build_correction_map(scene, ray_map)
+    corrector, spare = Corrector(corrected), build_correction_map(scene, ray_map)
+    frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)
+    out = np.empty(corrected.grid.shape, np.float32)
+    tasks: dict[str, Callable[[], Any]] = {
+        "ray map": lambda: build_ray_map(scene, ray_map),
+        "correction map": lambda: build_correction_map(scene, ray_map, out=spare),
+        "quintic frame": lambda: corrector(frame, out),
+    }
+    asked = os.environ.get("RTPIV_THREADS")
+    best = {(name, threads): math.inf for name in tasks for threads in ("1", asked)}
+    for _ in range(THREAD_ROUNDS):
+        for name, threads in best:
+            os.environ["RTPIV_THREADS"] = threads or ""
+            start = time.perf_counter()
+            tasks[name]()
+            best[name, threads] = min(best[name, threads], time.perf_counter() - start)
+    os.environ["RTPIV_THREADS"] = asked or ""
+    return {name: best[name, "1"] / best[name, asked] for name in tasks}
+
+
 def memory(scene: Scene) -> dict[str, float]:
     """Bytes a pixel, at the peak while it is made and afterwards, of ray map, glass map and correction map."""
     pixels = float(np.prod(scene.camera.shape))
@@ -124,5 +151,6 @@ def growth(scene: Scene) -> dict[str, Any]:
         "pixels": over_pixels(scene),
         "bodies": over_bodies(),
         "region": over_region(scene),
+        "threads": over_threads(scene),
         "memory_bytes_px": memory(scene),
     }

@@ -1,0 +1,95 @@
+"""Ray maps made by renderers: the peers that trace glass in general, driven as their users would drive them.
+
+Both follow one refracted ray a pixel, from surface to surface, until nothing is in its way.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.rows import thread_count
+from tracer.scene import Scene
+
+SAMPLE = 20_000  # pixels a round of a renderer that traces one ray at a time in Python
+
+
+def mitsuba_ray_map(scene: Scene) -> Callable[[], tuple[Any, Any]]:
+    """Task that gives the plane points of all pixels by Mitsuba's LLVM variant (float32)."""
+    import drjit as dr
+    import mitsuba as mi
+
+    dr.set_thread_count(thread_count())
+    mi.set_variant("llvm_ad_rgb")
+    parts: dict[str, Any] = {"type": "scene"}
+    table = scene.sphere_table().tolist()
+    for number, (x, y, z, radius, n, _) in enumerate(table):
+        glass = {"type": "dielectric", "int_ior": n, "ext_ior": 1.0}
+        parts[f"s{number}"] = {"type": "sphere", "center": [x, y, z], "radius": radius, "bsdf": glass}
+    world = mi.load_dict(parts)
+    camera = scene.camera
+    height, width = camera.shape
+    r, (u0, v0), focal = camera.rotation, camera.principal_px, camera.focal_px
+    n = table[0][4]
+    if any(row[4] != n for row in table):
+        raise RuntimeError("the loop below knows one index of glass")
+
+    def task() -> tuple[Any, Any]:
+        index = dr.arange(mi.UInt32, height * width)
+        row = index // width
+        x = (mi.Float(index - row * width) - u0) / focal
+        y = (mi.Float(row) - v0) / focal
+        way = mi.Vector3f(*(r[0][k] * x + r[1][k] * y + r[2][k] for k in range(3)))
+        ray = mi.Ray3f(mi.Point3f(*camera.position_mm), dr.normalize(way))
+        for _ in range(2 * len(table)):
+            met = world.ray_intersect_preliminary(ray)
+            surface = met.compute_surface_interaction(ray)
+            inward = dr.dot(ray.d, surface.n) < 0.0
+            eta = dr.select(inward, 1.0 / n, n)
+            normal = dr.select(inward, surface.n, -surface.n)
+            cosine = -dr.dot(ray.d, normal)
+            square = 1.0 - eta * eta * (1.0 - cosine * cosine)
+            root = dr.sqrt(dr.select(square > 0.0, square, 0.0))
+            bent = surface.spawn_ray(dr.normalize(eta * ray.d + (eta * cosine - root) * normal))
+            ray.o = dr.select(met.is_valid(), bent.o, ray.o)
+            ray.d = dr.select(met.is_valid(), bent.d, ray.d)
+        t = -ray.o.z / ray.d.z
+        px, py = ray.o.x + t * ray.d.x, ray.o.y + t * ray.d.y
+        dr.eval(px, py)
+        dr.sync_thread()
+        return px, py
+
+    return task
+
+
+def raysect_sample(scene: Scene) -> Callable[[], NDArray[np.float64]]:
+    """Task that traces SAMPLE pixels by Raysect's LoggingRay, one by one (float64)."""
+    from raysect.core import Point3D, Vector3D
+    from raysect.optical import ConstantSF, World, translate
+    from raysect.optical.loggingray import LoggingRay
+    from raysect.optical.material import AbsorbingSurface, Dielectric
+    from raysect.primitive import Box, Sphere
+
+    world = World()
+    for x, y, z, radius, n, _ in scene.sphere_table().tolist():
+        glass = Dielectric(index=ConstantSF(n), transmission=ConstantSF(1.0), transmission_only=True)
+        Sphere(radius, world, translate(x, y, z), glass)
+    Box(Point3D(-1e4, -1e4, -1.0), Point3D(1e4, 1e4, 0.0), world, material=AbsorbingSurface())
+    height, width = scene.camera.shape
+    chosen = np.random.default_rng(1).integers(0, height * width, SAMPLE)
+    pixels = np.stack((chosen % width, chosen // width), axis=-1).astype(np.float64)
+    directions = scene.camera.directions(pixels).tolist()
+    start = Point3D(*scene.camera.position_mm)
+
+    def task() -> NDArray[np.float64]:
+        out = np.empty((SAMPLE, 2))
+        for k, way in enumerate(directions):
+            ray = LoggingRay(start, Vector3D(*way), min_wavelength=500.0, max_wavelength=501.0, bins=1)
+            ray.trace(world)
+            last = ray.log[-1]
+            hit = last.hit_point.transform(last.primitive_to_world)
+            out[k] = hit.x, hit.y
+        return out
+
+    return task
