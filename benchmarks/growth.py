@@ -102,7 +102,7 @@ def over_region(scene: Scene) -> list[dict[str, float]]:
 
 
 def over_threads(scene: Scene) -> dict[str, float]:
-    """How much faster all threads are than one, wall clock: the best of interleaved rounds with one and with all."""
+    """How much faster all threads are than one: best wall clock of interleaved rounds with one and with all."""
     ray_map = build_ray_map(scene)
     corrected = build_correction_map(scene, ray_map)
     corrector, spare = Corrector(corrected), build_correction_map(scene, ray_map)
