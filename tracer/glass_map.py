@@ -95,7 +95,7 @@ def build_glass_map(scene: Scene) -> GlassMap:
 
     def look(first: int, last: int) -> None:
         x, y, *_ = row_scratch(width, len(balls))
-        list_spans(camera, balls, flat, first, last, x, y, found, counts)
+        list_spans(camera, balls, flat, first, last, x, y[:1] if flat else y, found, counts)
 
     run_rows(look, height)
     row, which = np.nonzero(np.arange(len(balls)) < counts[:, None])

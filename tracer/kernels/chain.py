@@ -237,10 +237,13 @@ def glass_span(x: Array, y: Array, flat: bool, camera: Array, balls: Array, k: i
 
 @kernel
 def place_row(row: int, flat: bool, camera: Array, x: Array, y: Array) -> None:
-    """Ideal image coordinates x, y (W,) of a row; of an ideal camera x is the same in every row and stays."""
+    """Ideal image coordinates x, y (W,) of a row.
+
+    Of an ideal camera (`flat`) x is the same in every row and stays, and one y stands for all where `y` is (1,).
+    """
     if flat:
         level = (row - camera[14]) / camera[12]
-        for i in range(x.shape[0]):
+        for i in range(y.shape[0]):
             y[i] = level
     else:
         ideal_row(row, camera, x, y)

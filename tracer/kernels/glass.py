@@ -19,7 +19,7 @@ def list_spans(
     """List the columns of rows first..last-1 in which glass can be met.
 
     Outputs: ``found`` (H, 2 N + 1, 2) int64, whose rows from N on hold the joined spans, ``counts`` (H,) of them.
-    Scratch: ``x``, ``y`` (W + VECTOR,).
+    Scratch: ``x``, ``y`` (W + VECTOR,), `flat` ``y`` (1,).
     """
     camera, balls, x, y, found = unowned(camera), unowned(balls), unowned(x), unowned(y), unowned(found)
     flat_columns(flat, camera, x)
