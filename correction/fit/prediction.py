@@ -30,6 +30,8 @@ from tracer.trace import Numbers, trace
 
 LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
 LARGEST_SQUARE_PX = 600.0
+MOST = 0.8  # of the view behind glass; what is left lies along folds, where everything looks wide
+NARROWEST = 0.02  # sensor px a corrected px: views that show a square worth naming, if not worth fitting
 LAYERS = 3  # sheets on which one corner is looked for
 WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most
 RIM_PX = 2  # windows stay this far from the border of their branch
@@ -129,6 +131,20 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     rim = away[at[:, 1], at[:, 0]].astype(np.float64)
     every = Expected(index, pixel, axes, found.branch[seen], rim, window, found.branches, away > RIM_PX)
     return every.take(window >= SHORTEST)
+
+
+def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float:
+    """Width (narrow side) of a square behind glass [px] that most of the view stays below; 0 if it shows nothing."""
+    seen_from_target = in_target_frame(scene, pose)
+    found = build_correction_map(
+        seen_from_target,
+        build_ray_map(seen_from_target),
+        min_magnification=NARROWEST,
+        max_magnification=LARGEST_SQUARE_PX,
+    )
+    narrow, _ = found.magnification()
+    behind = narrow[found.behind_glass]
+    return float(np.quantile(behind, MOST)) * board.square_mm / found.grid.pitch_mm if behind.size else 0.0
 
 
 def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> CornerFit:

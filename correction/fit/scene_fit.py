@@ -24,6 +24,7 @@ from correction.fit.light import back_from_light, in_light
 from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
+from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, FitStep, SceneFit, check
 from correction.fit.solver import Solution
 from correction.fit.unknowns import Bench, bench_of
@@ -267,7 +268,16 @@ class _Fit:
             for frame in self.glass_frames
         ]
         if not any(_behind(frame).index.size for frame in self.behind):
-            raise GlassNotSeen("no corner behind glass could be measured; check focus, light and the scene")
+            height = self.height(self.glass_frames[0])
+            width = square_behind_px(scene, self.bench.pose(self.full, height), self.board)
+            if width < LEAST_SQUARE_PX:
+                raise GlassNotSeen(
+                    f"squares look {width:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"
+                    f" print them {LEAST_SQUARE_PX / max(width, 0.1):.1f} times as large, or take a longer lens"
+                )
+            raise GlassNotSeen(
+                "no corner behind glass could be measured; check focus, light and scene, or print smaller squares"
+            )
 
 
 def _pull(solution: Solution) -> float:

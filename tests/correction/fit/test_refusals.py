@@ -46,6 +46,15 @@ def test_no_corners_behind_glass():
         fit_scene(bench(*MADE).nominal, [clear_and_glass()[0], flat(True)], BOARD)
 
 
+def test_squares_too_small_through_the_glass():
+    """A small ball far from the target shows all of it, far too small."""
+    nominal = bench(*MADE).nominal
+    scene = nominal.with_bodies([replace(nominal.spheres[0], centre_mm=(10.0, 5.0, 150.0), radius_mm=16.0)])
+    frames = [photograph(scene if glass else scene.with_bodies(()), glass, 0.0, 1) for glass in (False, True)]
+    with pytest.raises(GlassNotSeen, match=r"squares look \d\.\d px wide through the glass, 10 are needed; print"):
+        fit_scene(scene, frames, BOARD)
+
+
 def test_wrong_board():
     with pytest.raises(TargetNotFound, match=r"target_clear.*those of the board described"):
         fit_scene(bench(*MADE).nominal, clear_and_glass(), Chessboard(SQUARE_MM, 0.2 * SQUARE_MM))
