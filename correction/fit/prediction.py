@@ -134,7 +134,7 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
 
 
 def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float:
-    """Width (narrow side) of a square behind glass [px] that most of the view stays below; 0 if it shows nothing."""
+    """Width (narrow side) of a square behind glass [px] that most of the view stays below; 0 if there is none."""
     seen_from_target = in_target_frame(scene, pose)
     found = build_correction_map(
         seen_from_target,
