@@ -47,6 +47,7 @@ def drawn(bench: Bench, rng: np.random.Generator) -> Scene:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
     scene = at_size(named_scene("pair_off_axis"), 700)
     low, high = scene.spheres  # clear of the plane and of each other, so that no draw is impossible
