@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+TRUSTED_SHARE = 0.7  # of the vectors outside the mask; real pairs have 0.95 and more, strangers 0.3
+
+
 class VectorFlag(IntEnum):
     """What a vector is worth.  Image mask (pixels) and these flags (vectors) are kept apart."""
 
@@ -74,6 +77,18 @@ class VectorField:
     def counts(self) -> dict[str, int]:
         """Number of vectors by flag, {"valid": ..., "masked": ..., "replaced": ..., "rejected": ...}."""
         return {flag.name.lower(): int(np.count_nonzero(self.flags == flag)) for flag in VectorFlag}
+
+    @property
+    def doubt(self) -> str:
+        """Why the field as a whole is not to be trusted, in a sentence; empty if nothing speaks against it."""
+        asked = int(np.count_nonzero(self.flags != VectorFlag.MASKED))
+        share = self.counts["valid"] / max(asked, 1)
+        if share >= TRUSTED_SHARE or not asked:
+            return ""
+        return (
+            f"only {100.0 * share:.0f} % of the vectors were measured, the rest are guesses from their neighbours;"
+            " check that the frames are one pair, the time between them, focus and seeding"
+        )
 
     @property
     def grid_px(self) -> NDArray[np.float64]:

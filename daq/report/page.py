@@ -51,6 +51,10 @@ class Page:
         """Add a paragraph."""
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
+    def warning(self, text: str) -> None:
+        """Add a paragraph that nobody overlooks."""
+        self._parts.append(f'<p class="warning">{html.escape(text)}</p>')
+
     def tiles(self, tiles: Sequence[tuple[str, str, str]]) -> None:
         """Add the figures that matter most, large: (value, what it is, what it is measured against)."""
         inner = "".join(

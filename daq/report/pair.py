@@ -82,6 +82,8 @@ def slider_chapter(
 
 def pair_chapters(page: Page, evaluation: Evaluation) -> None:
     """Add the chapters of a pair."""
+    if evaluation.field.doubt:
+        page.warning(evaluation.field.doubt + ".")
     page.heading("Acquired, corrected, recovered")
     slider_chapter(page, evaluation.frame_a, evaluation.corrected_a, evaluation.corrector, "Frame A of the pair.")
     _vectors(page, evaluation)

@@ -147,7 +147,7 @@ def _write(evaluation: Evaluation, vtk: bool) -> None:
     if vtk:
         write_vtk(out / "vectors.vtk", field, grid)
     summary: dict[str, Any] = {**about, "note": task.note, "no_map_sigma": evaluation.no_map_sigma}
-    summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels}
+    summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels, "doubt": field.doubt}
     summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
     if evaluation.shift is not None:
         summary["shift"] = evaluation.shift.to_dict()
@@ -165,6 +165,8 @@ def _write(evaluation: Evaluation, vtk: bool) -> None:
 def _print(screen: Console, evaluation: Evaluation) -> None:
     counts = ", ".join(f"{count} {name}" for name, count in evaluation.field.counts.items())
     screen.print(f"{evaluation.task.name}: {counts}")
+    if evaluation.field.doubt:
+        screen.print(evaluation.field.doubt, style="bold red")
     tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
     if evaluation.shift is not None:
         tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))

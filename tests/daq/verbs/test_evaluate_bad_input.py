@@ -13,7 +13,7 @@ from sim.renderer import render
 from sim.sensor import Sensor
 from tests.correction.small_scenes import small_scene
 from tracer.map_file import save_arrays
-from tracer.scene_file import dump_scene
+from tracer.scene_file import dump_scene, load_scene
 
 SIZE_PX = 224
 
@@ -80,6 +80,15 @@ def test_what_cannot_go_together_is_named(good, tmp_path, capsys):
     assert "traces raw pixels" in capsys.readouterr().err
 
 
+def test_strangers_are_not_taken_for_a_pair_in_silence(good, tmp_path, capsys):
+    scene, frames = good
+    other = render(load_scene(scene), printed_particles((180.0, 180.0), 1.1, seed=2), Sensor(), seed=3)
+    assert evaluate(tmp_path, scene, (frames[0], other)) == DONE
+    assert "% of the vectors were measured" in " ".join(capsys.readouterr().out.split())
+    assert "check that the frames are one pair" in (tmp_path / "out" / "report.html").read_text()
+    assert json.loads((tmp_path / "out" / "evaluation.json").read_text())["doubt"]
+
+
 @pytest.mark.parametrize("kind", ["8 bit png", "16 bit left-aligned"])
 def test_other_depths_give_the_same_vectors(good, tmp_path, kind):
     scene, frames = good
@@ -88,7 +97,9 @@ def test_other_depths_give_the_same_vectors(good, tmp_path, kind):
     if kind.startswith("16"):
         changed = [frame << 4 for frame in frames]
     assert evaluate(tmp_path, scene, changed, "--shift-mm", "1.5", "0.8", **how) == DONE
-    shift = json.loads((tmp_path / "out" / "evaluation.json").read_text())["shift"]
+    summary = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert not summary["doubt"]
+    shift = summary["shift"]
     assert np.abs(shift["regions"]["seen directly"]["bias_px"]).max() < 0.02
     text = (tmp_path / "out" / "report.html").read_text()
     assert {"8": "255", "1": "65535"}[kind[0]] in text
