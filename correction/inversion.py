@@ -51,6 +51,7 @@ class Inversion:
         self.skip = skip
         self.size = scene.camera.sensor_px
         self.tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
+        self.events = {name: number for number, name in enumerate(scene.event_names())}
         self.lockstep = fits_lockstep(scene)
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
@@ -169,11 +170,10 @@ class Inversion:
     def _solve(self, code: int, starts: NDArray[np.float64], nodes: NDArray[np.int32]) -> None:
         """Solve the nodes of one sheet and keep the best views."""
         number, sign = code >> 1, -1.0 if code & 1 else 1.0
-        numbers = {sphere.name: index for index, sphere in enumerate(self.scene.spheres)}
-        sequence = np.array([numbers[name] for name in self.ray_map.branches[number]], np.int64)
+        sequence = np.array([self.events[name] for name in self.ray_map.branches[number]], np.int64)
         key = DIRECT
-        for body in sequence.tolist():
-            key = next_key(key, body) & KEY_MASK
+        for event in sequence.tolist():
+            key = next_key(key, event) & KEY_MASK
         balls, trip = (
             (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
         )

@@ -18,7 +18,7 @@ just left is excluded.  With the unit normal N against the ray, Snell's law for 
     d' = eta d + (eta cos_i - cos_t) N,   cos_i = -d.N,   cos_t^2 = 1 - eta^2 (1 - cos_i^2)
 
 and Fresnel's transmittance of unpolarised light is 1 - (r_s^2 + r_p^2)/2 (Born and Wolf, ch. 1.5).
-Only refracted rays are followed; what is reflected is lost.
+Only refracted rays are followed; what is reflected is lost, unless at a core everything is.
 
 Vectors are three scalars each: numba keeps them in registers.
 """
@@ -37,6 +37,7 @@ Int64 = NDArray[np.int64]
 
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))
 BLOCKED = 0.0
+SOLID = 6  # numbers of a sphere before those of its cores
 
 
 def compiled(function: F) -> F:
@@ -134,6 +135,64 @@ def entry_rod(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, 
 
 
 @compiled
+def far_side(
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    cx: float,
+    cy: float,
+    cz: float,
+    radius: float,
+) -> tuple[float, float, float]:
+    """Point at which a ray that is in a sphere leaves it: the far root."""
+    x, y, z = ox - cx, oy - cy, oz - cz
+    b = 2.0 * (dx * x + dy * y + dz * z)
+    discriminant = b * b - 4.0 * (x * x + y * y + z * z - radius * radius)
+    t = 0.5 * (-b + np.sqrt(max(discriminant, 0.0)))
+    return ox + t * dx, oy + t * dy, oz + t * dz
+
+
+@compiled
+def through_cores(
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, s: Float64
+) -> tuple[float, float, float, float, float, float, float]:
+    """Follow a ray inside a sphere, surface by surface, until it is in the outermost layer and meets no core more.
+
+    Row `s` goes on behind SOLID numbers with radius and n / n_ambient of each core, inwards; radius 0: no more.
+    Returns point, direction and transmittance.  Total reflection at a core loses nothing.
+    """
+    transmittance, deep, n = 1.0, SOLID, s[4]  # `deep`: place of the next core in the row
+    for _ in range(2 * s.shape[0]):
+        t = np.inf
+        if deep < s.shape[0] and s[deep] > 0.0:
+            t = entry_sphere(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[deep])
+        inwards = t < np.inf
+        if not inwards and deep == SOLID:
+            return ox, oy, oz, dx, dy, dz, transmittance
+        if inwards:
+            place, side, other = deep, 1.0, s[deep + 1]
+            ox, oy, oz = ox + t * dx, oy + t * dy, oz + t * dz
+        else:
+            place, side = deep - 2, -1.0
+            other = s[place - 1] if place > SOLID else s[4]
+            ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[place])
+        radius = side * s[place]
+        nx, ny, nz = (ox - s[0]) / radius, (oy - s[1]) / radius, (oz - s[2]) / radius
+        ex, ey, ez, part = snell(dx, dy, dz, nx, ny, nz, n / other)
+        if part > BLOCKED:
+            dx, dy, dz, n = ex, ey, ez, other
+            transmittance *= part
+            deep += 2 if inwards else -2
+        else:
+            along = 2.0 * (dx * nx + dy * ny + dz * nz)
+            dx, dy, dz = dx - along * nx, dy - along * ny, dz - along * nz
+    return ox, oy, oz, dx, dy, dz, BLOCKED
+
+
+@compiled
 def to_plane(
     ox: float,
     oy: float,
@@ -147,7 +206,8 @@ def to_plane(
 ) -> tuple[float, float, float]:
     """Follow one ray to the plane: (x, y, transmittance) in the plane's own axes; T = 0 if it does not arrive.
 
-    Rows of `spheres`: centre, radius, n / n_ambient, opaque.  Rows of `plane`: origin, x axis, y axis, normal.
+    Rows of `spheres`: centre, radius, n / n_ambient, opaque, then cores, see `through_cores`.  Rows of `plane`:
+    origin, x axis, y axis, normal.
     """
     transmittance = 1.0
     last = -1
@@ -186,12 +246,11 @@ def to_plane(
         nx, ny, nz = (ox - s[0]) / s[3], (oy - s[1]) / s[3], (oz - s[2]) / s[3]
         dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, 1.0 / s[4])
         transmittance *= part
+        if s.shape[0] > SOLID:
+            ox, oy, oz, dx, dy, dz, part = through_cores(ox, oy, oz, dx, dy, dz, s)
+            transmittance *= part
         # Out: far root of the same quadratic, inward normal.
-        x, y, z = ox - s[0], oy - s[1], oz - s[2]
-        b = 2.0 * (dx * x + dy * y + dz * z)
-        discriminant = b * b - 4.0 * (x * x + y * y + z * z - s[3] * s[3])
-        t = 0.5 * (-b + np.sqrt(max(discriminant, 0.0)))
-        ox, oy, oz = ox + t * dx, oy + t * dy, oz + t * dz
+        ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
         nx, ny, nz = (s[0] - ox) / s[3], (s[1] - oy) / s[3], (s[2] - oz) / s[3]
         dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, s[4])
         transmittance *= part

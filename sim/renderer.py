@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.patterns import Pattern
-from sim.rays import trace_pixels, weighted_mean
+from sim.rays import SOLID, trace_pixels, weighted_mean
 from sim.sensor import Sensor
 from tracer.bodies import Body, Rod, Sphere
 from tracer.errors import SceneError
@@ -164,12 +164,24 @@ def _tables(scene: Scene, pattern: Pattern, aperture: Aperture | None) -> _Table
     pose = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
     return _Tables(
         camera=np.array([*pose, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
-        spheres=_rows([[*s.centre_mm, s.radius_mm, *_glass(scene, s)] for s in spheres], 6),
+        spheres=_balls(scene, spheres),
         rods=_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
         bounds=_rows([[*s.centre_mm, s.radius_mm] for s in spheres] + [_ball(r) for r in rods], 4),
         plane=plane,
         px_mm=float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3])) / camera.focal_px,
     )
+
+
+def _balls(scene: Scene, spheres: list[Sphere]) -> NDArray[np.float64]:
+    """Rows of the spheres, filled up with zeros to the one with the most cores."""
+    air = scene.ambient.n(scene.wavelength_nm)
+    rows = [
+        [*s.centre_mm, s.radius_mm, *_glass(scene, s)]
+        + [number for core in s.cores for number in (core.radius_mm, core.medium.n(scene.wavelength_nm) / air)]
+        for s in spheres
+    ]
+    width = max(map(len, rows), default=SOLID)
+    return _rows([row + [0.0] * (width - len(row)) for row in rows], width)
 
 
 def _rows(values: list[list[float]], width: int) -> NDArray[np.float64]:

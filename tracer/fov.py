@@ -94,9 +94,13 @@ def field_of_view(scene: Scene) -> FieldOfView:
     Raises
     ------
     SceneError
-        The scene has no sphere before the camera, one is off the line, or the centre sees no plane point.
+        The scene has no sphere before the camera, one is off the line or has a core, or the centre sees no plane
+        point.
     """
     spheres = _row(scene)
+    for sphere in spheres:
+        if sphere.cores:
+            raise SceneError(f"sphere {sphere.name!r} has a core; a radial field of view is for solid spheres")
     curve = _curve(scene)
     length_mm = scene.camera.position_mm[2]
     silhouette = max(_silhouette_mm(sphere, length_mm) for sphere in spheres)

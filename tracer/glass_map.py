@@ -86,7 +86,9 @@ def build_glass_map(scene: Scene) -> GlassMap:
         The scene is too rich: its glass is all over the sensor, or not known row by row.
     """
     if not fits_lockstep(scene):
-        raise SceneError("a glass map is for up to eight transparent spheres; trace the whole ray map instead")
+        raise SceneError(
+            "a glass map is for up to eight solid transparent spheres; trace the whole ray map instead"
+        )
     height, width = scene.camera.shape
     camera, balls, flat = pack_camera(scene.camera), pack_chain(scene), scene.camera.lens.is_ideal
     mirrors = find_mirrors(scene)

@@ -1,8 +1,8 @@
 """When and how a whole sensor is traced in lockstep (``tracer.kernels.chain``).
 
-Lockstep serves scenes of a few transparent spheres that are nowhere optically thinner than the room: every
-scene of the paper.  Anything else (supports, opaque balls, bubbles, a whole bed) goes through ``march``,
-pixel by pixel.  Both give the same map to rounding; a test holds them together.
+Lockstep serves scenes of a few solid transparent spheres that are nowhere optically thinner than the room: every
+scene of the paper.  Anything else (supports, opaque balls, bubbles, hollow balls, a whole bed) goes through
+``march``, pixel by pixel.  Both give the same map to rounding; a test holds them together.
 
 Branches are numbered beforehand: number k < 2^N means "of the N spheres from the highest centre down, those
 whose bit is set in k, in this order", whether or not a ray takes it.  What rays meet in another order is
@@ -29,6 +29,7 @@ from tracer.kernels.chain import (
     VECTOR,
 )
 from tracer.kernels.sensor import sensor_rows
+from tracer.kernels.shell import SOLID
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.trace import Branch, Numbers, pack_camera, trace
@@ -43,9 +44,8 @@ STRAIGHT_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 def fits_lockstep(scene: Scene) -> bool:
     """Whether a scene can be traced in lockstep."""
     table = scene.sphere_table()
-    return (
-        not scene.rods and len(table) <= MAX_CHAIN and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
-    )
+    few_and_solid = not scene.rods and len(table) <= MAX_CHAIN and table.shape[1] == SOLID
+    return few_and_solid and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
 
 
 def trace_lockstep(

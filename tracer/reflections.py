@@ -102,7 +102,7 @@ def trace_branches(scene: Scene, pixels: ArrayLike, min_transmittance: float = 1
     Raises
     ------
     SceneError
-        `min_transmittance` is not within 1e-12 to 1.
+        `min_transmittance` is not within 1e-12 to 1, or a sphere has a core.
 
     Notes
     -----
@@ -111,6 +111,9 @@ def trace_branches(scene: Scene, pixels: ArrayLike, min_transmittance: float = 1
     """
     if not 1e-12 <= min_transmittance <= 1.0:
         raise SceneError(f"min_transmittance is {min_transmittance:g}; give 1e-12 to 1")
+    for sphere in scene.spheres:
+        if sphere.cores:
+            raise SceneError(f"sphere {sphere.name!r} has a core; reflections are followed in solid spheres only")
     directions = np.ascontiguousarray(scene.camera.directions(pixels).reshape(-1, 3))
     origin = np.array(scene.camera.position_mm)
     spheres, rods = scene.sphere_table(), scene.rod_table()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tracer.bodies import Body, Rod, Sphere
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
+from tracer.kernels.shell import SOLID
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 
 CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
@@ -100,12 +101,32 @@ class Scene:
         return replace(self, camera=camera)
 
     def sphere_table(self) -> NDArray[np.float64]:
-        """Spheres for the kernels: (N, 6) float64, rows x, y, z, radius [mm], n / n_ambient, opaque (0 or 1)."""
-        table = np.empty((len(self.spheres), 6))
-        for row, sphere in zip(table, self.spheres, strict=True):
-            relative = 1.0 if sphere.medium is None else sphere.medium.n(self.wavelength_nm) / self.n_ambient
-            row[:] = (*sphere.centre_mm, sphere.radius_mm, relative, float(sphere.medium is None))
+        """Spheres for the kernels: (N, 6) float64, rows x, y, z, radius [mm], n / n_ambient, opaque (0 or 1).
+
+        Longer where there are cores: radius [mm], n / n_ambient of each follow, inwards; radius 0 is none.
+        """
+        spheres = self.spheres
+        table = np.tile((0.0, 1.0), (len(spheres), SOLID // 2 + self._most_cores))
+        for row, sphere in zip(table, spheres, strict=True):
+            row[:SOLID] = (*sphere.centre_mm, sphere.radius_mm, 1.0, float(sphere.medium is None))
+            if sphere.medium is not None:
+                row[4] = sphere.medium.n(self.wavelength_nm) / self.n_ambient
+            for k, core in enumerate(sphere.cores):
+                row[SOLID + 2 * k :][:2] = core.radius_mm, core.medium.n(self.wavelength_nm) / self.n_ambient
         return table
+
+    def event_names(self) -> list[str]:
+        """Names of the events that rays number (``tracer.kernels.shell``); branches are made of them."""
+        ways = range(2 * self._most_cores + 1)
+        return [sphere.event_name(way) for way in ways for sphere in self.spheres]
+
+    def sphere_of(self, event: str) -> Sphere:
+        """Return the sphere to which the name of an event belongs."""
+        return self.spheres[self.event_names().index(event) % len(self.spheres)]
+
+    @property
+    def _most_cores(self) -> int:
+        return max((len(sphere.cores) for sphere in self.spheres), default=0)
 
     def rod_table(self) -> NDArray[np.float64]:
         """Rods for the kernels: (N, 7) float64, rows start x, y, z, end x, y, z, radius [mm]."""
@@ -131,6 +152,7 @@ class Scene:
         for body in self.bodies:
             if isinstance(body, Sphere) and body.medium is not None:
                 media.append((body.name, f"sphere {body.name!r}", body.medium))
+                media += [(body.name, f"core of sphere {body.name!r}", core.medium) for core in body.cores]
         problems = []
         for name, who, medium in media:
             try:
@@ -149,6 +171,16 @@ class Scene:
         problems = [
             (name, f"two bodies are called {name!r}; give each its own name")
             for name in sorted({name for name in names if names.count(name) > 1})
+        ]
+        ways = {
+            body.event_name(way): body.name
+            for body in self.bodies
+            if isinstance(body, Sphere)
+            for way in range(1, 2 * len(body.cores) + 1)
+        }
+        problems += [
+            (name, f"body {name!r} is called like a way through {ways[name]!r}, which has a core; rename it")
+            for name in sorted(set(names) & ways.keys())
         ]
         for body in self.bodies:
             if body.distance_mm(camera) <= 0.0:

@@ -17,6 +17,8 @@ look_at_mm: [0.0, 0.0, 0.0]        # default the origin; with roll_deg, or a ful
 lens: {k1: 0.0}                    # acquired -> ideal, see tracer.camera
 bodies:
 - {name: front, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: crown}
+- {name: hollow, kind: sphere, centre_mm: [0.0, 0.0, 75.0], radius_mm: 25.0, material: crown,
+   core: {radius_mm: 24.0, material: air}}   # gas inside; a core may have a core itself
 - {name: support, kind: rod, start_mm: [0.0, -40.0, 10.0], end_mm: [0.0, -60.0, 10.0], radius_mm: 4.0}
 fit:                                 # optional: what a scene fit may change, see tracer.fit_section
 spheres: {centre_mm: 1.0, radius_mm: 0.02}
@@ -29,7 +31,7 @@ import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
-from tracer.bodies import Body, Rod, Sphere
+from tracer.bodies import Body, Core, Rod, Sphere
 from tracer.camera import LONGEST_MM, Camera, Lens, Vector3, look_at, thin_lens_distance_mm
 from tracer.config import Document, Pair, Table, Triple, load_yaml, validate
 from tracer.errors import ConfigError, Problem, SceneError
@@ -144,6 +146,14 @@ class CameraTable(Table):
         return Camera(focal_px, (principal[0], principal[1]), (width, height), vector3(position), rotation, lens)
 
 
+class CoreTable(Table):
+    """What is inside a sphere, about the same centre; it may have a core itself."""
+
+    radius_mm: Positive
+    material: str | MediumTable
+    core: "CoreTable | None" = None
+
+
 class SphereTable(Table):
     """A sphere."""
 
@@ -152,11 +162,31 @@ class SphereTable(Table):
     centre_mm: Triple
     radius_mm: Positive
     material: str | MediumTable
+    core: CoreTable | None = None
 
     def body(self, name: str, media: dict[str, Medium]) -> Body:
-        """Return the sphere described."""
+        """Return the sphere described.
+
+        Raises
+        ------
+        SceneError
+            It cannot be; names the part at fault, such as ``core``.
+        """
         medium = None if self.material == OPAQUE else medium_of(self.material, media)
-        return Sphere(name, vector3(self.centre_mm), self.radius_mm, medium)
+        return Sphere(name, vector3(self.centre_mm), self.radius_mm, medium, self._cores(name, media))
+
+    def _cores(self, name: str, media: dict[str, Medium]) -> tuple[Core, ...]:
+        """Cores from the outside in."""
+        cores, table, part = [], self.core, "core"
+        while table is not None:
+            try:
+                if table.material == OPAQUE:
+                    raise SceneError(f"a core of sphere {name!r} cannot be opaque; give it a medium")
+                cores.append(Core(table.radius_mm, medium_of(table.material, media)))
+            except SceneError as error:
+                raise SceneError(problems=[(f"{part}.material", str(error))]) from None
+            table, part = table.core, f"{part}.core"
+        return tuple(cores)
 
 
 class RodTable(Table):
@@ -223,7 +253,9 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
         try:
             bodies.append(entry.body(name, media))
         except SceneError as error:
-            problems.append(Problem(document.line(("bodies", index, "material")), str(error)))
+            for part, text in error.problems:
+                at: tuple[str | int, ...] = ("bodies", index, *(part or "material").split("."))
+                problems.append(Problem(document.line(at), text))
     if problems:
         raise ConfigError(document.path, problems)
     place: tuple[str, ...] = ("camera",)
@@ -304,6 +336,10 @@ def dump_scene(scene: Scene) -> str:
         material = OPAQUE if body.medium is None else _material(body.medium)
         bodies.append({"name": body.name, "kind": "sphere", "centre_mm": list(body.centre_mm)})
         bodies[-1] |= {"radius_mm": body.radius_mm, "material": material}
+        inside = bodies[-1]
+        for core in body.cores:
+            inside["core"] = {"radius_mm": core.radius_mm, "material": _material(core.medium)}
+            inside = inside["core"]
     tree = {
         "wavelength_nm": scene.wavelength_nm,
         "ambient": _material(scene.ambient),

@@ -17,7 +17,7 @@ RAY = np.dtype(
     [
         ("status", np.uint8),  # RayStatus
         ("events", np.int32),  # spheres crossed
-        ("key", np.int64),  # hash of the sequence of spheres crossed
+        ("key", np.int64),  # hash of the sequence of spheres crossed, and of the ways through their cores
         ("x_mm", np.float64),  # plane point
         ("y_mm", np.float64),
         ("path_mm", np.float64),  # optical path from the start to the plane
@@ -40,7 +40,8 @@ class TraceResult:
     rays : structured array of dtype RAY
         One record a ray, in the shape asked for; coordinates are NaN unless the status is RECOVERED.
     branches : dict
-        Branch key -> names of the spheres crossed, in order; () is the direct view.
+        Branch key -> names of the spheres crossed, in order, with the way through those that have a core
+        (`Sphere.event_name`); () is the direct view.
     """
 
     rays: NDArray[np.void]
@@ -125,13 +126,13 @@ def name_branches(
     directions: NDArray[np.float64],
     keys: NDArray[np.int64],
 ) -> dict[int, Branch]:
-    """Names of the spheres behind each branch key, from one ray (N, 3), (N, 3) of each branch."""
+    """Names of the events behind each branch key, from one ray (N, 3), (N, 3) of each branch."""
     trails = np.full((len(keys), MAX_EVENTS), -1, np.int32)
     spheres = scene.sphere_table()
     trace_trails(origins_mm, directions, spheres, scene.rod_table(), *cells_of(spheres), trails)
-    names = [sphere.name for sphere in scene.spheres]
+    names = scene.event_names()
     return {
-        int(key): tuple(names[body] for body in trail if body >= 0)
+        int(key): tuple(names[event] for event in trail if event >= 0)
         for key, trail in zip(keys, trails, strict=True)
     }
 

@@ -82,10 +82,9 @@ def _radii(
 ) -> NDArray[np.float64]:
     """R / R of each window centre from the sphere nearest the plane on its branch; NaN for the direct view."""
     nodes = correction_map.grid.to_mm(field.grid_px)
-    spheres = {sphere.name: sphere for sphere in scene.spheres}
     radius = np.full(branch.shape, np.nan)
     for number in np.unique(branch[branch > 0]):
-        last = spheres[correction_map.branches[int(number)][-1]]
+        last = scene.sphere_of(correction_map.branches[int(number)][-1])
         here = branch == number
         off = nodes[here] - np.array(last.centre_mm[:2])
         radius[here] = np.hypot(off[:, 0], off[:, 1]) / last.radius_mm

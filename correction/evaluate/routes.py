@@ -156,10 +156,9 @@ def _at_nodes(field: VectorField, traced: PlaneVectors, correction_map: Correcti
 
 def _radius(traced: PlaneVectors, correction_map: CorrectionMap, scene: Scene) -> NDArray[np.float64]:
     """R / R of traced vectors behind glass, NaN in the direct view."""
-    spheres = {sphere.name: sphere for sphere in scene.spheres}
     radius = np.full(len(traced.branch), np.nan)
     for number in np.unique(traced.branch[traced.branch > 0]):
-        last = spheres[correction_map.branches[int(number)][-1]]
+        last = scene.sphere_of(correction_map.branches[int(number)][-1])
         here = traced.branch == number
         radius[here] = np.linalg.norm(traced.place_mm[here] - last.centre_mm[:2], axis=1) / last.radius_mm
     return radius

@@ -58,13 +58,24 @@ def _moved(scene: Scene, nominal: Scene, light: FitLightTable | None, way: float
         if isinstance(body, Sphere) and body.medium is not None:
             assert isinstance(before, Sphere)
             assert before.medium is not None
-            if isinstance(before.medium, ConstantMedium):
-                raise ViewsMissing(
-                    f"the glass of {body.name} is a number without dispersion, which cannot be moved from"
-                    f" {light.mean_nm:g} to {scene.wavelength_nm:g} nm; describe it as a glass, such as"
-                    " {base: N-BK7, offset: 0.0}"
-                )
-            change = index_in_light(before.medium, light) - before.medium.n(scene.wavelength_nm)
-            body = replace(body, medium=shifted_medium(body.medium, way * change))
+            of_ball = way * _change(before.medium, body.name, nominal, light)
+            cores = []
+            for core, was in zip(body.cores, before.cores, strict=True):
+                of_core = way * _change(was.medium, body.name, nominal, light)
+                cores.append(replace(core, medium=shifted_medium(core.medium, of_core)))
+            body = replace(body, medium=shifted_medium(body.medium, of_ball), cores=tuple(cores))
         bodies.append(body)
     return scene.with_bodies(bodies)
+
+
+def _change(medium: Medium, name: str, nominal: Scene, light: FitLightTable) -> float:
+    """By how much the index of a medium of body `name` is higher in the light than at the scene's wavelength."""
+    if not isinstance(medium, ConstantMedium):
+        return index_in_light(medium, light) - medium.n(nominal.wavelength_nm)
+    if medium.index == 1.0:  # what a hollow ball is filled with
+        return 0.0
+    raise ViewsMissing(
+        f"the glass of {name} is a number without dispersion, which cannot be moved from"
+        f" {light.mean_nm:g} to {nominal.wavelength_nm:g} nm; describe it as a glass, such as"
+        " {base: N-BK7, offset: 0.0}"
+    )

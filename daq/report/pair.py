@@ -103,7 +103,9 @@ def scene_chapter(page: Page, scene: Scene) -> None:
     page.figure("scene", scene_figure(scene), caption)
     rows = [
         (s.name, ", ".join(f"{c:.4f}" for c in s.centre_mm), f"{s.radius_mm:.4f}",
-         "opaque" if s.medium is None else f"{s.medium.n(scene.wavelength_nm):.5f}")
+         "opaque" if s.medium is None else ", ".join(
+             [f"{s.medium.n(scene.wavelength_nm):.5f}"]
+             + [f"{c.medium.n(scene.wavelength_nm):.5f} within {c.radius_mm:.4f} mm" for c in s.cores]))
         for s in scene.spheres
     ]  # fmt: skip
     if rows:

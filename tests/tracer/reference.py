@@ -2,7 +2,8 @@
 
 A ray is a point and a unit direction.  Each sphere is met at the smaller root of |o + t d - c|^2 = R^2, the
 ray refracted there and again at the larger root of the same quadratic, both times by Snell's law in vector
-form at the surface normal.  (The kernels know neither roots nor points on surfaces nor normals.)
+form at the surface normal; the same at every core inside, where what is totally reflected goes on as a mirror
+sends it.  (The kernels know neither roots nor points on surfaces nor normals.)
 Inputs are the float64 numbers of the scene, taken as exact.
 """
 
@@ -12,6 +13,7 @@ import mpmath
 from mpmath import mpf
 
 from tracer.camera import Camera
+from tracer.media import Medium
 from tracer.scene import Scene
 
 mpmath.mp.dps = 50
@@ -21,12 +23,13 @@ Vector = tuple[mpf, mpf, mpf]
 
 @dataclass(frozen=True)
 class Glass:
-    """A sphere in exact numbers."""
+    """A sphere in exact numbers, with (radius, n) of each core inwards."""
 
     name: str
     centre: Vector
     radius: mpf
     n: mpf
+    cores: tuple[tuple[mpf, mpf], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,9 @@ class Seen:
     x, y : mpf
         Plane point [mm].
     branch : tuple of str
-        Names of the spheres crossed.
+        Names of the spheres crossed, and of the ways through their cores.
     worst : mpf
-        Largest impact parameter met, in units of that sphere's radius.
+        Largest sine of an angle to the normal met, without those of refraction in solid spheres.
     path : mpf
         Optical path [mm].
     passed : mpf
@@ -71,12 +74,17 @@ def along(o: Vector, t: mpf, d: Vector) -> Vector:
 
 def glasses(scene: Scene) -> list[Glass]:
     """Spheres of a scene, all transparent."""
+
+    def relative(medium: Medium) -> mpf:
+        return mpf(medium.n(scene.wavelength_nm)) / mpf(scene.n_ambient)
+
     return [
         Glass(
             ball.name,
             tuple(mpf(x) for x in ball.centre_mm),
             mpf(ball.radius_mm),
-            mpf(ball.medium.n(scene.wavelength_nm)) / mpf(scene.n_ambient),
+            relative(ball.medium),
+            tuple((mpf(core.radius_mm), relative(core.medium)) for core in ball.cores),
         )
         for ball in scene.spheres
     ]
@@ -124,6 +132,61 @@ def snell(d: Vector, normal: Vector, ratio: mpf) -> tuple[Vector, mpf] | None:
     return bent, 1 - (r_s**2 + r_p**2) / 2
 
 
+@dataclass(frozen=True)
+class Crossed:
+    """What a ray does in a sphere: where it leaves and how, by which way, and what that costs."""
+
+    o: Vector
+    d: Vector
+    name: str
+    worst: mpf
+    path: mpf
+    passed: mpf
+
+
+def cross(o: Vector, d: Vector, ball: Glass) -> Crossed | None:
+    """Follow a ray from its point of entry `o` through a sphere, surface by surface; None = reflected outside."""
+    radii = [ball.radius, *(radius for radius, _ in ball.cores)]
+    indices = [mpf(1), ball.n, *(n for _, n in ball.cores)]
+    name, worst, path, passed = ball.name, mpf(0), mpf(0), mpf(1)
+    level, at, inward = 0, 0, True  # surfaces around the ray; the surface it is at
+    while True:
+        side = 1 if inward else -1
+        normal = tuple(side * (o[k] - ball.centre[k]) / radii[at] for k in range(3))
+        other = level + side
+        refracted = snell(d, normal, indices[level] / indices[other])
+        if at > 0 or inward:
+            worst = max(worst, mpmath.sqrt(max(mpf(0), 1 - dot(d, normal) ** 2)))
+        if refracted is None:
+            if at == 0:
+                return None
+            turn = 2 * dot(d, normal)
+            d = tuple(d[k] - turn * normal[k] for k in range(3))
+            name = f"{ball.name} off core{'' if at == 1 else f' {at}'}"
+        else:
+            d, share = refracted
+            passed *= share
+            level = other
+            if at > 0:
+                worst = max(worst, mpmath.sqrt(max(mpf(0), 1 - dot(d, normal) ** 2)))
+            if at > 0 and inward:
+                name = f"{ball.name} core{'' if at == 1 else f' {at}'}"
+        if level == 0:
+            return Crossed(o, d, name, worst, path, passed)
+        falls = dot(tuple(o[k] - ball.centre[k] for k in range(3)), d) < 0
+        inner = None
+        if falls and level < len(radii):
+            inner = roots(o, d, Glass("", ball.centre, radii[level], mpf(1)))
+        if inner:
+            at, inward, t = level, True, inner[0]
+        else:
+            outer = roots(o, d, Glass("", ball.centre, radii[level - 1], mpf(1)))
+            assert outer is not None
+            at, inward, t = level - 1, False, outer[1]
+        o = along(o, t, d)
+        path += indices[level] * t
+
+
 def follow(scene: Scene, o: Vector, d: Vector) -> Seen:
     """Trace a ray from a point outside all spheres to the plane z = 0.
 
@@ -143,24 +206,15 @@ def follow(scene: Scene, o: Vector, d: Vector) -> Seen:
         if not ahead:
             break
         t, ball = min(ahead, key=lambda pair: pair[0])
-        branch.append(ball.name)
+        o = along(o, t, d)
         path += t
-        for ratio, inward in ((1 / ball.n, True), (ball.n, False)):
-            o = along(o, t, d)
-            outward = tuple((o[k] - ball.centre[k]) / ball.radius for k in range(3))
-            normal = outward if inward else tuple(-c for c in outward)
-            if inward:
-                worst = max(worst, mpmath.sqrt(max(mpf(0), 1 - dot(d, normal) ** 2)))
-            refracted = snell(d, normal, ratio)
-            if refracted is None:
-                return Seen("tir", mpmath.nan, mpmath.nan, tuple(branch), worst, path, mpf(0), d)
-            d, share = refracted
-            passed *= share
-            if inward:
-                hit = roots(o, d, ball)
-                assert hit is not None
-                t = hit[1]
-                path += ball.n * t
+        inside = cross(o, d, ball)
+        if inside is None:
+            sine = mpmath.sqrt(1 - (dot(tuple(o[k] - ball.centre[k] for k in range(3)), d) / ball.radius) ** 2)
+            return Seen("tir", mpmath.nan, mpmath.nan, (*branch, ball.name), max(worst, sine), path, mpf(0), d)
+        branch.append(inside.name)
+        o, d = inside.o, inside.d
+        worst, path, passed = max(worst, inside.worst), path + inside.path, passed * inside.passed
         left = ball
     if not d[2] < 0:
         return Seen("missed", mpmath.nan, mpmath.nan, tuple(branch), worst, path, passed, d)

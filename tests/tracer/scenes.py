@@ -1,12 +1,13 @@
 """Scenes for the tracer's tests: the paper's, one where nothing is aligned, and random ones."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.bodies import Body, Sphere
+from tracer.bodies import Body, Core, Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
@@ -22,10 +23,21 @@ PAPER = (
     "pyramid_500",
 )
 TILTED = "tilted"
+HOLLOW = "hollow"
 
 
-def ball(name: str, x: float, y: float, z: float, radius_mm: float, n: float | None = 1.53) -> Sphere:
-    return Sphere(name, (x, y, z), radius_mm, None if n is None else ConstantMedium(n))
+def ball(
+    name: str,
+    x: float,
+    y: float,
+    z: float,
+    radius_mm: float,
+    n: float | None = 1.53,
+    *cores: tuple[float, float],
+) -> Sphere:
+    """A sphere; of each core radius [mm] and n, inwards."""
+    inside = tuple(Core(radius, ConstantMedium(index)) for radius, index in cores)
+    return Sphere(name, (x, y, z), radius_mm, None if n is None else ConstantMedium(n), inside)
 
 
 def camera_at(
@@ -43,6 +55,16 @@ def camera_at(
 
 @cache
 def scene(name: str) -> Scene:
+    """A scene by name: those of the paper; nothing aligned; the same hollow, filled, a ball in a ball."""
+    if name == HOLLOW:
+        bodies = (
+            ball("gas", 3.0, -4.0, 31.0, 30.0, 1.53, (24.0, 1.0003)),
+            ball("thin", -25.0, 12.0, 77.5, 11.25, 1.4607, (11.1, 1.0)),
+            ball("drop", 34.0, 31.0, 26.0, 14.0, 1.333, (6.0, 1.6)),
+            ball("bubble", 32.0, -36.0, 20.0, 7.5, 1.1),
+            ball("nested", 28.0, -14.0, 118.0, 18.0, 1.517, (15.0, 1.0003), (9.0, 1.517), (4.0, 1.0003)),
+        )
+        return scene(TILTED).with_bodies(bodies)
     if name != TILTED:
         return load_scene(EXAMPLES / f"{name}.yaml")
     return Scene(
@@ -119,8 +141,23 @@ def random_camera(rng: np.random.Generator, bodies: list[Body]) -> Camera:
     return camera_at(position, target, focal, (640, 480), float(rng.uniform(-3.0, 3.0)), lens)
 
 
-def random_scene(rng: np.random.Generator, most: int = 8) -> Scene:
+def hollowed(rng: np.random.Generator, bodies: list[Body]) -> list[Body]:
+    """The same spheres, most of them with one to three cores: thin shells, thick ones, small drops."""
+    made: list[Body] = []
+    for body in bodies:
+        cores, radius = [], body.radius_mm
+        for _ in range(rng.choice([0, 1, 1, 1, 2, 3])):
+            radius *= float(rng.choice([1.0 - 1e-6, 0.999, rng.uniform(0.1, 1.0), rng.uniform(0.6, 1.0)]))
+            n = float(rng.choice([1.0, 1.0 + 1e-6, 1.333, 1.53, 2.6, body.medium.n(532.0)]))
+            cores.append(Core(radius, ConstantMedium(n)))
+        made.append(replace(body, cores=tuple(cores)))
+    return made
+
+
+def random_scene(rng: np.random.Generator, most: int = 8, cores: bool = False) -> Scene:
     bubbles = bool(rng.random() < 0.25)
     bodies = random_bodies(rng, int(rng.integers(0, most + 1)), bubbles)
+    if cores:
+        bodies = hollowed(rng, bodies)
     ambient = ConstantMedium(1.333 if bubbles else 1.0)
     return Scene(random_camera(rng, bodies), tuple(bodies), ambient=ambient)

@@ -9,7 +9,7 @@ import pytest
 from mpmath import mpf
 
 from tests.tracer.reference import Glass, Seen, Vector, dot, follow, follow_pixel, snell
-from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, scene
+from tests.tracer.scenes import HOLLOW, PAPER, TILTED, aimed_pixels, ball, camera_at, scene
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 from tracer.status import RayStatus
@@ -55,7 +55,7 @@ def inherent_mm(where: Scene, pixel: tuple[float, float], seen: Seen) -> float:
 
 def compare(count: int, seed: int) -> Iterator[tuple[str, dict[str, Worst]]]:
     """Trace `count` rays over all scenes both ways; yields each scene with its worst errors."""
-    names = (*PAPER, TILTED)
+    names = (*PAPER, TILTED, HOLLOW)
     rng = np.random.default_rng(seed)
     for name in names:
         where = scene(name)

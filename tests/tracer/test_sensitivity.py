@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sim.demo_scenes import named_scene
 from tests.tracer.reference import dot, follow_pixel
+from tracer.bodies import Core
 from tracer.camera import Lens
 from tracer.kernels.adjoint import STATE
 from tracer.kernels.landing import trace_landings
@@ -29,7 +30,14 @@ AIR = 1.0003
 
 def exact_scene(name: str) -> Scene:
     """A scene in which no number is zero by chance."""
-    scene = named_scene(name)
+    scene = named_scene("two_spheres_500" if name == "hollow" else name)
+    if name == "hollow":
+        near, far = scene.spheres
+        inside = (
+            Core(0.7 * near.radius_mm, ConstantMedium(1.0004)),
+            Core(0.3 * near.radius_mm, ConstantMedium(1.6)),
+        )
+        scene = scene.with_bodies([replace(near, cores=inside[1:]), replace(far, cores=inside)])
     turn = Rotation.from_rotvec((0.004, -0.006, 0.05)).as_matrix() @ scene.camera.rotation_matrix
     camera = replace(
         scene.camera,
@@ -77,7 +85,13 @@ def exact_landing(scene: Scene, pixel, name: str, step: mpf):
         medium = SimpleNamespace(n=lambda _nm, n=n: n)
         radius = mpf(ball.radius_mm) + own["radius"]
         balls.append(
-            SimpleNamespace(name=ball.name, centre_mm=seen_from_target(centre), radius_mm=radius, medium=medium)
+            SimpleNamespace(
+                name=ball.name,
+                centre_mm=seen_from_target(centre),
+                radius_mm=radius,
+                medium=medium,
+                cores=ball.cores,
+            )
         )
     lens = SimpleNamespace(**{term: mpf(getattr(camera.lens, term)) + by[term] for term in CAMERA[9:]})
     principal = tuple(mpf(p) + by[part] for p, part in zip(camera.principal_px, ("cu", "cv"), strict=True))
@@ -92,12 +106,14 @@ def exact_landing(scene: Scene, pixel, name: str, step: mpf):
     return np.array([found.x, found.y])
 
 
+HOLLOW_PX = (11.0, 60.0, 110.0, 150.0, 190.0, 230.0)
 CASES = [
     ("one_sphere_500", (1300.0, 700.0)),
     ("one_sphere_500", (60.0, 1950.0)),
     ("three_spheres_500", (1100.0, 1060.0)),
     ("pyramid_500", (1100.0, 900.0)),
     ("pyramid_500", (640.0, 1400.0)),
+    *(("hollow", (1000.0 + off, 1015.0 + 0.5 * off)) for off in HOLLOW_PX),
 ]
 
 

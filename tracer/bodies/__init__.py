@@ -5,8 +5,8 @@ scene file's table (``tracer/scene_file.py``); scenes without it pay nothing.
 """
 
 from tracer.bodies.rod import Rod
-from tracer.bodies.sphere import Sphere
+from tracer.bodies.sphere import Core, Sphere
 
 Body = Sphere | Rod
 
-__all__ = ["Body", "Rod", "Sphere"]
+__all__ = ["Body", "Core", "Rod", "Sphere"]

@@ -28,6 +28,7 @@ from tracer.kernels.march import (
     next_key,
 )
 from tracer.kernels.rod import ROD
+from tracer.kernels.shell import event_at, with_cores, with_cores_rates
 from tracer.kernels.sphere import angles, foot, through, through_rates, turned
 
 STATE = 8  # w, d, m, b2 of each sphere crossed
@@ -49,7 +50,7 @@ def march_recorded(
     """March as `tracer.kernels.march.march`, and keep what the way back needs.
 
     Returns status, the foot point and direction of the last straight piece, key and events; ``state``
-    (MAX_EVENTS, STATE) receives w, d, m and b^2 of each sphere crossed, ``trail`` its number.
+    (MAX_EVENTS, STATE) receives w, d, m and b^2 of each sphere crossed, ``trail`` the event.
     """
     key, events, last = DIRECT, 0, -1
     while True:
@@ -66,24 +67,39 @@ def march_recorded(
         b2 = ax * ax + ay * ay + az * az
         if b2 >= radius * radius or b2 >= n * n * radius * radius:
             return TIR, px, py, pz, dx, dy, dz, key, events
-        trail[events] = body
+        event = event_at(b2, body, spheres)
+        trail[events] = event
         state[events, 0], state[events, 1], state[events, 2] = wx, wy, wz
         state[events, 3], state[events, 4], state[events, 5] = dx, dy, dz
         state[events, 6], state[events, 7] = m, b2
         cos_i, cos_t = angles(b2, radius, n)
         cosine, q = through(b2, radius, n, cos_i, cos_t)
+        if event != body:
+            cosine, q, _, _ = with_cores(b2, spheres[body], event // spheres.shape[0], cosine, q)
         ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
         px, py, pz = spheres[body, 0] + ax, spheres[body, 1] + ay, spheres[body, 2] + az
-        key = next_key(key, body)
+        key = next_key(key, event)
         events += 1
         last = body
 
 
 @kernel
 def back_through(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, sphere: Array, state: Array, out: Array
+    fx: float,
+    fy: float,
+    fz: float,
+    gx: float,
+    gy: float,
+    gz: float,
+    sphere: Array,
+    way: int,
+    state: Array,
+    out: Array,
 ) -> tuple[float, ...]:
-    """Carry one adjoint pair (f, g) of (a', d') back through a sphere; add c_bar, R_bar, n_bar to out (5,)."""
+    """Carry one adjoint pair (f, g) of (a', d') back through a sphere; add c_bar, R_bar, n_bar to out (5,).
+
+    `way` through its cores, which are held fixed (``tracer.kernels.shell``).
+    """
     wx, wy, wz, dx, dy, dz, m, b2 = (
         state[0],
         state[1],
@@ -98,15 +114,20 @@ def back_through(
     radius, n = sphere[3], sphere[4]
     cos_i, cos_t = angles(b2, radius, n)
     cosine, q = through(b2, radius, n, cos_i, cos_t)
+    by_b2, q_by_b2 = through_rates(b2, radius, n, cos_i, cos_t, 1.0, 0.0, 0.0)
+    by_radius, q_by_radius = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 1.0, 0.0)
+    by_n, q_by_n = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 0.0, 1.0)
+    if way > 0:
+        by_b2, q_by_b2 = with_cores_rates(b2, sphere, way, cosine, q, by_b2, q_by_b2, 1.0, 0.0)
+        by_radius, q_by_radius = with_cores_rates(b2, sphere, way, cosine, q, by_radius, q_by_radius, 0.0, 0.0)
+        by_n, q_by_n = with_cores_rates(b2, sphere, way, cosine, q, by_n, q_by_n, 0.0, 1.0)
+        cosine, q, _, _ = with_cores(b2, sphere, way, cosine, q)
     cosine_bar = fx * ax + fy * ay + fz * az + gx * dx + gy * dy + gz * dz
     along_bar = fx * dx + fy * dy + fz * dz
     q_bar = along_bar * b2 - (gx * ax + gy * ay + gz * az)
-    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 1.0, 0.0, 0.0)
-    b2_bar = along_bar * q + cosine_bar * cosine_rate + q_bar * q_rate
-    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 1.0, 0.0)
-    out[3] += cosine_bar * cosine_rate + q_bar * q_rate
-    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 0.0, 1.0)
-    out[4] += cosine_bar * cosine_rate + q_bar * q_rate
+    b2_bar = along_bar * q + cosine_bar * by_b2 + q_bar * q_by_b2
+    out[3] += cosine_bar * by_radius + q_bar * q_by_radius
+    out[4] += cosine_bar * by_n + q_bar * q_by_n
     hx = cosine * fx - q * gx + 2.0 * b2_bar * ax
     hy = cosine * fy - q * gy + 2.0 * b2_bar * ay
     hz = cosine * fz - q * gz + 2.0 * b2_bar * az

@@ -92,10 +92,10 @@ def trace_landings(
             row[place + 5] = -(ax * fy - ay * fx)
             row[CAMERA_NUMBERS:place] = 0.0
             for event in range(int(events) - 1, -1, -1):
-                body = trail[event]
+                body, way = trail[event] % spheres.shape[0], trail[event] // spheres.shape[0]
                 at = CAMERA_NUMBERS + SPHERE_NUMBERS * body
                 fx, fy, fz, gx, gy, gz = back_through(
-                    fx, fy, fz, gx, gy, gz, spheres[body], state[event], row[at : at + SPHERE_NUMBERS]
+                    fx, fy, fz, gx, gy, gz, spheres[body], way, state[event], row[at : at + SPHERE_NUMBERS]
                 )
             for at in range(CAMERA_NUMBERS + 4, place, SPHERE_NUMBERS):
                 row[at] /= n_ambient

@@ -10,8 +10,9 @@ Bodies are convex and disjoint (contact at most).  Three facts replace every tol
 * All bodies lie in front of the plane, so every hit comes before the plane.  The plane is asked last, and
   only whether the ray goes down; a sphere that touches the plane needs no special care.
 
-``spheres`` is (N, 6): centre, radius, relative index, opaque; ``rods`` is (M, 7): see ``tracer.scene``.
-The branch key is a 43-bit hash of the sequence of spheres crossed; 1 is the direct view.
+``spheres`` is (N, 6): centre, radius, relative index, opaque, then the cores of spheres that have any
+(``tracer.kernels.shell``); ``rods`` is (M, 7): see ``tracer.scene``.  The branch key is a 43-bit hash of the
+sequence of events: spheres crossed, and the way through those with cores; 1 is the direct view.
 """
 
 import math
@@ -20,6 +21,7 @@ from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.camera import pixel_ray_tangents
 from tracer.kernels.rod import ROD, meets_rod
+from tracer.kernels.shell import event_at, with_cores, with_cores_rates
 from tracer.kernels.sphere import (
     angles,
     foot,
@@ -38,9 +40,9 @@ KEY_MASK = (1 << 43) - 1  # with the factor below the product stays inside 63 bi
 
 
 @kernel
-def next_key(key: int, body: int) -> int:
-    """Branch key after crossing sphere number `body`."""
-    return (key * 1000003 + body + 2) & KEY_MASK
+def next_key(key: int, event: int) -> int:
+    """Branch key after an event: crossing sphere number `event`, or one with cores, see `event_at`."""
+    return (key * 1000003 + event + 2) & KEY_MASK
 
 
 @kernel
@@ -84,7 +86,7 @@ def march(
 
     Returns status, point x, y, z, direction, optical path / n_ambient, transmittance, key, events.  The point
     is the plane point of a recovered ray, else the foot point of its last straight piece.  `trail`
-    (MAX_EVENTS,) int32 receives the numbers of the spheres crossed, as many as events.
+    (MAX_EVENTS,) int32 receives the events: numbers of the spheres crossed, see `event_at`.
     """
     key, events = DIRECT, 0
     path, passed = 0.0, 1.0
@@ -109,8 +111,9 @@ def march(
         )
         m, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
         b2 = ax * ax + ay * ay + az * az
-        trail[events] = body
-        key = next_key(key, body)
+        event = event_at(b2, body, spheres)
+        trail[events] = event
+        key = next_key(key, event)
         events += 1
         if b2 < radius * radius:  # else rounding made a tangent of it: it passes
             if b2 >= n * n * radius * radius:
@@ -120,6 +123,11 @@ def march(
             passed *= surface * surface
             path += m + 2.0 * radius * (n * cos_t - cos_i)
             cosine, q = through(b2, radius, n, cos_i, cos_t)
+            if event != body:
+                way = event // spheres.shape[0]
+                cosine, q, more, share = with_cores(b2, spheres[body], way, cosine, q)
+                path += more
+                passed *= share
             ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
         else:
             path += m
@@ -198,7 +206,8 @@ def march_pixel_tangents(u: float, v: float, camera: Array, spheres: Array, rods
         wx, wy, wz = px - cx, py - cy, pz - cz
         m, ax, ay, az = foot(wx, wy, wz, dx, dy, dz)
         b2 = ax * ax + ay * ay + az * az
-        key = next_key(key, body)
+        event = event_at(b2, body, spheres)
+        key = next_key(key, event)
         events += 1
         fx, fy, fz = foot_tangent(wx, wy, wz, dx, dy, dz, m, fx, fy, fz, ux, uy, uz)
         gx, gy, gz = foot_tangent(wx, wy, wz, dx, dy, dz, m, gx, gy, gz, vx, vy, vz)
@@ -209,15 +218,20 @@ def march_pixel_tangents(u: float, v: float, camera: Array, spheres: Array, rods
             surface = transmittance(cos_i, cos_t, n)
             passed *= surface * surface
             cosine, q = through(b2, radius, n, cos_i, cos_t)
-            rate = 2.0 * (ax * fx + ay * fy + az * fz)
-            cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, rate, 0.0, 0.0)
+            f_rate, g_rate = 2.0 * (ax * fx + ay * fy + az * fz), 2.0 * (ax * gx + ay * gy + az * gz)
+            cosine_f, q_f = through_rates(b2, radius, n, cos_i, cos_t, f_rate, 0.0, 0.0)
+            cosine_g, q_g = through_rates(b2, radius, n, cos_i, cos_t, g_rate, 0.0, 0.0)
+            if event != body:
+                ball, way = spheres[body], event // spheres.shape[0]
+                cosine_f, q_f = with_cores_rates(b2, ball, way, cosine, q, cosine_f, q_f, f_rate, 0.0)
+                cosine_g, q_g = with_cores_rates(b2, ball, way, cosine, q, cosine_g, q_g, g_rate, 0.0)
+                cosine, q, _, share = with_cores(b2, ball, way, cosine, q)
+                passed *= share
             fx, fy, fz, ux, uy, uz = turned_tangent(
-                ax, ay, az, dx, dy, dz, b2, cosine, q, fx, fy, fz, ux, uy, uz, rate, cosine_rate, q_rate
+                ax, ay, az, dx, dy, dz, b2, cosine, q, fx, fy, fz, ux, uy, uz, f_rate, cosine_f, q_f
             )
-            rate = 2.0 * (ax * gx + ay * gy + az * gz)
-            cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, rate, 0.0, 0.0)
             gx, gy, gz, vx, vy, vz = turned_tangent(
-                ax, ay, az, dx, dy, dz, b2, cosine, q, gx, gy, gz, vx, vy, vz, rate, cosine_rate, q_rate
+                ax, ay, az, dx, dy, dz, b2, cosine, q, gx, gy, gz, vx, vy, vz, g_rate, cosine_g, q_g
             )
             ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
         px, py, pz = cx + ax, cy + ay, cz + az

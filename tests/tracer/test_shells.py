@@ -1,0 +1,340 @@
+"""Spheres with spheres in them: digits lost, what must be exactly as without, invariants, the three ways."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise, product
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mpmath import mpf
+
+from tests.tracer.reference import Glass, Vector, along, cross, dot, roots
+from tests.tracer.scenes import HOLLOW, aimed_pixels, ball, camera_at, random_scene, scene
+from tracer.bodies import Core, Sphere
+from tracer.cells import NO_CELLS
+from tracer.errors import SceneError
+from tracer.fov import field_of_view
+from tracer.glass_map import build_glass_map
+from tracer.kernels.march import march
+from tracer.kernels.shell import SOLID, core_turn, core_turn_rates, way_through, with_cores, with_cores_rates
+from tracer.kernels.sphere import angles, through
+from tracer.lockstep import fits_lockstep
+from tracer.media import ConstantMedium
+from tracer.ray_map import build_ray_map
+from tracer.ray_path import ray_path
+from tracer.reflections import trace_branches
+from tracer.scene import Scene
+from tracer.status import RayStatus
+from tracer.trace import trace, trace_from
+
+EPSILON = 2.0**-52
+NO_RODS = np.empty((0, 7))
+RADIUS_MM, N, AWAY = 25.0, 1.53, 17.0
+RATIOS = (1e-6, 0.5, 0.999, 1.0 - 1e-12)
+INDICES = (1.0, 1.0 + 1e-12, 1.33, 1.53, 2.5)
+SHARES = (1e-2, 1e-4, 1e-6, 1e-12)
+WAYS = ("one", "one core", "one off core")
+
+
+def impacts(ratio: float, n: float) -> list[tuple[float, float]]:
+    """Impact parameters of a case [radii]: anywhere, about the core's edge, its critical angle and the rim.
+
+    With each the distance of the nearest change of the way through [radii].
+    """
+    edges = [1.0, N * ratio, n * ratio]
+    every = {0.0, 0.3, 0.6, 0.9} | {edge * (1.0 + s * side) for edge in edges for s in SHARES for side in (-1, 1)}
+    return [(b, min(abs(b - edge) for edge in edges)) for b in sorted(every) if b <= 1.0 - 1e-12]
+
+
+def way_out(numbers: tuple[list[float], ...]) -> tuple[tuple[mpf, ...], str] | None:
+    """Foot point [radii] and direction after a sphere, and the way, exactly; None for a miss by rounding."""
+    start, way, centre, (radius, n, core, n_core) = (tuple(mpf(x) for x in part) for part in numbers)
+    glass = Glass("one", centre, radius, n, ((core, n_core),))
+    length = mpmath.sqrt(dot(way, way))
+    d: Vector = tuple(x / length for x in way)
+    hit = roots(start, d, glass)
+    inside = cross(along(start, hit[0], d), d, glass) if hit else None
+    if inside is None:
+        return None
+    w = tuple(inside.o[k] - centre[k] for k in range(3))
+    return (*(x / radius for x in along(w, -dot(w, inside.d), inside.d)), *inside.d), inside.name
+
+
+@pytest.mark.parametrize("n", INDICES)
+@pytest.mark.parametrize("ratio", RATIOS)
+def test_digits_lost(ratio: float, n: float) -> None:
+    """Lost <= inherent + 1.  Inherent: one number of ray, ball or core moved by one unit in its last place."""
+    rng = np.random.default_rng(3)
+    table = np.array([[0.0, 0.0, 0.0, RADIUS_MM, N, 0.0, ratio * RADIUS_MM, n]])
+    trail, ways, worst = np.empty(64, np.int32), set(), -math.inf
+    with mpmath.workdps(60):
+        for impact, room in impacts(ratio, n):
+            lost, inherent, compared = 1e-2, 1e-2, 0
+            for _ in range(12):
+                way, side = rng.normal(size=3), rng.normal(size=3)
+                way /= np.linalg.norm(way)
+                side = np.cross(way, side)
+                side /= np.linalg.norm(side)
+                centre = 5.0 * RADIUS_MM * rng.normal(size=3)
+                start = centre + RADIUS_MM * (impact * side - math.sqrt(AWAY**2 - impact**2) * way)
+                table[0, :3] = centre
+                result = march(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, trail)
+                numbers = start.tolist(), way.tolist(), centre.tolist(), table[0, [3, 4, 6, 7]].tolist()
+                exact = way_out(numbers)
+                sure = room > 100.0 * AWAY * EPSILON
+                if exact is None or result[-1] != 1:
+                    assert not sure
+                    continue
+                assert not sure or WAYS[trail[0]] == exact[1]
+                ways.add(exact[1])
+                if result[0] != RayStatus.MISSED_PLANE:  # upwards: `march` returns the foot point
+                    continue
+                foot = [(mpf(float(p)) - c) / RADIUS_MM for p, c in zip(result[1:4], centre.tolist(), strict=True)]
+                found = (*foot, *(mpf(float(x)) for x in result[4:7]))
+                lost = max(lost, apart(found, exact[0]) / EPSILON)
+                for part, number in enumerate(numbers):
+                    for k in range(len(number)):
+                        other = [list(each) for each in numbers]
+                        other[part][k] = float(np.nextafter(number[k], math.inf))
+                        moved = way_out(tuple(other))
+                        if moved is not None:
+                            inherent = max(inherent, apart(moved[0], exact[0]) / EPSILON)
+                compared += 1
+                if compared == 3:
+                    break
+            assert compared > 0 or room <= 100.0 * AWAY * EPSILON
+            worst = max(worst, math.log10(lost) - math.log10(inherent))
+            assert math.log10(lost) <= math.log10(inherent) + 1.0, impact
+    print(
+        f"core {ratio:.13g} R, n {n:.13g}: {len(ways)} ways, lost at most {worst:+.1f} digits more than inherent"
+    )
+    assert ways == {WAYS[k] for k, there in enumerate((N * ratio < 1.0, True, n < N and n * ratio < 1.0)) if there}
+
+
+def apart(one: tuple[mpf, ...], other: tuple[mpf, ...]) -> float:
+    return float(max(abs(a - b) for a, b in zip(one, other, strict=True)))
+
+
+@pytest.mark.parametrize(("n", "ratio"), [(1.0, 0.9), (1.33, 0.7), (1.0003, 0.999)])
+def test_total_reflection_is_decided_to_the_last_digit(n: float, ratio: float) -> None:
+    """At the core's critical angle and at its edge, by b alone."""
+    where = Scene(camera_at((0.0, 0.0, 400.0)), (ball("one", 0.0, 0.0, 64.0, 32.0, N, (32.0 * ratio, n)),))
+    edges = [(n, "one core", "one off core"), (N, "one off core", "one")]
+    for (index, within, beyond), share, side in product(edges, (1e-14, 1e-12, 1e-9, 1e-6, 1e-3), (-1.0, 1.0)):
+        b = index * ratio * 32.0 * (1.0 + side * share)
+        if b < 32.0:
+            result = trace_from(where, (b, 0.0, 200.0), (0.0, 0.0, -1.0))
+            assert result.branches[int(result.rays["key"])] == (beyond if side > 0.0 else within,)
+            assert result.rays["transmittance"] <= 1.0
+
+
+def same(one: Scene, other: Scene, pixels: np.ndarray, apart_mm: float = 0.0) -> None:
+    """Two scenes show the same, but for names; bit for bit unless `apart_mm` is given."""
+    a, b = trace(one, pixels).rays, trace(other, pixels).rays
+    for field in ("status", "x_mm", "y_mm", "direction", "path_mm", "transmittance"):
+        if apart_mm:
+            np.testing.assert_allclose(a[field], b[field], rtol=1e-12, atol=apart_mm)
+        else:
+            np.testing.assert_array_equal(a[field], b[field])
+
+
+def test_what_a_core_does_not_do() -> None:
+    """A core of the same glass, beside every ray, or of no size, is not there."""
+    solid = scene("two_spheres_500")
+    near, far = solid.spheres
+    pixels = aimed_pixels(solid, np.random.default_rng(4), 20_000)
+
+    def filled(*cores: Core) -> Scene:
+        return solid.with_bodies([replace(near, cores=cores), replace(far, cores=cores)])
+
+    assert near.medium is not None
+    glass = Core(20.0, near.medium)
+    result = trace(filled(glass), pixels)
+    assert {"core" in " ".join(names) for names in result.branches.values()} == {False, True}
+    one, other = result.rays, trace(solid, pixels).rays
+    for field in ("x_mm", "y_mm", "direction"):
+        np.testing.assert_array_equal(one[field], other[field])
+    np.testing.assert_allclose(one["path_mm"], other["path_mm"], rtol=1e-14)
+    np.testing.assert_allclose(one["transmittance"], other["transmittance"], rtol=1e-14, atol=1e-15)
+    same(filled(Core(1e-9, ConstantMedium(1.0))), solid, pixels)  # no pixel is aimed to a picometre
+    small = filled(Core(12.0, ConstantMedium(1.0)))
+    beside = [names for names in trace(small, pixels).branches.values() if "core" in " ".join(names)]
+    assert beside  # and those that pass beside it keep their bits
+    seen, plain = trace(small, pixels), trace(solid, pixels)
+    names = np.array([" ".join(seen.branches[key]) for key in seen.rays["key"].tolist()])
+    clear = np.char.find(names, "core") < 0
+    assert 1000 < clear.sum() < len(pixels)
+    np.testing.assert_array_equal(seen.rays["x_mm"][clear], plain.rays["x_mm"][clear])
+    np.testing.assert_array_equal(seen.rays["path_mm"][clear], plain.rays["path_mm"][clear])
+
+
+def test_a_bubble_of_no_thickness_is_a_bubble() -> None:
+    """A ball of gas behind a film of glass as thin as the next number turns rays as the gas alone."""
+    film = ball("film", 3.0, 2.0, 40.0, 25.0, 1.5, (25.0 * (1.0 - 1e-15), 1.333))
+    gas = ball("film", 3.0, 2.0, 40.0, 25.0, 1.333)
+    pixels = np.random.default_rng(1).uniform(900.0, 1100.0, (500, 2))
+    rays = [trace(Scene(camera_at(), (body,)), pixels).rays for body in (film, gas)]
+    np.testing.assert_allclose(rays[0]["x_mm"], rays[1]["x_mm"], rtol=0.0, atol=1e-11)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_bouguer(seed: int) -> None:
+    """(p - c) x d is the same before and after whatever the cores are: n b is the invariant."""
+    rng = np.random.default_rng(seed)
+    radius, n = 10.0 ** rng.uniform(-1.0, 2.0), 10.0 ** rng.uniform(-12.0, 0.5) + 1.0
+    cores = [(radius * share, float(rng.choice([1.0, 1.3, n, 2.5]))) for share in (0.999, 0.6, 0.3)]
+    table = Scene(camera_at((0.0, 0.0, 900.0)), (ball("one", 0.0, 0.0, 250.0, radius, n, *cores),)).sphere_table()
+    for _ in range(20):
+        way = rng.normal(size=3)
+        way /= np.linalg.norm(way)
+        side = np.cross(way, rng.normal(size=3))
+        aside = radius * (1.0 - 10.0 ** rng.uniform(-12.0, 0.0)) / np.linalg.norm(side)
+        start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
+        result = march(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, np.empty(64, np.int32))
+        if result[0] != RayStatus.MISSED_PLANE or result[-1] != 1:  # upwards: `march` returns the foot point
+            continue
+        before = np.cross(start - table[0, :3], way)
+        after = np.cross(np.array(result[1:4]) - table[0, :3], np.array(result[4:7]))
+        assert np.max(np.abs(after - before)) <= 4.0 * (np.spacing(250.0) + 8.0 * np.spacing(radius))
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_reversed_rays(seed: int) -> None:
+    """The ray sent back passes the pinhole, by the same way through every core, with the same losses."""
+    rng = np.random.default_rng(seed)
+    where = random_scene(rng, cores=True)
+    if not where.spheres:
+        return
+    result = trace(where, aimed_pixels(where, rng, 200))
+    eye = np.array(where.camera.position_mm)
+    chosen = result.recovered & (result.rays["transmittance"] > 0.7) & (result.rays["direction"][:, 2] < -0.1)
+    for ray in result.rays[chosen][:60]:
+        start = np.array([ray["x_mm"], ray["y_mm"], 0.0])
+        back = trace_from(where, start, -ray["direction"])
+        names, trail = result.branches[int(ray["key"])], np.empty(64, np.int32)
+        there = march(
+            *start.tolist(), *(-ray["direction"]).tolist(), where.sphere_table(), NO_RODS, *NO_CELLS, trail
+        )
+        assert back.branches[int(back.rays["key"])] == names[::-1]
+        assert there[8] == pytest.approx(float(ray["transmittance"]), abs=1e-6)
+        miss = np.cross(eye - np.array(there[1:4]), np.array(there[4:7]))
+        assert np.linalg.norm(miss) <= 1e-5 * np.linalg.norm(eye)
+
+
+@pytest.mark.parametrize(("matrix", "scale"), [(np.eye(3), 2.0**10), (np.diag((-1.0, -1.0, 1.0)), 1.0)])
+def test_scaled_and_mirrored_scenes_have_the_same_bits(matrix: np.ndarray, scale: float) -> None:
+    where = scene(HOLLOW)
+    bodies = [replace(body, radius_mm=body.radius_mm - 1e-6, cores=body.cores[1:]) for body in where.spheres]
+    bodies += [replace(where.spheres[0], name="apart", centre_mm=(-60.0, 0.0, 40.0))]
+    where = where.with_bodies(bodies)
+    moved = []
+    for body in where.spheres:
+        x, y, z = (scale * (matrix @ np.array(body.centre_mm))).tolist()
+        cores = tuple(replace(core, radius_mm=scale * core.radius_mm) for core in body.cores)
+        moved.append(replace(body, centre_mm=(x, y, z), radius_mm=scale * body.radius_mm, cores=cores))
+    ways = where.camera.directions(aimed_pixels(where, np.random.default_rng(9), 4000))
+    eye = np.array(where.camera.position_mm)
+    here = trace_from(where, eye, ways)
+    there = trace_from(
+        replace(where, camera=camera_at((0.0, 0.0, 1e7)), bodies=tuple(moved)),
+        scale * (matrix @ eye),
+        ways @ matrix,
+    )
+    np.testing.assert_array_equal(there.plane_mm, scale * here.plane_mm @ matrix[:2, :2])
+    np.testing.assert_array_equal(there.rays["key"], here.rays["key"])
+    assert len(here.branches) > 10
+
+
+def test_kernels_compiled_and_interpreted() -> None:
+    rng = np.random.default_rng(5)
+    row = scene(HOLLOW).sphere_table()[4]
+    met = set()
+    for _ in range(200):
+        b2 = float(rng.uniform(0.0, 1.0)) * row[3] ** 2
+        way = way_through(b2, row)
+        assert way_through.py_func(b2, row) == way
+        met.add(way)
+        cosine, q = through(b2, row[3], row[4], *angles(b2, row[3], row[4]))
+        for kernel, arguments in (
+            (with_cores, (b2, row, way, cosine, q)),
+            (with_cores_rates, (b2, row, way, cosine, q, 0.3, -0.2, 0.7, 0.1)),
+            (core_turn, (b2, 26.0, 0.8, b2 > 430.0)),
+            (core_turn_rates, (b2, 26.0, 0.8, b2 > 430.0, 0.1, 0.2, 0.3)),
+        ):
+            np.testing.assert_allclose(kernel(*arguments), kernel.py_func(*arguments), rtol=1e-9, atol=1e-12)
+    assert len(met) >= 3
+
+
+def test_the_names_of_the_ways() -> None:
+    where = scene(HOLLOW)
+    names = where.event_names()
+    assert len(set(names)) == len(names) == 7 * len(where.spheres)
+    assert [names[5 * way + 4] for way in range(7)] == [
+        "nested", "nested core", "nested off core", "nested core 2", "nested off core 2", "nested core 3",
+        "nested off core 3",
+    ]  # fmt: skip
+    assert all(where.sphere_of(name).name == name.split()[0] for name in names)
+    made = build_ray_map(where)
+    assert {("drop",), ("drop core",), ("gas core",), ("gas off core",)} <= set(made.branches)
+
+
+def test_only_solid_spheres_travel_the_fast_way() -> None:
+    where = scene(HOLLOW)
+    assert where.sphere_table().shape == (5, SOLID + 6)
+    assert scene("pyramid_500").sphere_table().shape == (5, SOLID)
+    hollow = Scene(camera_at(), (ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (20.0, 1.0)),))
+    assert not fits_lockstep(hollow)
+    with pytest.raises(SceneError, match="solid"):
+        build_glass_map(hollow)
+    with pytest.raises(SceneError, match="reflections are followed in solid spheres only"):
+        trace_branches(hollow, [(1000.0, 1000.0)])
+    with pytest.raises(SceneError, match="field of view is for solid spheres"):
+        field_of_view(hollow)
+
+
+@pytest.mark.parametrize("core", [25.0, 26.0, 0.0, -1.0, math.nan])
+def test_a_core_must_fit(core: float) -> None:
+    with pytest.raises(SceneError, match="radius of a core must be"):
+        ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (core, 1.0))
+
+
+def test_what_else_a_core_cannot_be() -> None:
+    with pytest.raises(SceneError, match="less than the 20 mm of what it is in"):
+        ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (20.0, 1.0), (20.0, 1.5))
+    with pytest.raises(SceneError, match="is opaque"):
+        Sphere("one", (0.0, 0.0, 25.0), 25.0, None, (Core(20.0, ConstantMedium(1.0)),))
+    with pytest.raises(SceneError, match=r"core of sphere 'one': n = 0\.5"):
+        Scene(camera_at(), (ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (20.0, 0.5)),))
+    hollow = ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (20.0, 1.0))
+    with pytest.raises(SceneError, match="called like a way through 'one'"):
+        Scene(camera_at(), (hollow, ball("one off core", 60.0, 0.0, 25.0, 25.0)))
+
+
+def test_the_drawn_ray_is_the_traced_ray() -> None:
+    """Its corners lie on the surfaces, and n times the length between them adds up to the optical path."""
+    where = scene(HOLLOW)
+    pixels = aimed_pixels(where, np.random.default_rng(6), 400)
+    result = trace(where, pixels)
+    met = set()
+    for pixel, ray in zip(pixels, result.rays, strict=True):
+        names = result.branches[int(ray["key"])]
+        if ray["status"] != RayStatus.RECOVERED or len(names) != 1:
+            continue
+        met.add(names)
+        corners, body = ray_path(where, pixel), where.sphere_of(names[0])
+        off = np.linalg.norm(corners[1:-1] - np.array(body.centre_mm), axis=1)
+        layers = [(body.radius_mm, body.medium), *((core.radius_mm, core.medium) for core in body.cores)]
+        radii = np.array([radius for radius, _ in layers])
+        surface = np.abs(off[:, None] - radii).argmin(axis=1)
+        np.testing.assert_allclose(off, radii[surface], rtol=1e-9)
+        np.testing.assert_allclose(corners[-1, :2], (ray["x_mm"], ray["y_mm"]), atol=1e-7)
+        n = [medium.n(where.wavelength_nm) for _, medium in layers]
+        inner = [n[min(a, b)] for a, b in pairwise(surface.tolist())]
+        along = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+        assert along @ [where.n_ambient, *inner, where.n_ambient] == pytest.approx(ray["path_mm"], rel=1e-9)
+    assert len(met) > 5
