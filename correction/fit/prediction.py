@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
 from correction.target import Chessboard
-from correction.target.corners import CornerFit, refine_corners
+from correction.target.corners import LEAST_PX, CornerFit, half_widths_px, refine_corners
 from tracer.bodies import Body, Rod
 from tracer.camera import Vector3
 from tracer.ray_map import build_ray_map
@@ -36,7 +36,7 @@ LAYERS = 3  # sheets on which one corner is looked for
 WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most
 RIM_PX = 2  # windows stay this far from the border of their branch
 WINDOW = 0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
-SHORTEST = 0.2  # the same where the view bends most; a corner that needs less is not asked
+SHORTEST = 0.2  # the same where the view bends most; a corner that needs less, or LEAST_PX, is not asked
 TWIST_PX = 1.0  # cubic bending at the ends of a window that does no harm (from 3 px on corners err by 0.1-1 px)
 
 
@@ -130,7 +130,7 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     at = np.rint(pixel).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64)
     every = Expected(index, pixel, axes, found.branch[seen], rim, window, found.branches, away > RIM_PX)
-    return every.take(window >= SHORTEST)
+    return every.take((window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
 
 
 def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float:

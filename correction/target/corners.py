@@ -76,6 +76,17 @@ class CornerFit:
         return {r.name: n for r in CornerReason if (n := int(np.count_nonzero(self.reason == r)))}
 
 
+def half_widths_px(axes_px: NDArray[np.float64], window: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Half width (N,) [px] of the windows that corners get, across the narrow side of their squares.
+
+    Corners with less than LEAST_PX are refused.  ``axes_px`` (N, 2, 2), ``window`` (N,) [squares] as for
+    `refine_corners`.
+    """
+    thin = np.abs(np.linalg.det(axes_px)) / np.linalg.norm(axes_px, axis=1).max(axis=1)
+    extent = np.abs(axes_px).sum(axis=2).max(axis=1)
+    return np.asarray(np.minimum(window, 0.5 * (corner_model.SIDE - 2) / extent) * thin)
+
+
 def refine_corners(
     image: NDArray[Any],
     start_px: ArrayLike,
