@@ -1,6 +1,7 @@
 """The renderer's rays against hand-computed optics, brute force, and the tracer's other formulation."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from sim.demo_scenes import SCENES, misaligned, named_scene
 from sim.patterns import Chessboard, Pose
 from sim.rays import _camera_ray, entry_rod, entry_sphere, snell, to_plane
 from sim.renderer import _tables
-from tracer.bodies import Rod, Sphere
+from tracer.bodies import Core, Rod, Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
@@ -79,6 +80,21 @@ def test_one_sphere_by_angles(height_mm):
     x, y, part = to_plane(0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, PLANE)
     assert (x, y) == pytest.approx((0.6 * expected, 0.8 * expected), abs=1e-11)
     assert 0.0 < part <= (4 * n / (1 + n) ** 2) ** 2 + 1e-12
+
+
+@pytest.mark.parametrize("height_mm", [0.0, 3.0, 11.0, 19.9, 20.1, 24.5])
+def test_a_hollow_sphere_by_angles(height_mm):
+    """Through the core, or reflected at it: the turns of the two surfaces add up."""
+    radius, n, core, centre = 25.0, 1.53, 20.0, 40.0
+    outer = math.asin(height_mm / radius) - math.asin(height_mm / radius / n)
+    i = math.asin(height_mm / n / core)
+    inner = 2.0 * i - math.pi if height_mm > core else 2.0 * (i - math.asin(height_mm / core))
+    bend = 2.0 * outer + inner
+    spheres = np.array([(0.0, 0.0, centre, radius, n, 0.0, core, 1.0)])
+    x, y, part = to_plane(0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, PLANE)
+    expected = height_mm / math.cos(bend) - centre * math.tan(bend)
+    assert (x, y) == pytest.approx((0.6 * expected, 0.8 * expected), abs=1e-10)
+    assert 0.0 < part <= ((4 * n / (1 + n) ** 2) ** (2 if height_mm > core else 4)) + 1e-12
 
 
 def test_axis_through_a_touching_stack_on_the_plane():
@@ -157,10 +173,15 @@ def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
     assert meeting[2] == pytest.approx(meeting[0], abs=1e-10)
 
 
+@pytest.mark.parametrize("cores", [(), ((20.0, 1.0),), ((24.0, 1.0003), (15.0, 1.6), (9.0, 1.2))])
 @pytest.mark.parametrize("name", sorted(SCENES))
-def test_two_formulations_agree(name):
+def test_two_formulations_agree(name, cores):
     """Quadratic and vectors here, foot points and rotations in the tracer: the same plane points and light."""
     scene = misaligned(named_scene(name), seed=7, barrel=0.01)
+    inside = [(share / 25.0, ConstantMedium(n)) for share, n in cores]
+    bodies = [replace(ball, cores=tuple(Core(part * ball.radius_mm, glass) for part, glass in inside))
+              for ball in scene.spheres]  # fmt: skip
+    scene = scene.with_bodies(bodies)
     scene = scene.with_bodies([*scene.bodies, Rod("support", (-62.0, -62.0, 10.0), (-62.0, -50.0, 40.0), 3.0)])
     tables = _tables(scene, Chessboard(), None)
     pixels = np.random.default_rng(1).uniform(0.0, 2015.0, (3000, 2))

@@ -9,7 +9,7 @@ from mpmath import mpf
 from scipy.optimize import minimize_scalar
 
 from tests.tracer.reference import follow, pixel_direction
-from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, random_scene, scene
+from tests.tracer.scenes import HOLLOW, PAPER, TILTED, aimed_pixels, ball, camera_at, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Lens
 from tracer.cells import NO_CELLS
@@ -55,7 +55,7 @@ def test_small_kernels_compiled_and_interpreted() -> None:
             np.testing.assert_allclose(compiled, plain, rtol=1e-12, atol=1e-12 * max(1.0, np.abs(w).max()))
 
 
-@pytest.mark.parametrize("name", [PAPER[0], "pyramid_500", TILTED])
+@pytest.mark.parametrize("name", [PAPER[0], "pyramid_500", TILTED, HOLLOW])
 def test_ray_kernels_compiled_and_interpreted(name: str) -> None:
     where = scene(name)
     camera, spheres = pack_camera(where.camera), where.sphere_table()
@@ -135,7 +135,7 @@ def exact_derivatives(where: Scene, u: float, v: float) -> np.ndarray:
     return np.array(columns).T
 
 
-@pytest.mark.parametrize("name", [*PAPER, TILTED])
+@pytest.mark.parametrize("name", [*PAPER, TILTED, HOLLOW])
 def test_analytic_derivatives(name: str) -> None:
     """Lens terms, direction, every turn and the landing: 1e-8 of the matrix, rims excepted."""
     where = scene(name)

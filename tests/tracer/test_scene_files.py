@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.tracer.scenes import PAPER, TILTED, random_scene, scene
+from tests.tracer.scenes import HOLLOW, PAPER, TILTED, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.errors import ConfigError, SceneError
 from tracer.media import MEDIA, SellmeierMedium
@@ -30,7 +30,9 @@ camera:
   sensor_px: [64, 48]
 bodies:
   - {name: near, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: crown}
-  - {name: far, kind: sphere, centre_mm: [0.0, 0.0, 75.0], radius_mm: 25.0, material: N-BK7}
+  - {name: far, kind: sphere, centre_mm: [0.0, 0.0, 75.0], radius_mm: 25.0, material: N-BK7,
+     core: {radius_mm: 24.0, material: air,
+            core: {radius_mm: 9.0, material: {n: 1.6}}}}
   - {name: post, kind: rod, start_mm: [60.0, 0.0, 10.0], end_mm: [90.0, 0.0, 10.0], radius_mm: 4.0}
 """
 
@@ -63,34 +65,34 @@ BROKEN = {
     "duplicate key": ("  L_mm: 500.0", "  f_mm: 61.0\n  L_mm: 500.0", 7, "'f_mm' is already given in line 6"),
     "duplicate in flow": ("{n: 1.53}", "{n: 1.53, n: 1.5}", 4, "already given in line 4"),
     "exponent without point": ("f_mm: 60.0", "f_mm: 6e1", 6, "'6e1' is text to YAML"),
-    "small exponent": ("radius_mm: 4.0", "radius_mm: 1e-3", 13, "'1e-3' is text to YAML"),
+    "small exponent": ("radius_mm: 4.0", "radius_mm: 1e-3", 15, "'1e-3' is text to YAML"),
     "octal": ("f_mm: 60.0", "f_mm: 060", 6, "'060' is text to YAML"),
     "sexagesimal": ("f_mm: 60.0", "f_mm: 1:30", 6, "ambiguous"),
     "underscore": ("L_mm: 500.0", "L_mm: 5_00.0", 7, "underscores"),
     "NaN": ("f_mm: 60.0", "f_mm: .nan", 6, "'.nan' is not a finite number"),
     "nan as a word": ("f_mm: 60.0", "f_mm: nan", 6, "not a finite number"),
-    "infinity": ("radius_mm: 4.0", "radius_mm: -.inf", 13, "not a finite number"),
+    "infinity": ("radius_mm: 4.0", "radius_mm: -.inf", 15, "not a finite number"),
     "too large for a float": ("f_mm: 60.0", "f_mm: 1.0e999", 6, "text to YAML"),
-    "yes": ("name: post", "name: yes", 13, "ambiguous"),
-    "date": ("name: post", "name: 2018-01-01", 13, "ambiguous"),
+    "yes": ("name: post", "name: yes", 15, "ambiguous"),
+    "date": ("name: post", "name: 2018-01-01", 15, "ambiguous"),
     "unknown key": ("  L_mm: 500.0", "  L_mm: 500.0\n  zoom: 2.0", 8, "unknown key 'camera.zoom'"),
-    "misspelt key": ("radius_mm: 4.0", "radus_mm: 4.0", 13, "did you mean 'radius_mm'?"),
-    "wrong unit suffix": ("radius_mm: 4.0", "radius_um: 4000.0", 13, "did you mean 'radius_mm'?"),
+    "misspelt key": ("radius_mm: 4.0", "radus_mm: 4.0", 15, "did you mean 'radius_mm'?"),
+    "wrong unit suffix": ("radius_mm: 4.0", "radius_um: 4000.0", 15, "did you mean 'radius_mm'?"),
     "wrong unit suffix, camera": (
         "pixel_pitch_um: 11.0",
         "pixel_pitch_mm: 0.011",
         8,
         "did you mean 'pixel_pitch_um'?",
     ),
-    "missing key": (", radius_mm: 4.0", "", 13, "'bodies.2.radius_mm' is missing"),
+    "missing key": (", radius_mm: 4.0", "", 15, "'bodies.2.radius_mm' is missing"),
     "missing camera part": ("  pixel_pitch_um: 11.0\n", "", 5, "belong together"),
     "text for a number": ("f_mm: 60.0", "f_mm: '60.0'", 6, "valid number"),
-    "number for text": ("name: post", "name: 5", 13, "valid string"),
+    "number for text": ("name: post", "name: 5", 15, "valid string"),
     "truth for a number": ("f_mm: 60.0", "f_mm: true", 6, "valid number"),
-    "list too short": ("[60.0, 0.0, 10.0]", "[60.0, 10.0]", 13, "at least 3 items"),
-    "radius zero": ("radius_mm: 4.0", "radius_mm: 0.0", 13, "greater than 0"),
-    "radius negative": ("radius_mm: 4.0", "radius_mm: -4.0", 13, "greater than 0"),
-    "radius absurd": ("radius_mm: 4.0", "radius_mm: 1.0e300", 13, "less than or equal to"),
+    "list too short": ("[60.0, 0.0, 10.0]", "[60.0, 10.0]", 15, "at least 3 items"),
+    "radius zero": ("radius_mm: 4.0", "radius_mm: 0.0", 15, "greater than 0"),
+    "radius negative": ("radius_mm: 4.0", "radius_mm: -4.0", 15, "greater than 0"),
+    "radius absurd": ("radius_mm: 4.0", "radius_mm: 1.0e300", 15, "less than or equal to"),
     "L not beyond f": ("L_mm: 500.0", "L_mm: 60.0", 5, "cannot focus"),
     "two focal lengths": ("  f_mm: 60.0", "  focal_px: 100.0\n  f_mm: 60.0", 5, "either f_mm"),
     "n below 1": ("n: 1.53", "n: 0.9", 4, "greater than or equal to 1"),
@@ -117,9 +119,20 @@ BROKEN = {
         5,
         "orthonormal",
     ),
+    "core too wide": ("radius_mm: 24.0", "radius_mm: 25.0", 13, "less than the 25 mm of what it is in"),
+    "core of a core too wide": ("radius_mm: 9.0", "radius_mm: 24.5", 14, "less than the 24 mm of what it is in"),
+    "core of nothing": ("radius_mm: 9.0", "radius_mm: 0.0", 14, "greater than 0"),
+    "core of an unknown glass": ("material: air", "material: honey", 13, "unknown medium 'honey'"),
+    "opaque core": ("material: air", "material: opaque", 13, "cannot be opaque"),
+    "core in an opaque sphere": ("material: N-BK7", "material: opaque", 13, "nothing in it can be seen"),
+    "core without a radius": ("radius_mm: 24.0, ", "", 13, "'bodies.1.core.radius_mm' is missing"),
+    "core with a place": ("{radius_mm: 24.0", "{centre_mm: [0.0, 0.0, 75.0], radius_mm: 24.0", 13, "unknown key"),
+    "core of n below 1": ("n: 1.6", "n: 0.6", 14, "greater than or equal to 1"),
+    "cores as a list": ("{radius_mm: 9.0, material: {n: 1.6}}", "[9.0]", 14, "bodies.1.core.core"),
+    "name of a way": ("name: near", "name: far off core 2", 11, "called like a way through 'far'"),
     "same name": ("name: far", "name: near", 11, "two bodies are called 'near'"),
-    "wrong kind": ("kind: rod", "kind: cube", 13, "'sphere', 'rod'"),
-    "no kind": ("kind: rod, ", "", 13, "discriminator 'kind'"),
+    "wrong kind": ("kind: rod", "kind: cube", 15, "'sphere', 'rod'"),
+    "no kind": ("kind: rod, ", "", 15, "discriminator 'kind'"),
     "sensor of nothing": ("[64, 48]", "[64, 0]", 9, "greater than or equal to 1"),
     "sensor not whole": ("[64, 48]", "[64.0, 48.5]", 9, "valid integer"),
     "tag": ("f_mm: 60.0", "f_mm: !!python/object:os.system 60.0", 6, "not supported"),
@@ -146,10 +159,10 @@ def test_everything_wrong_is_told_at_once(tmp_path: Path) -> None:
         GOOD.replace("f_mm: 60.0", "f_mm: -60.0").replace("n: 1.53", "n: 0.5").replace("radius_mm: 4.0", "r: 4.0")
     )
     error = refusal(tmp_path, text)
-    assert [problem.line for problem in error.problems] == [4, 6, 13, 13]
+    assert [problem.line for problem in error.problems] == [4, 6, 15, 15]
     text = GOOD.replace("[0.0, 0.0, 75.0]", "[0.0, 0.0, 70.0]").replace("[60.0, 0.0, 10.0]", "[60.0, 0.0, 1.0]")
     error = refusal(tmp_path, text)
-    assert [problem.line for problem in error.problems] == [12, 13]
+    assert [problem.line for problem in error.problems] == [12, 15]
 
 
 @pytest.mark.parametrize(
@@ -210,7 +223,7 @@ def test_contact_is_legal(tmp_path: Path) -> None:
     load_scene(write(tmp_path, GOOD.replace("[0.0, 0.0, 75.0]", "[0.0, 0.0, 74.9999999]")))
 
 
-@pytest.mark.parametrize("name", [*PAPER, TILTED])
+@pytest.mark.parametrize("name", [*PAPER, TILTED, HOLLOW])
 def test_round_trip_keeps_the_hash(name: str, tmp_path: Path) -> None:
     first = scene(name)
     again = load_scene(write(tmp_path, dump_scene(first)))
@@ -220,7 +233,7 @@ def test_round_trip_keeps_the_hash(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(25))
 def test_round_trip_of_random_scenes(seed: int, tmp_path: Path) -> None:
-    first = random_scene(np.random.default_rng(seed))
+    first = random_scene(np.random.default_rng(seed), cores=seed % 2 == 1)
     rod = Rod("rod", (200.0, 1.0 / 3.0, 9.0), (300.0, 1e-7, 12.0), math.pi)
     first = first.with_bodies([*first.bodies, rod])
     again = load_scene(write(tmp_path, dump_scene(first)))
@@ -237,6 +250,8 @@ def test_the_hash_sees_every_number_and_no_name(tmp_path: Path) -> None:
         ("[64, 48]", "[64, 49]"),
         ("1.53", "1.5300001"),
         ("radius_mm: 4.0", "radius_mm: 4.000001"),
+        ("radius_mm: 24.0", "radius_mm: 24.000001"),
+        ("n: 1.6", "n: 1.6000001"),
         ("[60.0, 0.0, 10.0]", "[60.000001, 0.0, 10.0]"),
         ("[0.0, 0.0, 25.0]", "[0.000001, 0.0, 25.0]"),
         ("wavelength_nm: 532.0", "wavelength_nm: 532.001"),
@@ -305,7 +320,14 @@ TREE: dict[str, Any] = {
     },
     "bodies": [
         {"kind": "sphere", "centre_mm": [0.0, 0.0, 25.0], "radius_mm": 25.0, "material": "crown"},
-        {"kind": "sphere", "name": "b", "centre_mm": [0.0, 0.0, 75.0], "radius_mm": 25.0, "material": "own"},
+        {
+            "kind": "sphere",
+            "name": "b",
+            "centre_mm": [0.0, 0.0, 75.0],
+            "radius_mm": 25.0,
+            "material": "own",
+            "core": {"radius_mm": 20.0, "material": "air", "core": {"radius_mm": 2.0, "material": "crown"}},
+        },
         {"kind": "rod", "start_mm": [50.0, 0.0, 10.0], "end_mm": [60.0, 0.0, 10.0], "radius_mm": 4.0},
     ],
 }

@@ -113,21 +113,25 @@ def back_through(
     ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
     radius, n = sphere[3], sphere[4]
     cos_i, cos_t = angles(b2, radius, n)
-    cosine, q = through(b2, radius, n, cos_i, cos_t)
-    by_b2, q_by_b2 = through_rates(b2, radius, n, cos_i, cos_t, 1.0, 0.0, 0.0)
-    by_radius, q_by_radius = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 1.0, 0.0)
-    by_n, q_by_n = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 0.0, 1.0)
+    solid, solid_q = through(b2, radius, n, cos_i, cos_t)
+    cosine, q = solid, solid_q
     if way > 0:
-        by_b2, q_by_b2 = with_cores_rates(b2, sphere, way, cosine, q, by_b2, q_by_b2, 1.0, 0.0)
-        by_radius, q_by_radius = with_cores_rates(b2, sphere, way, cosine, q, by_radius, q_by_radius, 0.0, 0.0)
-        by_n, q_by_n = with_cores_rates(b2, sphere, way, cosine, q, by_n, q_by_n, 0.0, 1.0)
-        cosine, q, _, _ = with_cores(b2, sphere, way, cosine, q)
+        cosine, q, _, _ = with_cores(b2, sphere, way, solid, solid_q)
     cosine_bar = fx * ax + fy * ay + fz * az + gx * dx + gy * dy + gz * dz
     along_bar = fx * dx + fy * dy + fz * dz
     q_bar = along_bar * b2 - (gx * ax + gy * ay + gz * az)
-    b2_bar = along_bar * q + cosine_bar * by_b2 + q_bar * q_by_b2
-    out[3] += cosine_bar * by_radius + q_bar * q_by_radius
-    out[4] += cosine_bar * by_n + q_bar * q_by_n
+    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 1.0, 0.0, 0.0)
+    if way > 0:
+        cosine_rate, q_rate = with_cores_rates(b2, sphere, way, solid, solid_q, cosine_rate, q_rate, 1.0, 0.0)
+    b2_bar = along_bar * q + cosine_bar * cosine_rate + q_bar * q_rate
+    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 1.0, 0.0)
+    if way > 0:
+        cosine_rate, q_rate = with_cores_rates(b2, sphere, way, solid, solid_q, cosine_rate, q_rate, 0.0, 0.0)
+    out[3] += cosine_bar * cosine_rate + q_bar * q_rate
+    cosine_rate, q_rate = through_rates(b2, radius, n, cos_i, cos_t, 0.0, 0.0, 1.0)
+    if way > 0:
+        cosine_rate, q_rate = with_cores_rates(b2, sphere, way, solid, solid_q, cosine_rate, q_rate, 0.0, 1.0)
+    out[4] += cosine_bar * cosine_rate + q_bar * q_rate
     hx = cosine * fx - q * gx + 2.0 * b2_bar * ax
     hy = cosine * fy - q * gy + 2.0 * b2_bar * ay
     hz = cosine * fz - q * gz + 2.0 * b2_bar * az

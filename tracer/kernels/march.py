@@ -21,7 +21,7 @@ from tracer.kernels._jit import Array, kernel, kernel_inlined
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.camera import pixel_ray_tangents
 from tracer.kernels.rod import ROD, meets_rod
-from tracer.kernels.shell import event_at, with_cores, with_cores_rates
+from tracer.kernels.shell import SOLID, event_at, with_cores, with_cores_rates
 from tracer.kernels.sphere import (
     angles,
     foot,
@@ -91,6 +91,7 @@ def march(
     key, events = DIRECT, 0
     path, passed = 0.0, 1.0
     last = -1
+    cored = spheres.shape[1] > SOLID
     while True:
         if items.shape[0] > 0:
             body = next_in_bed(px, py, pz, dx, dy, dz, last, spheres, rods, frame, begin, items)
@@ -111,7 +112,7 @@ def march(
         )
         m, ax, ay, az = foot(px - cx, py - cy, pz - cz, dx, dy, dz)
         b2 = ax * ax + ay * ay + az * az
-        event = event_at(b2, body, spheres)
+        event = event_at(b2, body, spheres) if cored else body
         trail[events] = event
         key = next_key(key, event)
         events += 1
@@ -123,7 +124,7 @@ def march(
             passed *= surface * surface
             path += m + 2.0 * radius * (n * cos_t - cos_i)
             cosine, q = through(b2, radius, n, cos_i, cos_t)
-            if event != body:
+            if cored and event != body:
                 way = event // spheres.shape[0]
                 cosine, q, more, share = with_cores(b2, spheres[body], way, cosine, q)
                 path += more
