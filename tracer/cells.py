@@ -28,12 +28,15 @@ def sort_into_cells(spheres: NDArray[np.float64]) -> Cells:
     count = np.maximum(1, np.ceil((high + GROW * side - low) / side)).astype(np.int64)
     first = np.floor((centre - radius - low) / side - GROW).astype(np.int64).clip(0, count - 1)
     last = np.floor((centre + radius - low) / side + GROW).astype(np.int64).clip(0, count - 1)
-    pairs = []
-    for number, (a, b) in enumerate(zip(first, last, strict=True)):
-        i, j, k = np.meshgrid(*(np.arange(a[c], b[c] + 1) for c in range(3)), indexing="ij")
-        cells = ((k * count[1] + j) * count[0] + i).ravel()
-        pairs.append(np.stack((cells, np.full(len(cells), number)), axis=-1))
-    every = np.concatenate(pairs)
-    every = every[np.lexsort((every[:, 1], every[:, 0]))]
-    begin = np.searchsorted(every[:, 0], np.arange(count.prod() + 1)).astype(np.int32)
-    return np.array([*low, side, *count], dtype=np.float64), begin, every[:, 1].astype(np.int32)
+    size = last - first + 1
+    boxes = size.prod(axis=1)  # cells in the box around each sphere, of which those it reaches into are kept
+    which = np.repeat(np.arange(len(spheres)), boxes)
+    step = np.arange(len(which)) - np.repeat(np.cumsum(boxes) - boxes, boxes)
+    across, up = size[which, 0], size[which, 1]
+    place = first[which] + np.stack((step % across, step // across % up, step // (across * up)), axis=-1)
+    away = np.abs(low + (place + 0.5) * side - centre[which]) - 0.5 * side
+    near = np.linalg.norm(np.maximum(away, 0.0), axis=1) <= radius[which, 0] + GROW * side
+    cell, item = place[near] @ np.array([1, count[0], count[0] * count[1]]), which[near]
+    order = np.lexsort((item, cell))
+    begin = np.searchsorted(cell[order], np.arange(count.prod() + 1)).astype(np.int32)
+    return np.array([*low, side, *count], dtype=np.float64), begin, item[order].astype(np.int32)

@@ -130,10 +130,11 @@ def name_branches(
     trails = np.full((len(keys), MAX_EVENTS), -1, np.int32)
     spheres = scene.sphere_table()
     trace_trails(origins_mm, directions, spheres, scene.rod_table(), *cells_of(spheres), trails)
-    names = scene.event_names()
+    names, events = scene.event_names(), np.count_nonzero(trails >= 0, axis=1)
+    known = trails[:, : events.max(initial=0)].tolist()
     return {
-        int(key): tuple(names[event] for event in trail if event >= 0)
-        for key, trail in zip(keys, trails, strict=True)
+        key: tuple(names[event] for event in trail[:count])
+        for key, trail, count in zip(keys.tolist(), known, events.tolist(), strict=True)
     }
 
 
