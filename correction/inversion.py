@@ -8,7 +8,7 @@ the share of the magnification that counts are at most 1.  A node whose last lay
 take it, so it is not solved: what is seen directly is not sought through glass unless several views are wanted.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,18 +18,15 @@ from correction.grid import PlaneGrid
 from correction.kernels.direct import direct_rows
 from correction.kernels.inverse import join_weights
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
-from correction.kernels.sheets import RUN, code_rows, count_useful, join_runs, list_runs
-from correction.kernels.starts import MEASURES, scatter_sheet
+from correction.sheets import Sheet, Sheets, Starts
 from tracer.kernels.chain import BALL
 from tracer.kernels.march import KEY_MASK, next_key
 from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
 from tracer.ray_map import RayMap
-from tracer.rows import run_rows
+from tracer.rows import run_parts, run_rows
 from tracer.scene import Scene
 from tracer.trace import DIRECT, pack_camera
 
-NODES_PER_CALL = 4096  # whole groups, so that threads change no group
-LARGEST_PLACE = np.iinfo(np.int32).max
 NO_BALLS = np.empty((0, BALL))
 
 
@@ -53,6 +50,7 @@ class Inversion:
         self.tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
         self.events = {name: number for number, name in enumerate(scene.event_names())}
         self.lockstep = fits_lockstep(scene)
+        self.balls = pack_chain(scene) if self.lockstep else NO_BALLS
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
         lead, kind = (layers, height, width), ray_map.branch.dtype
@@ -66,7 +64,7 @@ class Inversion:
                 "branch": np.empty(lead, kind),
             }
         self.arrays = out
-        self.longest = 2.0 * grid.pitch_mm / limits[0]
+        self.longest_mm = 2.0 * grid.pitch_mm / limits[0]
         self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
         self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
 
@@ -118,68 +116,21 @@ class Inversion:
 
     def glass(self) -> None:
         """Cut the sensor into sheets and solve each that is worth it."""
-        height, width = self.ray_map.status.shape
-        plane = self.ray_map.plane_mm.reshape(height, 2 * width)
-        branch, status = self.ray_map.branch, self.ray_map.status
-        code, counts = np.empty((height, width), np.uint32), np.empty(height, np.int64)
+        sheets = Sheets(self.ray_map, self.grid, self.tables, self.longest_mm)
+        for sheet in sheets:
+            enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
+            self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
 
-        def work(first: int, last: int) -> None:
-            code_rows(*self.tables, self.longest, first, last, plane, branch, status, code, counts)
-
-        run_rows(work, height)
-        begin = np.concatenate(([0], np.cumsum(counts)))
-        runs = np.empty((int(begin[-1]), RUN), np.int64)
-        run_rows(lambda first, last: list_runs(code, first, last, begin, runs), height)
-        parent, useful = np.empty(len(runs), np.int64), np.zeros(len(runs), np.int64)
-        join_runs(begin, runs, parent)
-        count_useful(code, runs, parent, useful)
-        order = np.argsort(parent, kind="stable")
-        heads = np.nonzero(useful)[0]
-        firsts = np.searchsorted(parent[order], heads)
-        lasts = np.searchsorted(parent[order], heads, side="right")
-        shape = self.grid.shape
-        places = np.zeros(shape, np.int32)
-        nodes, starts = np.empty(places.size, np.int32), np.empty((places.size, 3))
-        measured, base = np.empty(MEASURES), 1
-        events = np.array([len(names) for names in self.ray_map.branches])[runs[heads, 3] >> 1]
-        # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
-        for sheet in np.lexsort((heads, runs[heads, 3], events)).tolist():
-            members = runs[order[firsts[sheet] : lasts[sheet]]]
-            enough = np.float32(1.0 / (1.0 + events[sheet]) if self.skip else np.inf)
-            found = scatter_sheet(
-                plane,
-                branch,
-                code,
-                members,
-                self.tables,
-                self.grid_numbers,
-                self.weight[-1],
-                enough,
-                base,
-                places,
-                starts,
-                nodes,
-                measured,
-            )
-            if found:
-                self._solve(int(members[0, 3]), starts[:found], nodes[:found])
-            base += found
-            if base > LARGEST_PLACE - places.size:
-                places[:], base = 0, 1
-
-    def _solve(self, code: int, starts: NDArray[np.float64], nodes: NDArray[np.int32]) -> None:
+    def _solve(self, sheet: Sheet, parts: Iterator[Starts]) -> None:
         """Solve the nodes of one sheet and keep the best views."""
-        number, sign = code >> 1, -1.0 if code & 1 else 1.0
-        sequence = np.array([self.events[name] for name in self.ray_map.branches[number]], np.int64)
+        sequence = np.array([self.events[name] for name in self.ray_map.branches[sheet.branch]], np.int64)
         key = DIRECT
         for event in sequence.tolist():
             key = next_key(key, event) & KEY_MASK
-        balls, trip = (
-            (pack_chain(self.scene), chain_trip(self.scene, sequence)) if self.lockstep else (NO_BALLS, -1)
-        )
-        maps = self.maps
+        trip = chain_trip(self.scene, sequence) if self.lockstep else -1
+        balls, maps = self.balls, self.maps
 
-        def work(first: int, last: int) -> None:
+        def work(part: Starts) -> None:
             scratch = (
                 np.empty(NEWTON_NUMBERS),
                 np.empty(GROUP, np.int64),
@@ -195,19 +146,15 @@ class Inversion:
                 sequence,
                 trip,
                 key,
-                number,
-                sign,
+                sheet.branch,
+                sheet.sign,
                 self.limits,
-                starts,
-                self.grid.shape[1],
-                nodes,
-                first,
-                last,
+                *part,
                 *scratch,
                 maps,
             )
 
-        run_rows(work, len(nodes), block=NODES_PER_CALL)
+        run_parts(work, parts)
 
     def join(self) -> None:
         """Normalise the weights of each node."""

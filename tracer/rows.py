@@ -9,10 +9,12 @@ an output row, hence the result has the same bits for any number of threads and 
 
 import os
 from collections import deque
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
+from typing import TypeVar
 
+T = TypeVar("T")
 LEAST_ROWS = 16  # of a block whose length is not prescribed
 SHARES = 3  # a block is at most this part of what is left, for each core
 
@@ -67,6 +69,43 @@ def run_rows(
         for future in others:
             if not future.cancel():  # cancelled: other work held the pool, and nothing was left for this thread
                 future.result()
+
+
+def run_parts(function: Callable[[T], object], parts: Iterable[T]) -> None:
+    """Call ``function(part)`` for all parts on all cores, the first ones while later ones are still being made.
+
+    Parts are made by the caller's own thread, only a few more than threads before one is done.  That thread also
+    works on what no other has begun, and on the last: a single part is not handed over.
+    """
+    threads = thread_count()
+    waiting: deque[tuple[T, Future[object]]] = deque()
+
+    def end_first() -> None:
+        part, future = waiting.popleft()
+        if future.cancel():
+            function(part)
+        else:
+            future.result()
+
+    held: list[T] = []
+    try:
+        for part in parts:
+            for earlier in held:
+                if threads == 1:
+                    function(earlier)
+                    continue
+                if len(waiting) > threads:
+                    end_first()
+                waiting.append((earlier, _pool(threads).submit(function, earlier)))
+            held = [part]
+        for last in held:
+            function(last)
+        while waiting:
+            end_first()
+    finally:
+        for _, future in waiting:  # after an error or Ctrl-C nobody begins another part
+            future.cancel()
+        wait([future for _, future in waiting])
 
 
 def _blocks(rows: int, block: int | None, threads: int) -> list[tuple[int, int]]:

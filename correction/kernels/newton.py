@@ -6,7 +6,10 @@ NaN; wrong sign of the determinant; a long step; no convergence) is left to the 
 ``correction.kernels.inverse``; what converged is traced once more with all bodies, and only counts if the ray
 really takes the sequence.
 
-A node that has converged stays frozen while its neighbours go on, so that its bits do not depend on them.
+A node has converged when a step is so small that derivatives and transmittance, which are those of the place
+before it, are right behind it to what float32 holds; how small that is comes with its start.  The step is still
+taken and leaves about its square.  The node then stays frozen while its neighbours go on, so that its bits do not
+depend on them.
 
 Columns of the block, STEP apart in one array (see ``tracer.kernels.chain``): pixel u, v; node x, y; position and
 direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobian d plane / d pixel.
@@ -15,7 +18,7 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 import math
 
 from correction.kernels.bspline import INDEX
-from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, keep_view, solve_node, stretch
+from correction.kernels.inverse import inverse_2x2, keep_view, solve_node, stretch
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
 from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.camera import undistorted, unit_tangent
@@ -31,9 +34,9 @@ GROUP = 64  # nodes of a block: 27 columns of them fit the first-level cache
 STEP = GROUP + 8
 U, V, X, Y, PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(10))
 FX, FY, FZ, UX, UY, UZ, GX, GY, GZ, VX, VY, VZ = (k * STEP for k in range(10, 22))
-LIGHT, KEPT, XU, XV, YU, YV, WORTH = (k * STEP for k in range(22, 29))
-NEWTON_NUMBERS = 29 * STEP
-VECTOR_STEPS = 8  # from a start within a pixel three do; more are for the careful way
+LIGHT, KEPT, XU, XV, YU, YV, WORTH, WITHIN = (k * STEP for k in range(22, 30))
+NEWTON_NUMBERS = 30 * STEP
+VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the careful way
 MOVING, CONVERGED, FAILED = 0, 1, 2
 
 inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defined]
@@ -149,7 +152,7 @@ def step_pixels(count: int, sign: float, b: Array, state: Array) -> int:
         size = max(abs(du), abs(dv))
         good = (det * sign > 0.0) & (dz < 0.0) & (abs(du) <= 2.0) & (abs(dv) <= 2.0)  # NaN is not good
         goes = (state[i] == MOVING) & good
-        settled = goes & (size <= TOLERANCE_PX)
+        settled = goes & (size <= b[WITHIN + i])
         b[U + i] = b[U + i] + du if goes else b[U + i]
         b[V + i] = b[V + i] + dv if goes else b[V + i]
         b[KEPT + i] = b[LIGHT + i] if goes else b[KEPT + i]
@@ -191,10 +194,7 @@ def solve_nodes(
     sign: float,
     limits: Array,
     starts: Array,
-    columns: int,
     nodes: Array,
-    first: int,
-    last: int,
     block: Array,
     state: Array,
     xy: Array,
@@ -204,12 +204,12 @@ def solve_nodes(
     trips: Array,
     maps: tuple[Array, ...],
 ) -> None:
-    """Solve nodes[first..last-1] of one sheet from their starts and keep the views.
+    """Solve nodes of one sheet from their starts and keep the views.
 
     ``sequence`` (E,) numbers the spheres of the branch in the sphere table, `trip` is the same in the order of
     ``balls`` (see ``tracer.kernels.chain``), -1 where a scene does not fit lockstep: then every node is solved by
-    itself.  `key` is the branch key of ``march``.  ``starts`` (N, 3) and ``nodes`` (N,) as scattered on a grid of
-    `columns`; ``maps`` as in `keep_view`.  Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy``
+    itself.  `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
+    `scatter_sheet`; ``maps`` as in `keep_view`.  Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy``
     (2, GROUP), those of `follow_block`.
     """
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
@@ -219,17 +219,21 @@ def solve_nodes(
     transmittance, branch, starts, nodes = unowned(transmittance), unowned(branch), unowned(starts), unowned(nodes)
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
     state, balls, spans, wanted = unowned(state), unowned(balls), unowned(spans), unowned(wanted)
-    for low in range(first, last, GROUP):
-        count = min(GROUP, last - low)
+    for low in range(0, nodes.shape[0], GROUP):
+        count = min(GROUP, nodes.shape[0] - low)
         for i in range(count):
-            row, column = nodes[low + i] // columns, nodes[low + i] % columns
+            row, column = nodes[low + i, 0], nodes[low + i, 1]
             block[X + i], block[Y + i] = grid[0] + column * grid[2], grid[1] - row * grid[2]
-            block[U + i], block[V + i] = starts[low + i, 0], starts[low + i, 1]
+            block[U + i], block[V + i], block[WITHIN + i] = (
+                starts[low + i, 0],
+                starts[low + i, 1],
+                starts[low + i, 3],
+            )
             state[i] = FAILED
         full = whole_vectors(count)
         for i in range(count, full):
             block[X + i], block[Y + i] = block[X], block[Y]
-            block[U + i], block[V + i] = block[U], block[V]
+            block[U + i], block[V + i], block[WITHIN + i] = block[U], block[V], block[WITHIN]
         if trip > 0:
             solve_block(full, camera, spheres, sequence, sign, block, state)
             verify(count, camera, balls, xy, spans, wanted, rays, trips, block)
@@ -242,7 +246,7 @@ def solve_nodes(
                 state[i] = CONVERGED if done > 0.0 else FAILED
         judge(count, grid[2], sequence.shape[0], limits, block, state)
         for i in range(count):
-            row, column = (nodes[low + i] // columns) & INDEX, (nodes[low + i] % columns) & INDEX
+            row, column = nodes[low + i, 0] & INDEX, nodes[low + i, 1] & INDEX
             uc, ur, vc, vr = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
             u, v, light, worth = block[U + i], block[V + i], block[KEPT + i], block[WORTH + i]
             keep_view(

@@ -1,14 +1,18 @@
 """Sheets by runs against labelling by SciPy; block Newton against the careful one."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from correction import inversion
 from correction.correction_map import build_correction_map
-from correction.kernels.sheets import RUN, join_runs, list_runs
+from correction.kernels.sheets import GLASS, RUN, SIGN, USEFUL, join_runs, list_runs
 from tests.correction.small_scenes import SCENES, small_scene
+from tracer.kernels.march import march_pixel_tangents
 from tracer.ray_map import build_ray_map
+from tracer.trace import pack_camera
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -16,15 +20,15 @@ def test_runs_join_to_the_regions_that_labelling_finds(seed: int) -> None:
     rng = np.random.default_rng(seed)
     kinds = ndimage.zoom(rng.integers(0, 4, (12, 14)), 5, order=0) + (rng.random((60, 70)) < 0.1)
     kinds = np.where(rng.random(kinds.shape) < 0.05, 0, kinds)
-    code = (2 * kinds + rng.integers(0, 2, kinds.shape) * (kinds > 0)).astype(np.uint32)
-    code[:, [0, -1]] = 0
-    kinds = code >> 1
+    kinds[:, [0, -1]] = 0
+    branch, useful = (kinds // 2).astype(np.uint16), rng.integers(0, 2, kinds.shape) * USEFUL
+    flags = np.where(kinds > 0, GLASS + kinds % 2 * SIGN + useful, 0).astype(np.uint8)
     counts = [(np.diff(row.astype(int), prepend=0) != 0)[row > 0].sum() for row in kinds]
     begin = np.concatenate(([0], np.cumsum(counts)))
     runs, parent = np.full((begin[-1], RUN), -1, np.int64), np.empty(begin[-1], np.int64)
-    list_runs(code, 0, len(code), begin, runs)
+    list_runs(flags, branch, 0, len(flags), begin, np.empty(flags.shape[1], np.int64), runs)
     join_runs(begin, runs, parent)
-    sheet = np.zeros(code.shape, int)
+    sheet = np.zeros(flags.shape, int)
     for (row, first, last, kind), head in zip(runs.tolist(), parent.tolist(), strict=True):
         assert np.all(kinds[row, first:last] == kind)
         assert np.all(sheet[row, first:last] == 0)
@@ -50,6 +54,37 @@ def test_nodes_in_blocks_and_one_by_one_agree(name: str, monkeypatch: pytest.Mon
     assert np.abs(blocks.pixel - single.pixel)[both].max() < 1e-7
     assert np.allclose(blocks.jacobian[both], single.jacobian[both], rtol=1e-3, atol=1e-4)
     assert np.allclose(blocks.transmittance[both], single.transmittance[both], rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_derivatives_are_those_of_the_stored_pixel_to_what_float32_holds(name: str) -> None:
+    """The last step is not traced again: what it leaves in Jacobian and transmittance is bounded by its size."""
+    scene = small_scene(name)
+    made = build_correction_map(scene, build_ray_map(scene), layers=2)
+    tables = pack_camera(scene.camera), scene.sphere_table(), scene.rod_table()
+    seen = np.isfinite(made.pixel[..., 0]) & (made.branch != 0)
+    off, dim = [], []
+    for (u, v), stored, light in zip(made.pixel[seen], made.jacobian[seen], made.transmittance[seen], strict=True):
+        _, _, _, *slopes, passed, _, _ = march_pixel_tangents(u, v, *tables)
+        exact = np.linalg.inv(np.array(slopes).reshape(2, 2)) * [1.0, -1.0] * made.grid.pitch_mm
+        off.append(np.abs(exact.ravel() - stored).max() / np.abs(exact).max())
+        dim.append(abs(light - passed))
+    assert np.quantile(off, 0.95) < 1.2e-7
+    assert np.quantile(off, 0.99) < 4e-7
+    assert max(off) < 1e-5  # at rims, where derivatives change by their own size within a few pixels
+    assert max(dim) < 1e-6
+
+
+def test_a_map_needs_little_more_memory_than_it_holds() -> None:
+    scene = small_scene("two_spheres_500", 1512)
+    ray_map = build_ray_map(scene)
+    build_correction_map(scene, ray_map)
+    tracemalloc.start()
+    made = build_correction_map(scene, ray_map)
+    held, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert held / made.status.size < 43.5
+    assert peak / made.status.size < 48.0
 
 
 def test_arrays_of_an_earlier_map_are_written_in_full() -> None:

@@ -1,10 +1,11 @@
-"""Rows on all cores: each row once, errors out, nothing begun after an error."""
+"""Rows and parts on all cores: each once, errors out, nothing begun after an error."""
 
 import threading
+from collections.abc import Iterator
 
 import pytest
 
-from tracer.rows import LEAST_ROWS, run_rows
+from tracer.rows import LEAST_ROWS, run_parts, run_rows
 
 
 @pytest.mark.parametrize("rows", [0, 1, 7, 16, 17, 100, 2016])
@@ -56,3 +57,36 @@ def test_two_at_once_do_not_wait_for_each_other():
         for each in blocked:
             each.join()
     assert sorted(out) == [0, 10, 20, 30]
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_parts_are_worked_on_while_later_ones_are_made_and_few_are_held(
+    threads: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RTPIV_THREADS", threads)
+    lock, waiting, most, done = threading.Lock(), 0, 0, []
+
+    def parts() -> Iterator[int]:
+        nonlocal waiting, most
+        for part in range(50):
+            with lock:
+                waiting += 1
+                most = max(most, waiting)
+            yield part
+
+    def work(part: int) -> None:
+        nonlocal waiting
+        with lock:
+            waiting -= 1
+            done.append(part)
+
+    run_parts(work, parts())
+    assert sorted(done) == list(range(50))
+    assert most <= 2 * int(threads) + 3
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_a_part_that_fails_is_not_silent(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RTPIV_THREADS", threads)
+    with pytest.raises(ZeroDivisionError):
+        run_parts(lambda part: 1 // part, iter((3, 0, 2)))
