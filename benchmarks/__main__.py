@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.accuracy import errors_um, reference_pixels
-from benchmarks.contenders import IDEAL_LENS, STACKED
+from benchmarks.contenders import IDEAL_LENS, SOLID_BALLS, STACKED
 from benchmarks.growth import growth
 from benchmarks.limits import limits, limits_of
 from benchmarks.picture import draw
@@ -66,7 +66,12 @@ def in_one_row(scene: Scene) -> bool:
     """Whether the peers' formulas serve: clear spheres above each other under a camera without lens terms."""
     table = scene.sphere_table()
     row = bool((np.ptp(table[:, :2], axis=0) == 0.0).all()) if len(table) else False
-    return row and not table[:, 5].any() and not scene.rods and scene.camera.lens.is_ideal
+    return row and solid(scene) and not table[:, 5].any() and not scene.rods and scene.camera.lens.is_ideal
+
+
+def solid(scene: Scene) -> bool:
+    """Whether no sphere has another in it."""
+    return not any(sphere.cores for sphere in scene.spheres)
 
 
 def measure(name: str, rounds: int, rays: int) -> dict[str, Any]:
@@ -76,11 +81,15 @@ def measure(name: str, rounds: int, rays: int) -> dict[str, Any]:
     names = ["rtpiv", *(["drjit", "torch", "jax", "mitsuba", "opencv"] if rays else [])]
     if not in_one_row(scene):
         names = [peer for peer in names if peer not in STACKED]
+    if not solid(scene):
+        names = [peer for peer in names if peer not in SOLID_BALLS]
     if not scene.camera.lens.is_ideal:
         names = [peer for peer in names if peer not in IDEAL_LENS]
     racers = [racer for peer in names if (racer := start(peer, name))]
     race(racers, rounds)
     slow = ["scipy", "raysect", "rtpiv, ray by ray", *(["numpy"] if in_one_row(scene) else [])]
+    if not solid(scene):
+        slow.remove("raysect")
     late = [racer for peer in (slow if rays else []) if (racer := start(peer, name))]
     race(late, 2)
     ray_map = build_ray_map(scene)

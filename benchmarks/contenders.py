@@ -184,6 +184,7 @@ CONTENDERS: dict[str, tuple[Callable[[Scene], Tasks], str]] = {
     "scipy": (scipy, "scipy"),
 }
 STACKED = ("drjit", "torch", "jax", "numpy")  # their formulas know one order of spheres and no lens terms
+SOLID_BALLS = ("mitsuba", "raysect")  # and nothing in them, as STACKED
 IDEAL_LENS = ("mitsuba",)
 
 

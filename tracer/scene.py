@@ -172,12 +172,7 @@ class Scene:
             (name, f"two bodies are called {name!r}; give each its own name")
             for name in sorted({name for name in names if names.count(name) > 1})
         ]
-        ways = {
-            body.event_name(way): body.name
-            for body in self.bodies
-            if isinstance(body, Sphere)
-            for way in range(1, 2 * len(body.cores) + 1)
-        }
+        ways = {way: body.name for body in self.bodies if isinstance(body, Sphere) for way in body.event_names[1:]}
         problems += [
             (name, f"body {name!r} is called like a way through {ways[name]!r}, which has a core; rename it")
             for name in sorted(set(names) & ways.keys())

@@ -25,8 +25,10 @@ def scene_figure(scene: Scene) -> Figure:
             axes.add_patch(
                 Circle((z, x), body.radius_mm, color="#8fb7d3" if glass else "#5c667a", alpha=0.35, lw=0)
             )
-            for core in body.cores:
-                axes.add_patch(Circle((z, x), core.radius_mm, color="white", alpha=0.5, lw=0))
+            for core in body.cores:  # the denser, the bluer
+                share = min(1.0, 2.0 * (core.medium.n(scene.wavelength_nm) - 1.0))
+                axes.add_patch(Circle((z, x), core.radius_mm, color="white", lw=0))
+                axes.add_patch(Circle((z, x), core.radius_mm, color="#8fb7d3", alpha=0.35 * share, lw=0))
             for radius_mm in (body.radius_mm, *(core.radius_mm for core in body.cores)):
                 axes.add_patch(Circle((z, x), radius_mm, color="#1d2433", fill=False, lw=0.8))
             axes.annotate(body.name, (z, x), ha="center", va="center", fontsize=8, color="#1d2433")

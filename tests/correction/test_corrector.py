@@ -1,5 +1,6 @@
 """Corrected frames: right values, right places, no light thrown away, honest fill."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -42,6 +43,25 @@ def test_a_smooth_picture_comes_back(ball, method, limit):
     error = (corrected - wavy(cmap.grid.nodes_mm()))[calm]
     assert calm.sum() > 10000
     assert np.sqrt((error**2).mean()) < limit
+
+
+def test_a_smooth_picture_comes_back_through_hollow_balls():
+    """Through the cores as through glass: where the spline's reach ends within one branch, the same bounds."""
+    scene = small_scene("hollow_pair", 504)
+    ray_map = build_ray_map(scene)
+    cmap = build_correction_map(scene, ray_map)
+    corrected = Corrector(cmap)(acquired(scene, wavy))
+    low, high = cmap.magnification()
+    number, reach = ray_map.branch.astype(np.float32), np.ones((9, 9), np.uint8)
+    inside = cv2.erode(number, reach) == cv2.dilate(number, reach)
+    u, v = np.rint(np.nan_to_num(cmap.pixel[0])).astype(int).transpose(2, 0, 1)
+    calm = cmap.recovered & (high < 3.0) & (low > 0.8) & inside[v, u]
+    error = corrected - wavy(cmap.grid.nodes_mm())
+    ways = [" ".join(names) for names in cmap.branches]
+    for word in ("high core", "low core"):
+        here = calm & np.isin(cmap.branch[0], [k for k, way in enumerate(ways) if way.endswith(word)])
+        assert here.sum() > 500
+        assert np.sqrt((error[here] ** 2).mean()) < 1.5
 
 
 def test_a_constant_frame_stays_constant(ball):

@@ -1,8 +1,10 @@
 """Spheres with spheres in them: digits lost, what must be exactly as without, invariants, the three ways."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise, product
+from typing import Any
 
 import mpmath
 import numpy as np
@@ -13,6 +15,8 @@ from mpmath import mpf
 
 from tests.tracer.reference import Glass, Vector, along, cross, dot, roots
 from tests.tracer.scenes import HOLLOW, aimed_pixels, ball, camera_at, random_scene, scene
+from tests.tracer.test_second_formulation import inside
+from tests.tracer.test_second_formulation import met as meet
 from tracer.bodies import Core, Sphere
 from tracer.cells import NO_CELLS
 from tracer.errors import SceneError
@@ -36,6 +40,7 @@ RADIUS_MM, N, AWAY = 25.0, 1.53, 17.0
 RATIOS = (1e-6, 0.5, 0.999, 1.0 - 1e-12)
 INDICES = (1.0, 1.0 + 1e-12, 1.33, 1.53, 2.5)
 SHARES = (1e-2, 1e-4, 1e-6, 1e-12)
+FILM = 1e-9
 WAYS = ("one", "one core", "one off core")
 
 
@@ -63,55 +68,87 @@ def way_out(numbers: tuple[list[float], ...]) -> tuple[tuple[mpf, ...], str] | N
     return (*(x / radius for x in along(w, -dot(w, inside.d), inside.d)), *inside.d), inside.name
 
 
+def digits(
+    ratio: float, n: float, impact: float, room: float, away: float = AWAY, tracer: Callable[..., Any] = march
+) -> tuple[float, float, set[str]]:
+    """Worst digits lost, inherent digits, and ways met, over three random rays of a case.
+
+    Inherent: one number of the ray or the centre moved by one unit in its last place; of a film also one of radii
+    and indices, because its thickness is the difference of two of them.
+    """
+    rng = np.random.default_rng(3)
+    table = np.array([[0.0, 0.0, 0.0, RADIUS_MM, N, 0.0, ratio * RADIUS_MM, n]])
+    trail, ways = np.zeros(64, np.int32), set()
+    lost, inherent, compared = 1e-2, 1e-2, 0
+    sure = room > 100.0 * away * EPSILON
+    for _ in range(12):
+        way, side = rng.normal(size=3), rng.normal(size=3)
+        way /= np.linalg.norm(way)
+        side = np.cross(way, side)
+        side /= np.linalg.norm(side)
+        centre = 0.3 * away * RADIUS_MM * rng.normal(size=3)
+        start = centre + RADIUS_MM * (impact * side - math.sqrt(away**2 - impact**2) * way)
+        table[0, :3] = centre
+        result = tracer(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, trail)
+        numbers = start.tolist(), way.tolist(), centre.tolist(), table[0, [3, 4, 6, 7]].tolist()
+        exact = way_out(numbers)
+        if exact is None or result[-1] != 1:
+            assert not sure
+            continue
+        assert not sure or WAYS[trail[0]] == exact[1]
+        ways.add(exact[1])
+        if result[0] != RayStatus.MISSED_PLANE:  # upwards: `march` returns the foot point
+            continue
+        foot = [(mpf(float(p)) - c) / RADIUS_MM for p, c in zip(result[1:4], centre.tolist(), strict=True)]
+        found = (*foot, *(mpf(float(x)) for x in result[4:7]))
+        lost = max(lost, apart(found, exact[0]) / EPSILON)
+        for part, number in enumerate(numbers if 1.0 - ratio < FILM else numbers[:3]):
+            for k in range(len(number)):
+                other = [list(each) for each in numbers]
+                other[part][k] = float(np.nextafter(number[k], math.inf))
+                moved = way_out(tuple(other))
+                if moved is not None:
+                    inherent = max(inherent, apart(moved[0], exact[0]) / EPSILON)
+        compared += 1
+        if compared == 3:
+            break
+    assert compared > 0 or not sure
+    return math.log10(lost), math.log10(inherent), ways
+
+
 @pytest.mark.parametrize("n", INDICES)
 @pytest.mark.parametrize("ratio", RATIOS)
 def test_digits_lost(ratio: float, n: float) -> None:
-    """Lost <= inherent + 1.  Inherent: one number of ray, ball or core moved by one unit in its last place."""
-    rng = np.random.default_rng(3)
-    table = np.array([[0.0, 0.0, 0.0, RADIUS_MM, N, 0.0, ratio * RADIUS_MM, n]])
-    trail, ways, worst = np.empty(64, np.int32), set(), -math.inf
+    """Lost <= inherent + 1, wherever the ray goes."""
+    ways, worst, most = set(), -math.inf, -math.inf
     with mpmath.workdps(60):
         for impact, room in impacts(ratio, n):
-            lost, inherent, compared = 1e-2, 1e-2, 0
-            for _ in range(12):
-                way, side = rng.normal(size=3), rng.normal(size=3)
-                way /= np.linalg.norm(way)
-                side = np.cross(way, side)
-                side /= np.linalg.norm(side)
-                centre = 5.0 * RADIUS_MM * rng.normal(size=3)
-                start = centre + RADIUS_MM * (impact * side - math.sqrt(AWAY**2 - impact**2) * way)
-                table[0, :3] = centre
-                result = march(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, trail)
-                numbers = start.tolist(), way.tolist(), centre.tolist(), table[0, [3, 4, 6, 7]].tolist()
-                exact = way_out(numbers)
-                sure = room > 100.0 * AWAY * EPSILON
-                if exact is None or result[-1] != 1:
-                    assert not sure
-                    continue
-                assert not sure or WAYS[trail[0]] == exact[1]
-                ways.add(exact[1])
-                if result[0] != RayStatus.MISSED_PLANE:  # upwards: `march` returns the foot point
-                    continue
-                foot = [(mpf(float(p)) - c) / RADIUS_MM for p, c in zip(result[1:4], centre.tolist(), strict=True)]
-                found = (*foot, *(mpf(float(x)) for x in result[4:7]))
-                lost = max(lost, apart(found, exact[0]) / EPSILON)
-                for part, number in enumerate(numbers):
-                    for k in range(len(number)):
-                        other = [list(each) for each in numbers]
-                        other[part][k] = float(np.nextafter(number[k], math.inf))
-                        moved = way_out(tuple(other))
-                        if moved is not None:
-                            inherent = max(inherent, apart(moved[0], exact[0]) / EPSILON)
-                compared += 1
-                if compared == 3:
-                    break
-            assert compared > 0 or room <= 100.0 * AWAY * EPSILON
-            worst = max(worst, math.log10(lost) - math.log10(inherent))
-            assert math.log10(lost) <= math.log10(inherent) + 1.0, impact
-    print(
-        f"core {ratio:.13g} R, n {n:.13g}: {len(ways)} ways, lost at most {worst:+.1f} digits more than inherent"
-    )
+            lost, inherent, met = digits(ratio, n, impact, room)
+            ways |= met
+            worst, most = max(worst, lost - inherent), max(most, lost)
+            assert lost <= inherent + 1.0, impact
+    print(f"core {ratio:.13g} R, n {n:.13g}: {len(ways)} ways, lost at most {most:.1f}, {worst:+.1f} of inherent")
     assert ways == {WAYS[k] for k, there in enumerate((N * ratio < 1.0, True, n < N and n * ratio < 1.0)) if there}
+
+
+def textbook(*arguments: Any) -> Any:
+    """What `march` returns for one sphere, by roots and normals in float64: the formulas not used here."""
+    p, d, table, trail = np.array(arguments[:3]), np.array(arguments[3:6]), arguments[6], arguments[-1]
+    _, _, root = meet(table[0], table[0, 3], p, d)
+    p += root * d
+    trail[0], _, _ = inside(table[0], p, d)
+    foot = p - ((p - table[0, :3]) @ d) * d
+    return [3 if d[2] >= 0.0 else 0, *foot, *d, 0.0, 0.0, 0, 1]
+
+
+def test_these_tests_can_fail() -> None:
+    """Roots lose digits with the square of the distance, and are found out."""
+    with mpmath.workdps(60):
+        lost, inherent, ways = digits(0.5, 1.0, 0.3, 0.1, away=1e3, tracer=textbook)
+        mine, _, _ = digits(0.5, 1.0, 0.3, 0.1, away=1e3)
+    assert ways == {"one core"}
+    assert lost > inherent + 1.0
+    assert mine <= inherent + 1.0
 
 
 def apart(one: tuple[mpf, ...], other: tuple[mpf, ...]) -> float:

@@ -70,6 +70,11 @@ class Sphere:
                 raise SceneError(problems=[(".".join(["core"] * depth), text)])
             around = core.radius_mm
 
+    @property
+    def event_names(self) -> tuple[str, ...]:
+        """Names of all ways through the sphere."""
+        return tuple(self.event_name(way) for way in range(2 * len(self.cores) + 1))
+
     def event_name(self, way: int) -> str:
         """Name of a way through the sphere, as ``tracer.kernels.shell`` counts them: the part of a branch.
 

@@ -1,5 +1,7 @@
 """Fits of benches with hidden misalignment, photographed by optics that share nothing with the tracer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,15 @@ from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.evaluate.target_error import target_error
 from correction.fit.map_sigma import sigma_at
+from correction.fit.scene_fit import fit_scene
 from correction.fit.weakness import weaknesses
 from correction.grid import grid_of
-from tests.correction.fit.benches import BOARD, bench, fitted, map_error_px
+from correction.target import Chessboard
+from tests.correction.fit.benches import BOARD, bench, fitted, map_error_px, photograph
+from tracer.bodies import Core
+from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
 
 CASES = [("two_spheres_500", 6), ("pair_off_axis", 4)]
 SLOW = [("three_spheres_500", 3), ("pyramid_500", 5), ("one_sphere_250", 7), ("tilted", 8)]
@@ -36,6 +43,30 @@ def test_fitted_map_is_the_true_map(name, seed):
         assert known.mean() > 0.98
         assert np.sqrt(np.mean(error[known] ** 2)) <= 0.05
         assert error[known].max() <= 0.2
+
+
+@pytest.mark.slow
+def test_a_ball_filled_with_water_is_found():
+    """What is inside is held; centre and glass come from the corners seen through the core."""
+    nominal, misaligned = filled(bench("one_sphere_500", 7).nominal), filled(bench("one_sphere_500", 7).truth)
+    frames = [
+        photograph(misaligned if glass else misaligned.with_bodies(()), glass, 0.0, 7 + glass, 2.5)
+        for glass in (False, True)
+    ]
+    fit = fit_scene(nominal, frames, Chessboard(2.5, 1.0))
+    (found,), (true,) = fit.scene.spheres, misaligned.spheres
+    off = np.abs(np.subtract(found.centre_mm, true.centre_mm))
+    assert off[:2].max() <= 0.020
+    assert off[2] <= 0.300
+    assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.004
+    assert found.cores == true.cores
+    assert fit.expected[f"{true.name} core"] > 100
+
+
+def filled(scene: Scene) -> Scene:
+    """The same scene with water in its balls."""
+    water = ConstantMedium(1.333)
+    return scene.with_bodies([replace(ball, cores=(Core(0.8 * ball.radius_mm, water),)) for ball in scene.spheres])
 
 
 @pytest.mark.parametrize(("name", "seed"), PARAMS)
