@@ -1,4 +1,4 @@
-"""Labs drawn at random: balls, glass, lenses, boards, blur. The fitted map is true, or the fit says why it is none.
+"""Labs drawn at random: balls, glass, lenses, boards, blur. The fitted map is true, or the fit says why not.
 
 Of the first 86 draws 79 are fitted, with 0.002-0.023 px rms over the view behind glass; through the glass of the
 other seven a square looks 4-8 px wide, which the fit says.
