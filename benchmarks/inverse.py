@@ -1,4 +1,4 @@
-"""Correction maps: in ray maps, and without the skip of views that cannot win.
+"""Correction maps: in ray maps with and without mirrors, and without the skip of views that cannot win.
 
     python -m benchmarks.inverse [--scenes two_spheres_500 ...] [--rounds 9]
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.scenes import bench_scene
 from correction.correction_map import build_correction_map
+from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
 from tracer.ray_map import build_ray_map
 from tracer.rows import thread_count
 
@@ -32,9 +33,14 @@ def measure(name: str, rounds: int) -> dict[str, object]:
     spare_rays, spare = build_ray_map(scene), build_correction_map(scene, rays)
     tasks: dict[str, Callable[[], object]] = {
         "ray map": lambda: build_ray_map(scene, spare_rays),
+        "ray map, no mirrors": lambda: trace_lockstep(
+            scene, spare_rays.plane_mm, spare_rays.status, spare_rays.branch, ALL_SKIPS & ~SKIP_MIRRORED
+        ),
         "correction map": lambda: build_correction_map(scene, rays, out=spare),
         "without skip": lambda: build_correction_map(scene, rays, out=spare, skip=False),
     }
+    if not fits_lockstep(scene):
+        del tasks["ray map, no mirrors"]
     times: dict[str, list[float]] = {task: [] for task in tasks}
     for number in range(rounds + 1):
         for task, function in tasks.items():
@@ -42,13 +48,18 @@ def measure(name: str, rounds: int) -> dict[str, object]:
             if number:
                 times[task].append(taken)
     ms = {task: round(float(np.median(taken)), 1) for task, taken in times.items()}
-    return {**ms, "in ray maps": round(ms["correction map"] / ms["ray map"], 2)}
+    ratios = {
+        f"in units of a {rays}": round(ms["correction map"] / ms[rays], 2) for rays in ms if "ray map" in rays
+    }
+    return {**ms, **ratios}
 
 
 def main() -> None:
     """Measure and print one JSON document."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--scenes", nargs="+", default=["one_sphere_250", "two_spheres_500", "pyramid_500"])
+    parser.add_argument(
+        "--scenes", nargs="+", default=["one_sphere_250", "two_spheres_500", "three_spheres_500", "pyramid_500"]
+    )
     parser.add_argument("--rounds", type=int, default=9)
     options = parser.parse_args()
     report = {name: measure(name, options.rounds) for name in options.scenes}

@@ -7,8 +7,8 @@ connected regions of one branch (sequence of spheres) in which the determinant o
 its sign.  On a sheet the map is one-to-one and smooth, and the inverse is found exactly:
 
 1. direct view: projected in closed form, no glass asked beyond "is the line of sight free";
-2. per sheet: starting points from the traced pixels and their analytic derivatives, then Newton on traced
-   rays until the last step is below 1e-6 px (and is still taken, leaving about its square);
+2. per sheet: starting points from the traced pixels and their differences, then Newton on traced rays until
+   a step changes the derivatives by less than float32 shows (it is still taken, leaving about its square);
 3. a node seen on several sheets keeps the `layers` best of them, by weight
 
        w = T min(1, |det d pixel / d node|) / (1 + events)
