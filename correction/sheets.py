@@ -141,8 +141,8 @@ def _joined(parts: list[Starts]) -> Starts:
 
 def _nearest(starts: NDArray[np.float64], nodes: NDArray[np.int32]) -> Starts:
     """Of the starts of each node the one from the nearest pixel."""
-    order = np.lexsort((starts[:, 2], nodes[:, 1], nodes[:, 0]))
-    nodes = nodes[order]
-    first = np.ones(len(order), np.bool_)
-    first[1:] = (nodes[1:] != nodes[:-1]).any(axis=1)
-    return starts[order[first]], nodes[first]
+    number = nodes[:, 0].astype(np.int64) << 32 | nodes[:, 1]
+    order = np.lexsort((starts[:, 2], number))
+    number = number[order]
+    first = order[np.append(True, number[1:] != number[:-1])[: len(order)]]
+    return starts[first], nodes[first]

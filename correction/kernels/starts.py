@@ -3,10 +3,11 @@
 Every useful pixel covers, to first order, the parallelogram of the plane that a square around it sees; nodes
 in there may start from it, at the place that second order says.  A sheet is gone through twice:
 
-*tiling* with squares HALF a pixel each way, which is all there is to do where derivatives change little; the
-first pixel that reaches a node has it.  At the *edges* squares are larger: REACH where the view is BENT or pixels
-next to it are not useful, a whole pixel at the border of the sheet, because the sheet ends somewhere before the
-next: Newton decides where.  Of the pixels that reach a node there the nearest has it, which the caller sees to.
+*tiling* with squares HALF a pixel each way by pixels at no edge, whose derivatives change little; the first pixel
+that reaches a node has it.  At the *edges* first order has to do, and squares are larger: REACH where the view is
+BENT or pixels next to it are not useful, a whole pixel at the border of the sheet, because the sheet ends somewhere
+before the next: Newton decides where.  Of the pixels that reach a node there the nearest has it, which the caller
+sees to.
 
 Behind glass that magnifies most pixels cover no node: only those that are flagged NEAR are looked at.
 
@@ -25,7 +26,7 @@ from tracer.kernels.march import march_pixel_tangents
 REACH, WHOLE = 0.7, 1.0
 SHARP = 1e-7  # relative error of derivatives that are not traced again after the last step; float32 holds 6e-8
 LOOSE_PX = 1e-4  # the last step is never larger, however straight the view: it leaves about its square
-MOST_BEND_PX = 0.25  # a second order larger than this is not to be trusted
+MOST_BEND_PX = 0.05  # a second order larger than this is not to be trusted
 TILING, EDGES, DONE = 0, 1, 2  # how far a sheet is
 ENOUGH_NODES = 8192  # starts after which the caller is asked to take them
 LANES = 128  # pixels measured at a time
@@ -152,7 +153,7 @@ def give_starts(
                 uu, uv, vv = du * du, du * dv, dv * dv
                 bend_u = m[UUU + k] * uu + m[UUV + k] * uv + m[UVV + k] * vv
                 bend_v = m[VUU + k] * uu + m[VUV + k] * uv + m[VVV + k] * vv
-                if not (abs(bend_u) + abs(bend_v) <= MOST_BEND_PX):
+                if not (tiling and abs(bend_u) + abs(bend_v) <= MOST_BEND_PX):
                     bend_u = bend_v = 0.0
                 starts[found, 0], starts[found, 1] = i + (du - bend_u), line + (dv - bend_v)
                 starts[found, 2], starts[found, 3] = uu + vv, m[WITHIN + k]
@@ -200,14 +201,15 @@ def scatter_sheet(
     grid, listed, measured = unowned(grid), unowned(listed), unowned(measured)
     tiled = found = 0
     for sweep in range(cursor[0], DONE):
-        wanted = NEAR if sweep == TILING else EDGE | BORDER
+        asked = NEAR | EDGE | BORDER if sweep == TILING else EDGE | BORDER
         for run in range(cursor[1], runs.shape[0]):
             line, i, last = runs[run, 0], max(runs[run, 1], cursor[2]), runs[run, 2]
             while i < last:
                 count = 0
                 while i < last and count < LANES:
                     listed[count] = i
-                    count += flags[line, i] & wanted != 0
+                    flag = flags[line, i] & asked
+                    count += (flag == NEAR) if sweep == TILING else (flag != 0)
                     i += 1
                 if measure_pixels(line, count, sweep == TILING, listed, flags, plane, branch, grid, measured) != 0:
                     ask_lonely(line, count, listed, tables, measured)
