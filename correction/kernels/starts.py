@@ -5,9 +5,9 @@ in there may start from it, at the place that second order says.  A sheet is gon
 
 *tiling* with squares HALF a pixel each way by pixels at no edge, whose derivatives change little; the first pixel
 that reaches a node has it.  At the *edges* first order has to do, and squares are larger: REACH where the view is
-BENT or pixels next to it are not useful, a whole pixel at the border of the sheet, because the sheet ends somewhere
-before the next: Newton decides where.  Of the pixels that reach a node there the nearest has it, which the caller
-sees to.
+BENT or pixels next to it are not useful, a whole pixel at the border of the sheet, because the sheet ends
+somewhere before the next: Newton decides where.  Of the pixels that reach a node there the nearest has it,
+which the caller sees to.
 
 Behind glass that magnifies most pixels cover no node: only those that are flagged NEAR are looked at.
 
