@@ -3,7 +3,10 @@
 Every kernel of every package is compiled through ``kernel``:
 
 * ``fastmath={"contract"}`` allows a*b + c to become one FMA and nothing else.  NaN keeps its meaning,
-  comparisons stay exact, and the same bits come out for any number of threads, blocks and runs.
+  comparisons stay exact, and the same bits come out for any number of threads, blocks and runs.  Which products
+  become FMAs is chosen where a function is compiled.  One that is called with constants (``turn`` in
+  ``tracer.kernels.chain``) is compiled another way inside its caller than by itself, and the process that compiles
+  would use the one, later ones the other: such functions are `kernel_inlined`, and exist once.
 * ``error_model="numpy"``: 0/0 is NaN, never an exception inside a loop.
 * ``nogil=True``: the row scheduler (tracer.rows) runs kernels on all cores from ordinary threads.
 * ``cache=True`` with a cache folder whose name is the digest of all kernel files.  Numba's own cache key

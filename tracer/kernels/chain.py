@@ -94,7 +94,7 @@ def clear_picks(count: int, rays: Array, trips: Array) -> None:
         trips[PICK + i] = NOBODY
 
 
-@kernel
+@kernel_inlined
 def look(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
     """Note sphere k for the rays whose nearest sphere ahead it is so far; whether there are any."""
     cx, cy, cz, r2 = balls[k, 0], balls[k, 1], balls[k, 2], balls[k, 3]
@@ -117,7 +117,7 @@ def look(k: int, balls: Array, count: int, rays: Array, trips: Array) -> bool:
     return some != 0
 
 
-@kernel
+@kernel_inlined
 def turn(k: int, alone: bool, balls: Array, count: int, rays: Array, trips: Array) -> tuple[bool, bool]:
     """Turn the rays that picked sphere k (`alone`: all that meet it); whether any did, and whether all go down."""
     cx, cy, cz, r2, ir2, kt = balls[k, 0], balls[k, 1], balls[k, 2], balls[k, 3], balls[k, 4], balls[k, 5]

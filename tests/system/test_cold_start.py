@@ -1,0 +1,79 @@
+"""The first run after an install, which compiles its kernels, gives the bits of all later ones, which load them.
+
+A kernel that is compiled both by itself and into a caller exists twice; a process that compiles uses the one, a
+process that loads the other.  They must round alike (``tracer.kernels._jit``).
+"""
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from correction.correction_map import build_correction_map
+from correction.corrector import Corrector
+from correction.evaluate.piv import evaluate_pair
+from correction.fit.prediction import expect, measure
+from correction.target import Chessboard
+from sim.demo_scenes import at_size, named_scene
+from sim.patterns import Chessboard as Print
+from sim.renderer import render
+from sim.sensor import Sensor
+from tracer.glass_map import build_glass_map
+from tracer.ray_map import build_ray_map
+from tracer.sensitivity import TargetPose, landings
+from tracer.trace import trace
+
+ROOT = Path(__file__).resolve().parents[2]
+SCENES = ("one_sphere_250", "two_spheres_500", "pyramid_500", "tilted")
+
+
+def fingerprint() -> str:
+    """Digests of what every kernel of a scene's way gives, one scene a line."""
+    rng, lines = np.random.default_rng(1), []
+    for name in SCENES:
+        scene = at_size(named_scene(name), 400)
+        ray_map = build_ray_map(scene)
+        corrected = build_correction_map(scene, ray_map, layers=2)
+        pixels = rng.uniform(0.0, 399.0, (2000, 2))
+        pair = rng.integers(0, 4096, (2, *scene.camera.shape)).astype(np.uint16)
+        quintic, bilinear = Corrector(corrected), Corrector(corrected, method="bilinear")
+        field = evaluate_pair(quintic(pair[0]), quintic(pair[0]), quintic.recovered)
+        board = Chessboard(5.0, 2.0)
+        corners = measure(
+            render(scene, Print(5.0, 2.0), Sensor(), seed=1), expect(scene, TargetPose(), board), board
+        )
+        made = {
+            "ray map": (ray_map.plane_mm, ray_map.status, ray_map.branch),
+            "glass map": (build_glass_map(scene).plane_mm,),
+            "correction map": tuple(corrected.arrays().values()),
+            "frames": (quintic(pair[0]), bilinear(pair[1])),
+            "rays": (trace(scene, pixels).rays,),
+            "derivatives": (landings(scene, pixels).rate,),
+            "vectors": (field.u_px, field.v_px, field.sigma_u_px),
+            "corners": (corners.position_px, corners.covariance_px2),
+        }
+        digests = [
+            f"{key} {hashlib.sha256(b''.join(a.tobytes() for a in arrays)).hexdigest()[:12]}"
+            for key, arrays in made.items()
+        ]
+        lines.append(f"{name}: {', '.join(digests)}")
+    return "\n".join(lines)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_compiling_and_loading_give_the_same_bits(tmp_path):
+    environment = {**os.environ, "RTPIV_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    code = "from tests.system.test_cold_start import fingerprint; print(fingerprint())"
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+        ).stdout
+        for _ in range(2)
+    ]
+    assert runs[0].count(":") == len(SCENES)
+    assert runs[0] == runs[1]
