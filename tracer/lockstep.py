@@ -9,7 +9,7 @@ whose bit is set in k, in this order", whether or not a ray takes it.  What rays
 traced again by ``march``, which names it.
 
 A camera that looks straight down on x = 0 (or y = 0) at bodies that are their own mirror image sees a picture
-that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.sensor``).
+that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.mirror``).
 """
 
 from typing import Any, NamedTuple

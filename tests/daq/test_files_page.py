@@ -8,7 +8,8 @@ import pytest
 from daq.bench.bench_file import BenchTable
 from daq.plans.experiments import EXPERIMENTS, plan_table
 from tracer.config import Table, load_yaml, validate
-from tracer.scene_file import SceneTable, load_scene
+from tracer.scene_file import load_scene
+from tracer.scene_tables import SceneTable
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "files.md"
 

@@ -2,14 +2,8 @@
 
 from tracer.kernels._jit import Array, kernel, unowned
 from tracer.kernels.chain import LANES, SKIP_LEFT_BEHIND, SKIP_SILHOUETTES, VECTOR
-from tracer.kernels.sensor import (
-    flat_columns,
-    glass_block,
-    mirror_left_right,
-    mirror_up_down,
-    silhouettes,
-    write_block,
-)
+from tracer.kernels.mirror import mirror_left_right, mirror_up_down
+from tracer.kernels.sensor import flat_columns, glass_block, silhouettes, write_block
 
 
 @kernel
