@@ -13,7 +13,7 @@ Pixels behind glass get FLAGS, others 0:
     NEAR    useful, and a node may lie within HALF a pixel, or a bit more
     BENT    the derivatives change so much from here to the next pixel that nodes in between may be within HALF
             of neither
-    EDGE    useful, and bent or beside a pixel that is not useful
+    EDGE    useful, and one of the nine pixels here is bent or of another sheet, or one beside is not useful
     BORDER  useful, and at the border of the sheet
 """
 
@@ -196,7 +196,12 @@ def flag_edges(flags: Array, branch: Array, first: int, last: int, begin: Array,
             inner = ((own ^ above) | (own ^ below) | (own ^ left) | (own ^ right)) & KIND == 0
             inner &= (branch[up, i] == number) & (branch[down, i] == number)
             inner &= (branch[row, i - 1] == number) & (branch[row, i + 1] == number)
-            edge = (own & BENT != 0) | (above & below & left & right & USEFUL == 0)
+            one, two, three, four = flags[up, i - 1], flags[up, i + 1], flags[down, i - 1], flags[down, i + 1]
+            corners = ((own ^ one) | (own ^ two) | (own ^ three) | (own ^ four)) & KIND == 0
+            corners &= (branch[up, i - 1] == number) & (branch[up, i + 1] == number)
+            corners &= (branch[down, i - 1] == number) & (branch[down, i + 1] == number)
+            bent = (own | above | below | left | right | one | two | three | four) & BENT != 0
+            edge = bent | (above & below & left & right & USEFUL == 0) | (not corners)
             flag = (EDGE if edge else 0) | (0 if inner else BORDER)
             edges[i] = flag if own & USEFUL else 0
         for j in range(width - 2):
