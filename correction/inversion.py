@@ -19,6 +19,7 @@ from correction.kernels.direct import direct_rows
 from correction.kernels.inverse import join_weights
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
 from correction.sheets import Sheet, Sheets, Starts
+from tracer.cells import cells_of
 from tracer.kernels.chain import BALL
 from tracer.kernels.march import KEY_MASK, next_key
 from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
@@ -47,7 +48,8 @@ class Inversion:
         self.scene, self.ray_map, self.grid = scene, ray_map, grid
         self.skip = skip
         self.size = scene.camera.sensor_px
-        self.tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
+        spheres = scene.sphere_table()
+        self.tables = (pack_camera(scene.camera), spheres, scene.rod_table(), *cells_of(spheres))
         self.events = {name: number for number, name in enumerate(scene.event_names())}
         self.lockstep = fits_lockstep(scene)
         self.balls = pack_chain(scene) if self.lockstep else NO_BALLS
@@ -128,6 +130,7 @@ class Inversion:
         for event in sequence.tolist():
             key = next_key(key, event) & KEY_MASK
         trip = chain_trip(self.scene, sequence) if self.lockstep else -1
+        solid = bool((sequence < len(self.tables[1])).all())
         balls, maps = self.balls, self.maps
 
         def work(part: Starts) -> None:
@@ -145,6 +148,7 @@ class Inversion:
                 balls,
                 sequence,
                 trip,
+                solid,
                 key,
                 sheet.branch,
                 sheet.sign,

@@ -6,7 +6,7 @@ taken a node); starts are made some thousand at a time, so that a map needs litt
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from tracer.ray_map import RayMap
 from tracer.rows import run_rows
 
 Starts = tuple[NDArray[np.float64], NDArray[np.int32]]  # (N, 4) and (N, 2), see `scatter_sheet`
-Tables = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Tables = tuple[NDArray[Any], ...]
 LAST_STAMP = np.iinfo(np.uint8).max
 
 
@@ -41,7 +41,7 @@ class Sheets:
     grid : PlaneGrid
         The nodes.
     tables : tuple of arrays
-        Camera, spheres, rods as kernels take them.
+        Camera, spheres, rods and cells as kernels take them.
     longest_mm : float
         Largest singular value of d plane / d pixel of a pixel that is worth a start.
     """
@@ -60,7 +60,7 @@ class Sheets:
 
         def flag(first: int, last: int) -> None:
             numbers = self.grid_numbers, box, longest_mm
-            flag_rows(*tables, *numbers, first, last, self.plane, self.branch, ray_map.status, self.flags, counts)
+            flag_rows(tables, *numbers, first, last, self.plane, self.branch, ray_map.status, self.flags, counts)
 
         run_rows(flag, height)
         self.begin = np.concatenate(([0], np.cumsum(counts)))

@@ -26,6 +26,7 @@ from scipy.optimize import brentq
 
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens
+from tracer.cells import NO_CELLS
 from tracer.errors import SceneError
 from tracer.kernels.march import RECOVERED, march_pixel_tangents
 from tracer.scene import Scene
@@ -177,7 +178,9 @@ def _curve(scene: Scene) -> Callable[[float], Sample]:
     spheres[:, 0], spheres[:, 1] = x, y
 
     def sample(radius_mm: float) -> Sample:
-        status, x_mm, _, slope, _, _, _, _, key, _ = march_pixel_tangents(radius_mm, 0.0, packed, spheres, NO_RODS)
+        status, x_mm, _, slope, _, _, _, _, key, _ = march_pixel_tangents(
+            radius_mm, 0.0, packed, spheres, NO_RODS, *NO_CELLS
+        )
         return int(status), x_mm - x, slope, int(key)
 
     return sample

@@ -36,7 +36,7 @@ X, Y, XA, XB, YB, WANTED_X, WANTED_Y = (k * STEP for k in range(7))  # columns o
 def hide_nodes(
     row: int,
     place: Array,
-    tables: tuple[Array, Array, Array],
+    tables: tuple[Array, ...],
     discs: Array,
     lockstep: bool,
     x: Array,
@@ -52,7 +52,7 @@ def hide_nodes(
     a sphere's shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.  Only nodes in
     shadows are asked for.  ``discs`` (N, BALL), of which centre and R^2 count, in the order of the sphere table.
     """
-    camera, spheres, rods = tables
+    camera, spheres, rods = tables[0], tables[1], tables[2]
     width, bodies = x.shape[0], discs.shape[0]
     place_row(row, True, place, x, y)
     count = 0
@@ -93,7 +93,7 @@ def hide_nodes(
 @kernel
 def direct_rows(
     place: Array,
-    tables: tuple[Array, Array, Array],
+    tables: tuple[Array, ...],
     discs: Array,
     lockstep: bool,
     flat: bool,

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from correction.node_status import RECOVERED
-from tracer.kernels._jit import Array, kernel, kernel_inlined
+from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import RECOVERED as TRACED
 from tracer.kernels.march import march_pixel_tangents
 
@@ -33,9 +33,22 @@ def stretch(uc: float, ur: float, vc: float, vr: float) -> tuple[float, ...]:
     return abs(p - q), p + q
 
 
+@kernel_inlined
+def unowned_tables(tables: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Return the tables of a scene (camera, spheres, rods, and the three of its cells) as `unowned`."""
+    return (
+        unowned(tables[0]),
+        unowned(tables[1]),
+        unowned(tables[2]),
+        unowned(tables[3]),
+        unowned(tables[4]),
+        unowned(tables[5]),
+    )
+
+
 @kernel
 def solve_node(
-    x: float, y: float, u: float, v: float, key: int, sign: float, tables: tuple[Array, Array, Array]
+    x: float, y: float, u: float, v: float, key: int, sign: float, tables: tuple[Array, ...]
 ) -> tuple[float, ...]:
     """Careful Newton for one node: converged, u, v, Jacobian d plane / d pixel, transmittance.
 
@@ -43,7 +56,7 @@ def solve_node(
     """
     du = dv = 0.0
     for _ in range(MAX_STEPS):
-        s, a, b, au, av, bu, bv, passed, k, _ = march_pixel_tangents(u, v, tables[0], tables[1], tables[2])
+        s, a, b, au, av, bu, bv, passed, k, _ = march_pixel_tangents(u, v, *tables)
         if s != TRACED or k != key or not (au * bv - av * bu) * sign > 0.0:
             du, dv = 0.5 * du, 0.5 * dv  # stepped off the sheet: go half the way back
             if abs(du) + abs(dv) < TOLERANCE_PX:

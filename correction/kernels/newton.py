@@ -18,11 +18,13 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 import math
 
 from correction.kernels.bspline import INDEX
-from correction.kernels.inverse import inverse_2x2, keep_view, solve_node, stretch
+from correction.kernels.inverse import inverse_2x2, keep_view, solve_node, stretch, unowned_tables
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
 from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.camera import undistorted, unit_tangent
 from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
+from tracer.kernels.march import RECOVERED as TRACED
+from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.sphere import (
     foot,
     foot_tangent,
@@ -38,6 +40,7 @@ LIGHT, KEPT, XU, XV, YU, YV, WORTH, WITHIN = (k * STEP for k in range(22, 30))
 NEWTON_NUMBERS = 30 * STEP
 VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the careful way
 MOVING, CONVERGED, FAILED = 0, 1, 2
+ANOTHER = -2  # a trip that no ray takes
 
 inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defined]
 stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
@@ -184,11 +187,12 @@ def solve_block(
 
 @kernel
 def solve_nodes(
-    tables: tuple[Array, Array, Array],
+    tables: tuple[Array, ...],
     grid: Array,
     balls: Array,
     sequence: Array,
     trip: int,
+    solid: bool,
     key: int,
     number: int,
     sign: float,
@@ -207,14 +211,15 @@ def solve_nodes(
     """Solve nodes of one sheet from their starts and keep the views.
 
     ``sequence`` (E,) numbers the spheres of the branch in the sphere table, `trip` is the same in the order of
-    ``balls`` (see ``tracer.kernels.chain``), -1 where a scene does not fit lockstep: then every node is solved by
-    itself.  `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
+    ``balls`` (see ``tracer.kernels.chain``), -1 where a scene does not fit lockstep: then what a block has solved
+    is verified ray by ray, and where not all spheres of the sequence are `solid` every node is solved by itself.
+    `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
     `scatter_sheet`; ``maps`` as in `keep_view`.  Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy``
     (2, GROUP), those of `follow_block`.
     """
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
-    camera, spheres, sequence = unowned(tables[0]), unowned(tables[1]), unowned(sequence)
-    bodies = camera, spheres, unowned(tables[2])
+    tables, sequence = unowned_tables(tables), unowned(sequence)
+    camera, spheres = tables[0], tables[1]
     status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
     transmittance, branch, starts, nodes = unowned(transmittance), unowned(branch), unowned(starts), unowned(nodes)
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
@@ -237,10 +242,13 @@ def solve_nodes(
         if trip > 0:
             solve_block(full, camera, spheres, sequence, sign, block, state)
             verify(count, camera, balls, xy, spans, wanted, rays, trips, block)
+        elif solid:
+            solve_block(full, camera, spheres, sequence, sign, block, state)
+            verify_one_by_one(count, trip, key, tables, state, trips, block)
         for i in range(count):
             if not (state[i] == CONVERGED and trips[TRIP + i] == trip):
                 done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
-                    block[X + i], block[Y + i], starts[low + i, 0], starts[low + i, 1], key, sign, bodies
+                    block[X + i], block[Y + i], starts[low + i, 0], starts[low + i, 1], key, sign, tables
                 )
                 block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
                 state[i] = CONVERGED if done > 0.0 else FAILED
@@ -314,3 +322,16 @@ def verify(
         x[i], y[i] = a, e
     begin_block(x[:count], y[:count], camera, rays, trips)
     follow_block(0, count, SKIP_LEFT_BEHIND, balls, spans, rays, trips, wanted)
+
+
+@kernel
+def verify_one_by_one(
+    count: int, trip: int, key: int, tables: tuple[Array, ...], state: Array, trips: Array, b: Array
+) -> None:
+    """As `verify` for scenes of many bodies: `trip` for converged pixels whose ray has the branch key `key`."""
+    for i in range(count):
+        taken = ANOTHER
+        if state[i] == CONVERGED:
+            s, _, _, _, _, _, _, _, k, _ = march_pixel_tangents(b[U + i], b[V + i], *tables)
+            taken = trip if s == TRACED and k == key else ANOTHER
+        trips[TRIP + i] = taken

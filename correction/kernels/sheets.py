@@ -89,9 +89,7 @@ def flags_of(
 
 @kernel
 def flag_rows(
-    camera: Array,
-    spheres: Array,
-    rods: Array,
+    tables: tuple[Array, ...],
     grid: Array,
     box: Array,
     longest: float,
@@ -137,9 +135,7 @@ def flag_rows(
         if lonely != 0:
             for i in range(begin, end):
                 if flags[row, i] == LONELY:
-                    s, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
-                        float(i), float(row), camera, spheres, rods
-                    )
+                    s, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(float(i), float(row), *tables)
                     c, r = (x - x0) * per_mm, (y0 - y) * per_mm
                     own = flags_of(c, r, xu, xv, yu, yv, per_mm, longest, box)
                     flags[row, i] = own if s == RECOVERED else 0

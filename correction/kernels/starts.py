@@ -18,7 +18,7 @@ the Jacobian before it to be good enough after it: |J^-1 dJ| <= 2 step max |J^-1
 import numpy as np
 
 from correction.kernels.bspline import INDEX
-from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2
+from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, unowned_tables
 from correction.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
 from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
@@ -85,12 +85,12 @@ def measure_pixels(
 
 
 @kernel
-def ask_lonely(line: int, count: int, listed: Array, tables: tuple[Array, Array, Array], m: Array) -> None:
+def ask_lonely(line: int, count: int, listed: Array, tables: tuple[Array, ...], m: Array) -> None:
     """Derivatives of the measured pixels that have no neighbours, as traced."""
     for k in range(count):
         if m[XU + k] * m[XV + k] * m[YU + k] * m[YV + k] * 0.0 != 0.0:
             _, _, _, m[XU + k], m[XV + k], m[YU + k], m[YV + k], _, _, _ = march_pixel_tangents(
-                float(listed[k]), float(line), tables[0], tables[1], tables[2]
+                float(listed[k]), float(line), *tables
             )
             for column in (XUU, XUV, XVV, YUU, YUV, YVV):
                 m[column + k] = 0.0
@@ -170,7 +170,7 @@ def scatter_sheet(
     branch: Array,
     flags: Array,
     runs: Array,
-    tables: tuple[Array, Array, Array],
+    tables: tuple[Array, ...],
     grid: Array,
     weight: Array,
     enough: np.float32,
@@ -187,8 +187,8 @@ def scatter_sheet(
     Returns how many came from the tiling, and how many with those from the edges, which may name a node again.
 
     ``plane`` (H, 2 W), ``branch``, ``flags`` (H, W) as in ``correction.kernels.sheets``, ``runs`` (R, RUN) those
-    of the sheet, ``tables`` camera, spheres, rods.  Nodes whose ``weight`` (h, w) is `enough` are left out, and
-    those whose ``taken`` (h, w) uint8 is `stamp`, which nodes get from the tiling.
+    of the sheet, ``tables`` camera, spheres, rods, cells.  Nodes whose ``weight`` (h, w) is `enough` are left out,
+    and those whose ``taken`` (h, w) uint8 is `stamp`, which nodes get from the tiling.
 
     ``nodes`` (N, 2) int32 receives rows and columns of the nodes, ``starts`` (N, 4) their start u, v, its squared
     distance from the pixel and how small a Newton step must be to be the last; both hold what one pixel gives
@@ -197,7 +197,7 @@ def scatter_sheet(
     """
     plane, branch, flags, runs = unowned(plane), unowned(branch), unowned(flags), unowned(runs)
     weight, taken, starts, nodes = unowned(weight), unowned(taken), unowned(starts), unowned(nodes)
-    tables = unowned(tables[0]), unowned(tables[1]), unowned(tables[2])
+    tables = unowned_tables(tables)
     grid, listed, measured = unowned(grid), unowned(listed), unowned(measured)
     tiled = found = 0
     for sweep in range(cursor[0], DONE):

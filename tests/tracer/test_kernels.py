@@ -70,7 +70,7 @@ def test_ray_kernels_compiled_and_interpreted(name: str) -> None:
         )
         compiled, plain = both(march, *camera[:3], *d, spheres, rods, *NO_CELLS, trail)
         np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)
-        compiled, plain = both(march_pixel_tangents, u, v, camera, spheres, rods)
+        compiled, plain = both(march_pixel_tangents, u, v, camera, spheres, rods, *NO_CELLS)
         np.testing.assert_allclose(compiled, plain, rtol=1e-7, atol=1e-9)
 
 
@@ -143,7 +143,9 @@ def test_analytic_derivatives(name: str) -> None:
     eye = tuple(mpf(x) for x in where.camera.position_mm)
     compared = glass = 0
     for u, v in aimed_pixels(where, np.random.default_rng(5), 160).tolist():
-        status, _, _, xu, xv, yu, yv, _, _, events = march_pixel_tangents(u, v, camera, spheres, NO_RODS)
+        status, _, _, xu, xv, yu, yv, _, _, events = march_pixel_tangents(
+            u, v, camera, spheres, NO_RODS, *NO_CELLS
+        )
         seen = follow(where, eye, pixel_direction(where.camera, u, v))
         if status != RayStatus.RECOVERED or seen.worst > 0.99 or abs(seen.direction[2]) < 0.05:
             continue
@@ -165,7 +167,7 @@ def test_lens_terms_alone() -> None:
         packed = pack_camera(where.camera)
         for u, v in ((0.0, 0.0), (2000.0, 100.0), (1007.5, 1007.5), (1500.0, 1900.0)):
             status, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
-                u, v, packed, where.sphere_table(), NO_RODS
+                u, v, packed, where.sphere_table(), NO_RODS, *NO_CELLS
             )
             assert status == RayStatus.RECOVERED
             np.testing.assert_allclose(
@@ -278,7 +280,9 @@ def test_fermat() -> None:
     for index in np.flatnonzero(chosen):
         if any(rays["key"][index] != base.rays["key"][index] for rays in (*ahead, *behind)):
             continue
-        _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(*pixels[index].tolist(), camera, spheres, NO_RODS)
+        _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
+            *pixels[index].tolist(), camera, spheres, NO_RODS, *NO_CELLS
+        )
         slope = [
             (a["path_mm"][index] - b["path_mm"][index]) / (2.0 * step) for a, b in zip(ahead, behind, strict=True)
         ]

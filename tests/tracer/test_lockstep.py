@@ -190,7 +190,7 @@ def test_tangents_go_with_the_map() -> None:
     pixels = np.random.default_rng(4).uniform(0.0, 1800.0, (2000, 2))
     rays = trace(where, pixels)
     for (u, v), ray in zip(pixels.tolist(), rays.rays, strict=True):
-        status, x, y, *_, passed, key, events = march_pixel_tangents(u, v, packed, spheres, rods)
+        status, x, y, *_, passed, key, events = march_pixel_tangents(u, v, packed, spheres, rods, *NO_CELLS)
         assert (status, key, events) == (ray["status"], ray["key"], ray["events"])
         if status == RayStatus.RECOVERED:
             assert passed == pytest.approx(float(ray["transmittance"]), abs=1e-9)

@@ -176,8 +176,10 @@ def land(
 
 
 @kernel
-def march_pixel_tangents(u: float, v: float, camera: Array, spheres: Array, rods: Array) -> tuple[float, ...]:
-    """Trace the ray of acquired pixel (u, v) with its derivatives by u and v.
+def march_pixel_tangents(
+    u: float, v: float, camera: Array, spheres: Array, rods: Array, frame: Array, begin: Array, items: Array
+) -> tuple[float, ...]:
+    """Trace the ray of acquired pixel (u, v) with its derivatives by u and v; cells as for `march`.
 
     Returns status, x, y, dx/du, dx/dv, dy/du, dy/dv, transmittance, key, events.  The tangents of foot
     point and direction go through the same turns as the ray itself.
@@ -190,7 +192,10 @@ def march_pixel_tangents(u: float, v: float, camera: Array, spheres: Array, rods
     last = -1
     nan = math.nan
     while True:
-        body = next_body(px, py, pz, dx, dy, dz, last, spheres, rods)
+        if items.shape[0] > 0:
+            body = next_in_bed(px, py, pz, dx, dy, dz, last, spheres, rods, frame, begin, items)
+        else:
+            body = next_body(px, py, pz, dx, dy, dz, last, spheres, rods)
         if body == -1:
             break
         if body == ROD or spheres[body, 5] != 0.0:
