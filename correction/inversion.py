@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from correction.grid import PlaneGrid
 from correction.kernels.direct import direct_rows
 from correction.kernels.inverse import join_weights
-from correction.kernels.newton import GROUP, NEWTON_NUMBERS, solve_nodes
+from correction.kernels.newton import GROUP, NEWTON_NUMBERS
+from correction.kernels.views import solve_nodes
 from correction.sheets import Sheet, Sheets, Starts
 from tracer.cells import cells_of
 from tracer.kernels.chain import BALL

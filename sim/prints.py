@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from sim.rays import Float32, Float64, Int64, compiled
+from sim.rays import Float32, Int64
+from sim.surfaces import Float64, compiled
 
 
 @compiled

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.patterns import Pattern
-from sim.rays import SOLID, trace_pixels, weighted_mean
+from sim.rays import trace_pixels, weighted_mean
 from sim.sensor import Sensor
+from sim.surfaces import SOLID
 from tracer.bodies import Body, Rod, Sphere
 from tracer.errors import SceneError
 from tracer.rows import run_rows

@@ -8,8 +8,9 @@ import pytest
 
 from sim.demo_scenes import SCENES, misaligned, named_scene
 from sim.patterns import Chessboard, Pose
-from sim.rays import _camera_ray, entry_rod, entry_sphere, snell, to_plane
+from sim.rays import _camera_ray, to_plane
 from sim.renderer import _tables
+from sim.surfaces import entry_rod, entry_sphere, snell
 from tracer.bodies import Core, Rod, Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.errors import SceneError
