@@ -60,7 +60,9 @@ def run(camera, frames):
     step, apart_us = np.diff(sequence), np.diff(clock_ns) / 1e3
     rate = sequence[-1] / ((clock_ns[-1] - clock_ns[0]) / 1e9)
     print(f"{rate:.2f} frames/s, handover p50/p99 {np.percentile(handover_ms, [50, 99]).round(1)} ms, {counters}")
-    assert sequence[-1] + 1 == len(sequence) + counters.lost  # every frame is accounted for
+    # Every frame is accounted for; a few may be lost after the last one fetched.
+    gaps = sequence[-1] + 1 - len(sequence)
+    assert gaps <= counters.lost <= gaps + 3
     assert (apart_us[(sequence[:-1] % 2 == 0) & (step == 1)] == 500.0).all()
     return rate, handover_ms, counters
 
