@@ -5,16 +5,19 @@ from functools import cache
 
 import numpy as np
 
+from correction.correction_map import build_correction_map
+from correction.fit.map_sigma import sigma_at
 from correction.fit.measurement import TargetFrame
 from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
-from correction.grid import PlaneGrid
+from correction.grid import PlaneGrid, grid_of
 from correction.target import Chessboard
 from sim.demo_scenes import BARREL_35MM, at_size, misaligned, named_scene
 from sim.patterns import Chessboard as Print
 from sim.patterns import Pose, placed
 from sim.renderer import render
 from sim.sensor import Sensor
+from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.trace import trace
 
@@ -72,3 +75,14 @@ def map_error_px(fit: Scene, truth: Scene, pixels: np.ndarray, grid: PlaneGrid) 
     off = (a.plane_mm - b.plane_mm) / grid.pitch_mm
     off[(names_a != names_b) | ~a.recovered | ~b.recovered] = np.nan
     return off
+
+
+def errors_behind(fit: SceneFit, truth: Scene, every: int = 5) -> tuple[np.ndarray, np.ndarray, float]:
+    """True error and sigma of a fitted map behind glass (N,), in corrected px; what share can be compared."""
+    grid = grid_of(truth.camera)
+    seen = build_correction_map(truth, build_ray_map(truth), grid)
+    pixels = seen.pixel[0][seen.behind_glass][::every]
+    error = np.linalg.norm(map_error_px(fit.scene, truth, pixels, grid), axis=1)
+    here = np.isfinite(error)
+    sigma = np.linalg.norm(sigma_at(fit, pixels[here], True), axis=1) / grid.pitch_mm
+    return error[here], sigma, float(here.mean())
