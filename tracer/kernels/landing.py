@@ -15,7 +15,7 @@ sphere (x, y, z, radius, n) | target (6: x, y, z, rx, ry, rz); turns are about t
 
 import math
 
-from tracer.kernels._jit import Array, kernel
+from tracer.kernels._jit import Array, kernel, unowned
 from tracer.kernels.adjoint import back_through, land_on_target, march_recorded
 from tracer.kernels.camera import undistorted
 from tracer.kernels.march import MISSED_PLANE, RECOVERED
@@ -68,6 +68,8 @@ def trace_landings(
     int64, point (N, 2) target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + 6) out.  NaN unless
     recovered.
     """
+    spheres, rods, trail, state = unowned(spheres), unowned(rods), unowned(trail), unowned(state)
+    point, by_pixel, rate = unowned(point), unowned(by_pixel), unowned(rate)
     place = CAMERA_NUMBERS + SPHERE_NUMBERS * spheres.shape[0]
     for i in range(first, last):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
