@@ -38,7 +38,7 @@ def lost_spheres(bench: Bench, frames: Sequence[MeasuredFrame], kept: Sequence[N
         expected = found = 0
         for frame, good in zip(frames, kept, strict=True):
             for way, count in frame.expected.items():
-                if not set(sphere.event_names).isdisjoint(way.split(" > ")):
+                if sphere.is_on(way.split(" > ")):
                     expected += count
                     found += int(np.count_nonzero(good & (frame.way == way)))
         if expected and found < FOUND * expected:

@@ -190,7 +190,7 @@ def check(fit: SceneFit) -> None:
                 text = f"the corners seen through {way} are not where it would show them; start its centre nearer"
                 raise FitFailed(f"share of corners paired through {way}", share, WAY_LIMIT, f"{text}, and {cure}")
         for sphere in fit.bench.scene.spheres:
-            ways = [way for way in fit.expected if not set(sphere.event_names).isdisjoint(way.split(" > "))]
+            ways = [way for way in fit.expected if sphere.is_on(way.split(" > "))]
             count = sum(fit.expected[way] for way in ways)
             held = not any(name.startswith(f"{sphere.name}.") for name in fit.names)
             if count and not held and not any(fit.paired(way) for way in ways):

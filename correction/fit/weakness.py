@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from correction.fit.result import SceneFit
 from correction.fit.unknowns import unit_of
+from tracer.bodies import Sphere
 
 LEARNED = 1.0
 TIED = 0.97
@@ -40,7 +41,7 @@ class Weakness:
 def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
     found = []
-    lost = {name for sphere in fit.bench.scene.spheres for name in _unseen(fit, sphere.name)}
+    lost = {name for sphere in fit.bench.scene.spheres for name in _unseen(fit, sphere)}
     for name in sorted({name.split(".")[0] for name in lost}):
         text = f"no corner is seen through {name}: its place is what the scene file says"
         found.append(Weakness(tuple(n for n in fit.names if n in lost), f"{text}; smaller squares may show some"))
@@ -62,11 +63,11 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
     return found
 
 
-def _unseen(fit: SceneFit, sphere: str) -> tuple[str, ...]:
+def _unseen(fit: SceneFit, sphere: Sphere) -> tuple[str, ...]:
     """Free numbers of a sphere through which the fitted scene shows no corner."""
-    if any(sphere in way.split(" > ") for way in fit.expected):
+    if any(sphere.is_on(way.split(" > ")) for way in fit.expected):
         return ()
-    return tuple(name for name in fit.names if name.startswith(f"{sphere}."))
+    return tuple(name for name in fit.names if name.startswith(f"{sphere.name}."))
 
 
 def _list(fit: SceneFit, names: tuple[str, ...]) -> str:

@@ -1,5 +1,6 @@
 """A sphere, solid or with others inside it, of glass or opaque."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,6 +75,10 @@ class Sphere:
     def event_names(self) -> tuple[str, ...]:
         """Names of all ways through the sphere."""
         return tuple(self.event_name(way) for way in range(2 * len(self.cores) + 1))
+
+    def is_on(self, branch: Iterable[str]) -> bool:
+        """Whether a branch goes through the sphere, on whatever way."""
+        return not set(self.event_names).isdisjoint(branch)
 
     def event_name(self, way: int) -> str:
         """Name of a way through the sphere, as ``tracer.kernels.shell`` counts them: the part of a branch.

@@ -61,6 +61,8 @@ def test_a_ball_filled_with_water_is_found():
     assert abs(found.medium.n(532.0) - true.medium.n(532.0)) <= 0.004
     assert found.cores == true.cores
     assert fit.expected[f"{true.name} core"] > 100
+    only_through = replace(fit, expected={f"{true.name} core": 1})
+    assert not any("no corner is seen" in weak.sentence for weak in weaknesses(only_through))
 
 
 def filled(scene: Scene) -> Scene:
