@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow bench lint picture pins clean
+.PHONY: demo test test-slow fuzz benchmark bench lint picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -28,7 +28,15 @@ test: $(STAMP) lint
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
 
-bench: $(STAMP)
+# Random sequences of commands, faults, stops and restarts before the judge: make fuzz SEQUENCES=100000 SEED=1
+SEQUENCES ?= 10000
+SEED ?= 1
+fuzz: $(STAMP)
+	$(BIN)/python -m tests.safety.fuzz --sequences $(SEQUENCES) --seed $(SEED) --workers 2
+
+bench: benchmark
+
+benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks -o benchmarks/results
 
 lint: $(STAMP)

@@ -1,1 +1,1 @@
-"""Run time against peers, measured side by side in one run; `make bench`."""
+"""Run time against peers, measured side by side in one run; `make benchmark`."""

@@ -5,8 +5,8 @@ import numpy as np
 from mpmath import mpf
 from numpy.typing import NDArray
 
-from tests.tracer.reference import Seen, follow_pixel
-from tests.tracer.scenes import aimed_pixels
+from benchmarks.reference import Seen, follow_pixel
+from benchmarks.scenes import aimed_pixels
 from tracer.scene import Scene
 
 REGIONS = {"clear": 0.0, "centre": 0.9, "rim": 0.99, "last 1 %": 1.0}

@@ -27,7 +27,6 @@ def ours(scene: Scene) -> Tasks:
     """Ray map, correction map and corrector of this project; arrays of the map before are written again."""
     from correction.correction_map import build_correction_map
     from correction.corrector import Corrector
-    from tracer.glass_map import build_glass_map
     from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
     from tracer.ray_map import build_ray_map
 
@@ -40,10 +39,7 @@ def ours(scene: Scene) -> Tasks:
     arrays = ray_map.plane_mm, ray_map.status, ray_map.branch
     parts: Tasks = {}
     if fits_lockstep(scene):
-        parts = {
-            "ray_map, no mirror": lambda: trace_lockstep(scene, *arrays, ALL_SKIPS & ~SKIP_MIRRORED),
-            "ray_map, glass only": lambda: build_glass_map(scene),
-        }
+        parts = {"ray_map, no mirror": lambda: trace_lockstep(scene, *arrays, ALL_SKIPS & ~SKIP_MIRRORED)}
     return {
         **parts,
         "ray_map": lambda: build_ray_map(scene, ray_map).plane_mm,
@@ -59,18 +55,18 @@ def march(scene: Scene) -> Tasks:
     """Our tracer ray by ray, every body asked at every step."""
     from tracer.cells import NO_CELLS
     from tracer.kernels.maps import trace_rows
-    from tracer.kernels.march import MAX_EVENTS
+    from tracer.kernels.world import World
     from tracer.rows import run_rows
     from tracer.trace import pack_camera
 
     height, width = scene.camera.shape
     plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)
     key = np.empty((height, width), np.int64)
-    tables = (pack_camera(scene.camera), scene.sphere_table(), scene.rod_table())
+    camera, world = pack_camera(scene.camera), World(scene.sphere_table(), *NO_CELLS, scene.other_tables())
 
     def task() -> NDArray[np.float64]:
         def work(first: int, last: int) -> None:
-            trace_rows(*tables, *NO_CELLS, first, last, np.empty(MAX_EVENTS, np.int32), plane, status, key)
+            trace_rows(camera, world, first, last, plane, status, key)
 
         run_rows(work, height)
         return plane

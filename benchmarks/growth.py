@@ -14,8 +14,6 @@ import numpy as np
 from benchmarks.scenes import bed
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
-from tracer.glass_map import build_glass_map
-from tracer.lockstep import fits_lockstep
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 
@@ -126,13 +124,13 @@ def over_threads(scene: Scene) -> dict[str, float]:
 
 
 def memory(scene: Scene) -> dict[str, float]:
-    """Bytes a pixel, at the peak while it is made and afterwards, of ray map, glass map and correction map."""
+    """Bytes a pixel, at the peak while it is made and afterwards, of ray map and correction map."""
     pixels = float(np.prod(scene.camera.shape))
-    tasks: dict[str, Callable[[], Any]] = {"ray map": lambda: build_ray_map(scene)}
-    if fits_lockstep(scene):
-        tasks["glass map"] = lambda: build_glass_map(scene)
     ray_map = build_ray_map(scene)
-    tasks["correction map"] = lambda: build_correction_map(scene, ray_map)
+    tasks: dict[str, Callable[[], Any]] = {
+        "ray map": lambda: build_ray_map(scene),
+        "correction map": lambda: build_correction_map(scene, ray_map),
+    }
     result = {}
     for name, task in tasks.items():
         task()

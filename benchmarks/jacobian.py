@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import PAPER, bench_scene
-from tracer.kernels.march import DIRECT
+from tracer.branches import DIRECT
 from tracer.scene import Scene
 from tracer.sensitivity import landings
 from tracer.trace import trace

@@ -21,6 +21,7 @@ from rich.console import Console
 from benchmarks.processor_time import ProcessorTime
 from daq.bench.bench_file import load_bench
 from daq.errors import DaqError
+from daq.example_files import examples
 from daq.plans.plan import load_plan
 from daq.runner.progress import Progress
 from daq.runner.session import Request, begin, carry_out
@@ -29,7 +30,6 @@ from sim.patterns import printed_particles
 from sim.renderer import render
 from sim.sensor import Sensor
 
-EXAMPLE = Path(__file__).resolve().parents[1] / "examples"
 SETTINGS = """camera:
   backend: {backend}
   settings: {{PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerSelector: FrameStart, TriggerMode: "Off",
@@ -47,13 +47,13 @@ def write_bench(folder: Path, rate_hz: float, backend: str) -> Path:
     for number, shift_mm in enumerate((0.0, 0.1)):
         image = render(scene, sheet.displaced((shift_mm, shift_mm)), Sensor(), samples=1, seed=number)
         np.save(folder / "ring" / f"{number}.npy", image)
-    text = (EXAMPLE / "bench-sim.yaml").read_text(encoding="utf-8")
+    text = (examples() / "bench-sim.yaml").read_text(encoding="utf-8")
     head, rest = text.split("camera:\n  backend", 1)
     rest = rest[rest.index("simulation:") :].replace("  seed: 7\n", "  seed: 7\n  ring: ring\n")
     (folder / "bench.yaml").write_text(
         head + SETTINGS.format(rate_hz=rate_hz, backend=backend) + rest, encoding="utf-8"
     )
-    (folder / "two_spheres_500.yaml").write_bytes((EXAMPLE / "two_spheres_500.yaml").read_bytes())
+    (folder / "two_spheres_500.yaml").write_bytes((examples() / "two_spheres_500.yaml").read_bytes())
     return folder / "bench.yaml"
 
 

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.child import child
+
 
 @dataclass
 class Racer:
@@ -46,15 +48,15 @@ class Racer:
 
 
 def start(name: str, scene: str) -> Racer | None:
-    """Start a contender and wait until it is warm; None if it is not installed."""
-    command = [sys.executable, "-m", "benchmarks.contenders", name, scene]
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-    )
+    """Start a contender and wait until it is warm; None, and a line that says why, if it is not installed."""
+    command, environment = child("benchmarks.contenders", name, scene)
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, env=environment, text=True, **pipes)
     assert process.stdout
     word, _, rest = process.stdout.readline().partition(" ")
     if word != "ready":
         process.wait()
+        print(f"{name} is left out: {rest.strip() or 'it stopped'}", file=sys.stderr)
         return None
     return Racer(name, process, json.loads(rest))
 

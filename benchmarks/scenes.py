@@ -3,14 +3,15 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from daq.example_files import examples
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PAPER = (
     "one_sphere_250",
     "one_sphere_500",
@@ -29,8 +30,8 @@ def bench_scene(name: str) -> Scene:
     if name.startswith("bed "):
         return bed(int(name.split()[1]))
     if name != BENCH_LIKE:
-        return load_scene(EXAMPLES / f"{name}.yaml")
-    scene = load_scene(EXAMPLES / "pyramid_500.yaml")
+        return load_scene(examples() / f"{name}.yaml")
+    scene = load_scene(examples() / "pyramid_500.yaml")
     position, camera = (31.0, -22.0, 496.0), scene.camera
     rotation = look_at(position, (2.0, 1.0, 0.0), 0.05)
     lens = Lens(k1=0.03, k2=-0.1, p1=0.001, p2=-0.002)
@@ -55,7 +56,7 @@ def bed(count: int, width_mm: float = 100.0, packing: str = "bcc") -> Scene:
     bodies = bodies[:count]
     if packing == "random":
         bodies = scattered(bodies, width_mm)
-    scene = load_scene(EXAMPLES / "pyramid_500.yaml")
+    scene = load_scene(examples() / "pyramid_500.yaml")
     return scene.with_bodies(bodies)
 
 
@@ -73,3 +74,24 @@ def scattered(bodies: list[Sphere], width_mm: float) -> list[Sphere]:
         Sphere(body.name, (float(x), float(y), float(z)), radius, body.medium)
         for body, (x, y, z) in zip(bodies, placed.tolist(), strict=False)
     ]
+
+
+def aimed_pixels(where: Scene, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Pixels on the sensor: half anywhere, half aimed at a sphere with b/R up to 1 - 1e-6 (N, 2)."""
+    height, width = where.camera.shape
+    pixels = rng.uniform((-0.5, -0.5), (width - 0.5, height - 0.5), (count, 2))
+    aimed = pixels[::2]
+    count = len(aimed)
+    eye = np.array(where.camera.position_mm)
+    centres, radii = np.array([ball.centre_mm for ball in where.spheres]), [b.radius_mm for b in where.spheres]
+    which = rng.integers(len(radii), size=count)
+    axis = centres[which] - eye
+    distance = np.linalg.norm(axis, axis=-1, keepdims=True)
+    share = 1.0 - 10.0 ** rng.uniform(-6.0, 0.0, (count, 1))
+    side = np.cross(axis, rng.normal(size=(count, 3)))
+    side /= np.linalg.norm(side, axis=-1, keepdims=True)
+    sine = share * np.array(radii)[which, None] / distance
+    wanted = where.camera.project(eye + distance * (np.sqrt(1.0 - sine**2) * axis / distance + sine * side))
+    seen = np.all((wanted > -0.5) & (wanted < (width - 0.5, height - 0.5)), axis=-1)
+    aimed[seen] = wanted[seen]
+    return pixels

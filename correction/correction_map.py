@@ -34,11 +34,11 @@ from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
 from correction.inversion import Inversion
 from correction.node_status import NodeStatus
+from tracer.branches import Branch, Numbers
 from tracer.errors import MapFileError
 from tracer.map_file import load_arrays, save_arrays
 from tracer.ray_map import RayMap
 from tracer.scene import Scene, SceneBound
-from tracer.trace import Branch, Numbers
 
 KIND = "correction map"
 MIN_MAGNIFICATION = 0.5  # one sensor pixel may cover two corrected pixels, not more

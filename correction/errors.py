@@ -2,6 +2,7 @@
 
 CorrectionError
 +-- FrameError       a frame cannot be used as it is: shape, kind of number, NaN where values are needed
+|   +-- FrameDamaged     its pixels are not those that its checksum was made from
 +-- PairError        two frames do not make a pair: different size, nothing valid, no texture
 +-- BoardError       the description of the target contradicts itself
 +-- TargetNotFound   a frame does not show the described target, or too little of it
@@ -16,6 +17,10 @@ class CorrectionError(Exception):
 
 class FrameError(CorrectionError):
     """A frame is not a 2-D array of finite intensities; the message says what it is instead."""
+
+
+class FrameDamaged(FrameError):  # noqa: N818 - says what it is
+    """The pixels or the checksum of a frame are not what was written; restore the file from a copy."""
 
 
 class PairError(CorrectionError):

@@ -20,14 +20,15 @@ from correction.kernels.inverse import join_weights
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS
 from correction.kernels.views import solve_nodes
 from correction.sheets import Sheet, Sheets, Starts
-from tracer.cells import cells_of
+from tracer.branches import chain_trip, event_numbers, key_of
+from tracer.cells import world_of
+from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import BALL
-from tracer.kernels.march import KEY_MASK, next_key
-from tracer.lockstep import block_scratch, chain_trip, fits_lockstep, pack_chain, sphere_discs
+from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
 from tracer.ray_map import RayMap
 from tracer.rows import run_parts, run_rows
 from tracer.scene import Scene
-from tracer.trace import DIRECT, pack_camera
+from tracer.trace import pack_camera
 
 NO_BALLS = np.empty((0, BALL))
 
@@ -49,9 +50,8 @@ class Inversion:
         self.scene, self.ray_map, self.grid = scene, ray_map, grid
         self.skip = skip
         self.size = scene.camera.sensor_px
-        spheres = scene.sphere_table()
-        self.tables = (pack_camera(scene.camera), spheres, scene.rod_table(), *cells_of(spheres))
-        self.events = {name: number for number, name in enumerate(scene.event_names())}
+        self.tables = (pack_camera(scene.camera), world_of(scene))
+        self.events = event_numbers(scene)
         self.lockstep = fits_lockstep(scene)
         self.balls = pack_chain(scene) if self.lockstep else NO_BALLS
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
@@ -79,7 +79,7 @@ class Inversion:
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
         height, width = self.grid.shape
-        place, discs = self._node_camera(), sphere_discs(self.tables[1])
+        place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
         lens_free = self.scene.camera.lens.is_ideal
         size = np.array(self.size, dtype=np.float64)
         maps: tuple[NDArray[Any], ...] = (
@@ -91,7 +91,7 @@ class Inversion:
 
         def work(first: int, last: int) -> None:
             x, y = np.arange(width, dtype=np.float64), np.empty(width)
-            x = (x - place[13]) / place[12]
+            x = (x - place[CENTRE_U]) / place[FOCAL]
             spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
             scratch = (x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
             direct_rows(
@@ -127,11 +127,9 @@ class Inversion:
     def _solve(self, sheet: Sheet, parts: Iterator[Starts]) -> None:
         """Solve the nodes of one sheet and keep the best views."""
         sequence = np.array([self.events[name] for name in self.ray_map.branches[sheet.branch]], np.int64)
-        key = DIRECT
-        for event in sequence.tolist():
-            key = next_key(key, event) & KEY_MASK
+        key = key_of(sequence)
         trip = chain_trip(self.scene, sequence) if self.lockstep else -1
-        solid = bool((sequence < len(self.tables[1])).all())
+        solid = bool((sequence < len(self.tables[1].spheres)).all())
         balls, maps = self.balls, self.maps
 
         def work(part: Starts) -> None:

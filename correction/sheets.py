@@ -6,19 +6,19 @@ taken a node); starts are made some thousand at a time, so that a map needs litt
 
 import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
+from correction.kernels.inverse import Tables
 from correction.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
 from correction.kernels.starts import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
 from tracer.ray_map import RayMap
 from tracer.rows import run_rows
 
 Starts = tuple[NDArray[np.float64], NDArray[np.int32]]  # (N, 4) and (N, 2), see `scatter_sheet`
-Tables = tuple[NDArray[Any], ...]
 LAST_STAMP = np.iinfo(np.uint8).max
 
 
@@ -40,8 +40,8 @@ class Sheets:
         The ray map.
     grid : PlaneGrid
         The nodes.
-    tables : tuple of arrays
-        Camera, spheres, rods and cells as kernels take them.
+    tables : tuple of array and World
+        Camera and bodies as kernels take them.
     longest_mm : float
         Largest singular value of d plane / d pixel of a pixel that is worth a start.
     """

@@ -3,7 +3,7 @@
 Every verb is a public function of the same name in ``daq.verbs``; it is imported only when its verb is
 called, so that ``rtpiv --help`` answers at once.  What people can get wrong comes back as one sentence.
 
-Exit codes: 0 done, 2 usage or configuration, 3 device, 4 interrupted and resumable.
+Exit codes: 0 done, 2 usage or configuration, 3 device or disk, 4 interrupted and resumable.
 """
 
 import argparse
@@ -13,14 +13,26 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 DONE, USAGE, DEVICE, INTERRUPTED = 0, 2, 3, 4
+
+
+class _Version(argparse.Action):
+    """Looked up only when asked for: the library that knows it is slow to import."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"rtpiv {version('rtpiv')}")
+        parser.exit()
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="rtpiv", description="Particle image velocimetry through glass: acquire, trace, correct, prove."
     )
+    parser.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="say which and end")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
 
     trace = verbs.add_parser("trace", help="what a scene shows: recovered field of view, folds, pictures")
@@ -40,8 +52,8 @@ def _parser() -> argparse.ArgumentParser:
         "--scene", type=Path, help="nominal scene.yaml; may have a fit section (default: the run's own)"
     )
     calibrate.add_argument("-o", "--out", type=Path, required=True, help="folder for the fitted scene and report")
-    calibrate.add_argument("--square-mm", type=_positive, default=2.5, help="square of the target (default 2.5)")
-    calibrate.add_argument("--disc-mm", type=_positive, default=1.0, help="disc of the target (default 1.0)")
+    calibrate.add_argument("--square-mm", type=_positive, help="square of the board; a run knows it (default 2.5)")
+    calibrate.add_argument("--disc-mm", type=_positive, help="its discs; a run knows it (default 1.0)")
 
     correct = verbs.add_parser("correct", help="frames as if the glass were not there")
     correct.add_argument(
@@ -51,7 +63,8 @@ def _parser() -> argparse.ArgumentParser:
     correct.add_argument("-o", "--out", type=Path, required=True, help="folder for corrected frames")
     correct.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     correct.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
-    correct.add_argument("--square-mm", type=_positive, default=2.5, help="square of the target (default 2.5)")
+    correct.add_argument("--square-mm", type=_positive, help="square of the board; a run knows it (default 2.5)")
+    correct.add_argument("--disc-mm", type=_positive, help="its discs; a run knows it (default 1.0)")
     correct.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
     correct.add_argument("--blend", type=_count, default=1, metavar="K", help="join the K best views of a node")
     correct.add_argument("--float", dest="as_float", action="store_true", help="write float32, not offset uint16")
@@ -63,7 +76,8 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("-o", "--out", type=Path, required=True, help="folder for vectors and report")
     evaluate.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     evaluate.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
-    evaluate.add_argument("--square-mm", type=_positive, default=2.5, help="square of the target (default 2.5)")
+    evaluate.add_argument("--square-mm", type=_positive, help="square of the board; a run knows it (default 2.5)")
+    evaluate.add_argument("--disc-mm", type=_positive, help="its discs; a run knows it (default 1.0)")
     evaluate.add_argument("--shift-mm", type=_finite, nargs=2, metavar=("X", "Y"), help="true shift, y up")
     evaluate.add_argument(
         "--stage-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
@@ -84,10 +98,10 @@ def _parser() -> argparse.ArgumentParser:
 
     _bench_verbs(verbs)
 
-    bench = verbs.add_parser("bench", help="run time against error on this machine, for one scene")
-    bench.add_argument("scene", type=Path, metavar="SCENE", help="scene.yaml")
-    bench.add_argument("-o", "--out", type=Path, default=Path("bench"), help="folder for table and picture")
-    bench.add_argument("--rounds", type=_count, default=9, help="interleaved rounds (default 9)")
+    benchmark = verbs.add_parser("benchmark", help="run time against error on this machine, for one scene")
+    benchmark.add_argument("scene", type=Path, metavar="SCENE", help="scene.yaml")
+    benchmark.add_argument("-o", "--out", type=Path, default=Path("benchmark"), help="folder for its files")
+    benchmark.add_argument("--rounds", type=_count, default=9, help="interleaved rounds (default 9)")
 
     demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
     demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
@@ -124,9 +138,18 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     resume.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
     resume.add_argument("--home", action="store_true", help="home every axis first, in the configured order")
 
-    stage = verbs.add_parser("stage", help="where the axes are; home, move or jog them")
-    stage.add_argument("action", choices=("where", "home", "move", "jog"))
+    resume.add_argument(
+        "--retake", action="store_true", help="take steps again of which a frame is missing or damaged"
+    )
+
+    check = verbs.add_parser("check", help="whether runs on the disk are what was acquired")
+    check.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folder of a run")
+
+    stage = verbs.add_parser("stage", help="where the axes are; home, move or jog them, or a prompt that does")
+    actions = ("session", "where", "home", "move", "jog")
+    stage.add_argument("action", nargs="?", choices=actions, default="session", help="default: a prompt (session)")
     stage.add_argument("axes", nargs="*", metavar="AXIS[=MM]", help="move: axis=mm; jog: axis=+-mm; home: axis")
+    stage.add_argument("--home", action="store_true", help="home every axis first, in the configured order")
     _bench_options(stage)
 
     camera = verbs.add_parser("camera", help="list cameras, or take a frame")
@@ -170,9 +193,21 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
+    """Read the words of a command; axes may stand behind options too, where argparse looks for them no more."""
+    parser = _parser()
+    known, left = parser.parse_known_args(arguments)
+    options = vars(known)
+    if left and options["verb"] == "stage" and not any(word.startswith("-") for word in left):
+        options["axes"] += left
+    elif left:
+        parser.error(f"unrecognized arguments: {' '.join(left)}")
+    return options
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
-    options = vars(_parser().parse_args(arguments))
+    options = _options(arguments)
     verb = options.pop("verb")
     function = getattr(importlib.import_module(f"daq.verbs.{verb}"), verb)
     try:
@@ -199,13 +234,15 @@ def _sentence(error: Exception) -> str:
 
 def _exit_code(error: Exception) -> int | None:
     """Exit code of an error that a person can cure; None for a bug."""
-    from correction.errors import CorrectionError
+    from correction.errors import CorrectionError, FrameDamaged
     from daq.errors import CameraUsageError, DaqError, RunInterrupted, RunUsageError
     from stages.errors import StageError, StageUsageError
     from tracer.errors import TracerError
 
     if isinstance(error, RunInterrupted):
         return INTERRUPTED
+    if isinstance(error, FrameDamaged):
+        return DEVICE
     if isinstance(error, TracerError | CorrectionError | RunUsageError | StageUsageError | CameraUsageError):
         return USAGE
     if isinstance(error, DaqError | StageError):

@@ -10,13 +10,17 @@
         +-- CameraTimeout      no frame came in time; the camera is alive
         +-- CameraLost         the cable or the camera: no answer; open it again
         +-- FrameError         the camera delivered something that cannot be the frame it announced
+            +-- FrameIncomplete    pixels of a frame were lost on the way; trigger again
+            +-- OtherFormat        frames are not what the camera says it was set to; retaking does not help
     +-- RunError           what has to do with plans and runs
         +-- RunUsageError      the caller (also a ValueError); nothing has moved, nothing was written
         |   +-- PlanError          a plan that this bench cannot or must not carry out
         |   +-- ResumeRefused      a run that must not be continued with this plan, bench or scene
         +-- DiskError          the disk: full, too slow, not writable; the run can be resumed
+        |   +-- RunDamaged         what lies on the disk is not what a run wrote there; the message names it
         +-- FramesLost         frames were exposed and are gone; the message says where; the run can be resumed
         +-- BadBalance         the counts of a run contradict each other: a bug, or a camera that cannot count
+        +-- FrameDoubt         a frame cannot be given to its trigger; what the run holds may be misfiled
         +-- RunInterrupted     somebody asked for it; the run can be resumed
 
 The command line prints these as one sentence and exits with code 3 (RunUsageError: 2, RunInterrupted: 4).
@@ -63,6 +67,14 @@ class FrameError(CameraError):
     """A frame's size, format or layout contradicts its data; it is not used."""
 
 
+class FrameIncomplete(FrameError):  # noqa: N818
+    """Pixels of a frame were lost on the way; it is counted and not used."""
+
+
+class OtherFormat(FrameError):  # noqa: N818
+    """The camera sends another pixel format or size than it reads back; the message names both."""
+
+
 class RunError(DaqError):
     """Root of the part about plans and runs."""
 
@@ -83,12 +95,20 @@ class DiskError(RunError):
     """The disk is full, too slow or not writable; make room, then resume the run."""
 
 
+class RunDamaged(DiskError):  # noqa: N818
+    """A frame or record of a run is not what was written; restore it from a copy, or take it again."""
+
+
 class FramesLost(RunError):  # noqa: N818
     """Frames were exposed and are gone; what was written stays, and the run can be resumed."""
 
 
 class BadBalance(RunError):  # noqa: N818
     """Triggered frames do not equal written + incomplete + rejected + lost."""
+
+
+class FrameDoubt(RunError):  # noqa: N818
+    """Nothing tells which trigger a frame belongs to; the run can be looked at, and not be resumed."""
 
 
 class RunInterrupted(RunError):  # noqa: N818

@@ -7,9 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
-from correction.dewarp import Dewarp
 from correction.errors import FrameError
 from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import Regions, regions_of
@@ -19,8 +17,10 @@ from correction.evaluate.vector_field import VectorField
 from correction.evaluate.vector_map_sigma import VectorMapSigma, vector_map_sigma
 from correction.evaluate.velocity_route import PlaneVectors, velocity_route
 from correction.fit.scene_sigma import SceneSigma
-from correction.frame_file import read_frame
-from tracer.ray_map import build_ray_map
+from correction.grid import PlaneGrid
+from correction.prepared import PreparedCorrection
+from daq.pictures.before_after import BeforeAfter, before_after
+from daq.runs.acquired import read_acquired
 from tracer.scene import Scene
 
 Route = Literal["image", "compare", "best"]
@@ -44,6 +44,8 @@ class Task:
         True displacement, x right, y UP; None if it is not known, or not one number for all particles.
     commanded_mm : (float, float) or None
         What was asked of the stage that moved them.
+    dt_s : float or None
+        Time between the frames, which makes velocities of displacements; None if it is not known.
     note : str
         What a reader must know.
     """
@@ -54,23 +56,22 @@ class Task:
     out: Path
     shift_mm: tuple[float, float] | None = None
     commanded_mm: tuple[float, float] | None = None
+    dt_s: float | None = None
     note: str = ""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Result of one pair.
+    """Result of one pair: vectors, figures and small pictures; no frame, no map.
 
     Parameters
     ----------
     task : Task
         What was asked.
-    corrector : Corrector
-        How the frames were corrected.
-    frame_a : ndarray (H, W)
-        Frame A as acquired.
-    corrected_a : (h, w) float32
-        The same, corrected.
+    grid : PlaneGrid
+        Nodes of the corrected frames.
+    seen : BeforeAfter
+        Frame A as acquired and corrected.
     field : VectorField
         Vectors on the corrected image, of the image route unless the better routes were asked for.
     regions : Regions
@@ -90,9 +91,8 @@ class Evaluation:
     """
 
     task: Task
-    corrector: Corrector
-    frame_a: NDArray[Any]
-    corrected_a: NDArray[np.float32]
+    grid: PlaneGrid
+    seen: BeforeAfter
     field: VectorField
     regions: Regions
     shift: ShiftResult | None
@@ -104,7 +104,7 @@ class Evaluation:
 
 
 def evaluate_task(
-    task: Task, dewarp: Dewarp | None, sigma: SceneSigma | str, stage_um: float, route: Route
+    task: Task, prepared: PreparedCorrection, sigma: SceneSigma | str, stage_um: float, route: Route
 ) -> Evaluation:
     """Evaluate one pair.
 
@@ -112,8 +112,8 @@ def evaluate_task(
     ----------
     task : Task
         The pair.
-    dewarp : Dewarp, optional
-        Of the camera, where the scene's own lens terms are not trusted.
+    prepared : PreparedCorrection
+        Of the task's scene.
     sigma : SceneSigma or str
         Uncertainty of the fitted scene, or why there is none.
     stage_um : float
@@ -122,9 +122,8 @@ def evaluate_task(
         Image route alone; the velocity route beside it; or each where it is better.
     """
     scene = task.scene
-    frame_a, frame_b = (read_frame(path, scene.camera.shape) for path in task.frames)
-    ray_map = build_ray_map(scene)
-    corrector = Corrector(build_correction_map(scene, ray_map), dewarp)
+    frame_a, frame_b = (read_acquired(path, scene.camera.shape) for path in task.frames)
+    corrector = prepared.corrector
     grid = corrector.map.grid
     corrected_a, corrected_b = (
         _corrected(corrector, *named) for named in zip(task.frames, (frame_a, frame_b), strict=True)
@@ -136,7 +135,7 @@ def evaluate_task(
         truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
     traced = routes = by_velocity = None
     if route != "image":
-        traced = velocity_route(frame_a, frame_b, scene, ray_map)
+        traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map)
         routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
         if route == "best":
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)
@@ -144,9 +143,8 @@ def evaluate_task(
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
-    return Evaluation(
-        task, corrector, frame_a, corrected_a, field, regions, result, unsure, why, traced, routes, by_velocity
-    )
+    seen = before_after(frame_a, corrected_a, corrector)
+    return Evaluation(task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity)
 
 
 def _corrected(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:

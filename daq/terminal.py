@@ -1,5 +1,6 @@
 """What a person sees while a verb works: tables wide enough to read, progress with time left."""
 
+import time
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
@@ -14,6 +15,7 @@ from rich.progress import (
 )
 
 Item = TypeVar("Item")
+LONG_S = 1.0
 LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wide it is
 
 
@@ -31,7 +33,7 @@ def error_console() -> Console:
     return Console(markup=False, emoji=False, stderr=True)
 
 
-def progress(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
+def progress(items: Iterable[Item], total: int, what: str, after_s: float = 0.0) -> Iterator[Item]:
     """Yield `items` while a bar shows how many of `total` are done and how long the rest will take.
 
     Parameters
@@ -42,11 +44,24 @@ def progress(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
         How many there are.
     what : str
         Said beside the bar.
+    after_s : float
+        How long nothing is shown: what is through by then needs no bar.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with Progress(*columns, *times, console=error_console()) as bar:
-        task = bar.add_task(what, total=total)
+    bar, begun_s = Progress(*columns, *times, console=error_console()), time.monotonic()
+    task = bar.add_task(what, total=total)
+    try:
         for item in items:
+            if not bar.live.is_started and time.monotonic() - begun_s >= after_s:
+                bar.start()
             yield item
             bar.advance(task)
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+def progress_if_long(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
+    """Yield `items` as `progress` does, with a bar only if they take longer than a second."""
+    return progress(items, total, what, LONG_S)

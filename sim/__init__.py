@@ -1,1 +1,9 @@
-"""The simulated bench: real protocols, simulated physics."""
+"""The simulated bench: real protocols, simulated physics.
+
+``__init__.pyi`` lists names for a notebook, imported when first used; inside the project modules are named
+in full.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -16,6 +16,7 @@ behind a GenTL producer; if the bench file's backend is `aravis`, it is a GigE V
       axes:                         # what the workshop built; the firmware's zero is its low switch
         rail_z: {lead_mm: 5.0, steps_per_rev: 1600, travel_mm: 300.0, backlash_um: 50.0, lead_error_um: 1.0}
       firmware: {portal: {"23": 0}} # Grbl's $23: home towards the high switches
+      prints_truth: true            # optional: a corner of every frame says what it shows; see sim.frame_truth
       ring: frames/                 # optional: replay .npy frames instead of rendering
       faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.faults
 """
@@ -41,12 +42,13 @@ from sim.camera.gige.process import device_process
 from sim.camera.remote import FrameServer
 from sim.clock import ScaledClock, VirtualClock
 from sim.demo_scenes import misaligned
+from sim.frame_truth import WIDTH_PX, FrameTruth, height_px, with_truth
 from sim.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
 from sim.renderer import render_irradiance
 from sim.sensor import Sensor
 from sim.stages import ScrewTable, SimulatedStages
 from stages.config import Name
-from tracer.bodies import Sphere
+from tracer.bodies import shifted_by
 from tracer.config import Document, Table, validate
 from tracer.errors import SceneError
 from tracer.scene import Scene
@@ -80,6 +82,7 @@ class SimulationTable(Table):
     row_time_us: Annotated[float, Field(ge=0.0, le=1000.0)] = 5.0
     axes: dict[Name, ScrewTable]
     firmware: dict[Name, dict[str, float]] = Field(default_factory=dict)  # Grbl's $ settings, by controller
+    prints_truth: bool = False
     ring: str | None = None
     faults: FaultsTable = FaultsTable()
 
@@ -126,9 +129,14 @@ class World:
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
         """One exposure of the world as it stands (H, W) uint16."""
         with self._lock:
-            light = self._light(self.true_mm())
+            true_mm = self.true_mm()
+            light = self._light(true_mm)
             number, self._exposures = self._exposures, self._exposures + 1
-            return self._sensor.expose(light, seed=self._table.seed * 1_000_003 + number)
+            image = self._sensor.expose(light, seed=self._table.seed * 1_000_003 + number)
+            if not self._table.prints_truth:
+                return image
+            truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving)
+            return with_truth(image, truth, self._sensor.bits)
 
     def _light(self, true_mm: Mapping[str, float]) -> NDArray[np.float32]:
         key = tuple(true_mm.values())
@@ -148,13 +156,8 @@ class World:
             ways[axis.carries]["xyz".index(axis.along)] += true_mm[name] - self._bench.home_mm[name]
         camera = self.scene.camera
         x, y, z = (float(c) for c in np.add(camera.position_mm, ways["camera"]))
-        bodies = []
-        for body in self.scene.bodies:
-            if not isinstance(body, Sphere):
-                raise SceneError("the simulated bench carries spheres only")
-            cx, cy, cz = (float(c) for c in np.add(body.centre_mm, ways["glass"]))
-            bodies.append(replace(body, centre_mm=(cx, cy, cz)))
-        scene = replace(self.scene, camera=replace(camera, position_mm=(x, y, z)), bodies=tuple(bodies))
+        bodies = tuple(body.moved(shifted_by(ways["glass"])) for body in self.scene.bodies)
+        scene = replace(self.scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
         pose = Pose().moved(*(float(way) for way in ways["target"]))
         if isinstance(self._print, Chessboard):
             return scene, placed(self._print, pose)
@@ -187,7 +190,9 @@ class SimulatedBench:
         try:
             options = {name: {"settings": _numbered(settings)} for name, settings in table.firmware.items()}
             stages = SimulatedStages(bench.table.stages, self.clock, table.axes, options)
-            self.lines = stages.lines
+            self.lines, self.witness = stages.lines, stages.witness
+            if bench.table.keep_out is not None:
+                stages.witness.look_at(bench.scene, bench.table.keep_out, bench.table.stages, bench.home_mm)
             self.stages = self._stack.enter_context(stages.serve() if pty else stages.put_up())
             self.world = World(bench, table, stages, shows, exposures_before)
             self.camera = self._camera(bench, table, exposures_before)
@@ -205,6 +210,7 @@ class SimulatedBench:
 
     def close(self) -> None:
         """Take everything down."""
+        self.witness.judge()
         self._stack.close()
 
     def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int) -> CameraSection:
@@ -240,6 +246,14 @@ def _section(bench: Bench) -> SimulationTable:
     missing = [name for name in bench.table.stages.axes if name not in table.axes]
     if missing:
         raise SceneError(f"{bench.path}: simulation.axes does not describe {', '.join(missing)}")
+    if table.prints_truth and table.ring is not None:
+        raise SceneError(f"{bench.path}: simulation: frames of a ring cannot print their truth; leave one out")
+    width, height = bench.scene.camera.sensor_px
+    rows = height_px(len(bench.table.stages.axes))
+    if table.prints_truth and (width < WIDTH_PX or height < rows):
+        raise SceneError(
+            f"{bench.path}: simulation.prints_truth needs a sensor of {WIDTH_PX} x {rows} px at least"
+        )
     return table
 
 
@@ -249,7 +263,7 @@ def _numbered(settings: Mapping[str, float]) -> dict[int, float]:
 
 def _print_of(bench: Bench, seed: int, shows: str) -> Chessboard | ParticleSheet:
     if shows == "chessboard":
-        return Chessboard(bench.table.target.square_mm)
+        return Chessboard(bench.table.target.square_mm, bench.table.target.disc_mm)
     camera = bench.scene.camera
     px_per_mm = camera.focal_px / float(np.linalg.norm(camera.position_mm))
     width_mm, height_mm = (PRINT_MARGIN * side / px_per_mm for side in camera.sensor_px)

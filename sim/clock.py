@@ -1,10 +1,12 @@
 """Clocks of the simulated world.
 
 A `VirtualClock` moves only when somebody waits on it: a campaign of hours takes milliseconds and is the same
-every time, but only one thread may use it. A `ScaledClock` runs some times faster than the wall clock and
-serves any number of threads; emulators on pseudo-terminals use it. Both satisfy `stages.clock.Clock`.
+every time. Several threads may use it, but each of them then moves it on for all, so what they do at the same time
+happens in an order that differs from run to run. A `ScaledClock` runs some times faster than the wall clock;
+emulators on pseudo-terminals use it. Both satisfy `stages.clock.Clock`.
 """
 
+import threading
 import time
 
 
@@ -13,6 +15,7 @@ class VirtualClock:
 
     def __init__(self, start_s: float = 0.0) -> None:
         self._now_s = start_s
+        self._lock = threading.Lock()
 
     def now_s(self) -> float:
         """Seconds of the simulated world."""
@@ -20,11 +23,13 @@ class VirtualClock:
 
     def sleep_s(self, duration_s: float) -> None:
         """Let time pass, at once."""
-        self._now_s += max(duration_s, 0.0)
+        with self._lock:
+            self._now_s += max(duration_s, 0.0)
 
     def advance_to(self, time_s: float) -> None:
         """Let time pass up to a moment; the past changes nothing."""
-        self._now_s = max(self._now_s, time_s)
+        with self._lock:
+            self._now_s = max(self._now_s, time_s)
 
 
 class ScaledClock:

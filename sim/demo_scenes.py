@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.bodies import Body, Rod, Sphere
+from tracer.bodies import Body, Sphere
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
@@ -148,11 +148,8 @@ def _nudged(camera: Camera, rng: np.random.Generator, barrel: float) -> Camera:
 
 def _placed(body: Body, spread: float, shift: NDArray[np.float64]) -> Body:
     """Body moved away from the world's origin by the factor `spread`, then by `shift`."""
-    if isinstance(body, Rod):
-        start, end = np.array(body.start_mm), np.array(body.end_mm)
-        step = (spread - 1.0) * 0.5 * (start + end) + shift
-        return replace(body, start_mm=_vector(start + step), end_mm=_vector(end + step))
-    return replace(body, centre_mm=_vector(spread * np.array(body.centre_mm) + shift))
+    middle = 0.5 * (np.array(body.capsule.start_mm) + np.array(body.capsule.end_mm))
+    return body.moved(lambda point: _vector(spread * middle + shift + (np.array(point) - middle)))
 
 
 def _vector(values: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -9,6 +9,7 @@ lost        the answer does not come
 cut         only its first half comes
 doubled     it comes twice
 garbled     one of its bytes is another
+split       its second half comes `delay_s` after the first
 unplug      the line dies; nothing comes any more, not even silence
 ==========  =================================================================
 """
@@ -18,8 +19,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-Kind = Literal["late", "lost", "cut", "doubled", "garbled", "unplug"]
-KINDS: tuple[Kind, ...] = ("late", "lost", "cut", "doubled", "garbled", "unplug")
+Kind = Literal["late", "lost", "cut", "doubled", "garbled", "split", "unplug"]
+KINDS: tuple[Kind, ...] = ("late", "lost", "cut", "doubled", "garbled", "split", "unplug")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class Fault:
     time_s : float, optional
         For ``unplug``: when, on the clock of the world.
     delay_s : float
-        For ``late``.
+        For ``late`` and ``split``.
     """
 
     kind: Kind
@@ -58,7 +59,7 @@ class FaultSchedule:
     def __init__(self, faults: Iterable[Fault] = (), seed: int = 0) -> None:
         faults = tuple(faults)
         self._by_answer = {fault.answer: fault for fault in faults if fault.answer is not None}
-        self._unplug_s = min(
+        self.unplug_s = min(
             (f.time_s for f in faults if f.kind == "unplug" and f.time_s is not None), default=None
         )
         self._random = random.Random(seed)
@@ -69,20 +70,31 @@ class FaultSchedule:
 
     def dead(self, now_s: float) -> bool:
         """True once the line has been unplugged."""
-        if self._unplug_s is not None and now_s >= self._unplug_s:
+        if self.unplug_s is not None and now_s >= self.unplug_s:
             self.unplugged = True
         return self.unplugged
 
-    def pass_on(self, time_s: float, data: bytes) -> tuple[float, bytes]:
-        """Return when an answer comes, and what is left of it."""
+    def strike(self, fault: Fault) -> None:
+        """Let the next answer meet a fault."""
+        self._by_answer[self._count] = fault
+
+    def pass_on(self, time_s: float, data: bytes) -> list[tuple[float, bytes]]:
+        """Return when an answer comes and what is left of it, in one piece or two."""
         fault = self._by_answer.get(self._count)
         self._count += 1
-        if fault is not None:
-            self.met.append(fault)
-            data = self._damage(fault.kind, data)
-            time_s += fault.delay_s
+        if fault is None:
+            return [(self._after(time_s), data)]
+        self.met.append(fault)
+        if fault.kind == "split":
+            half = len(data) // 2
+            first_s = self._after(time_s)
+            return [(first_s, data[:half]), (self._after(first_s + fault.delay_s), data[half:])]
+        return [(self._after(time_s + fault.delay_s), self._damage(fault.kind, data))]
+
+    def _after(self, time_s: float) -> float:
+        """That moment, or the end of what comes before."""
         self._busy_until_s = max(self._busy_until_s, time_s)
-        return self._busy_until_s, data
+        return self._busy_until_s
 
     def _damage(self, kind: Kind, data: bytes) -> bytes:
         if kind == "lost":

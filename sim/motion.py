@@ -8,7 +8,8 @@ positions,
 
 and the carriage hangs in the nut with play: it moves only while the nut pushes it (hysteresis operator "play").
 Where the carriage cannot go on (an obstacle, the hard ends) the rotor is held and pulses are lost; nobody is
-told.
+told. A carriage may `slip` in its coupling, which no encoder on the motor sees, or its screw may be turned by hand
+(`shove`), which an encoder counts and a step counter does not.
 
 Time is continuous and events are found, not sampled: within a piece of constant acceleration the motion is
 monotone, so the moment at which the carriage crosses the edge of a switch is found by bisection, the listener
@@ -21,6 +22,7 @@ for itself.
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -82,6 +84,17 @@ class Listener(Protocol):
         ...
 
 
+class Glide(NamedTuple):
+    """A stretch of one motion, of constant acceleration: what really happened, for whoever watches."""
+
+    begin_s: float
+    end_s: float
+    begin_mm: float  # of the carriage
+    end_mm: float
+    begin_speed: float  # steps/s
+    end_speed: float
+
+
 class _Piece(NamedTuple):
     duration_s: float
     acceleration: float  # steps/s2
@@ -99,6 +112,7 @@ class Motor:
     def __init__(self, mechanics: Mechanics) -> None:
         self.mechanics = mechanics
         self.listener: Listener | None = None
+        self.watcher: Callable[[Glide], None] | None = None
         self.obstacle_mm: float | None = None
         self.time_s = 0.0
         self._pulses = 0.0
@@ -132,6 +146,11 @@ class Motor:
         """When the commanded motion will end if nothing comes between."""
         return self.time_s + sum(piece.duration_s for piece in self._plan)
 
+    @property
+    def target(self) -> float:
+        """Count of pulses at which the present motion will end; infinite if a switch has to end it."""
+        return self._target if self._plan else self._pulses
+
     def closed(self, switch: str) -> bool:
         """State of the switch "low" or "high", or of the reference edge "index" (closed at and above it)."""
         if switch == "low":
@@ -145,6 +164,28 @@ class Motor:
     def carriage_mm(self) -> float:
         """Where the carriage really is."""
         return self._carriage_mm
+
+    # ---- what may happen to it -----------------------------------------------------------------
+
+    def slip(self, distance_mm: float) -> None:
+        """Let the carriage slip in its coupling, at most to the hard ends."""
+        low_mm, high_mm = self._ends()
+        distance_mm = min(max(distance_mm, low_mm - self._carriage_mm), high_mm - self._carriage_mm)
+        before_mm = self._carriage_mm
+        self._start_rev += distance_mm / self.mechanics.lead_mm
+        self._carriage_mm += distance_mm
+        self._jumped_from(before_mm)
+
+    def shove(self, steps: int) -> None:
+        """Turn the screw by hand."""
+        before_mm = self._carriage_mm
+        self._lost_steps -= steps
+        self._push(steps > 0)
+        self._jumped_from(before_mm)
+
+    def _jumped_from(self, before_mm: float) -> None:
+        if self.watcher is not None:
+            self.watcher(Glide(self.time_s, self.time_s, before_mm, self._carriage_mm, 0.0, 0.0))
 
     # ---- what firmware may do ------------------------------------------------------------------
 
@@ -174,6 +215,9 @@ class Motor:
 
     def advance(self, time_s: float) -> None:
         """Let time pass; the listener hears what happens, in order."""
+        if not self._plan:
+            self.time_s = max(self.time_s, time_s)
+            return
         while self._plan and self.time_s < time_s:
             piece = self._plan[0]
             end_s = min(piece.duration_s, time_s - self.time_s)
@@ -189,6 +233,7 @@ class Motor:
 
     def _glide(self, piece: _Piece, duration_s: float) -> None:
         pulses, speed = _at(self._pulses, self._speed, piece.acceleration, duration_s)
+        begin_s, begin_mm, begin_speed, end_speed = self.time_s, self._carriage_mm, self._speed, speed
         self.time_s += duration_s
         if duration_s >= piece.duration_s:
             self._plan.popleft()
@@ -199,6 +244,8 @@ class Motor:
         up = pulses >= self._pulses
         self._pulses, self._speed = pulses, speed
         self._push(up)
+        if self.watcher is not None:
+            self.watcher(Glide(begin_s, self.time_s, begin_mm, self._carriage_mm, begin_speed, end_speed))
 
     def _push(self, pulses_up: bool) -> None:
         """Let rotor, nut and carriage follow the pulses, as far as they can."""

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sim.prints import chessboard, particles, printed_image
+from tracer.board import Board
 from tracer.camera import Vector3
 from tracer.errors import SceneError
 
@@ -72,41 +73,32 @@ def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
 
 
 @dataclass(frozen=True)
-class Chessboard:
-    """An endless chessboard with an inner corner at its origin.
-
-    Square (i, j) spans [s i, s (i + 1)] x [s j, s (j + 1)]; squares with i + j odd are bright.  Discs of the
-    other shade in the squares (0, 0), (0, -1) and (-1, -1) tell which corner is the origin, which way is up,
-    and whether the view is mirrored.
+class Chessboard(Board):
+    """An endless chessboard in print: a `Board` with an inner corner at its origin, in two shades.
 
     Parameters
     ----------
-    square_mm : float
-        Edge of a square.
-    disc_diameter_mm : float
-        Diameter of the discs, centred in their squares.
     dark, bright : float
         Reflectance of the two shades.
     pose : Pose
         Place of the board.
     """
 
-    square_mm: float = 2.5
-    disc_diameter_mm: float = 1.0
     dark: float = 0.08
     bright: float = 0.92
     pose: Pose = field(default_factory=Pose)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.disc_diameter_mm < self.square_mm:
-            raise SceneError("the chessboard's discs must fit into its squares; lower disc_diameter_mm")
+        if not 0.0 <= self.disc_mm < self.square_mm:
+            raise SceneError("the chessboard's discs must fit into its squares; lower disc_mm")
         if not 0.0 <= self.dark <= self.bright <= 1.0:
             raise SceneError("the chessboard's shades must be 0 <= dark <= bright <= 1")
 
     def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
         """Reflectance (N,) at points (N, 2) of the board [mm]."""
         out = np.empty(len(points_mm), np.float32)
-        chessboard(points_mm, self.square_mm, 0.5 * self.disc_diameter_mm, self.dark, self.bright, out)
+        discs = np.array(self.discs, np.float64).reshape(-1, 2)
+        chessboard(points_mm, self.square_mm, 0.5 * self.disc_mm, discs, self.dark, self.bright, out)
         return out
 
 

@@ -8,16 +8,17 @@ from sim.surfaces import Float64, compiled
 
 @compiled
 def chessboard(
-    points: Float64, square: float, disc_radius: float, dark: float, bright: float, out: Float32
+    points: Float64, square: float, disc_radius: float, discs: Float64, dark: float, bright: float, out: Float32
 ) -> None:
-    """Reflectance of the chessboard at points (N, 2) [mm]; discs in the squares (0, 0), (0, -1), (-1, -1)."""
+    """Reflectance of the chessboard at points (N, 2) [mm]; discs in the squares (M, 2) named."""
     for index in range(points.shape[0]):
         i, j = np.floor(points[index, 0] / square), np.floor(points[index, 1] / square)
         odd = (i + j) - 2.0 * np.floor(0.5 * (i + j)) == 1.0
-        if (i == 0.0 and (j == 0.0 or j == -1.0)) or (i == -1.0 and j == -1.0):
-            x, y = points[index, 0] - (i + 0.5) * square, points[index, 1] - (j + 0.5) * square
-            if x * x + y * y < disc_radius * disc_radius:
-                odd = not odd
+        for k in range(discs.shape[0]):
+            if i == discs[k, 0] and j == discs[k, 1]:
+                x, y = points[index, 0] - (i + 0.5) * square, points[index, 1] - (j + 0.5) * square
+                if x * x + y * y < disc_radius * disc_radius:
+                    odd = not odd
         out[index] = bright if odd else dark
 
 

@@ -7,6 +7,7 @@ Each pixel is the mean of n x n rays.  Where glass compresses the view, so that 
 silhouettes), it is traced again with 2n x 2n.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -159,8 +160,9 @@ def _tables(scene: Scene, pattern: Pattern, aperture: Aperture | None) -> _Table
     camera, lens = scene.camera, scene.camera.lens
     plane = pattern.pose.axes()
     bodies = [body for body in scene.bodies if _in_front(body, plane)]
-    spheres = [body for body in bodies if isinstance(body, Sphere)]
-    rods = [body for body in bodies if isinstance(body, Rod)]
+    spheres, rods = Sphere.among(bodies), Rod.among(bodies)
+    if unknown := [body for body in bodies if body not in (*spheres, *rods)]:
+        raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
     pose = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
     return _Tables(
@@ -173,7 +175,7 @@ def _tables(scene: Scene, pattern: Pattern, aperture: Aperture | None) -> _Table
     )
 
 
-def _balls(scene: Scene, spheres: list[Sphere]) -> NDArray[np.float64]:
+def _balls(scene: Scene, spheres: Sequence[Sphere]) -> NDArray[np.float64]:
     """Rows of the spheres, filled up with zeros to the one with the most cores."""
     air = scene.ambient.n(scene.wavelength_nm)
     rows = [
@@ -210,10 +212,10 @@ def _in_front(body: Body, plane: NDArray[np.float64]) -> bool:
     SceneError
         The sheet cuts the body.
     """
-    ends = [body.start_mm, body.end_mm] if isinstance(body, Rod) else [body.centre_mm]
+    *ends, radius_mm = body.capsule
     heights = [float((np.array(end) - plane[0]) @ plane[3]) for end in ends]
-    if min(heights) - body.radius_mm >= -CONTACT_TOL_MM:
+    if min(heights) - radius_mm >= -CONTACT_TOL_MM:
         return True
-    if max(heights) + body.radius_mm <= CONTACT_TOL_MM:
+    if max(heights) + radius_mm <= CONTACT_TOL_MM:
         return False
     raise SceneError(f"the target cuts through body {body.name!r}; move the target back or the body away")

@@ -22,6 +22,7 @@ from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
 from sim.faults_serial import FaultSchedule
 from sim.motion import Mechanics, Motor
+from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.config import Positive, StagesTable
 from tracer.config import Table
 
@@ -93,8 +94,13 @@ class SimulatedStages:
                 for axis_name, axis in config.axes.items()
                 if axis.controller == name
             }
-            emulator = emulator_class(table.driver)(motors, clock, **(firmware or {}).get(name, {}))
+            made = emulator_class(table.driver)
+            options = made.individual(name) | dict((firmware or {}).get(name, {}))
+            emulator = made(motors, clock, **options)
             self.lines[name] = Line(emulator, clock, (faults or {}).get(name))
+        self.witness = Witness({name: self._watched(name, screws[name]) for name in config.axes}, clock)
+        for line in self.lines.values():
+            line.after_traffic = self.witness.judge_if_much
 
     def true_mm(self, axis: str) -> float:
         """Where an axis really is, in the coordinate of the bench file."""
@@ -104,6 +110,41 @@ class SimulatedStages:
             line.emulator.advance()
             carriage_mm = self.motors[axis].carriage_mm
         return table.sign * (carriage_mm - self._zero_mm[axis]) + table.offset_mm
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether any axis moves."""
+        return any(motor.running for motor in self.motors.values())
+
+    def slip(self, axis: str, distance_mm: float) -> None:
+        """Let a carriage slip in its coupling now, which no controller can know."""
+        self.witness.slipped(axis, distance_mm)
+        with self.lines[self.config.axes[axis].controller].lock:
+            self.lines[self.config.axes[axis].controller].emulator.advance()
+            self.motors[axis].slip(distance_mm)
+
+    def shove(self, axis: str, distance_mm: float) -> None:
+        """Turn the screw of an axis by hand now, which encoders count and step counters do not."""
+        motor = self.motors[axis]
+        with self.lines[self.config.axes[axis].controller].lock:
+            self.lines[self.config.axes[axis].controller].emulator.advance()
+            motor.shove(round(distance_mm / motor.mechanics.lead_mm * motor.mechanics.steps_per_rev))
+
+    def _watched(self, axis: str, screw: ScrewTable) -> Watched:
+        """An axis for the witness, with what the workshop built."""
+        table = self.config.axes[axis]
+        built_mm = screw.backlash_um * 1e-3 + 2e-3 * screw.lead_error_um
+        built_mm += abs(screw.scale_error_ppm) * 1e-6 * screw.travel_mm
+        return Watched(
+            motor=self.motors[axis],
+            line=self.lines[table.controller],
+            channel=str(table.channel),
+            sign=table.sign,
+            zero_mm=screw.zero_mm,
+            offset_mm=table.offset_mm,
+            limits_mm=(table.limits_mm[0], table.limits_mm[1]),
+            slack_mm=SLACK_MM + built_mm,
+        )
 
     @contextmanager
     def put_up(self) -> Iterator[StagesTable]:

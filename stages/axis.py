@@ -2,20 +2,25 @@
 
     axis_mm = sign * controller_mm + offset_mm
 
-An axis moves only when it knows where it is. It does not after power-up (unless the controller remembers),
-after a limit switch, a stall or a lost port; then absolute moves are refused until it has been homed on
-request. Targets are judged before anything is sent: not finite or outside the limits, approach included, raises
-and moves nothing; nothing is ever clipped.
+An axis moves only when it knows where it is NOW. It does not after power-up (unless the controller remembers),
+after a limit switch, a stall, a lost port or a restart of its controller; then absolute moves are refused until
+it has been homed on request. The reference is asked for after every reading and before every leg, so a controller
+that has restarted unnoticed is never believed (`stages.states` has the table). Targets are judged before anything
+is sent: not finite or outside the limits, approach included, raises and moves nothing; nothing is ever clipped.
 
 An arrival is what the controller reports at rest after the settling time, compared with the target. Outside the
-tolerance, or after an answer that was lost or damaged, the whole way is driven again, `retries` times at most.
+tolerance, or after an answer that was lost or damaged, the whole way is judged and driven again, `retries` times
+at most.
+
+Axes of one bench take turns: who moves holds `Turn.lock` from the judgement to the arrival, so two moves that were
+judged one by one can never meet. Stops need no turn (`stages.stop_latch`).
 """
 
 import math
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from stages.axis_settings import AxisSettings
@@ -31,23 +36,21 @@ from stages.errors import (
     NotInPosition,
     NotReferenced,
     OutOfRange,
+    PortError,
     ProtocolViolation,
+    StageUsageError,
 )
 from stages.profile import Leg, duration_s, legs
+from stages.states import MAY_HOME, MAY_MOVE, MAY_READ, AxisState, Event, after
+from stages.stop_latch import StopLatch
+from stages.stop_signals import StopSignals
 
 POLL_S = 0.03
-STOP_AGAIN_S = 0.2
 CALM_S = 3.0  # time given to a motion to end after a stop
+CALM_LOOKS = 3  # looks in a row that must find rest after a stop: a command that was under way may still begin
+NAP_S = 0.1  # a settling axis looks at the latch this often
 
 T = TypeVar("T")
-
-
-class AxisState(Enum):
-    """What may be asked of an axis now."""
-
-    UNREFERENCED = "unreferenced"  # home it
-    READY = "ready"
-    LOST = "lost"  # reconnect, then home it
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,20 +69,33 @@ class Arrival:
         return (self.measured_mm - self.target_mm) * 1000.0
 
 
-class StopSwitch:
-    """Counts stop requests; a motion that began before the last one must end."""
+@dataclass
+class Turn:
+    """What all axes of a bench share: the stop, whose turn it is, and who judges a way before it is driven.
 
-    def __init__(self) -> None:
-        self._count = 0
+    Parameters
+    ----------
+    latch : StopLatch
+        Asked before every byte that moves.
+    lock : RLock
+        Held from the judgement of a move to its arrival.
+    signals : StopSignals, optional
+        Held back while the main thread has the turn.
+    judge : callable, optional
+        Gets an axis' name and target; returns fresh positions of the axes it looked at, that one included, or
+        raises.
+    """
 
-    @property
-    def count(self) -> int:
-        """Number of stop requests so far."""
-        return self._count
+    latch: StopLatch = field(default_factory=StopLatch)
+    lock: threading.RLock = field(default_factory=threading.RLock)
+    judge: Callable[[str, float], Mapping[str, float]] | None = None
+    signals: StopSignals | None = None
 
-    def press(self) -> None:
-        """Request a stop of everything that has begun."""
-        self._count += 1
+    @contextmanager
+    def taken(self) -> Iterator[None]:
+        """Take the turn; what a signal asks for beyond the stop waits for the end of it."""
+        with self.signals.turn() if self.signals is not None else nullcontext(), self.lock:
+            yield
 
 
 class Axis:
@@ -95,7 +111,7 @@ class Axis:
         Limits, speeds, tolerance.
     clock : Clock
         Clock of every wait.
-    switch : StopSwitch
+    turn : Turn
         Shared by all axes of a stage.
     """
 
@@ -105,39 +121,43 @@ class Axis:
         controller: Controller,
         settings: AxisSettings,
         clock: Clock = SYSTEM_CLOCK,
-        switch: StopSwitch | None = None,
+        turn: Turn | None = None,
     ) -> None:
         self.name = name
         self.settings = settings
         self.controller = controller
         self._clock = clock
-        self._switch = switch or StopSwitch()
-        self._lock = threading.RLock()
-        self._distrusted = False
+        self._turn = turn or Turn()
+        self._latch = self._turn.latch
+        self._state = AxisState.LOST
         self._rests_at_mm: float | None = None
+
+    # ---- what is known -------------------------------------------------------------------------
 
     @property
     def state(self) -> AxisState:
-        """What may be asked of the axis now."""
-        if self.controller.lost:
-            self._distrusted = True
-            return AxisState.LOST
-        if self._distrusted or not self.controller.referenced(self.settings.channel):
-            return AxisState.UNREFERENCED
-        return AxisState.READY
+        """What may be asked of the axis now; a controller that rests is asked whether it still vouches."""
+        if self._settled_state() is AxisState.READY:
+            try:
+                self._guarded(lambda: self.controller.vouch(self.settings.channel))
+            except (PortError, DeviceError):  # silence and nonsense vouch for nothing
+                return AxisState.LOST if self.controller.lost else AxisState.UNREFERENCED
+            except StageUsageError:  # not referenced any more, or mute because another of its axes moves
+                return self._settled_state()
+        return self._state
 
     @property
     def position_mm(self) -> float:
-        """Position at rest as the controller reports it.
+        """Position at rest as the controller reports it, and vouches for now.
 
         Raises
         ------
         NotReferenced
-            The axis does not know where it is.
+            The axis does not know where it is, or its controller has restarted.
         DeviceLost
             The controller is gone.
         """
-        self._require_reference()
+        self._require(MAY_READ)
         return self._guarded(self._read_mm)
 
     def check(self, target_mm: float) -> None:
@@ -170,45 +190,55 @@ class Axis:
         way = self.legs(start_mm, target_mm)
         return self.settings.settle_s + sum(self._leg_s(leg) for leg in way)
 
+    # ---- motion --------------------------------------------------------------------------------
+
     def move_to(self, target_mm: float) -> Arrival:
         """Move to a position, arriving from the approach side, and wait until the axis rests there.
 
         Raises
         ------
-        OutOfRange, NotReferenced
+        OutOfRange, NotReferenced, Obstructed
             Nothing has moved.
         MotionStopped, LimitHit, AxisStalled, NotInPosition, DeviceLost, NoReply
             What came between.
         """
         self.check(target_mm)
-        self._require_reference()
-        begun_s, token, way_back = self._clock.now_s(), self._switch.count, None
-        with self._lock:
-            for attempt in range(1, self.settings.retries + 2):
-                try:
-                    measured_mm = self._guarded(lambda: self._drive(target_mm, token))
-                except (NoReply, ProtocolViolation) as failure:
-                    way_back = failure
-                    self._guarded(self._calm)
-                    continue
-                if abs(measured_mm - target_mm) * 1000.0 <= self.settings.in_position_um:
-                    self._rests_at_mm = target_mm
-                    return Arrival(self.name, target_mm, measured_mm, attempt, self._clock.now_s() - begun_s)
-                self._rests_at_mm, way_back = None, None
-            if way_back is not None:
-                raise way_back
-            raise NotInPosition(
-                f"{self.name} rests at {measured_mm:.4f} mm, {abs(measured_mm - target_mm) * 1000:.1f} um from "
-                f"its target, after {self.settings.retries + 1} attempts"
-            )
+        token = self._latch.begin()  # before the turn: a stop while another one moves ends this move too
+        with self._turn.taken():
+            return self.carry_out(target_mm, token)
 
     def move_by(self, distance_mm: float) -> Arrival:
         """Move by a distance from where the axis is; same rules as `move_to`."""
         return self.move_to(self.position_mm + distance_mm)
 
+    def carry_out(self, target_mm: float, token: int) -> Arrival:
+        """Do what `move_to` says for whoever holds the turn and has a token; for `stages.stage`."""
+        self._latch.check(token)
+        self._require(MAY_MOVE)
+        self.controller.token = token
+        begun_s, failure = self._clock.now_s(), None
+        for attempt in range(1, self.settings.retries + 2):
+            try:
+                measured_mm = self._attempt(target_mm, token)
+            except (NoReply, ProtocolViolation) as error:
+                failure = error
+                self._guarded(self._calm, token)
+                self._latch.check(token)
+                continue
+            if abs(measured_mm - target_mm) * 1000.0 <= self.settings.in_position_um:
+                self._rests_at_mm = target_mm
+                return Arrival(self.name, target_mm, measured_mm, attempt, self._clock.now_s() - begun_s)
+            self._rests_at_mm, failure = None, None
+        if failure is not None:
+            raise failure
+        raise NotInPosition(
+            f"{self.name} rests at {measured_mm:.4f} mm, {abs(measured_mm - target_mm) * 1000:.1f} um from "
+            f"its target, after {self.settings.retries + 1} attempts"
+        )
+
     def stop(self) -> None:
-        """Stop the axis (and whatever shares its controller) now; harmless at rest; from any thread."""
-        self._switch.press()
+        """Stop the whole bench now and hold it until the stop is cleared; from any thread, harmless at rest."""
+        self._latch.stop(f"{self.name} was told to stop")
         self.controller.stop()
 
     def home(self) -> None:
@@ -219,61 +249,117 @@ class Axis:
         MotionStopped, LimitHit, AxisStalled, DeviceLost, NoReply
             The reference was not found.
         """
-        token = self._switch.count
-        with self._lock:
-            self._distrusted, self._rests_at_mm = True, None
+        token = self._latch.begin()
+        with self._turn.taken():
+            self._latch.check(token)
+            self._require(MAY_HOME)
+            self.controller.token = token
+            self._happens(Event.HOME)
             try:
-                self._guarded(lambda: self._find_reference(token))
-            except (NoReply, ProtocolViolation):
-                self._guarded(self._calm)
+                self._guarded(lambda: self._find_reference(token), token)
+                if not self.controller.referenced(self.settings.channel):
+                    text = f"{self.name} has ended its reference run without a reference; home it again"
+                    raise DeviceError(text)
+            except BaseException as error:
+                if isinstance(error, NoReply | ProtocolViolation):
+                    self._guarded(self._calm, token)
+                if self._state is AxisState.HOMING:
+                    self._happens(Event.DOUBT)
                 raise
-            if not self.controller.referenced(self.settings.channel):
-                raise DeviceError(f"{self.name} has ended its reference run without a reference; home it again")
-            self._distrusted = False
+            self._happens(Event.FOUND)
 
     def trust_reference(self) -> None:
         """Accept a reference that a motion of another axis of the same controller has found."""
-        self._distrusted, self._rests_at_mm = False, None
+        self._happens(Event.FOUND)
 
-    def _require_reference(self) -> None:
-        state = self.state
+    # ---- states --------------------------------------------------------------------------------
+
+    def connected(self) -> None:
+        """Note that the port is open (again): what the controller does not vouch for is unknown."""
+        self._happens(Event.CUT)
+        self._happens(Event.CONNECT)
+        if self.controller.referenced(self.settings.channel):
+            self._happens(Event.FOUND)
+
+    def _happens(self, event: Event) -> None:
+        self._state = after(self._state, event)
+        if event is not Event.REST:
+            self._rests_at_mm = None
+
+    def _settled_state(self) -> AxisState:
+        """State as far as it is known without asking."""
+        if self.controller.lost:
+            self._happens(Event.CUT)
+        elif self._state in (AxisState.READY, AxisState.MOVING) and not self.controller.referenced(
+            self.settings.channel
+        ):
+            self._happens(Event.DOUBT)
+        return self._state
+
+    def _require(self, states: frozenset[AxisState]) -> None:
+        state = self._settled_state()
+        if state in states:
+            return
         if state is AxisState.LOST:
             raise DeviceLost(f"{self.name}: its controller is gone; plug it in, open it again and home the axis")
         if state is AxisState.UNREFERENCED:
             raise NotReferenced(f"{self.name} does not know where it is; home it first")
+        raise StageUsageError(f"{self.name} is {state.value}; wait for the end of it")
 
-    def _guarded(self, action: Callable[[], T]) -> T:
-        """Run, and forget the position if what happens makes it doubtful."""
+    def _guarded(self, action: Callable[[], T], token: int | None = None) -> T:
+        """Run, and forget the position if what happens makes it doubtful.
+
+        A motion that was ended by nobody here was ended by a person at the box: that is a stop of the whole bench.
+        """
         try:
             return action()
-        except (DeviceLost, LimitHit, AxisStalled):
-            self._distrusted, self._rests_at_mm = True, None
+        except (DeviceLost, LimitHit, AxisStalled, NotReferenced):
+            self._happens(Event.CUT if self.controller.lost else Event.DOUBT)
             raise
-        except (MotionStopped, NoReply, ProtocolViolation):
+        except MotionStopped as stopped:
+            self._rests_at_mm = None
+            if token is not None and self._latch.count == token:
+                self._latch.stop(f"{self.name} was stopped at its controller ({stopped})")
+            raise
+        except (NoReply, ProtocolViolation):
             self._rests_at_mm = None
             raise
+        finally:
+            if self._state is AxisState.MOVING:
+                self._happens(Event.REST)
+
+    # ---- driving -------------------------------------------------------------------------------
 
     def _read_mm(self) -> float:
-        return self.settings.sign * self.controller.position_mm(self.settings.channel) + self.settings.offset_mm
+        return self.settings.sign * self.controller.known_mm(self.settings.channel) + self.settings.offset_mm
 
-    def _drive(self, target_mm: float, token: int) -> float:
-        here_mm = self._read_mm()
-        if self._rests_at_mm != target_mm:
-            self._rests_at_mm = None
-            for leg in self.legs(here_mm, target_mm):
-                self._drive_leg(leg, token)
-            self._clock.sleep_s(self.settings.settle_s)
-        measured_mm = self._read_mm()
-        self._require_reference()  # a controller that restarted on the way has forgotten it
-        return measured_mm
+    def _attempt(self, target_mm: float, token: int) -> float:
+        """Judge the way from where the axis is, drive it, return where the axis came to rest."""
+        judge = self._turn.judge
+        here_mm = self.position_mm if judge is None else judge(self.name, target_mm)[self.name]
+        if self._rests_at_mm == target_mm:
+            return here_mm
+        self._happens(Event.START)
+        return self._guarded(lambda: self._drive(here_mm, target_mm, token), token)
+
+    def _drive(self, here_mm: float, target_mm: float, token: int) -> float:
+        for leg in self.legs(here_mm, target_mm):
+            self._drive_leg(leg, token)
+        self._settle(token)
+        return self._read_mm()
 
     def _drive_leg(self, leg: Leg, token: int) -> None:
         end_mm = (leg.end_mm - self.settings.offset_mm) * self.settings.sign
-        if self._switch.count == token:
-            self.controller.start_move(
-                self.settings.channel, end_mm, leg.speed_mm_s, self.settings.acceleration_mm_s2
-            )
+        channel, controller = self.settings.channel, self.controller
+        controller.vouch(channel)  # a controller that restarted since would drive to another place
+        controller.start_move(channel, end_mm, leg.speed_mm_s, self.settings.acceleration_mm_s2)
         self._wait(2.0 + 1.5 * self._leg_s(leg), token)
+
+    def _settle(self, token: int) -> None:
+        end_s = self._clock.now_s() + self.settings.settle_s
+        while (left_s := end_s - self._clock.now_s()) > 0.0:
+            self._clock.sleep_s(min(NAP_S, left_s))
+            self._latch.check(token)
 
     def _find_reference(self, token: int) -> None:
         self.controller.start_home(self.settings.channel)
@@ -283,31 +369,46 @@ class Axis:
         return duration_s(leg.end_mm - leg.start_mm, leg.speed_mm_s, self.settings.acceleration_mm_s2)
 
     def _wait(self, limit_s: float, token: int) -> None:
-        """Wait for the end of a motion; a pressed stop switch is repeated until the motion has ended."""
-        end_s, stop_s = self._clock.now_s() + limit_s, -math.inf
+        """Wait for the end of a motion; after a stop, until several looks in a row have found the axis at rest."""
+        end_s, looks = self._clock.now_s() + limit_s, 0
         while True:
-            pressed = self._switch.count != token
-            if pressed and self._clock.now_s() >= stop_s:
+            stopped = self._latch.count != token
+            if stopped:
                 self.controller.stop()
-                stop_s = self._clock.now_s() + STOP_AGAIN_S
-            if not self.controller.moving(self.settings.channel):
+            looks = 0 if self._moves(stopped) else looks + 1
+            if looks >= (CALM_LOOKS if stopped else 1):
                 break
             if self._clock.now_s() >= end_s:
                 raise NoReply(f"{self.name} has not ended its motion within {limit_s:.1f} s; stopped")
             self._clock.sleep_s(POLL_S)
-        if pressed:
-            raise MotionStopped(f"{self.name} was stopped")
+        self.controller.rests()
+        self._latch.check(token)
+
+    def _moves(self, stopped: bool) -> bool:
+        """Ask once; after a stop, whatever else ended the motion is only one more way of resting."""
+        try:
+            return self.controller.moving(self.settings.channel)
+        except ProtocolViolation:
+            raise
+        except (DeviceError, NotReferenced):
+            if not stopped:
+                raise
+            return False
 
     def _calm(self) -> None:
-        """Bring a motion of unknown state to rest, and the link into a known one."""
-        self.controller.stop()
+        """Bring a motion of unknown state to rest, and the link into a known one.
+
+        It is looked at once before our own stop, which would hide that a person has stopped it.
+        """
+        if self._latch.count == self.controller.token:
+            with suppress(NoReply, ProtocolViolation):
+                self.controller.moving(self.settings.channel)
         end_s = self._clock.now_s() + CALM_S
         while self._clock.now_s() < end_s:
+            self.controller.stop()
             try:
-                if not self.controller.moving(self.settings.channel):
+                if not self._moves(True):
                     break
-            except MotionStopped:
-                break
             except (NoReply, ProtocolViolation):
                 pass
             self._clock.sleep_s(POLL_S)

@@ -3,7 +3,7 @@
     stages:
       controllers:
         rail: {driver: isel_dnc, port: /dev/ttyUSB0}
-        glass: {driver: zaber_ascii, port: /dev/ttyUSB1}
+        glass: {driver: zaber_ascii, port: /dev/ttyUSB1, identity: serial 70001}   # words the box says of itself
       axes:
         rail_z:
           controller: rail
@@ -20,8 +20,14 @@
           settle_s: 0.3
           in_position_um: 10.0         # at most 10
           retries: 2
+          homed_at_mm: 1.0             # optional: where homing leaves it, to judge the way out before it moves
       home_order: [rail_z, glass_y]    # every axis once; homing happens on request only
       move_order: [glass_y, rail_z]    # optional: order of the legs of a move of several axes
+      after_home: [{glass_y: -20.0}]   # optional: the way out of the homed place, one move after the other
+
+A controller with an `identity` is used only if what answers at every connect says these words of itself: two boxes
+on swapped cables are refused before anything moves. `after_home` is carried out whenever all axes have been homed;
+its moves are judged as every move, so what stands too close already may move away and not come closer.
 
 Embed `StagesTable` in the table of a larger file; `validate` of `tracer.config` then reports every problem with
 its line.
@@ -47,6 +53,7 @@ class ControllerTable(Table):
     driver: str
     port: Annotated[str, Field(min_length=1)]
     baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
+    identity: Annotated[str, Field(min_length=1)] | None = None
 
 
 class ApproachTable(Table):
@@ -75,6 +82,7 @@ class AxisTable(Table):
     in_position_um: Annotated[float, Field(gt=0.0, le=10.0)] = 10.0
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     home_timeout_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 180.0
+    homed_at_mm: float | None = None
 
     @model_validator(mode="after")
     def _makes_sense(self) -> "AxisTable":
@@ -109,6 +117,7 @@ class StagesTable(Table):
     axes: dict[Name, AxisTable]
     home_order: list[Name]
     move_order: list[Name] | None = None
+    after_home: list[Annotated[dict[Name, float], Field(min_length=1)]] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _fits_together(self) -> "StagesTable":
@@ -122,6 +131,12 @@ class StagesTable(Table):
         for key, order in (("home_order", self.home_order), ("move_order", self.move_order)):
             if order is not None and sorted(order) != sorted(self.axes):
                 problems.append(f"{key} must name every axis once")
+        for move in self.after_home:
+            for name, mm in move.items():
+                if name not in self.axes:
+                    problems.append(f"after_home names an unknown axis {name!r}")
+                elif not self.axes[name].limits_mm[0] <= mm <= self.axes[name].limits_mm[1]:
+                    problems.append(f"after_home: {name} {mm:g} mm is outside its limits")
         for name, controller in self.controllers.items():
             try:
                 driver_class(controller.driver)

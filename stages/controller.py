@@ -4,20 +4,32 @@ A controller is a box behind one port with one or more channels (motors). It kno
 coordinate; offsets, directions, limits and backlash belong to `stages.axis`.
 
 Life of a motion: ``start_move`` or ``start_home`` returns once the controller has taken the command, ``moving``
-is asked until it says False or raises what ended the motion, then ``position_mm`` is read.
+is asked until it says False or raises what ended the motion, then ``known_mm`` is read.
 
-`stop` may be called from any thread at any time: it bypasses the lock that serialises everything else.
+A position means something only as long as the controller has not restarted since it was referenced. So every
+position that is believed is read FIRST and vouched for AFTERWARDS: a box that still knows its reference now knew
+it when the position was read. What a box is asked for that (a flag, an error, a mark that a restart wipes out) is
+each driver's `_still_referenced`.
+
+Bytes that move go through the gate of the bench's stop latch (`moves=True`); `stop` may be called from any thread
+at any time: it bypasses the lock that serialises everything else.
 """
 
+import operator
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.errors import NoReply, ProtocolViolation, StageUsageError, WrongDevice
+from stages.errors import NoReply, NotReferenced, ProtocolViolation, StageUsageError, WrongDevice
 from stages.link import QUIET_S, Link
 from stages.port import Port
+from stages.stop_latch import StopLatch
+from stages.watchdog import Watchdog
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +51,8 @@ class Controller(Link):
         The motors in use, by their name on the controller.
     clock : Clock
         Clock of every deadline.
+    latch : StopLatch, optional
+        The bench's stop; one of its own by default.
     """
 
     default_baud: ClassVar[int]
@@ -49,10 +63,21 @@ class Controller(Link):
     homes_together: ClassVar[bool] = False  # one command homes every channel
     senses_stall: ClassVar[bool] = False  # an encoder notices when the motor does not follow
 
-    def __init__(self, name: str, channels: Mapping[str, Channel], clock: Clock = SYSTEM_CLOCK) -> None:
+    def __init__(
+        self,
+        name: str,
+        channels: Mapping[str, Channel],
+        clock: Clock = SYSTEM_CLOCK,
+        latch: StopLatch | None = None,
+    ) -> None:
         super().__init__(name, clock)
+        self.latch = latch or StopLatch()
+        self.token = self.latch.count  # of the motion that may send bytes now; set by `stages.axis`
+        self.watchdog: Watchdog | None = None  # set by `stages.stage` where the port outlives the process
+        self.under_way = False  # bytes that can move were sent, and no end of the motion was heard of since
         self._channels = dict(channels)
         self._referenced: set[str] = set()
+        self._at_rest: dict[str, Any] = {}  # readings that two answers agreed on since the last motion
         self._stopped = False
         for channel in self._channels.values():
             self._check_channel(channel)
@@ -84,7 +109,7 @@ class Controller(Link):
         """
         with self._lock:
             self.close()
-            self._referenced.clear()
+            self._forget_references()
             self._port = Port(url, baud or self.default_baud, clock=self.clock, hold_dtr=self.hold_dtr)
             try:
                 self._get_to_know()
@@ -128,8 +153,35 @@ class Controller(Link):
         return self._port is None or self._port.lost
 
     def referenced(self, channel: str) -> bool:
-        """True if the position of a channel means something."""
+        """True if the position of a channel meant something when the controller was last asked; asks nothing."""
         return not self.lost and channel in self._referenced
+
+    def vouch(self, channel: str) -> None:
+        """Ask whether the reference of a channel still holds now.
+
+        Raises
+        ------
+        NotReferenced
+            It does not: the controller has restarted, or lost it otherwise.
+        """
+        with self._lock:
+            if channel in self._referenced and not self._still_referenced(channel):
+                self._forget_references()
+            if channel not in self._referenced:
+                raise NotReferenced(f"{self.name} channel {channel} has lost its reference (a restart?); home it")
+
+    def known_mm(self, channel: str) -> float:
+        """Position of a channel at rest that the controller vouches for now, in its own coordinate.
+
+        Raises
+        ------
+        NotReferenced
+            It does not vouch for it.
+        """
+        with self._lock:
+            position_mm = self.position_mm(channel)
+            self.vouch(channel)
+            return position_mm
 
     # ---- motion --------------------------------------------------------------------------------
 
@@ -174,10 +226,26 @@ class Controller(Link):
                 port.write(data)
         self._stopped = True  # again: another thread may have consumed the first while the bytes were on their way
 
+    def _look_up(self) -> None:
+        """Say stop again if one has come since the motion began: it may have overtaken a command still unread."""
+        if self.under_way and self.latch.count != self.token:
+            self.stop()
+
+    def watchdog_bytes(self) -> Sequence[bytes]:
+        """What stops any motion whatever it is, for a watchdog that knows nothing of what was begun."""
+        return self._stop_bytes()
+
+    def rests(self) -> None:
+        """Note that the motion under way is known to have ended."""
+        self.under_way = False
+        if self.watchdog is not None:
+            self.watchdog.rests(self.name)
+
     def abandon(self) -> None:
         """Forget a motion whose end was never heard of; the link is checked before it is used again."""
         with self._lock:
             self._suspect = True
+            self._at_rest.clear()
             self._reset_state()
 
     # ---- for drivers ---------------------------------------------------------------------------
@@ -197,6 +265,42 @@ class Controller(Link):
     def _remembers_reference(self, channel: str) -> bool:
         """Ask whether the controller was referenced before we came."""
         return False
+
+    @abstractmethod
+    def _still_referenced(self, channel: str) -> bool:
+        """Ask whether the controller has kept the reference that it had: no restart since, no flag against it."""
+
+    def _forget_references(self) -> None:
+        """Believe nothing of this controller any more; all of its channels restart together."""
+        self._referenced.clear()
+        self._at_rest.clear()
+
+    def _settled(self, key: str, ask: Callable[[], T], same: Callable[[T, T], bool] = operator.eq) -> T:
+        """Return a reading at rest that two answers agree on: of one damaged answer nothing is ever believed.
+
+        The first of the two may be an earlier one, as long as nothing was sent that moves and the link was never
+        in doubt since: a controller that rests says the same again.
+        """
+        if key in self._at_rest:
+            now = self._repeated(ask)
+            if key in self._at_rest and same(self._at_rest[key], now):
+                return now
+        found = self._agreed(ask, same)
+        self._at_rest[key] = found
+        return found
+
+    @contextmanager
+    def _gate(self, moves: bool) -> Iterator[None]:
+        """Bytes that move are written only while no stop has come since their motion began."""
+        if not moves:
+            yield
+            return
+        self._at_rest.clear()
+        with self.latch.gate(self.token):
+            self.under_way = True
+            if self.watchdog is not None:
+                self.watchdog.moves(self.name)
+            yield
 
     def _check_channel(self, channel: Channel) -> None:
         if self.counts_steps and not channel.steps_per_mm:

@@ -31,12 +31,15 @@ from scipy.optimize import lsq_linear
 
 from stages.errors import Obstructed, StageUsageError
 from stages.stage import Piece
-from tracer.bodies import Rod
 from tracer.config import Table
 from tracer.scene import Scene
 
 CONTACT_MM = 0.025
 ROUNDING_MM = 1e-6
+WAY_OUT = (
+    ". They are {:.2f} mm apart already: move one of them away first; if it is the homed place that obstructs, "
+    "write the way out as stages: after_home"
+)
 
 Element = Literal["camera", "glass", "target"]
 Vector = NDArray[np.float64]
@@ -117,9 +120,9 @@ class KeepOut:
             ),
         ]
         for body in scene.bodies:
-            ends = (body.start_mm, body.end_mm) if isinstance(body, Rod) else (body.centre_mm, body.centre_mm)
-            start, end = np.array(ends[0]), np.array(ends[1])
-            self._shapes.append(_Shape("glass", body.name, start, (end - start)[None], body.radius_mm))
+            start, end = np.array(body.capsule.start_mm), np.array(body.capsule.end_mm)
+            along, radius_mm = (end - start)[None], body.capsule.radius_mm
+            self._shapes.append(_Shape("glass", body.name, start, along, radius_mm))
 
     def check(self, way: Sequence[Piece]) -> None:
         """Raise if a way brings shapes too close.
@@ -133,10 +136,11 @@ class KeepOut:
             for one, other, closest_mm, begin_mm in self._approaches(piece):
                 allowed_mm = self._allowed_mm(one, other)
                 if closest_mm < min(allowed_mm, begin_mm) - ROUNDING_MM:
-                    raise Obstructed(
+                    text = (
                         f"{piece.axis} from {piece.start_mm:g} to {piece.end_mm:g} mm would bring {one.name} to "
                         f"{closest_mm:.2f} mm from {other.name}; allowed are {allowed_mm:g} mm"
                     )
+                    raise Obstructed(text + (WAY_OUT.format(begin_mm) if begin_mm < allowed_mm else ""))
 
     def closest_mm(self, way: Sequence[Piece]) -> float:
         """Smallest distance between any two elements of which one moves, over a whole way."""

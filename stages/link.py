@@ -12,6 +12,7 @@ move are never repeated here, because only the caller knows what moving twice wo
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, TypeVar
 
 from stages.clock import Clock
@@ -19,6 +20,7 @@ from stages.errors import DeviceLost, NoReply, ProtocolViolation, WrongDevice
 from stages.port import Port
 
 QUIET_S = 0.12  # silence that ends draining
+LOOK_UP_S = 0.03  # how long a wait for an answer takes notice of nothing else
 REPEATS = 3  # times a question is asked
 FENCES = 6  # times a controller is asked to identify itself before it is given up
 
@@ -93,20 +95,27 @@ class Link(ABC):
         accept: Callable[[object], T | None],
         timeout_s: float | None = None,
         stream: Stream | None = None,
+        moves: bool = False,
     ) -> T:
         """Send, and wait for the answer that `accept` recognises.
 
-        `accept` returns None for answers to skip and may raise.  Surplus answers make the link suspect.
+        `accept` returns None for answers to skip and may raise.  Surplus answers make the link suspect.  With
+        `moves` the bytes go through the gate of the stop latch.
         """
         with self._lock:
             self._clear_line()
-            return self._converse(data, accept, timeout_s, stream)
+            return self._converse(data, accept, timeout_s, stream, moves)
 
-    def _send(self, data: bytes) -> None:
+    def _send(self, data: bytes, moves: bool = False) -> None:
         """Send what is answered when its motion has ended, or not at all."""
         with self._lock:
             self._clear_line()
-            self.port.write(data)
+            with self._gate(moves):
+                self.port.write(data)
+
+    def _gate(self, moves: bool) -> AbstractContextManager[None]:
+        """What bytes that move have to pass; nothing for a device that moves nothing."""
+        return nullcontext()
 
     def _clear_line(self) -> None:
         """See that nothing older can be taken for the next answer."""
@@ -123,13 +132,15 @@ class Link(ABC):
         accept: Callable[[object], T | None],
         timeout_s: float | None = None,
         stream: Stream | None = None,
+        moves: bool = False,
     ) -> T:
         port, stream = self.port, stream or self._stream()
         deadline_s = self.clock.now_s() + (timeout_s or self.reply_timeout_s)
         try:
-            port.write(data)
+            with self._gate(moves):
+                port.write(data)
             while True:
-                answers = list(stream.feed(port.read(deadline_s)))
+                answers = list(stream.feed(self._read(port, deadline_s)))
                 while answers:
                     answer = answers.pop(0)
                     if isinstance(answer, ProtocolViolation):
@@ -141,6 +152,19 @@ class Link(ABC):
         except (NoReply, ProtocolViolation):
             self._suspect = True
             raise
+
+    def _read(self, port: Port, deadline_s: float) -> bytes:
+        """Wait for bytes, and look up from time to time."""
+        while True:
+            try:
+                return port.read(min(deadline_s, self.clock.now_s() + LOOK_UP_S))
+            except NoReply:
+                if self.clock.now_s() >= deadline_s:
+                    raise
+            self._look_up()
+
+    def _look_up(self) -> None:  # noqa: B027 - nothing can happen to a device that does not move
+        """See what has happened while an answer did not come."""
 
     def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
         """Judge what came in one chunk with, but after, the answer."""

@@ -1,24 +1,31 @@
 """All axes of the bench by name, whatever controllers they hang on.
 
 Several axes move one after the other in the configured order, so the way of everything they carry is a chain of
-straight pieces that can be checked against keep-out before the first of them begins. If one fails, all are
-stopped.
+straight pieces that can be checked against keep-out before the first of them begins. Each axis is judged once
+more, with fresh positions of all, before it starts: a controller that has restarted meanwhile is noticed. Judging
+and driving happen in one turn; who else wants to move waits for it. If one axis fails, all are halted.
 
-Homing happens on request, in the configured order. A stop goes to every controller at once, past every queue,
-and is harmless when nothing moves.
+Homing happens on request, in the configured order; when all axes have been homed they leave the homed place by the
+configured moves (`after_home`), each judged as every move. A stop goes to every controller at once, past every
+queue and every turn, is harmless when nothing moves, and holds until `clear_stop`.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
-from stages.axis import Arrival, Axis, AxisState, StopSwitch
+from stages.axis import Arrival, Axis, Turn
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
 from stages.controller import Channel, Controller
 from stages.drivers import driver_class
-from stages.errors import NotReferenced, StageError, StageUsageError
+from stages.errors import NotReferenced, StageError, StageUsageError, WrongDevice
+from stages.identities import require_identity
+from stages.stop_latch import StopLatch
+from stages.stop_signals import StopSignals
+from stages.watchdog import Watchdog, needs_watchdog
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,23 +49,26 @@ class Guard(Protocol):
 class Stage:
     """Named axes over any mix of controllers.
 
-    Use `Stage.open`; as a context manager it closes every port at the end, and stops first if an error ends
-    the block.
+    Use `Stage.open` as a context manager: however the block ends (by itself, by an error, by a signal) what moves
+    is stopped, then every port is closed. Where the process can end without that, a watchdog stops what moves.
     """
 
     def __init__(self, config: StagesTable, clock: Clock = SYSTEM_CLOCK, guard: Guard | None = None) -> None:
         self.config = config
         self.guard = guard
         self._clock = clock
-        self._switch = StopSwitch()
+        self._signals = StopSignals(self.stop)
+        self._turn = Turn(judge=self._judge, signals=self._signals)
+        self._watchdog: Watchdog | None = None
+        self._just_judged: dict[str, float] | None = None
         self._controllers: dict[str, Controller] = {}
         self._axes: dict[str, Axis] = {}
         for name, table in config.controllers.items():
             used = [axis.settings() for axis in config.axes.values() if axis.controller == name]
             channels = {axis.channel: Channel(axis.channel, axis.steps_per_mm) for axis in used}
-            self._controllers[name] = driver_class(table.driver)(name, channels, clock)
+            self._controllers[name] = driver_class(table.driver)(name, channels, clock, self.latch)
         for name, axis in config.axes.items():
-            self._axes[name] = Axis(name, self._controllers[axis.controller], axis.settings(), clock, self._switch)
+            self._axes[name] = Axis(name, self._controllers[axis.controller], axis.settings(), clock, self._turn)
 
     @classmethod
     def open(cls, config: StagesTable, clock: Clock = SYSTEM_CLOCK, guard: Guard | None = None) -> "Stage":
@@ -83,6 +93,16 @@ class Stage:
         table = self.config.controllers[controller]
         box = self._controllers[controller]
         box.connect(table.port, table.baud)
+        try:
+            require_identity(controller, table.identity, box.identity, table.port)
+        except WrongDevice:
+            box.close()
+            raise
+        if needs_watchdog([table.port]):
+            self._watchdog = self._watchdog or Watchdog()
+            stop_bytes = box.watchdog_bytes()
+            self._watchdog.know(controller, table.port, table.baud or box.default_baud, box.hold_dtr, stop_bytes)
+            box.watchdog = self._watchdog
         for axis in self._axes.values():
             if axis.controller is box:
                 settings = axis.settings
@@ -91,6 +111,12 @@ class Stage:
                     *([settings.approach.speed_mm_s] if settings.approach else []),
                 }:
                     box.check_motion(settings.channel, speed_mm_s, settings.acceleration_mm_s2)
+                axis.connected()
+
+    @property
+    def latch(self) -> StopLatch:
+        """The one stop of the bench; whoever exposes frames asks it too."""
+        return self._turn.latch
 
     @property
     def axes(self) -> Mapping[str, Axis]:
@@ -115,10 +141,14 @@ class Stage:
         return self._axes[name]
 
     def where_mm(self) -> dict[str, float | None]:
-        """Measured position of every axis at rest; None where it is not known."""
-        return {
-            name: axis.position_mm if axis.state is AxisState.READY else None for name, axis in self._axes.items()
-        }
+        """Measured position of every axis that its controller vouches for now; None where it is not known."""
+        where: dict[str, float | None] = {}
+        for name, axis in self._axes.items():
+            try:
+                where[name] = None if axis.controller.lost else axis.position_mm
+            except StageUsageError:  # not referenced (any more), or moving
+                where[name] = None
+        return where
 
     def way(self, start_mm: Mapping[str, float], targets_mm: Mapping[str, float]) -> list[Piece]:
         """Return the pieces of a move in the order they will be driven; sends nothing.
@@ -161,18 +191,28 @@ class Stage:
         ------
         StageUsageError
             The move must not be made; nothing has moved.
+        MotionStopped
+            A stop holds the bench, or came while it moved.
         StageError
-            Something came between; everything has been stopped.
+            Something came between; everything has been halted.
         """
         for name, target_mm in targets_mm.items():
             self.axis(name).check(target_mm)
-        start_mm = {name: self._axes[name].position_mm for name in self._known_or_needed(targets_mm)}
-        self.check(start_mm, targets_mm)
-        try:
-            return {name: self._axes[name].move_to(targets_mm[name]) for name in self._ordered(targets_mm)}
-        except BaseException:
-            self.stop_quietly()
-            raise
+        token = self.latch.begin()  # before the turn: a stop while another one moves ends this move too
+        with self._turn.taken():
+            self.latch.check(token)
+            start_mm = self._positions_mm(targets_mm)
+            self.check(start_mm, targets_mm)
+            self._just_judged = start_mm
+            try:
+                return {
+                    name: self._axes[name].carry_out(targets_mm[name], token) for name in self._ordered(targets_mm)
+                }
+            except BaseException:
+                self.halt_quietly()
+                raise
+            finally:
+                self._just_judged = None
 
     def home(self, names: Iterable[str] | None = None, tell: Callable[[str], None] | None = None) -> None:
         """Home axes in the configured order; all of them if none are named.
@@ -188,8 +228,12 @@ class Stage:
         ------
         StageUsageError
             A controller homes several axes with one command and not all of them were named; nothing has moved.
+        Obstructed
+            All axes are homed, and a move of `after_home` must not be made.
+        MotionStopped
+            A stop holds the bench, or came meanwhile.
         StageError
-            A reference was not found; everything has been stopped.
+            A reference was not found; everything has been halted.
         """
         wanted = set(self._axes if names is None else names)
         order = [name for name in self.config.home_order if self.axis(name) and name in wanted]
@@ -199,29 +243,65 @@ class Stage:
             if missing := set(self._homes_with(name)) - wanted:
                 raise StageUsageError(f"homing {name} also homes {', '.join(sorted(missing))}; name them too")
         done: set[str] = set()
-        try:
-            for name in order:
-                if name in done:
-                    continue
-                if tell is not None:
-                    tell(name)
-                self._axes[name].home()
-                for other in self._homes_with(name):
-                    self._axes[other].trust_reference()
-                    done.add(other)
-        except BaseException:
-            self.stop_quietly()
-            raise
+        token = self.latch.begin()
+        with self._turn.taken():
+            try:
+                for name in order:
+                    if name in done:
+                        continue
+                    if tell is not None:
+                        tell(name)
+                    self.latch.check(token)
+                    self._axes[name].home()
+                    for other in self._homes_with(name):
+                        if other != name:
+                            self._axes[other].trust_reference()
+                        done.add(other)
+            except BaseException:
+                self.halt_quietly()
+                raise
+            if len(done) == len(self._axes):
+                self._leave_home()
 
-    def stop(self) -> None:
-        """Stop everything now, from any thread; every controller is tried even if one fails.
+    def stop(self, why: str = "the bench was stopped on request") -> None:
+        """Stop everything now, from any thread, and hold the bench until `clear_stop`.
+
+        Every controller is told even if one fails.
+
+        Parameters
+        ----------
+        why : str
+            What those are told who want to move meanwhile.
 
         Raises
         ------
         StageError
             A controller could not be told; it is the first such error.
         """
-        self._switch.press()
+        self.latch.stop(why)
+        self._tell_all_to_stop()
+
+    def halt(self) -> None:
+        """End every motion that has begun, from any thread; what is asked for afterwards may move.
+
+        Raises
+        ------
+        StageError
+            A controller could not be told; it is the first such error.
+        """
+        self.latch.halt()
+        self._tell_all_to_stop()
+
+    @property
+    def held(self) -> bool:
+        """Whether a stop holds the bench."""
+        return self.latch.held
+
+    def clear_stop(self) -> None:
+        """Let the bench move again: a person has looked at it, and asks for it."""
+        self.latch.clear()
+
+    def _tell_all_to_stop(self) -> None:
         failures = []
         for controller in self._controllers.values():
             try:
@@ -232,26 +312,42 @@ class Stage:
             raise failures[0]
 
     def stop_quietly(self) -> None:
-        """Stop everything; for use while another error is on its way."""
-        try:
+        """Stop everything and hold it; for use while another error is on its way."""
+        with suppress(StageError):
             self.stop()
-        except StageError:
-            return
+
+    def halt_quietly(self) -> None:
+        """End every motion; for use while another error is on its way."""
+        with suppress(StageError):
+            self.halt()
 
     def close(self) -> None:
         """Close every port in reverse order."""
         for controller in reversed(self._controllers.values()):
             controller.close()
+        if self._watchdog is not None:  # after the ports, so that it can open what has not come to rest
+            watchdog, self._watchdog = self._watchdog, None
+            watchdog.close()
 
     def __enter__(self) -> Self:
+        self._signals.enter()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None:
-            self.stop_quietly()
-        self.close()
+        with self._signals.leaving(stop=any(box.under_way for box in self._controllers.values())):
+            if error is not None:
+                self.halt_quietly()
+            self.close()
+
+    def _leave_home(self) -> None:
+        """Carry out the moves that lead out of the homed place."""
+        for number, targets_mm in enumerate(self.config.after_home, start=1):
+            try:
+                self.move(targets_mm)
+            except StageUsageError as error:
+                raise type(error)(f"move {number} of after_home: {error}") from error
 
     def _ordered(self, names: Iterable[str]) -> list[str]:
         order = self.config.move_order or list(self._axes)
@@ -263,13 +359,28 @@ class Stage:
             return [name]
         return [other for other, axis in self._axes.items() if axis.controller is controller]
 
-    def _known_or_needed(self, targets_mm: Mapping[str, float]) -> list[str]:
-        """Axes whose position a move needs: its own, and all of them if a guard has to look."""
+    def _positions_mm(self, names: Iterable[str]) -> dict[str, float]:
+        """Positions that a move needs, known now: its own axes, and all of them if a guard has to look.
+
+        Raises
+        ------
+        NotReferenced
+            One of them does not know where it is.
+        """
         if self.guard is None:
-            return list(targets_mm)
+            return {name: self._axes[name].position_mm for name in names}
+        found = {}
         for name, axis in self._axes.items():
-            if axis.state is not AxisState.READY:
-                raise NotReferenced(
-                    f"{name} does not know where it is, so keep-out cannot be checked; home it first"
-                )
-        return list(self._axes)
+            try:
+                found[name] = axis.position_mm
+            except NotReferenced as unknown:
+                raise NotReferenced(f"{unknown}; keep-out cannot be checked without it") from unknown
+        return found
+
+    def _judge(self, name: str, target_mm: float) -> Mapping[str, float]:
+        """Judge the way of one axis from where everything is now; the first of a move has just been judged."""
+        start_mm, self._just_judged = self._just_judged, None
+        if start_mm is None:
+            start_mm = self._positions_mm([name])
+            self.check(start_mm, {name: target_mm})
+        return start_mm

@@ -1,1 +1,9 @@
-"""Scene and rays: how the glass bends the view of the investigation plane."""
+"""Scene and rays: how the glass bends the view of the investigation plane.
+
+``__init__.pyi`` lists names for a notebook, imported when first used; inside the project modules are named
+in full.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,15 +1,29 @@
-"""The grid of cells through which rays look for spheres when there are many (``tracer.kernels.bed``)."""
+"""Scenes as the kernels take them, with a grid of cells where spheres are many (``tracer.kernels.bed``)."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tracer.kernels.bed import GROW
+from tracer.kernels.world import World
+from tracer.scene import Scene
 
 CELLS_PER_SPHERE = 4.0  # twice as many cells or half as many cost more
 FEW = 8  # up to here it is quicker to ask every sphere
 
 Cells = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]
 NO_CELLS: Cells = np.zeros(7), np.zeros(1, np.int32), np.empty(0, np.int32)
+
+
+def world_of(scene: Scene) -> World:
+    """Bodies of a scene as the kernels take them."""
+    return world_from(scene.sphere_table(), scene.other_tables())
+
+
+def world_from(spheres: NDArray[np.float64], others: tuple[Any, ...] = ()) -> World:
+    """The same for bare tables."""
+    return World(spheres, *cells_of(spheres), others)
 
 
 def cells_of(spheres: NDArray[np.float64]) -> Cells:

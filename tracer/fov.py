@@ -26,15 +26,16 @@ from scipy.optimize import brentq
 
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens
-from tracer.cells import NO_CELLS
+from tracer.cells import world_from
 from tracer.errors import SceneError
-from tracer.kernels.march import RECOVERED, march_pixel_tangents
+from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.sphere import CENTRE_X, CENTRE_Y
+from tracer.kernels.world import RECOVERED
 from tracer.scene import Scene
 from tracer.trace import pack_camera
 
 COAXIAL_TOL = 1e-9  # off-axis share of a radius that still counts as coaxial: rounding of decimal files
 SAMPLES = 512  # of the curve when looking for the fold; spaced as sin, dense at the rim
-NO_RODS = np.empty((0, 7))
 
 Sample = tuple[int, float, float, int]  # status, r_o [mm], d r_o / d r_i, branch key
 
@@ -86,7 +87,7 @@ def field_of_view(scene: Scene) -> FieldOfView:
     Parameters
     ----------
     scene : Scene
-        Any camera orientation; rods are disregarded.
+        Any camera orientation; other bodies are disregarded.
 
     Returns
     -------
@@ -175,12 +176,11 @@ def _curve(scene: Scene) -> Callable[[float], Sample]:
         lens=Lens(),
     )
     packed, spheres = pack_camera(down), scene.sphere_table()
-    spheres[:, 0], spheres[:, 1] = x, y
+    spheres[:, CENTRE_X], spheres[:, CENTRE_Y] = x, y
+    world = world_from(spheres)
 
     def sample(radius_mm: float) -> Sample:
-        status, x_mm, _, slope, _, _, _, _, key, _ = march_pixel_tangents(
-            radius_mm, 0.0, packed, spheres, NO_RODS, *NO_CELLS
-        )
+        status, x_mm, _, slope, _, _, _, _, key, _ = march_pixel_tangents(radius_mm, 0.0, packed, world)
         return int(status), x_mm - x, slope, int(key)
 
     return sample

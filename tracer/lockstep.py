@@ -4,8 +4,7 @@ Lockstep serves scenes of a few solid transparent spheres that are nowhere optic
 scene of the paper.  Anything else (supports, opaque balls, bubbles, hollow balls, a whole bed) goes through
 ``march``, pixel by pixel.  Both give the same map to rounding; a test holds them together.
 
-Branches are numbered beforehand: number k < 2^N means "of the N spheres from the highest centre down, those
-whose bit is set in k, in this order", whether or not a ray takes it.  What rays meet in another order is
+Branches are numbered beforehand (``tracer.branches``).  What rays meet in another order than a number can say is
 traced again by ``march``, which names it.
 
 A camera that looks straight down on x = 0 (or y = 0) at bodies that are their own mirror image sees a picture
@@ -18,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.bodies import Sphere
+from tracer.branches import Branch, Numbers, chain, chain_branches, mirrored_numbers, number_in
+from tracer.kernels.branches import UNKNOWN
 from tracer.kernels.chain import (
     BALL,
-    BITS,
     RAY_NUMBERS,
     SKIP_LEFT_BEHIND,
     SKIP_SILHOUETTES,
     TRIP_NUMBERS,
-    UNKNOWN,
     VECTOR,
 )
 from tracer.kernels.sensor import sensor_rows
-from tracer.kernels.shell import SOLID
+from tracer.kernels.sphere import SOLID
 from tracer.rows import run_rows
 from tracer.scene import Scene
-from tracer.trace import Branch, Numbers, pack_camera, trace
+from tracer.trace import pack_camera, trace
 
 MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
 LINE = 64  # bytes of a cache line
@@ -44,7 +43,7 @@ STRAIGHT_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
 def fits_lockstep(scene: Scene) -> bool:
     """Whether a scene can be traced in lockstep."""
     table = scene.sphere_table()
-    few_and_solid = not scene.rods and len(table) <= MAX_CHAIN and table.shape[1] == SOLID
+    few_and_solid = not scene.other_tables() and len(table) <= MAX_CHAIN and table.shape[1] == SOLID
     return few_and_solid and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
 
 
@@ -78,7 +77,7 @@ def trace_lockstep(
 
 
 class Mirrors(NamedTuple):
-    """Mirror images that a scene is of itself, and which branch number is the image of which, see `_swap`."""
+    """Mirror images that a scene is of itself, and which branch number becomes which."""
 
     in_x: bool
     in_y: bool
@@ -91,7 +90,7 @@ NO_MIRRORS = Mirrors(False, False, np.empty(0, np.int64), np.empty(0, np.int64))
 
 def find_mirrors(scene: Scene) -> Mirrors:
     """Mirrors of a scene.  All numbers must agree to the last bit: nearly symmetric is not symmetric."""
-    camera, rows = scene.camera, [_constants(sphere, scene) for sphere in _chain(scene)]
+    camera, rows = scene.camera, [_constants(sphere, scene) for sphere in chain(scene)]
     if camera.rotation != STRAIGHT_DOWN or not camera.lens.is_ideal:
         return NO_MIRRORS
     there, images = [], []
@@ -100,22 +99,8 @@ def find_mirrors(scene: Scene) -> Mirrors:
         symmetric = camera.position_mm[axis] == 0.0 and set(places) == set(rows)
         there.append(symmetric and camera.principal_px[axis] == (camera.sensor_px[axis] - 1) / 2.0)
         images.append([rows.index(place) if there[axis] else k for k, place in enumerate(places)])
-    swap_x, swap_y = map(_swap, images)
+    swap_x, swap_y = map(mirrored_numbers, images)
     return Mirrors(there[0], there[1], swap_x, swap_y)
-
-
-def _swap(image: list[int]) -> NDArray[np.int64]:
-    """Branch number of the mirror image of each branch number, then UNKNOWN; empty if all stay what they are."""
-    if image == sorted(image):
-        return np.empty(0, np.int64)
-    numbers = np.arange(1 << len(image))
-    return np.append(sum((numbers >> k & 1) << other for k, other in enumerate(image)), UNKNOWN)
-
-
-def chain_branches(scene: Scene) -> list[Branch]:
-    """Branches by number, 2^N of them."""
-    names = [sphere.name for sphere in _chain(scene)]
-    return [tuple(n for bit, n in enumerate(names) if mask >> bit & 1) for mask in range(1 << len(names))]
 
 
 def row_scratch(width: int, bodies: int) -> tuple[NDArray[Any], ...]:
@@ -153,9 +138,7 @@ def by_march(
     again = trace(scene, pixels)
     numbers = np.empty(len(pixels), np.uint16)
     for key, sequence in sorted(again.branches.items(), key=lambda item: item[1]):
-        if sequence not in branches:
-            branches.append(sequence)
-        numbers[again.rays["key"] == key] = branches.index(sequence)
+        numbers[again.rays["key"] == key] = number_in(branches, sequence)
     return again.plane_mm, again.rays["status"], numbers
 
 
@@ -166,16 +149,7 @@ def block_scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
 def pack_chain(scene: Scene) -> NDArray[np.float64]:
     """Spheres for ``tracer.kernels.chain`` (N, BALL), from the highest centre down."""
-    return np.array([_constants(sphere, scene) for sphere in _chain(scene)]).reshape(-1, BALL)
-
-
-def chain_trip(scene: Scene, sequence: NDArray[np.int64]) -> int:
-    """Trip of a ray that crosses the spheres of `sequence`, numbers in the sphere table."""
-    chain = _chain(scene)
-    trip = 0
-    for number in sequence.tolist():
-        trip = trip << BITS | (chain.index(scene.spheres[number]) + 1)
-    return trip
+    return np.array([_constants(sphere, scene) for sphere in chain(scene)]).reshape(-1, BALL)
 
 
 def sphere_discs(table: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -183,10 +157,6 @@ def sphere_discs(table: NDArray[np.float64]) -> NDArray[np.float64]:
     discs = np.zeros((len(table), BALL))
     discs[:, :3], discs[:, 3] = table[:, :3], table[:, 3] ** 2
     return discs
-
-
-def _chain(scene: Scene) -> list[Sphere]:
-    return sorted(scene.spheres, key=lambda s: (-s.centre_mm[2], s.centre_mm, s.radius_mm))
 
 
 def _aligned(count: int, dtype: type) -> NDArray[Any]:

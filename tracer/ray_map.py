@@ -12,19 +12,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.cells import cells_of
+from tracer.branches import Branch, Numbers, number_keys
+from tracer.cells import world_of
 from tracer.errors import MapFileError
 from tracer.kernels.maps import trace_rows
-from tracer.kernels.march import DIRECT, MAX_EVENTS
 from tracer.lockstep import fits_lockstep, trace_lockstep
 from tracer.map_file import load_arrays, save_arrays
 from tracer.rows import run_rows
 from tracer.scene import Scene, SceneBound
 from tracer.status import RayStatus
-from tracer.trace import Branch, Numbers, name_branches, pack_camera
+from tracer.trace import pack_camera
 
 KIND = "ray map"
-SHORT_NUMBERS = 1 << 16  # branches that uint16 can number; a packed bed seen by a whole sensor has more
 
 
 @dataclass(frozen=True)
@@ -131,32 +130,11 @@ def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = Fal
         branches = trace_lockstep(scene, plane, status, branch)
         return RayMap(plane, status, branch, branches, scene.content_hash())
     key = np.empty((height, width), np.int64)
-    camera, spheres, rods = pack_camera(scene.camera), scene.sphere_table(), scene.rod_table()
-    cells = cells_of(spheres)
+    camera, world = pack_camera(scene.camera), world_of(scene)
 
     def work(first: int, last: int) -> None:
-        trail = np.empty(MAX_EVENTS, np.int32)
-        trace_rows(camera, spheres, rods, *cells, first, last, trail, plane, status, key)
+        trace_rows(camera, world, first, last, plane, status, key)
 
     run_rows(work, height)
-    numbers, branches = _number_branches(scene, key)
+    numbers, branches = number_keys(scene, key)
     return RayMap(plane, status, numbers, branches, scene.content_hash())
-
-
-def _number_branches(scene: Scene, key: NDArray[np.int64]) -> tuple[Numbers, tuple[Branch, ...]]:
-    """Number the branches 0, 1, ... by the names of their spheres, so that file order does not matter."""
-    fresh = np.ones(key.shape, dtype=bool)  # keys come in long runs: look only where one begins
-    fresh[:, 1:] = key[:, 1:] != key[:, :-1]
-    rows, columns = np.nonzero(fresh)
-    keys, firsts = np.unique(key[rows, columns], return_index=True)
-    pixels = np.stack((columns[firsts], rows[firsts]), axis=-1)
-    directions = scene.camera.directions(pixels)
-    origins = np.ascontiguousarray(np.broadcast_to(np.array(scene.camera.position_mm), directions.shape))
-    trails = name_branches(scene, origins, directions, keys)
-    trails[DIRECT] = ()
-    order = sorted(trails, key=lambda k: (len(trails[k]), trails[k]))
-    kind = np.uint16 if len(order) <= SHORT_NUMBERS else np.uint32
-    lookup = {k: number for number, k in enumerate(order)}
-    runs = np.array([lookup[int(k)] for k in key[rows, columns]], dtype=kind)
-    branch = runs[np.cumsum(fresh.ravel()) - 1].reshape(key.shape)
-    return branch, tuple(trails[k] for k in order)

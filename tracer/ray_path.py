@@ -3,9 +3,13 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.kernels.march import MAX_EVENTS, next_body
-from tracer.kernels.shell import SOLID, way_through
-from tracer.kernels.sphere import angles, foot, turned
+from tracer.cells import world_of
+from tracer.kernels.adjoint import STATE, trace_states
+from tracer.kernels.branches import body_of
+from tracer.kernels.shell import way_through
+from tracer.kernels.sphere import INDEX, RADIUS, SOLID, angles, turned
+from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.world import RECOVERED
 from tracer.scene import Scene
 
 Vector = NDArray[np.float64]
@@ -24,40 +28,40 @@ def ray_path(scene: Scene, pixel: ArrayLike) -> NDArray[np.float64]:
     Returns
     -------
     ndarray (N, 3)
-        World points [mm]: the pinhole, entry and exit of each sphere and of the cores in it, and the plane point;
-        the ray ends early where it is stopped, and one scene height further on where it misses the plane.
+        World points [mm]: the pinhole, entry and exit of each sphere and of the cores in it, exits of other
+        bodies, and the plane point; the ray ends early where it is stopped, and one scene height further on where
+        it misses the plane.
     """
-    spheres, rods = scene.sphere_table(), scene.rod_table()
-    p = np.array(scene.camera.position_mm)
-    d = scene.camera.directions(pixel)
-    corners, last = [p], -1
-    for _ in range(MAX_EVENTS):
-        body = next_body(p[0], p[1], p[2], d[0], d[1], d[2], last, spheres, rods)
-        if body < 0 or spheres[body, 5] != 0.0:
-            break
-        centre, radius, n = spheres[body, :3], float(spheres[body, 3]), float(spheres[body, 4])
-        w = p - centre
-        _, *foot_point = foot(w[0], w[1], w[2], d[0], d[1], d[2])
-        a = np.array(foot_point)
-        b2 = float(a @ a)
-        if b2 >= n * n * radius * radius:  # total reflection
-            return np.array([*corners, centre + a - radius * angles(b2, radius, n)[0] * d])
-        inside, a, d = _inside(a, d, b2, spheres[body])
-        corners += [centre + point for point in inside]
-        p, last = centre + a, body
-    if body == -1:
+    world, corners = world_of(scene), [np.array(scene.camera.position_mm)]
+    trail, state = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE))
+    dx, dy, dz = scene.camera.directions(pixel).tolist()
+    status, *end, _, events = trace_states(*scene.camera.position_mm, dx, dy, dz, world, trail, state)
+    p, d = np.array(end[:3]), np.array(end[3:])
+    bodies = [body_of(event, world.spheres)[0] for event in trail[:events].tolist()]
+    centres = [world.spheres[body, :RADIUS] if body >= 0 else np.zeros(3) for body in bodies]
+    starts = [*(state[k, :3] + centre for k, centre in enumerate(centres)), p]
+    for k, (body, centre) in enumerate(zip(bodies, centres, strict=True)):
+        w, way, m, b2 = state[k, :3], state[k, 3:6], state[k, 6], float(state[k, 7])
+        if body < 0:
+            corners.append(starts[k + 1])
+        elif b2 < world.spheres[body, RADIUS] ** 2:  # else a tangent
+            corners += [centre + point for point in _inside(w + m * way, way, b2, world.spheres[body])]
+    if status == RECOVERED:
         reach = -p[2] / d[2] if d[2] < 0.0 else scene.camera.position_mm[2]
         corners.append(p + reach * d)
     return np.array(corners)
 
 
-def _inside(a: Vector, d: Vector, b2: float, sphere: Vector) -> tuple[list[Vector], Vector, Vector]:
-    """Corners at the surfaces of a sphere, relative to its centre, and foot point and direction behind it.
+def _inside(a: Vector, d: Vector, b2: float, sphere: Vector) -> list[Vector]:
+    """Corners at the surfaces of a sphere, relative to its centre; one alone where all light is reflected outside.
 
     Half the turn of ``tracer.kernels.sphere`` happens at each surface; inside index n the foot lies at a / n.
     """
+    radius, n = sphere[RADIUS], sphere[INDEX]
+    if b2 >= (n * radius) ** 2:
+        return [a - radius * angles(b2, radius, n)[0] * d]
     way = way_through(b2, sphere)
-    layers = [(sphere[3], sphere[4]), *sphere[SOLID : SOLID + 2 * ((way + 1) // 2)].reshape(-1, 2)]
+    layers = [(radius, n), *sphere[SOLID : SOLID + 2 * ((way + 1) // 2)].reshape(-1, 2)]
     corners, passed, outside = [], [], 1.0
     for k, (radius, n) in enumerate(layers):
         rho, nu = outside * radius, n / outside
@@ -74,7 +78,7 @@ def _inside(a: Vector, d: Vector, b2: float, sphere: Vector) -> tuple[list[Vecto
     for n, along, half in reversed(passed):
         corners.append(a / n + along * d)
         a, d = _turned(a, d, b2, *half)
-    return corners, a, d
+    return corners
 
 
 def _turned(a: Vector, d: Vector, b2: float, cosine: float, q: float) -> tuple[Vector, Vector]:

@@ -9,17 +9,16 @@ and the order of the bodies do not).  The hash travels into every map and every 
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.bodies import Body, Rod, Sphere
+from tracer.bodies import KINDS, Body, Sphere
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
-from tracer.kernels.shell import SOLID
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 
 CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
@@ -83,14 +82,14 @@ class Scene:
         return self.ambient.n(self.wavelength_nm)
 
     @property
-    def spheres(self) -> tuple[Sphere, ...]:
-        """The spheres in front of the plane, in file order."""
-        return tuple(body for body in self.bodies if isinstance(body, Sphere) and body.highest_mm > CONTACT_TOL_MM)
+    def seen(self) -> tuple[Body, ...]:
+        """The bodies in front of the plane, in file order."""
+        return tuple(body for body in self.bodies if body.highest_mm > CONTACT_TOL_MM)
 
     @property
-    def rods(self) -> tuple[Rod, ...]:
-        """The rods in front of the plane, in file order."""
-        return tuple(body for body in self.bodies if isinstance(body, Rod) and body.highest_mm > CONTACT_TOL_MM)
+    def spheres(self) -> tuple[Sphere, ...]:
+        """The spheres in front of the plane, in file order."""
+        return Sphere.among(self.seen)
 
     def with_bodies(self, bodies: Sequence[Body]) -> "Scene":
         """Return the same scene with other bodies."""
@@ -101,39 +100,27 @@ class Scene:
         return replace(self, camera=camera)
 
     def sphere_table(self) -> NDArray[np.float64]:
-        """Spheres for the kernels: (N, 6) float64, rows x, y, z, radius [mm], n / n_ambient, opaque (0 or 1).
+        """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""
+        return Sphere.table_of(self.spheres, self._index)
 
-        Longer where there are cores: radius [mm], n / n_ambient of each follow, inwards; radius 0 is none.
-        """
-        spheres = self.spheres
-        table = np.tile((0.0, 1.0), (len(spheres), SOLID // 2 + self._most_cores))
-        for row, sphere in zip(table, spheres, strict=True):
-            row[:SOLID] = (*sphere.centre_mm, sphere.radius_mm, 1.0, float(sphere.medium is None))
-            if sphere.medium is not None:
-                row[4] = sphere.medium.n(self.wavelength_nm) / self.n_ambient
-            for k, core in enumerate(sphere.cores):
-                row[SOLID + 2 * k :][:2] = core.radius_mm, core.medium.n(self.wavelength_nm) / self.n_ambient
-        return table
+    def other_tables(self) -> tuple[Any, ...]:
+        """Bodies that are no spheres, for the kernels: a table of each kind in use (``tracer.kernels.world``)."""
+        return tuple(table for _, table in self._others())
 
     def event_names(self) -> list[str]:
-        """Names of the events that rays number (``tracer.kernels.shell``); branches are made of them."""
-        ways = range(2 * self._most_cores + 1)
-        return [sphere.event_name(way) for way in ways for sphere in self.spheres]
+        """Names of the events that rays number (``tracer.branches``); branches are made of them."""
+        most_cores = max((len(sphere.cores) for sphere in self.spheres), default=0)
+        names = [sphere.event_name(way) for way in range(2 * most_cores + 1) for sphere in self.spheres]
+        return names + [body.name for kind in KINDS[1:] for body in kind.among(self.seen)]
 
-    def sphere_of(self, event: str) -> Sphere:
-        """Return the sphere to which the name of an event belongs."""
-        return self.spheres[self.event_names().index(event) % len(self.spheres)]
+    def _others(self) -> Iterator[tuple[int, Any]]:
+        """Place in KINDS and table of each kind in use but spheres."""
+        for place, kind in enumerate(KINDS[1:], start=1):
+            if bodies := kind.among(self.seen):
+                yield place, kind.table_of(bodies, self._index)
 
-    @property
-    def _most_cores(self) -> int:
-        return max((len(sphere.cores) for sphere in self.spheres), default=0)
-
-    def rod_table(self) -> NDArray[np.float64]:
-        """Rods for the kernels: (N, 7) float64, rows start x, y, z, end x, y, z, radius [mm]."""
-        table = np.empty((len(self.rods), 7))
-        for row, rod in zip(table, self.rods, strict=True):
-            row[:] = (*rod.start_mm, *rod.end_mm, rod.radius_mm)
-        return table
+    def _index(self, medium: Medium) -> float:
+        return medium.n(self.wavelength_nm) / self.n_ambient
 
     def content_hash(self) -> str:
         """Hex digest (16 characters) of every number that changes a ray."""
@@ -143,16 +130,14 @@ class Scene:
             [*map(float, camera.sensor_px), *camera.lens.terms(), self.n_ambient],
         ]
         numbers += sorted([0.0, *row] for row in self.sphere_table().tolist())
-        numbers += sorted([1.0, *row] for row in self.rod_table().tolist())
+        for place, table in self._others():
+            numbers += sorted([float(place), *row] for row in table.rows.tolist())
         text = "\n".join(" ".join((float(x) + 0.0).hex() for x in row) for row in numbers)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     def _index_problems(self) -> list[tuple[str, str]]:
         media = [("", "ambient", self.ambient)]
-        for body in self.bodies:
-            if isinstance(body, Sphere) and body.medium is not None:
-                media.append((body.name, f"sphere {body.name!r}", body.medium))
-                media += [(body.name, f"core of sphere {body.name!r}", core.medium) for core in body.cores]
+        media += [(body.name, who, medium) for body in self.bodies for who, medium in body.media]
         problems = []
         for name, who, medium in media:
             try:
@@ -172,7 +157,7 @@ class Scene:
             (name, f"two bodies are called {name!r}; give each its own name")
             for name in sorted({name for name in names if names.count(name) > 1})
         ]
-        ways = {way: body.name for body in self.bodies if isinstance(body, Sphere) for way in body.event_names[1:]}
+        ways = {way: body.name for body in self.bodies for way in body.event_names[1:]}
         problems += [
             (name, f"body {name!r} is called like a way through {ways[name]!r}, which has a core; rename it")
             for name in sorted(set(names) & ways.keys())
@@ -186,9 +171,10 @@ class Scene:
         return problems
 
     def _overlap_problems(self) -> list[tuple[str, str]]:
-        spheres = [body for body in self.bodies if isinstance(body, Sphere)]
+        spheres = Sphere.among(self.bodies)
         pairs: list[tuple[Body, Sphere]] = [*_near_pairs(spheres)]
-        pairs += [(body, sphere) for body in self.bodies if isinstance(body, Rod) for sphere in spheres]
+        others = [body for kind in KINDS[1:] for body in kind.among(self.bodies)]
+        pairs += [(body, sphere) for body in others for sphere in spheres]
         problems = []
         for one, other in pairs:
             gap = one.distance_mm(np.array(other.centre_mm)) - other.radius_mm
@@ -198,7 +184,7 @@ class Scene:
         return problems
 
 
-def _near_pairs(spheres: list[Sphere]) -> list[tuple[Sphere, Sphere]]:
+def _near_pairs(spheres: Sequence[Sphere]) -> list[tuple[Sphere, Sphere]]:
     """Pairs whose extents in x meet; sorting along x keeps a bed of a thousand spheres quick."""
     ordered = sorted(spheres, key=lambda s: s.centre_mm[0] - s.radius_mm)
     pairs = []

@@ -27,17 +27,17 @@ What each section may hold stands in ``tracer.scene_tables``.
 """
 
 from pathlib import Path
-from typing import Any
 
 import yaml
 
-from tracer.bodies import Body, Rod
+from tracer.bodies import Body
 from tracer.config import Document, load_yaml, validate
 from tracer.errors import ConfigError, Problem, SceneError
 from tracer.fit_section import FitTable
-from tracer.media import MEDIA, AirMedium, ConstantMedium, Medium, ShiftedMedium
+from tracer.media import MEDIA, Medium
+from tracer.medium_table import medium_of, written
 from tracer.scene import Scene
-from tracer.scene_tables import OPAQUE, SceneTable, medium_of
+from tracer.scene_tables import SceneTable
 
 
 def scene_from(document: Document, table: SceneTable) -> Scene:
@@ -130,22 +130,9 @@ def load_scene(path: Path | str) -> Scene:
 def dump_scene(scene: Scene) -> str:
     """Return the scene as the text of a scene file; `load_scene` of it gives the same content hash."""
     camera = scene.camera
-    bodies: list[dict[str, Any]] = []
-    for body in scene.bodies:
-        if isinstance(body, Rod):
-            bodies.append({"name": body.name, "kind": "rod", "start_mm": list(body.start_mm)})
-            bodies[-1] |= {"end_mm": list(body.end_mm), "radius_mm": body.radius_mm}
-            continue
-        material = OPAQUE if body.medium is None else _material(body.medium)
-        bodies.append({"name": body.name, "kind": "sphere", "centre_mm": list(body.centre_mm)})
-        bodies[-1] |= {"radius_mm": body.radius_mm, "material": material}
-        inside = bodies[-1]
-        for core in body.cores:
-            inside["core"] = {"radius_mm": core.radius_mm, "material": _material(core.medium)}
-            inside = inside["core"]
     tree = {
         "wavelength_nm": scene.wavelength_nm,
-        "ambient": _material(scene.ambient),
+        "ambient": written(scene.ambient),
         "camera": {
             "focal_px": camera.focal_px,
             "sensor_px": list(camera.sensor_px),
@@ -154,19 +141,6 @@ def dump_scene(scene: Scene) -> str:
             "rotation": [list(row) for row in camera.rotation],
             "lens": dict(zip(("k1", "k2", "k3", "p1", "p2"), camera.lens.terms().tolist(), strict=True)),
         },
-        "bodies": bodies,
+        "bodies": [body.section() for body in scene.bodies],
     }
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=110)
-
-
-def _material(medium: Medium) -> str | dict[str, Any]:
-    """How a medium is written in a file."""
-    if MEDIA.get(medium.name) == medium or isinstance(medium, AirMedium):
-        return medium.name
-    if isinstance(medium, ConstantMedium):
-        return {"n": medium.index}
-    if isinstance(medium, ShiftedMedium):
-        base = _material(medium.base)
-        named = {"base": base} if isinstance(base, str) else base
-        return {**named, "offset": medium.offset}
-    return {"sellmeier": {"b": list(medium.b), "c_um2": list(medium.c_um2)}}

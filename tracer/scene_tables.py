@@ -1,62 +1,15 @@
 """The sections of scene.yaml: what each may hold, and the camera, medium or body that it describes."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Union
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from tracer.bodies import Body, Core, Rod, Sphere
-from tracer.camera import LONGEST_MM, Camera, Lens, Vector3, look_at, thin_lens_distance_mm
+from tracer.bodies import KINDS, BodySection, vector3
+from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.config import Pair, Table, Triple
-from tracer.errors import SceneError
 from tracer.fit_section import FitTable
-from tracer.media import MEDIA, AirMedium, ConstantMedium, Medium, SellmeierMedium, ShiftedMedium
-
-Positive = Annotated[float, Field(gt=0.0, le=LONGEST_MM)]
-OPAQUE = "opaque"
-
-
-class SellmeierTable(Table):
-    """Coefficients of a glass."""
-
-    b: Annotated[list[float], Field(min_length=1, max_length=6)]
-    c_um2: Annotated[list[float], Field(min_length=1, max_length=6)]
-
-    @model_validator(mode="after")
-    def _same_length(self) -> "SellmeierTable":
-        if len(self.b) != len(self.c_um2):
-            raise ValueError("b and c_um2 must have the same length")
-        return self
-
-
-class MediumTable(Table):
-    """A medium by number, by formula, or as another one with a measured offset."""
-
-    n: Annotated[float, Field(ge=1.0, le=5.0)] | None = None
-    sellmeier: SellmeierTable | None = None
-    base: str | None = None
-    offset: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
-
-    @model_validator(mode="after")
-    def _one_of(self) -> "MediumTable":
-        if (self.offset is not None) and self.base is None and self.sellmeier is None:
-            raise ValueError("offset needs the glass that it is added to: base or sellmeier")
-        if sum(given is not None for given in (self.n, self.sellmeier, self.base)) != 1:
-            raise ValueError("give exactly one of n, sellmeier and base")
-        return self
-
-    def medium(self, name: str) -> Medium:
-        """Return the medium described."""
-        if self.n is not None:
-            return ConstantMedium(float(self.n), name)
-        if self.sellmeier is not None:
-            own = SellmeierMedium(tuple(self.sellmeier.b), tuple(self.sellmeier.c_um2), name)
-            return own if self.offset is None else ShiftedMedium(own, self.offset, name)
-        known = MEDIA.get(self.base or "")
-        if not isinstance(known, SellmeierMedium | AirMedium):
-            named = [key for key, medium in MEDIA.items() if not isinstance(medium, ConstantMedium)]
-            raise SceneError(f"unknown base {self.base!r}; known are {', '.join(sorted(named))}")
-        return ShiftedMedium(known, self.offset or 0.0, name)
+from tracer.medium_table import MediumTable, Positive
 
 
 class LensTable(Table):
@@ -119,64 +72,10 @@ class CameraTable(Table):
         return Camera(focal_px, (principal[0], principal[1]), (width, height), vector3(position), rotation, lens)
 
 
-class CoreTable(Table):
-    """What is inside a sphere, about the same centre; it may have a core itself."""
-
-    radius_mm: Positive
-    material: str | MediumTable
-    core: "CoreTable | None" = None
-
-
-class SphereTable(Table):
-    """A sphere."""
-
-    kind: Literal["sphere"]
-    name: str | None = None
-    centre_mm: Triple
-    radius_mm: Positive
-    material: str | MediumTable
-    core: CoreTable | None = None
-
-    def body(self, name: str, media: dict[str, Medium]) -> Body:
-        """Return the sphere described.
-
-        Raises
-        ------
-        SceneError
-            It cannot be; names the part at fault, such as ``core``.
-        """
-        medium = None if self.material == OPAQUE else medium_of(self.material, media)
-        return Sphere(name, vector3(self.centre_mm), self.radius_mm, medium, self._cores(name, media))
-
-    def _cores(self, name: str, media: dict[str, Medium]) -> tuple[Core, ...]:
-        """Cores from the outside in."""
-        cores, table, part = [], self.core, "core"
-        while table is not None:
-            try:
-                if table.material == OPAQUE:
-                    raise SceneError(f"a core of sphere {name!r} cannot be opaque; give it a medium")
-                cores.append(Core(table.radius_mm, medium_of(table.material, media)))
-            except SceneError as error:
-                raise SceneError(problems=[(f"{part}.material", str(error))]) from None
-            table, part = table.core, f"{part}.core"
-        return tuple(cores)
-
-
-class RodTable(Table):
-    """An opaque support."""
-
-    kind: Literal["rod"]
-    name: str | None = None
-    start_mm: Triple
-    end_mm: Triple
-    radius_mm: Positive
-
-    def body(self, name: str, media: dict[str, Medium]) -> Body:
-        """Return the rod described."""
-        return Rod(name, vector3(self.start_mm), vector3(self.end_mm), self.radius_mm)
-
-
-BodyTable = Annotated[SphereTable | RodTable, Field(discriminator="kind")]
+if TYPE_CHECKING:
+    AnyBody = BodySection
+else:
+    AnyBody = Annotated[Union[tuple(kind.Section for kind in KINDS)], Field(discriminator="kind")]  # noqa: UP007
 
 
 class SceneTable(Table):
@@ -186,25 +85,5 @@ class SceneTable(Table):
     ambient: str | MediumTable = MediumTable(n=1.0)
     glasses: dict[str, MediumTable] = Field(default_factory=dict)
     camera: CameraTable
-    bodies: Annotated[list[BodyTable], Field(max_length=10_000)] = Field(default_factory=list)
+    bodies: Annotated[list[AnyBody], Field(max_length=10_000)] = Field(default_factory=list)
     fit: FitTable = FitTable()
-
-
-def vector3(values: list[float]) -> Vector3:
-    """Three numbers as a tuple."""
-    return (float(values[0]), float(values[1]), float(values[2]))
-
-
-def medium_of(material: str | MediumTable, media: dict[str, Medium]) -> Medium:
-    """Look up a medium by name, or build it.
-
-    Raises
-    ------
-    SceneError
-        The name is not known.
-    """
-    if isinstance(material, MediumTable):
-        return material.medium("")
-    if material not in media:
-        raise SceneError(f"unknown medium {material!r}; known are {', '.join(sorted(media))}")
-    return media[material]

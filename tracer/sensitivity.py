@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.camera import Camera
+from tracer.cells import world_of
 from tracer.kernels.adjoint import STATE
 from tracer.kernels.landing import trace_landings
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.world import World
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.status import RayStatus
@@ -110,16 +112,13 @@ def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) 
     -------
     Landings
     """
-    rays = landings_through(
-        scene.camera, scene.sphere_table(), scene.rod_table(), pixels, target or TargetPose(), scene.n_ambient
-    )
+    rays = landings_through(scene.camera, world_of(scene), pixels, target or TargetPose(), scene.n_ambient)
     return replace(rays, names=parameter_names(scene))
 
 
 def landings_through(
     camera: Camera,
-    spheres: NDArray[np.float64],
-    rods: NDArray[np.float64],
+    world: World,
     pixels: ArrayLike,
     target: TargetPose,
     n_ambient: float = 1.0,
@@ -130,8 +129,8 @@ def landings_through(
     ----------
     camera : Camera
         The camera.
-    spheres, rods : (N, 6), (M, 7) float64
-        As `Scene.sphere_table` and `Scene.rod_table`.
+    world : World
+        The bodies, as `tracer.cells.world_from` makes them.
     pixels : array_like (N, 2)
         Acquired pixels u, v.
     target : TargetPose
@@ -147,14 +146,14 @@ def landings_through(
     points = np.ascontiguousarray(np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
     directions = np.ascontiguousarray(camera.directions(points))
     count, packed, pose = len(points), pack_camera(camera), target.packed()
-    names = _names([str(number) for number in range(len(spheres))])
+    names = _names([str(number) for number in range(len(world.spheres))])
     status, key = np.empty(count, np.uint8), np.empty(count, np.int64)
     point, by_pixel, rate = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2, len(names)))
 
     def work(first: int, last: int) -> None:
         trail, state = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE))
         trace_landings(
-            points, directions, packed, spheres, rods, pose, n_ambient, first, last, trail, state, status, key,
+            points, directions, packed, world, pose, n_ambient, first, last, trail, state, status, key,
             point, by_pixel, rate,
         )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""What became of a ray, and why a node of the plane is or is not recovered."""
+"""What became of a ray."""
 
 from enum import IntEnum
 
@@ -10,4 +10,4 @@ class RayStatus(IntEnum):
     BLOCKED = 1  # stopped by an opaque body
     TIR = 2  # totally reflected at a body of lower index
     MISSED_PLANE = 3  # left the bodies level or away from the plane
-    TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.march.MAX_EVENTS
+    TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.walk.MAX_EVENTS

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tracer.branches import Branch, name_keys
 from tracer.camera import Camera
-from tracer.cells import cells_of
-from tracer.kernels.maps import trace_rays, trace_trails
-from tracer.kernels.march import DIRECT, MAX_EVENTS
+from tracer.cells import world_of
+from tracer.kernels.maps import trace_rays
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.status import RayStatus
@@ -26,9 +26,6 @@ RAY = np.dtype(
     ],
     align=True,
 )
-
-Branch = tuple[str, ...]
-Numbers = NDArray[np.uint16 | np.uint32]  # of branches, whichever is long enough
 
 
 @dataclass(frozen=True)
@@ -108,44 +105,12 @@ def trace_from(scene: Scene, origins_mm: ArrayLike, directions: ArrayLike) -> Tr
     starts = np.ascontiguousarray(np.broadcast_to(np.asarray(origins_mm, dtype=np.float64), directions.shape))
     starts, ways = starts.reshape(-1, 3), np.ascontiguousarray(directions).reshape(-1, 3)
     rays = np.zeros(len(ways), RAY)
-    spheres, rods = scene.sphere_table(), scene.rod_table()
-    cells = cells_of(spheres)
+    world = world_of(scene)
 
     def work(first: int, last: int) -> None:
-        trace_rays(starts, ways, spheres, rods, *cells, first, last, np.empty(MAX_EVENTS, np.int32), rays)
+        trace_rays(starts, ways, world, first, last, rays)
 
     run_rows(work, len(rays), block=16384)
     rays["path_mm"] *= scene.n_ambient
     keys, firsts = np.unique(rays["key"], return_index=True)
-    return TraceResult(rays.reshape(shape), name_branches(scene, starts[firsts], ways[firsts], keys))
-
-
-def name_branches(
-    scene: Scene,
-    origins_mm: NDArray[np.float64],
-    directions: NDArray[np.float64],
-    keys: NDArray[np.int64],
-) -> dict[int, Branch]:
-    """Names of the events behind each branch key, from one ray (N, 3), (N, 3) of each branch."""
-    trails = np.full((len(keys), MAX_EVENTS), -1, np.int32)
-    spheres = scene.sphere_table()
-    trace_trails(origins_mm, directions, spheres, scene.rod_table(), *cells_of(spheres), trails)
-    names, events = scene.event_names(), np.count_nonzero(trails >= 0, axis=1)
-    known = trails[:, : events.max(initial=0)].tolist()
-    return {
-        key: tuple(names[event] for event in trail[:count])
-        for key, trail, count in zip(keys.tolist(), known, events.tolist(), strict=True)
-    }
-
-
-__all__ = [
-    "DIRECT",
-    "RAY",
-    "Branch",
-    "Numbers",
-    "TraceResult",
-    "name_branches",
-    "pack_camera",
-    "trace",
-    "trace_from",
-]
+    return TraceResult(rays.reshape(shape), name_keys(scene, starts[firsts], ways[firsts], keys))

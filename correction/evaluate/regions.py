@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap
 from correction.evaluate.vector_field import VectorField
+from tracer.branches import sphere_of
 from tracer.scene import Scene
 
 MIDDLE = 0.75  # of the radius: where the paper quotes its accuracy behind glass
@@ -84,7 +85,7 @@ def _radii(
     nodes = correction_map.grid.to_mm(field.grid_px)
     radius = np.full(branch.shape, np.nan)
     for number in np.unique(branch[branch > 0]):
-        last = scene.sphere_of(correction_map.branches[int(number)][-1])
+        last = sphere_of(scene, correction_map.branches[int(number)][-1])
         here = branch == number
         off = nodes[here] - np.array(last.centre_mm[:2])
         radius[here] = np.hypot(off[:, 0], off[:, 1]) / last.radius_mm

@@ -19,6 +19,7 @@ from correction.evaluate.regions import Region, Regions
 from correction.evaluate.shift import Scatter, by_radius, scatter_of, shift_errors
 from correction.evaluate.vector_field import VectorField
 from correction.evaluate.velocity_route import PlaneVectors
+from tracer.branches import sphere_of
 from tracer.scene import Scene
 
 DIRECT = "seen directly"
@@ -158,7 +159,7 @@ def _radius(traced: PlaneVectors, correction_map: CorrectionMap, scene: Scene) -
     """R / R of traced vectors behind glass, NaN in the direct view."""
     radius = np.full(len(traced.branch), np.nan)
     for number in np.unique(traced.branch[traced.branch > 0]):
-        last = scene.sphere_of(correction_map.branches[int(number)][-1])
+        last = sphere_of(scene, correction_map.branches[int(number)][-1])
         here = traced.branch == number
         radius[here] = np.linalg.norm(traced.place_mm[here] - last.centre_mm[:2], axis=1) / last.radius_mm
     return radius

@@ -4,16 +4,17 @@ NetCDF (classic, 64-bit offsets) in the layout that PIVPy and xarray read: dimen
 with y UP and both axes rising, so that row 0 of the file is the lowest of the image.  Everything has the
 dimensions (y, x, t):
 
-    u, v                    displacement [mm per pair], NaN where there is no vector
+    u, v                    velocity [mm/s] where the time between the frames is known (delta_t [s] is not 0), else
+                            displacement [mm]; standard_name says which; NaN where there is no vector
     chc, mask, flag         1 = measured; 1 = masked; VectorFlag
-    sigma_u, sigma_v        random standard uncertainty (correlation statistics) [mm]
-    map_sigma_u, _v         that of the displacement by the fitted map [mm], the same in every pair
+    sigma_u, sigma_v        random standard uncertainty (correlation statistics) of u, v
+    map_sigma_u, _v         that by the fitted map, the same in every pair
     map_sigma_x, _y         that of the position by the fitted map [mm]
     peak_ratio, correlation, valid_fraction
     route                   1 = the vector was traced (velocity route), only where routes were mixed
 
-The map's sigmas are there where a fit was beside the scene.  Divide by delta_t for velocity.  Vectors of the
-velocity route lie on no grid; `write_traced` lists them along one dimension, vector.
+The map's sigmas are there where a fit was beside the scene.  Vectors of the velocity route lie on no grid;
+`write_traced` lists them along one dimension, vector.
 """
 
 import io
@@ -31,9 +32,8 @@ from correction.grid import PlaneGrid
 from tracer.whole_file import whole_file
 
 SCHEMA = 1
-UNITS = dict.fromkeys(("x", "y", "u", "v", "sigma_u", "sigma_v"), "mm")
-UNITS |= {f"map_sigma_{axis}": "mm" for axis in "uvxy"}
-STANDARD = {"u": "u_velocity", "v": "v_velocity", "chc": "validity_flag"}
+PLACES = ("x", "y", "map_sigma_x", "map_sigma_y")
+WAYS = ("u", "v", "sigma_u", "sigma_v", "map_sigma_u", "map_sigma_v")  # in mm, or in mm/s
 
 
 def write_netcdf(
@@ -43,6 +43,7 @@ def write_netcdf(
     about: dict[str, Any],
     map_sigma: VectorMapSigma | None = None,
     by_velocity: NDArray[np.bool_] | None = None,
+    dt_s: float | None = None,
 ) -> None:
     """Write a vector field as NetCDF, atomically.
 
@@ -60,6 +61,8 @@ def write_netcdf(
         Uncertainty by the fitted map.
     by_velocity : (ny, nx) bool, optional
         Vectors of the velocity route.
+    dt_s : float, optional
+        Time between the frames; without it vectors are displacements.
     """
     x_mm, y_mm = _axes(field, grid)
     y_mm = y_mm[::-1]
@@ -70,6 +73,8 @@ def write_netcdf(
                 variables[f"map_sigma_{axis}"] = values[..., number] * grid.pitch_mm
     if by_velocity is not None:
         variables["route"] = by_velocity.astype(np.int32)
+    units, kind = _units(dt_s), "displacement" if dt_s is None else "velocity"
+    standard = {"u": f"u_{kind}", "v": f"v_{kind}", "chc": "validity_flag"}
     buffer = io.BytesIO()
     with netcdf_file(buffer, "w", version=2) as file:
         for name, size in (("y", len(y_mm)), ("x", len(x_mm)), ("t", 1)):
@@ -81,13 +86,13 @@ def write_netcdf(
         for name, values in variables.items():
             kind = "i4" if values.dtype.kind in "iu" else "f8"
             variable = file.createVariable(name, kind, ("y", "x", "t"))
-            variable[:] = values[::-1, :, None]
-            variable.units = UNITS.get(name, "1")
-            if name in STANDARD:
-                variable.standard_name = STANDARD[name]
+            variable[:] = (_per_time(values, dt_s) if name in WAYS else values)[::-1, :, None]
+            variable.units = units.get(name, "1")
+            if name in standard:
+                variable.standard_name = standard[name]
         file.Conventions = "CF-1.8"
         file.pivpy_schema_version = SCHEMA
-        file.delta_t = 0.0
+        file.delta_t = np.float64(dt_s or 0.0)
         file.flag_meanings = ", ".join(f"{flag.value} {flag.name.lower()}" for flag in VectorFlag)
         for name, value in about.items():
             setattr(file, name, value)
@@ -97,8 +102,8 @@ def write_netcdf(
         stream.write(content)
 
 
-def write_traced(path: Path, traced: PlaneVectors, about: dict[str, Any]) -> None:
-    """Write vectors of the velocity route as NetCDF, atomically: a list with x, y, u, v and their sigma in mm."""
+def write_traced(path: Path, traced: PlaneVectors, about: dict[str, Any], dt_s: float | None = None) -> None:
+    """Write vectors of the velocity route as NetCDF, atomically: a list with x, y, u, v and the sigma of these."""
     columns: dict[str, NDArray[Any]] = {
         "x": traced.place_mm[:, 0],
         "y": traced.place_mm[:, 1],
@@ -108,14 +113,15 @@ def write_traced(path: Path, traced: PlaneVectors, about: dict[str, Any]) -> Non
         "sigma_v": traced.sigma_mm[:, 1],
         "branch": traced.branch.astype(np.int32),
     }
-    buffer = io.BytesIO()
+    units, buffer = _units(dt_s), io.BytesIO()
     with netcdf_file(buffer, "w", version=2) as file:
         file.createDimension("vector", len(traced.branch))
         for name, values in columns.items():
             variable = file.createVariable(name, "i4" if values.dtype.kind in "iu" else "f8", ("vector",))
-            variable[:] = values
-            variable.units = UNITS.get(name, "1")
+            variable[:] = _per_time(values, dt_s) if name in WAYS else values
+            variable.units = units.get(name, "1")
         file.Conventions = "CF-1.8"
+        file.delta_t = np.float64(dt_s or 0.0)
         for name, value in about.items():
             setattr(file, name, value)
         file.flush()
@@ -124,19 +130,29 @@ def write_traced(path: Path, traced: PlaneVectors, about: dict[str, Any]) -> Non
         stream.write(content)
 
 
-def write_vtk(path: Path, field: VectorField, grid: PlaneGrid) -> None:
+def write_vtk(path: Path, field: VectorField, grid: PlaneGrid, dt_s: float | None = None) -> None:
     """Write a vector field as legacy VTK text (structured grid on z = 0, mm), atomically; NaN where no vector."""
+    what, unit = ("displacement", "mm") if dt_s is None else ("velocity", "mm/s")
     x_mm, y_mm = _axes(field, grid)
     values = _variables(field, grid)
     count = len(x_mm) * len(y_mm)
-    lines = ["# vtk DataFile Version 3.0", "rtpiv displacement [mm]", "ASCII", "DATASET STRUCTURED_GRID"]
+    lines = ["# vtk DataFile Version 3.0", f"rtpiv {what} [{unit}]", "ASCII", "DATASET STRUCTURED_GRID"]
     lines += [f"DIMENSIONS {len(x_mm)} {len(y_mm)} 1", f"POINTS {count} double"]
     lines += [f"{x:.6f} {y:.6f} 0" for y in y_mm for x in x_mm]
-    lines += [f"POINT_DATA {count}", "VECTORS displacement double"]
-    lines += [f"{u:.9g} {v:.9g} 0" for u, v in zip(values["u"].ravel(), values["v"].ravel(), strict=True)]
+    lines += [f"POINT_DATA {count}", f"VECTORS {what} double"]
+    u, v = (_per_time(values[name], dt_s).ravel() for name in "uv")
+    lines += [f"{along:.9g} {up:.9g} 0" for along, up in zip(u, v, strict=True)]
     lines += ["SCALARS flag int 1", "LOOKUP_TABLE default", *(str(flag) for flag in values["flag"].ravel())]
     with whole_file(path) as stream:
         stream.write("\n".join((*lines, "")).encode("ascii"))
+
+
+def _units(dt_s: float | None) -> dict[str, str]:
+    return dict.fromkeys(PLACES, "mm") | dict.fromkeys(WAYS, "mm" if dt_s is None else "mm/s")
+
+
+def _per_time(values: NDArray[Any], dt_s: float | None) -> NDArray[Any]:
+    return values if dt_s is None else values / dt_s
 
 
 def _axes(field: VectorField, grid: PlaneGrid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from correction.fit.contact import pushed_apart
-from tracer.bodies import Body, Rod
+from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
 from tracer.fit_section import FitCameraTable
 from tracer.scene import Scene
@@ -61,15 +61,10 @@ def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
     camera = replace(scene.camera, position_mm=point(scene.camera.position_mm), rotation=(a, b, c))
     spheres = scene.sphere_table()
     spheres[:, :3] = spheres[:, :3] @ turn.T
-    places = iter(pushed_apart(spheres)[:, :3].tolist())
-    bodies: list[Body] = []
-    for body in scene.bodies:
-        if isinstance(body, Rod):
-            bodies.append(replace(body, start_mm=point(body.start_mm), end_mm=point(body.end_mm)))
-        else:
-            x, y, z = next(places)
-            bodies.append(replace(body, centre_mm=(x, y, z)))
-    return replace(scene, camera=camera, bodies=tuple(bodies))
+    places = map(vector3, pushed_apart(spheres)[:, :3])
+    placed = {s.name: replace(s, centre_mm=place) for s, place in zip(scene.spheres, places, strict=True)}
+    bodies = tuple(placed.get(body.name) or body.moved(point) for body in scene.bodies)
+    return replace(scene, camera=camera, bodies=bodies)
 
 
 def in_words(turn: NDArray[np.float64]) -> str:

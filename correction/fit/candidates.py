@@ -15,7 +15,7 @@ from correction.fit.solver import Corners, Residuals, free_rates, landed
 from correction.fit.unknowns import Bench
 from correction.target import Chessboard
 from correction.target.saddles import Saddles
-from tracer.kernels.march import DIRECT
+from tracer.branches import DIRECT
 from tracer.sensitivity import SPHERE, Landings
 
 SQUEEZED = 5.0  # a raw pixel that covers more corrected pixels than this shows no squares

@@ -10,12 +10,9 @@ so the fit works with the glass moved by n_light - n(lambda_scene), and the cons
 own, stays when the glass is moved back.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from correction.fit.errors import ViewsMissing
-from tracer.bodies import Sphere
 from tracer.fit_section import FitLightTable
 from tracer.media import VISIBLE_NM, ConstantMedium, Medium
 from tracer.media import shifted as shifted_medium
@@ -55,16 +52,9 @@ def _moved(scene: Scene, nominal: Scene, light: FitLightTable | None, way: float
         return scene
     bodies = []
     for body, before in zip(scene.bodies, nominal.bodies, strict=True):
-        if isinstance(body, Sphere) and body.medium is not None:
-            assert isinstance(before, Sphere)
-            assert before.medium is not None
-            of_ball = way * _change(before.medium, body.name, nominal, light)
-            cores = []
-            for core, was in zip(body.cores, before.cores, strict=True):
-                of_core = way * _change(was.medium, body.name, nominal, light)
-                cores.append(replace(core, medium=shifted_medium(core.medium, of_core)))
-            body = replace(body, medium=shifted_medium(body.medium, of_ball), cores=tuple(cores))
-        bodies.append(body)
+        changes = [way * _change(was, body.name, nominal, light) for _, was in before.media]
+        media = [shifted_medium(own, change) for (_, own), change in zip(body.media, changes, strict=True)]
+        bodies.append(body.with_media(media))
     return scene.with_bodies(bodies)
 
 

@@ -19,6 +19,7 @@ from correction.fit.measurement import MeasuredFrame
 from correction.fit.solver import Corners, landed
 from correction.fit.unknowns import Bench
 from correction.target import Chessboard
+from tracer.branches import branch_of
 from tracer.sensitivity import SPHERE
 
 FOUND = 0.5  # share of the corners to be seen through a sphere, measured and explained, from which it is not lost
@@ -38,7 +39,7 @@ def lost_spheres(bench: Bench, frames: Sequence[MeasuredFrame], kept: Sequence[N
         expected = found = 0
         for frame, good in zip(frames, kept, strict=True):
             for way, count in frame.expected.items():
-                if sphere.is_on(way.split(" > ")):
+                if sphere.is_on(branch_of(way)):
                     expected += count
                     found += int(np.count_nonzero(good & (frame.way == way)))
         if expected and found < FOUND * expected:

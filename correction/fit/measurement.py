@@ -12,6 +12,7 @@ from correction.fit.solver import Corners
 from correction.target import Chessboard
 from correction.target.board_search import track_board
 from correction.target.corners import CornerFit
+from tracer.branches import text_of
 from tracer.camera import Camera
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
@@ -134,7 +135,7 @@ def glass_frame(
 
 
 def _measured(name: str, board: Chessboard, expected: Expected, fit: CornerFit, height: int) -> MeasuredFrame:
-    ways = np.array([" > ".join(names) for names in expected.branches])[expected.branch]
+    ways = np.array([text_of(names) for names in expected.branches])[expected.branch]
     names, counts = np.unique(ways[ways != ""], return_counts=True)
     valid = fit.valid
     node = board.corner_mm(expected.index[valid])

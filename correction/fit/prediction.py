@@ -21,12 +21,12 @@ from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
 from correction.target import Chessboard
 from correction.target.corners import LEAST_PX, CornerFit, half_widths_px, refine_corners
-from tracer.bodies import Body, Rod
+from tracer.branches import Numbers
 from tracer.camera import Vector3
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
-from tracer.trace import Numbers, trace
+from tracer.trace import trace
 
 LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
 LARGEST_SQUARE_PX = 600.0
@@ -175,16 +175,10 @@ def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
         x, y, z = axes @ (np.array(world) - origin)
         return float(x), float(y), float(z)
 
-    bodies: list[Body] = []
-    for body in scene.bodies:
-        if isinstance(body, Rod):
-            bodies.append(replace(body, start_mm=point(body.start_mm), end_mm=point(body.end_mm)))
-        else:
-            bodies.append(replace(body, centre_mm=point(body.centre_mm)))
     camera = scene.camera
     a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in camera.rotation_matrix @ axes.T)
     camera = replace(camera, position_mm=point(camera.position_mm), rotation=(a, b, c))
-    return replace(scene, camera=camera, bodies=tuple(bodies))
+    return replace(scene, camera=camera, bodies=tuple(body.moved(point) for body in scene.bodies))
 
 
 def _windows(

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from correction.fit.errors import FitFailed
 from correction.fit.unknowns import Bench
+from tracer.branches import branch_of
 from tracer.scene import Scene
 
 RMS_LIMIT_PX = 0.3  # a right fit leaves 0.02-0.07, a wrong one at least several times this
@@ -190,7 +191,7 @@ def check(fit: SceneFit) -> None:
                 text = f"the corners seen through {way} are not where it would show them; start its centre nearer"
                 raise FitFailed(f"share of corners paired through {way}", share, WAY_LIMIT, f"{text}, and {cure}")
         for sphere in fit.bench.scene.spheres:
-            ways = [way for way in fit.expected if sphere.is_on(way.split(" > "))]
+            ways = [way for way in fit.expected if sphere.is_on(branch_of(way))]
             count = sum(fit.expected[way] for way in ways)
             held = not any(name.startswith(f"{sphere.name}.") for name in fit.names)
             if count and not held and not any(fit.paired(way) for way in ways):

@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 
 from correction.fit.contact import WALL_MM, walls
 from correction.fit.unknowns import Bench, left_jacobian
+from tracer.cells import world_from
+from tracer.kernels.sphere import SOLID
 from tracer.sensitivity import CAMERA, Landings, landings_through
 
 LOST = 12.0  # [residual units] what a ray that lands nowhere costs
@@ -97,10 +99,10 @@ class Solution:
 
 def landed(bench: Bench, full: NDArray[np.float64], corners: Corners) -> Landings:
     """Landing points of the corners' pixels on their target."""
-    spheres = bench.spheres(full) if corners.glass else np.zeros((0, 6))
-    rods = bench.scene.rod_table() if corners.glass else np.zeros((0, 7))
+    spheres = bench.spheres(full) if corners.glass else np.zeros((0, SOLID))
+    world = world_from(spheres, bench.scene.other_tables() if corners.glass else ())
     pose = bench.pose(full, corners.height)
-    return landings_through(bench.camera(full), spheres, rods, corners.pixel, pose, bench.scene.n_ambient)
+    return landings_through(bench.camera(full), world, corners.pixel, pose, bench.scene.n_ambient)
 
 
 def free_rates(bench: Bench, full: NDArray[np.float64], corners: Corners, rays: Landings) -> NDArray[np.float64]:

@@ -15,13 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
 from correction.evaluate.target_error import TargetError, target_error
 from correction.fit.prediction import expect
 from correction.fit.result import FittedCorners, SceneFit
+from correction.prepared import prepare
 from correction.target import Chessboard
-from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
 
@@ -91,7 +89,7 @@ def computed_against_acquired(
 
 def corrected_against_grid(scene: Scene, image: NDArray[Any], board: Chessboard) -> TargetError:
     """Sense 2: correct a frame of the target at z = 0 with a scene and measure it."""
-    corrector = Corrector(build_correction_map(scene, build_ray_map(scene)))
+    corrector = prepare(scene).corrector
     return target_error(corrector(image), corrector, board)
 
 

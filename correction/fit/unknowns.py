@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tracer.bodies import Sphere
+from tracer.bodies import Body
 from tracer.camera import Camera, Lens, Vector3
 from tracer.fit_section import FOCAL_SHARE, FitTable
 from tracer.media import Medium, shifted
@@ -128,18 +128,13 @@ class Bench:
         SceneError
             Bodies overlap: make it legal first (`correction.fit.contact`).
         """
-        rows = iter(full[self.glass].reshape(-1, len(SPHERE)).tolist())
-        old_rows = iter(self.start_of_glass().tolist())
-        bodies = []
-        for body in self.scene.bodies:
-            if not isinstance(body, Sphere) or body not in self.scene.spheres:
-                bodies.append(body)
-                continue
-            x, y, z, radius, n = next(rows)
-            nominal = next(old_rows)[4]
-            medium = None if body.medium is None else shifted(body.medium, n - nominal)
-            bodies.append(replace(body, centre_mm=(x, y, z), radius_mm=radius, medium=medium))
-        return replace(self.scene, camera=self.camera(full), bodies=tuple(bodies))
+        rows = full[self.glass].reshape(-1, len(SPHERE)).tolist()
+        moved: dict[str, Body] = {}
+        for sphere, (x, y, z, radius, n), old in zip(self.scene.spheres, rows, self.start_of_glass(), strict=True):
+            medium = None if sphere.medium is None else shifted(sphere.medium, n - float(old[4]))
+            moved[sphere.name] = replace(sphere, centre_mm=(x, y, z), radius_mm=radius, medium=medium)
+        bodies = tuple(moved.get(body.name, body) for body in self.scene.bodies)
+        return replace(self.scene, camera=self.camera(full), bodies=bodies)
 
     def start_of_glass(self) -> NDArray[np.float64]:
         """Numbers of the nominal spheres (N, 5), n absolute."""

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from correction.fit.result import SceneFit
 from correction.fit.unknowns import unit_of
 from tracer.bodies import Sphere
+from tracer.branches import branch_of
 
 LEARNED = 1.0
 TIED = 0.97
@@ -65,7 +66,7 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
 
 def _unseen(fit: SceneFit, sphere: Sphere) -> tuple[str, ...]:
     """Free numbers of a sphere through which the fitted scene shows no corner."""
-    if any(sphere.is_on(way.split(" > ")) for way in fit.expected):
+    if any(sphere.is_on(branch_of(way)) for way in fit.expected):
         return ()
     return tuple(name for name in fit.names if name.startswith(f"{sphere.name}."))
 

@@ -8,8 +8,10 @@ import math
 
 import numpy as np
 
+from correction.kernels.inverse import Tables
 from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
 from tracer.kernels._jit import Array, kernel, unowned
+from tracer.kernels.branches import NOTHING
 from tracer.kernels.camera import undistorted
 from tracer.kernels.chain import (
     LANES,
@@ -22,8 +24,7 @@ from tracer.kernels.chain import (
     look,
     place_row,
 )
-from tracer.kernels.march import next_body
-from tracer.kernels.rod import ROD
+from tracer.kernels.world import next_body, stops
 
 MAX_STEPS = 25
 SETTLED_PX = 1e-10
@@ -36,7 +37,7 @@ X, Y, XA, XB, YB, WANTED_X, WANTED_Y = (k * STEP for k in range(7))  # columns o
 def hide_nodes(
     row: int,
     place: Array,
-    tables: tuple[Array, ...],
+    tables: Tables,
     discs: Array,
     lockstep: bool,
     x: Array,
@@ -52,7 +53,7 @@ def hide_nodes(
     a sphere's shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.  Only nodes in
     shadows are asked for.  ``discs`` (N, BALL), of which centre and R^2 count, in the order of the sphere table.
     """
-    camera, spheres, rods = tables[0], tables[1], tables[2]
+    camera, world = tables
     width, bodies = x.shape[0], discs.shape[0]
     place_row(row, True, place, x, y)
     count = 0
@@ -61,7 +62,7 @@ def hide_nodes(
         low, high = glass_span(x, y, True, place, discs, k)
         if low < high:
             count = insert_span(joined, count, low, high)
-    if rods.shape[0] > 0:
+    if len(world.others) > 0:
         joined[0, 0], joined[0, 1] = 0, width
         count = 1
     for i in range(width):
@@ -81,11 +82,10 @@ def hide_nodes(
                 for i in range(low, high):
                     dx, dy = x[i], -y[i]
                     unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
-                    body = next_body(
-                        camera[0], camera[1], camera[2], dx * unit, dy * unit, -unit, -1, spheres, rods
-                    )
-                    if body != -1:
-                        opaque = body == ROD or spheres[body, 5] != 0.0
+                    dx, dy, dz = dx * unit, dy * unit, -unit
+                    body = next_body(camera[0], camera[1], camera[2], dx, dy, dz, NOTHING, world)
+                    if body != NOTHING:
+                        opaque = stops(camera[0], camera[1], camera[2], dx, dy, dz, body, world)
                         hidden[i] = BEHIND_BODY if opaque else BEHIND_GLASS
             low = high
 
@@ -93,7 +93,7 @@ def hide_nodes(
 @kernel
 def direct_rows(
     place: Array,
-    tables: tuple[Array, ...],
+    tables: Tables,
     discs: Array,
     lockstep: bool,
     flat: bool,

@@ -10,8 +10,11 @@ import numpy as np
 
 from correction.node_status import RECOVERED
 from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
-from tracer.kernels.march import RECOVERED as TRACED
 from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.world import RECOVERED as TRACED
+from tracer.kernels.world import World, unowned_world
+
+Tables = tuple[Array, World]  # camera and bodies
 
 MAX_STEPS = 25
 TOLERANCE_PX = 1e-6  # last Newton step; it is still applied, which leaves about its square
@@ -34,22 +37,13 @@ def stretch(uc: float, ur: float, vc: float, vr: float) -> tuple[float, ...]:
 
 
 @kernel_inlined
-def unowned_tables(tables: tuple[Array, ...]) -> tuple[Array, ...]:
-    """Return the tables of a scene (camera, spheres, rods, and the three of its cells) as `unowned`."""
-    return (
-        unowned(tables[0]),
-        unowned(tables[1]),
-        unowned(tables[2]),
-        unowned(tables[3]),
-        unowned(tables[4]),
-        unowned(tables[5]),
-    )
+def unowned_tables(tables: Tables) -> Tables:
+    """Return the tables of a scene, camera and bodies, as `unowned`."""
+    return unowned(tables[0]), unowned_world(tables[1])
 
 
 @kernel
-def solve_node(
-    x: float, y: float, u: float, v: float, key: int, sign: float, tables: tuple[Array, ...]
-) -> tuple[float, ...]:
+def solve_node(x: float, y: float, u: float, v: float, key: int, sign: float, tables: Tables) -> tuple[float, ...]:
     """Careful Newton for one node: converged, u, v, Jacobian d plane / d pixel, transmittance.
 
     It steps back where it has left the sheet, a connected part of one branch with one sign of the determinant.

@@ -21,9 +21,10 @@ import math
 
 import numpy as np
 
-from correction.kernels.inverse import stretch
+from correction.kernels.inverse import Tables, stretch
 from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
-from tracer.kernels.march import RECOVERED, march_pixel_tangents
+from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.world import RECOVERED
 
 SIGN, USEFUL, NEAR, BENT, GLASS, EDGE, BORDER = 1, 2, 4, 8, 16, 32, 64
 KIND = SIGN | GLASS
@@ -89,7 +90,7 @@ def flags_of(
 
 @kernel
 def flag_rows(
-    tables: tuple[Array, ...],
+    tables: Tables,
     grid: Array,
     box: Array,
     longest: float,

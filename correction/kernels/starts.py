@@ -18,7 +18,7 @@ the Jacobian before it to be good enough after it: |J^-1 dJ| <= 2 step max |J^-1
 import numpy as np
 
 from correction.kernels.bspline import INDEX
-from correction.kernels.inverse import TOLERANCE_PX, inverse_2x2, unowned_tables
+from correction.kernels.inverse import TOLERANCE_PX, Tables, inverse_2x2, unowned_tables
 from correction.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
 from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
@@ -85,7 +85,7 @@ def measure_pixels(
 
 
 @kernel
-def ask_lonely(line: int, count: int, listed: Array, tables: tuple[Array, ...], m: Array) -> None:
+def ask_lonely(line: int, count: int, listed: Array, tables: Tables, m: Array) -> None:
     """Derivatives of the measured pixels that have no neighbours, as traced."""
     for k in range(count):
         if m[XU + k] * m[XV + k] * m[YU + k] * m[YV + k] * 0.0 != 0.0:
@@ -170,7 +170,7 @@ def scatter_sheet(
     branch: Array,
     flags: Array,
     runs: Array,
-    tables: tuple[Array, ...],
+    tables: Tables,
     grid: Array,
     weight: Array,
     enough: np.float32,
@@ -187,7 +187,7 @@ def scatter_sheet(
     Returns how many came from the tiling, and how many with those from the edges, which may name a node again.
 
     ``plane`` (H, 2 W), ``branch``, ``flags`` (H, W) as in ``correction.kernels.sheets``, ``runs`` (R, RUN) those
-    of the sheet, ``tables`` camera, spheres, rods, cells.  Nodes whose ``weight`` (h, w) is `enough` are left out,
+    of the sheet, ``tables`` camera and bodies.  Nodes whose ``weight`` (h, w) is `enough` are left out,
     and those whose ``taken`` (h, w) uint8 is `stamp`, which nodes get from the tiling.
 
     ``nodes`` (N, 2) int32 receives rows and columns of the nodes, ``starts`` (N, 4) their start u, v, its squared

@@ -7,7 +7,7 @@ sensor, weighed, and kept if it is among the best of its node.
 """
 
 from correction.kernels.bspline import INDEX
-from correction.kernels.inverse import inverse_2x2, keep_view, solve_node, stretch, unowned_tables
+from correction.kernels.inverse import Tables, inverse_2x2, keep_view, solve_node, stretch, unowned_tables
 from correction.kernels.newton import (
     CONVERGED,
     FAILED,
@@ -29,8 +29,8 @@ from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVE
 from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.camera import undistorted
 from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
-from tracer.kernels.march import RECOVERED as TRACED
 from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.world import RECOVERED as TRACED
 
 ANOTHER = -2  # a trip that no ray takes
 
@@ -40,7 +40,7 @@ stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
 
 @kernel
 def solve_nodes(
-    tables: tuple[Array, ...],
+    tables: Tables,
     grid: Array,
     balls: Array,
     sequence: Array,
@@ -72,7 +72,7 @@ def solve_nodes(
     """
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
     tables, sequence = unowned_tables(tables), unowned(sequence)
-    camera, spheres = tables[0], tables[1]
+    camera, spheres = tables[0], tables[1].spheres
     status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
     transmittance, branch, starts, nodes = unowned(transmittance), unowned(branch), unowned(starts), unowned(nodes)
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
@@ -179,7 +179,7 @@ def verify(
 
 @kernel
 def verify_one_by_one(
-    count: int, trip: int, key: int, tables: tuple[Array, ...], state: Array, trips: Array, b: Array
+    count: int, trip: int, key: int, tables: Tables, state: Array, trips: Array, b: Array
 ) -> None:
     """As `verify` for scenes of many bodies: `trip` for converged pixels whose ray has the branch key `key`."""
     for i in range(count):

@@ -1,10 +1,8 @@
-"""The calibration target: a chessboard with three discs that mark its origin.
+"""The calibration target: a chessboard (`tracer.board`) whose discs mark its origin.
 
-Square (i, j) spans [i a, (i+1) a] x [j a, (j+1) a] mm, a = square_mm; squares with i + j odd are bright.
 Corner (i, j) is the point (i a, j a), the lower left corner of square (i, j) as the camera sees it upright.
-A disc of the other shade sits in the middle of a few squares.  Their pattern looks different after every
-quarter turn, so it fixes both the origin and the orientation; it cannot tell a mirror image, which no
-camera shows of a board in air.
+The pattern of the discs looks different after every quarter turn, so it fixes both the origin and the orientation;
+it cannot tell a mirror image, which no camera shows of a board in air.
 
 Around a corner two edges cross.  What a fit may look at is a cross of arms along them: the arms end before
 the next corner (1 square away) and are thinner than the distance from an edge to a disc.
@@ -16,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from correction.errors import BoardError
+from tracer.board import Board, Square
 
-Square = tuple[int, int]
 QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
     ((1, 0), (0, 1)),
     ((0, -1), (1, 0)),
@@ -27,27 +25,14 @@ QUARTER_TURNS: tuple[tuple[Square, Square], ...] = (
 
 
 @dataclass(frozen=True)
-class Chessboard:
-    """A chessboard target.
-
-    Parameters
-    ----------
-    square_mm : float
-        Side of a square.
-    disc_mm : float
-        Diameter of the discs.
-    discs : tuple of (int, int)
-        Squares (column to +x, row to +y) that carry a disc.
+class Chessboard(Board):
+    """A chessboard target that can be found: a `Board`, and where its corners are.
 
     Raises
     ------
     BoardError
         A size is not positive, a disc does not leave room for the edges, or the discs look the same after a turn.
     """
-
-    square_mm: float = 2.5
-    disc_mm: float = 1.0
-    discs: tuple[Square, ...] = ((0, 0), (0, -1), (-1, -1))
 
     def __post_init__(self) -> None:
         if not (self.square_mm > 0.0 and self.disc_mm > 0.0):

@@ -35,6 +35,8 @@ def on_smooth_map(
     Iteratively reweighted least squares with Cauchy weights squared, from a plane up to order 5 (less for few
     corners), so that a minority of foreign corners does not drag the map along.
     """
+    if not len(index):  # a frame in which nothing of the board was found
+        return np.zeros(0, dtype=bool)
     size = max(float(np.ptp(index, axis=0).max()), 1.0)
     x, y = (2.0 * (index - index.mean(axis=0)) / size).T
     side = np.hypot(axes_px[:, 0], axes_px[:, 1]).mean(axis=1)

@@ -12,7 +12,7 @@
       options: {cti: /opt/vendor/gentl.cti, serial: "1234"}
       settings: {PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerMode: "On", TriggerSource: Software}
       timeout_s: 5.0
-    target: {square_mm: 2.5}
+    target: {square_mm: 2.5, disc_mm: 1.0}
     keep_out: {...}                      # see stages.keep_out; without it nothing but limits is judged
     simulation: {bench: "sim.bench:SimulatedBench", ...}   # what --simulate puts in place of the hardware
 
@@ -30,6 +30,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
+from correction.target import Chessboard
 from daq.cameras.camera import Setting
 from stages.config import AxisTable, Name, Positive, StagesTable
 from stages.keep_out import KeepOutTable
@@ -65,9 +66,15 @@ class GlassSection(Table):
 
 
 class TargetSection(Table):
-    """What hangs on the target's stage."""
+    """The board that hangs on the target's stage."""
 
     square_mm: Positive = 2.5
+    disc_mm: Positive = 1.0
+
+    @property
+    def board(self) -> Chessboard:
+        """The board; BoardError if nobody can print it."""
+        return Chessboard(self.square_mm, self.disc_mm)
 
 
 class BenchTable(Table):
@@ -102,6 +109,26 @@ class BenchTable(Table):
             raise ValueError("; ".join(problems))
         return self
 
+    @property
+    def home_mm(self) -> dict[str, float]:
+        """Position of every axis at which the scene file holds."""
+        return {name: self.scene_at_mm.get(name, 0.0) for name in self.stages.axes}
+
+    def offset_mm(self, element: str, positions_mm: Mapping[str, float]) -> Vector:
+        """World displacement of an element from its place in the scene file.
+
+        Parameters
+        ----------
+        element : str
+            camera, glass or target.
+        positions_mm : mapping
+            Position of every axis.
+        """
+        home, offset = self.home_mm, dict.fromkeys(DIRECTIONS, 0.0)
+        for name, axis in self.axes_of(element).items():
+            offset[axis.along] += positions_mm[name] - home[name]
+        return (offset["x"], offset["y"], offset["z"])
+
     def axes_of(self, element: str) -> dict[str, AxisTable]:
         """Axes that carry an element."""
         return {name: axis for name, axis in self.stages.axes.items() if axis.carries == element}
@@ -131,33 +158,19 @@ class Bench:
     @property
     def home_mm(self) -> dict[str, float]:
         """Position of every axis at which the scene file holds."""
-        return {name: self.table.scene_at_mm.get(name, 0.0) for name in self.table.stages.axes}
+        return self.table.home_mm
 
     @property
     def has_glass(self) -> bool:
         """Whether bodies stand before the plane."""
         return bool(self.scene.bodies)
 
-    def offset_mm(self, element: str, positions_mm: Mapping[str, float]) -> Vector:
-        """World displacement of an element from its place in the scene file.
-
-        Parameters
-        ----------
-        element : str
-            camera, glass or target.
-        positions_mm : mapping
-            Position of every axis.
-        """
-        home, offset = self.home_mm, dict.fromkeys(DIRECTIONS, 0.0)
-        for name, axis in self.table.axes_of(element).items():
-            offset[axis.along] += positions_mm[name] - home[name]
-        return (offset["x"], offset["y"], offset["z"])
-
     def content_hash(self) -> str:
-        """Hex digest (16 characters) of all that the file says, but for ports, which change with every plug."""
+        """Hex digest (16 characters) of all that the file says, but for ports and boxes, which may be replaced."""
         tree = self.table.model_dump(exclude_unset=True)  # a newer version may know more keys
         for controller in tree["stages"]["controllers"].values():
             controller.pop("port")
+            controller.pop("identity", None)
         del tree["scene"]  # its content is hashed by the scene itself
         return digest(tree)
 

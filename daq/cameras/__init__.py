@@ -6,6 +6,7 @@ that stand elsewhere.
 """
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any, cast
 
 from daq.cameras.camera import Camera
@@ -16,6 +17,22 @@ BACKENDS = {
     "aravis": "daq.cameras.aravis:AravisCamera",
     "files": "daq.cameras.files:FilesCamera",
 }
+LIBRARIES = {"harvesters": ("harvesters", "genicam")}  # of the extra rtpiv[camera]
+
+
+def require_libraries(backend: str) -> None:
+    """Look whether a backend's libraries are installed, before anybody waits for anything.
+
+    Raises
+    ------
+    CameraSetupError
+        Some are not; the message names them and the extra that brings them.
+    """
+    missing = [name for name in LIBRARIES.get(backend, ()) if find_spec(name) is None]
+    if missing:
+        raise CameraSetupError(
+            f"camera backend {backend!r} needs {' and '.join(missing)}; install the extra rtpiv[camera]"
+        )
 
 
 def make_camera(backend: str, **options: Any) -> Camera:  # noqa: ANN401 - each backend checks its own options

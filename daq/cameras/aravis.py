@@ -3,6 +3,10 @@
 libaravis receives packets, asks for lost ones again and fills our buffers from a thread of its own, outside
 Python.  Frames are unpacked into shared memory in the caller's thread when it asks for the next one.
 
+libaravis counts underruns by packets: every packet of a frame that found no buffer is one.  How many frames they
+were is told by the ids that are skipped, or where none is (before the first frame, behind the last one) by the
+number of packets that a frame has.
+
 Discovery would broadcast on all interfaces of the machine, so the device is made from the two addresses alone.
 """
 
@@ -17,6 +21,7 @@ from numpy.typing import NDArray
 
 from daq.cameras.aravis_nodes import AravisNodes
 from daq.cameras.camera import CameraInfo, Counters, Setting
+from daq.cameras.camera_clock import CameraClock
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.gvcp_probe import is_controlled, local_address
@@ -25,13 +30,23 @@ from daq.cameras.libaravis import CHECK_ENABLED, STATUS_SUCCESS, AravisError, ca
 from daq.cameras.pixels import unpack, warm_up
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
-from daq.errors import CameraBusy, CameraError, CameraLost, CameraTimeout, CameraUsageError, FrameError
+from daq.cameras.waiting import PROBE_MIN_S, wait_for_frame
+from daq.errors import (
+    CameraBusy,
+    CameraError,
+    CameraLost,
+    CameraTimeout,
+    CameraUsageError,
+    FrameError,
+    FrameIncomplete,
+)
 
-PROBE_MIN_S = 0.5
 OPEN_PROBE_S = 1.0
 POLL_S = 0.1
 DRAIN_US = 1000
 MAX_PAYLOAD_BYTES = 1 << 29
+PACKET_SIZE, SMALLEST_PACKET_BYTES = "GevSCPSPacketSize", 576
+PACKET_OVERHEAD_BYTES = 36  # headers of IP, UDP and stream
 
 
 class AravisCamera:
@@ -57,8 +72,12 @@ class AravisCamera:
         self._memory: list[NDArray[np.uint8]] = []
         self._ids = IdTracker(16)
         self._counts_triggers = False
+        self._ignored_before = 0
+        self._clock: CameraClock | None = None
         self._exposure_us = float("nan")
+        self._packets_per_frame = 1
         self._delivered = self._incomplete = self._unused = 0
+        self._underrun_in_gaps = self._underrun_before = self._underrun_packets = 0
         self._last = Counters()
 
     @property
@@ -140,15 +159,19 @@ class AravisCamera:
             if not 0 < size <= MAX_PAYLOAD_BYTES or not 0 < pixels <= MAX_PAYLOAD_BYTES:
                 raise FrameError(f"the camera announces frames of {size} bytes and {pixels} px")
             self._exposure_us = exposure_us(nodes)
+            self._packets_per_frame = _packets_per_frame(nodes, size)
             self._counts_triggers = count_missed_triggers(nodes)
+            self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
+            self._memory = [np.empty(size, np.uint8) for _ in range(buffers)]
+            ready = [call("arv_buffer_new", size, memory.ctypes.data) for memory in self._memory]
             self._stream = call("arv_device_create_stream", self._device, None, None)
+        for buffer in ready:  # at once: a frame that was under way may come from now on
+            call("arv_stream_push_buffer", self._stream, buffer)
         self._ring = FrameRing(buffers, pixels)
         self._free = deque(range(buffers))
-        self._memory = [np.empty(size, np.uint8) for _ in range(buffers)]
-        for memory in self._memory:
-            call("arv_stream_push_buffer", self._stream, call("arv_buffer_new", size, memory.ctypes.data))
         self._ids = IdTracker(16)
         self._delivered = self._incomplete = self._unused = 0
+        self._underrun_in_gaps = self._underrun_before = self._underrun_packets = 0
         self._last = Counters(ignored_triggers=0 if self._counts_triggers else None)
         try:
             with self._errors("arm"):
@@ -159,32 +182,55 @@ class AravisCamera:
             self._drop_stream()
             raise
 
-    def trigger(self) -> None:
-        """Send one software trigger."""
+    def clock_ns(self) -> int | None:
+        """The camera's own clock now; None if it cannot be read."""
+        nodes = self._open_nodes()
+        with self._errors("clock"):
+            if self._clock is None:
+                self._clock = CameraClock(nodes)
+            return self._clock.read_ns(nodes)
+
+    def trigger(self) -> int | None:
+        """Send one software trigger; returns the camera's clock right before."""
         self._require_armed()
+        try:
+            before_ns = self.clock_ns()
+        except CameraLost:
+            raise
+        except CameraError:  # a clock that cannot be read is none
+            before_ns = None
         with self._errors("trigger"):
             self._open_nodes().execute("TriggerSoftware")
+        return before_ns
+
+    def poll(self, timeout_s: float) -> Frame | None:
+        """Next complete frame, or None; FrameIncomplete when one came with pixels missing."""
+        self._require_armed()
+        deadline = time.monotonic() + timeout_s
+        while True:
+            left_s = max(0.0, deadline - time.monotonic())
+            if self._free:
+                buffer = call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * min(left_s, POLL_S)))
+                if buffer:
+                    return self._take(buffer)
+            elif left_s:
+                time.sleep(min(left_s, 0.002))  # the caller holds every slot
+            if not left_s:
+                return None
+
+    def probe(self, patience_s: float) -> None:
+        """CameraLost unless the camera answers and still knows that it is controlled."""
+        self._require_armed()
+        if not self._free:
+            raise CameraTimeout("every buffer is held by frames that were not released; release them")
+        self._probe(patience_s)
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Wait for the next complete frame; incomplete ones are counted and put aside."""
-        self._require_armed()
-        deadline = time.monotonic() + timeout_s
-        while (left_s := deadline - time.monotonic()) > 0:
-            if not self._free:
-                time.sleep(min(left_s, 0.002))  # the caller holds every slot
-                continue
-            buffer = call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * min(left_s, POLL_S)))
-            if buffer:
-                frame = self._take(buffer)
-                if frame is not None:
-                    return frame
-        if not self._free:
-            raise CameraTimeout("every buffer is held by frames that were not released; release them")
-        self._probe(max(PROBE_MIN_S, timeout_s / 2))
-        raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
+        return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
-        """Stop the acquisition; complete frames that nobody fetched count as underrun."""
+        """Stop the acquisition; complete frames that nobody fetched count as unused."""
         if not self._stream:
             return self._last
         nodes = AravisNodes(self._device)
@@ -193,7 +239,7 @@ class AravisCamera:
                 nodes.execute("AcquisitionStop")
                 if nodes.has("TLParamsLocked"):
                     nodes.set("TLParamsLocked", 0)
-                ignored = int(nodes.get("CounterValue")) if self._counts_triggers else None
+                ignored = self._ignored(nodes) if self._counts_triggers else None
             self._drain()
             self._last = self._count(ignored)
         finally:
@@ -207,6 +253,7 @@ class AravisCamera:
         if device:
             call("g_object_unref", device)
         self._info = None
+        self._clock = None
         self._configured = {}
 
     def _prepare(self) -> None:
@@ -224,18 +271,20 @@ class AravisCamera:
         serial = who["DeviceSerialNumber"] or who["DeviceID"]
         self._info = CameraInfo("aravis", who["DeviceVendorName"], who["DeviceModelName"], serial, self._address)
 
-    def _take(self, buffer: int) -> Frame | None:
-        """Frame of a buffer, or None if it is incomplete; the buffer goes back to the stream."""
+    def _take(self, buffer: int) -> Frame:
+        """Frame of a buffer, which goes back to the stream."""
         received_ns = time.monotonic_ns()
         frame_id = int(call("arv_buffer_get_frame_id", buffer))
         try:
             if call("arv_buffer_get_status", buffer) != STATUS_SUCCESS:
                 self._incomplete += 1
                 if frame_id:
-                    self._ids.note(frame_id)
-                return None
-            sequence = self._ids.note(frame_id)
+                    self._note(frame_id)
+                raise FrameIncomplete("a frame came with pixels missing; look at the link")
+            sequence = self._note(frame_id)
             return self._unpack(buffer, frame_id, sequence, received_ns)
+        except FrameIncomplete:
+            raise
         except FrameError:
             self._unused += 1
             raise
@@ -251,8 +300,21 @@ class AravisCamera:
                 self._incomplete += 1
             frame_id = int(call("arv_buffer_get_frame_id", buffer))
             if frame_id:
-                self._ids.note(frame_id)
+                self._note(frame_id)
             call("g_object_unref", buffer)
+
+    def _note(self, frame_id: int) -> int:
+        """Follow the ids; ids that were skipped while packets found no buffer are underruns."""
+        is_first, gaps = self._ids.sequence < 0, self._ids.gaps
+        sequence = self._ids.note(frame_id)
+        skipped = self._ids.gaps - gaps
+        if is_first or skipped > 0:
+            packets, self._underrun_packets = self._underrun_packets, self._statistics()[1]
+            if self._underrun_packets > packets and is_first:
+                self._underrun_before = -(-self._underrun_packets // self._packets_per_frame)
+            elif self._underrun_packets > packets:
+                self._underrun_in_gaps += skipped
+        return sequence
 
     def _unpack(self, buffer: int, frame_id: int, sequence: int, received_ns: int) -> Frame:
         assert self._ring is not None
@@ -269,6 +331,8 @@ class AravisCamera:
         self._free.popleft()
         self._delivered += 1
         timestamp_ns = int(call("arv_buffer_get_timestamp", buffer))
+        if timestamp_ns == int(call("arv_buffer_get_system_timestamp", buffer)):
+            timestamp_ns = 0  # the camera has no clock, and libaravis stamps with this computer's, on arrival
         meta = FrameMeta(
             frame_id, sequence, timestamp_ns, received_ns, self._exposure_us, form.name, form.significant_bits
         )
@@ -276,14 +340,24 @@ class AravisCamera:
         return Frame(pixels, meta, lambda: free.append(slot) if self._ring is ring else None, slot)
 
     def _count(self, ignored: int | None = None) -> Counters:
+        resent, packets = self._statistics()
+        behind = -(-(packets - self._underrun_packets) // self._packets_per_frame)
+        underrun = self._underrun_before + self._underrun_in_gaps + behind
+        if ignored is None and self._counts_triggers:
+            ignored = self._ignored(AravisNodes(self._device))
+        missing = self._ids.missing(self._underrun_in_gaps)
+        return Counters(self._delivered, self._incomplete, underrun, missing, resent, ignored, unused=self._unused)
+
+    def _statistics(self) -> tuple[int, int]:
+        """Packets that were sent again, and packets that found no buffer."""
         completed, failed, underrun = ctypes.c_uint64(), ctypes.c_uint64(), ctypes.c_uint64()
         addresses = (ctypes.byref(number) for number in (completed, failed, underrun))
         call("arv_stream_get_statistics", self._stream, *addresses)
         resent = int(call("arv_stream_get_info_uint64_by_name", self._stream, b"n_resent_packets"))
-        if ignored is None and self._counts_triggers:
-            ignored = int(AravisNodes(self._device).get("CounterValue"))
-        missing = self._ids.missing(underrun.value)
-        return Counters(self._delivered, self._incomplete, underrun.value + self._unused, missing, resent, ignored)
+        return resent, underrun.value
+
+    def _ignored(self, nodes: AravisNodes) -> int:
+        return max(0, int(nodes.get("CounterValue")) - self._ignored_before)
 
     def _probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers and still knows that it is controlled."""
@@ -312,6 +386,13 @@ class AravisCamera:
     def _require_armed(self) -> None:
         if not self._stream:
             raise CameraUsageError("the camera is not armed; call arm first")
+
+
+def _packets_per_frame(nodes: AravisNodes, payload_bytes: int) -> int:
+    """Leader, data and trailer of a frame."""
+    packet_bytes = int(nodes.get(PACKET_SIZE)) if nodes.has(PACKET_SIZE) else SMALLEST_PACKET_BYTES
+    data_bytes = max(1, (packet_bytes & 0xFFFF) - PACKET_OVERHEAD_BYTES)
+    return -(-payload_bytes // data_bytes) + 2
 
 
 class _Translate:

@@ -77,6 +77,10 @@ class AravisNodes:
             "arv_device_dup_available_enumeration_feature_values_as_strings", self._device, name.encode()
         )
 
+    def can_execute(self, name: str) -> bool:
+        """Whether the command exists and is available now."""
+        return self._kind(name) == "Command" and self.has(name)
+
     def execute(self, name: str) -> None:
         """Execute a command."""
         call("arv_device_execute_command", self._device, name.encode())

@@ -12,6 +12,8 @@ underrun           frames the camera sent while no buffer was free (consumer too
 missing            ids that never arrived in any form (neither delivered, incomplete nor underrun)
 resent             packets that arrived at the second request (the link is marginal, nothing is lost)
 ignored_triggers   triggers that came while the camera was busy; None if the camera cannot tell
+unused             frames that arrived whole and were not handed over: not fetched before the camera was
+                   disarmed, or in contradiction to what they announced
 =================  ==================================================================================
 """
 
@@ -34,6 +36,7 @@ class Counters:
     missing: int = 0
     resent: int = 0
     ignored_triggers: int | None = None
+    unused: int = 0
 
     @property
     def lost(self) -> int:
@@ -93,8 +96,23 @@ class Camera(Protocol):
         """Allocate `buffers` frames of memory and start the acquisition; counters begin at zero."""
         ...
 
-    def trigger(self) -> None:
-        """Send one software trigger."""
+    def clock_ns(self) -> int | None:
+        """The camera's own clock now, the one that stamps its frames; None if it cannot be read."""
+        ...
+
+    def trigger(self) -> int | None:
+        """Send one software trigger; return `clock_ns` of the moment right before."""
+        ...
+
+    def poll(self, timeout_s: float) -> Frame | None:
+        """Wait for the next complete frame; None if none came.  Asks the camera nothing, 0 s only looks.
+
+        Raises FrameIncomplete when a frame came with pixels missing; it is counted, and the next call goes on.
+        """
+        ...
+
+    def probe(self, patience_s: float) -> None:
+        """CameraLost unless the camera answers within this time."""
         ...
 
     def next_frame(self, timeout_s: float) -> Frame:
@@ -102,7 +120,7 @@ class Camera(Protocol):
         ...
 
     def disarm(self) -> Counters:
-        """Stop the acquisition; frames not fetched are gone and counted as underrun."""
+        """Stop the acquisition; frames not fetched are gone and counted as unused."""
         ...
 
     def close(self) -> None:

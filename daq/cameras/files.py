@@ -111,28 +111,46 @@ class FilesCamera:
         if self._values["TriggerMode"] == "Off":
             self._due_ns.append(time.monotonic_ns())
 
-    def trigger(self) -> None:
+    def clock_ns(self) -> int:
+        """Clock of this computer; it stamps the frames."""
+        return time.monotonic_ns()
+
+    def trigger(self) -> int:
         """Show the next file; a trigger beyond the free buffers is ignored and counted."""
-        due = self._require_armed()
+        due, before_ns = self._require_armed(), self.clock_ns()
         if self._values["TriggerMode"] != "On":
             raise CameraUsageError("set TriggerMode to On before sending software triggers")
         if len(due) == due.maxlen:
             old = self._counters
             self._counters = Counters(old.delivered, ignored_triggers=(old.ignored_triggers or 0) + 1)
-            return
-        due.append(time.monotonic_ns())
+        else:
+            due.append(time.monotonic_ns())
+        return before_ns
+
+    def probe(self, patience_s: float) -> None:
+        """Files always answer."""
+        self._require_armed()
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Return the next file's frame when it is due."""
-        due = self._require_armed()
-        wait_s = (due[0] - time.monotonic_ns()) / 1e9 if due else timeout_s
-        if not due or wait_s > timeout_s or (self._next_file >= len(self._paths) and not self._repeat):
-            time.sleep(min(timeout_s, max(0.0, wait_s)))
+        frame = self.poll(timeout_s)
+        if frame is None:
             raise CameraTimeout(
                 f"no frame within {timeout_s:g} s: {self._next_file} of {len(self._paths)} files shown, "
                 f"TriggerMode {self._values['TriggerMode']}"
             )
-        time.sleep(max(0.0, wait_s))
+        return frame
+
+    def poll(self, timeout_s: float) -> Frame | None:
+        """Return the next file's frame when it is due; None if that is later, or there is none."""
+        due = self._require_armed()
+        if not due or (self._next_file >= len(self._paths) and not self._repeat):
+            time.sleep(timeout_s)
+            return None
+        wait_s = max(0.0, (due[0] - time.monotonic_ns()) / 1e9)
+        time.sleep(min(wait_s, timeout_s))
+        if wait_s > timeout_s:
+            return None
         due_ns = due.popleft()
         if self._values["TriggerMode"] == "Off":
             due.append(due_ns + round(1e9 / float(self._values["AcquisitionFrameRate"])))

@@ -37,7 +37,7 @@ class FrameMeta:
     sequence : int
         Unwrapped id since arming, 0 for the first frame seen; gaps are missing frames.
     timestamp_ns : int
-        Camera clock at the start of the exposure; 0 if the camera has no clock.
+        Camera clock at the start of the exposure; 0 if the camera has no clock, or stamps on arrival.
     received_ns : int
         Host ``time.monotonic_ns`` when the frame was complete.
     exposure_us : float
@@ -50,6 +50,8 @@ class FrameMeta:
         Measured axis positions while the frame was taken; empty until the runner adds them.
     status : FrameStatus
         COMPLETE, or INCOMPLETE where pixels are missing.
+    id_told : bool
+        Whether the id is the camera's; False if it tells none and the backend counts what arrives.
     """
 
     frame_id: int
@@ -61,6 +63,7 @@ class FrameMeta:
     significant_bits: int
     positions_mm: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     status: FrameStatus = FrameStatus.COMPLETE
+    id_told: bool = True
 
 
 class Frame:

@@ -53,6 +53,12 @@ class GenApiNodes:
         """Entries of an enumeration."""
         return tuple(self._map.get_node(name).symbolics)
 
+    def can_execute(self, name: str) -> bool:
+        """Whether the command exists and is available now."""
+        if not self._map.has_node(name):
+            return False
+        return self._map.get_node(name).get_access_mode() in (genapi.EAccessMode.WO, genapi.EAccessMode.RW)
+
     def execute(self, name: str) -> None:
         """Execute a command."""
         self._map.get_node(name).execute()

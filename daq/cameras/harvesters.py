@@ -5,26 +5,30 @@ a deadline.  A process that gives no answer within 1.5 times the timeout of a ca
 as lost: a producer that hangs inside a C call can be cured in no other way.
 """
 
-import multiprocessing
+import os
+import subprocess
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from daq.cameras import harvesters_process
 from daq.cameras.camera import CameraInfo, Counters, Setting
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
 from daq.cameras.ring import FrameRing
+from daq.cameras.waiting import wait_for_frame
 from daq.cameras.wire import Message, raise_error, receive, send
-from daq.errors import CameraError, CameraLost, CameraSetupError, CameraTimeout, CameraUsageError, FrameError
+from daq.errors import CameraError, CameraLost, CameraSetupError, CameraUsageError, FrameError, FrameIncomplete
 
 OPEN_S = 30.0  # a new Python process, numba, a producer that looks for cameras
 CALL_S = 5.0
 WATCHDOG = 1.5
-PROBE_MIN_S = 0.5
 
 
 class HarvestersCamera:
@@ -41,7 +45,8 @@ class HarvestersCamera:
     def __init__(self, cti: Path | str, serial: str | None = None) -> None:
         self._cti = Path(cti)
         self._serial = serial
-        self._process: Any = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._end_process: weakref.finalize[..., HarvestersCamera] | None = None
         self._pipe: Any = None
         self._send_lock = threading.Lock()
         self._info: CameraInfo | None = None
@@ -53,7 +58,8 @@ class HarvestersCamera:
         self._ids = IdTracker()
         self._counts: Message = {}
         self._delivered = 0
-        self._dropped = 0
+        self._unused = 0
+        self._incomplete_told = 0
 
     @property
     def info(self) -> CameraInfo:
@@ -77,11 +83,8 @@ class HarvestersCamera:
             raise CameraSetupError(
                 f"there is no GenTL producer {self._cti}; install the camera vendor's, or fix the path"
             )
-        context = multiprocessing.get_context("spawn")
-        self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, str(self._cti), self._serial), daemon=True)
-        self._process.start()
-        theirs.close()
+        self._process, self._pipe = harvesters_process.start(str(self._cti), self._serial)
+        self._end_process = weakref.finalize(self, _end, self._process, os.getpid())  # also where nobody closes it
         try:
             found = self._call("open", OPEN_S)
         except CameraError:
@@ -117,7 +120,7 @@ class HarvestersCamera:
         self._waiting.clear()
         self._ids = IdTracker(self._id_bits)
         self._counts = {}
-        self._delivered = self._dropped = 0
+        self._delivered = self._unused = self._incomplete_told = 0
         try:
             self._call("arm", OPEN_S, ring=ring.name, slots=buffers, pixels=pixels)
         except CameraError:
@@ -125,28 +128,40 @@ class HarvestersCamera:
             raise
         self._ring = ring
 
-    def trigger(self) -> None:
-        """Send one software trigger."""
+    def clock_ns(self) -> int | None:
+        """The camera's own clock now; None if it cannot be read."""
+        now_ns: int | None = self._call("clock")
+        return now_ns
+
+    def trigger(self) -> int | None:
+        """Send one software trigger; returns the camera's clock right before."""
         self._require_armed()
-        self._call("trigger")
+        before_ns: int | None = self._call("trigger")
+        return before_ns
+
+    def poll(self, timeout_s: float) -> Frame | None:
+        """Next complete frame, or None; FrameIncomplete when one came with pixels missing."""
+        self._require_armed()
+        deadline = time.monotonic() + timeout_s
+        while not self._waiting and self._incomplete_told == self._incomplete:
+            left_s = deadline - time.monotonic()
+            if not self._receive(max(0.0, left_s)) and left_s <= 0:
+                return None
+        if self._waiting:
+            return self._frame(self._waiting.popleft())
+        number, self._incomplete_told = self._incomplete - self._incomplete_told, self._incomplete
+        raise FrameIncomplete(f"{number} frame came with pixels missing; look at the link")
+
+    def probe(self, patience_s: float) -> None:
+        """CameraLost unless the camera answers within this time."""
+        self._call("probe", patience_s)
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Wait for the next complete frame."""
-        self._require_armed()
-        deadline = time.monotonic() + timeout_s
-        while not self._waiting:
-            left_s = deadline - time.monotonic()
-            if left_s <= 0:
-                break
-            self._receive(left_s)
-        if not self._waiting:  # is the camera alive?  The probe may also let a late frame through.
-            self._call("probe", max(PROBE_MIN_S, (WATCHDOG - 1) * timeout_s))
-        if not self._waiting:
-            raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
-        return self._frame(self._waiting.popleft())
+        return wait_for_frame(self, timeout_s)
 
     def disarm(self) -> Counters:
-        """Stop the acquisition; frames that nobody fetched count as underrun."""
+        """Stop the acquisition; frames that nobody fetched count as unused."""
         if self._ring is None:
             return self._count()
         try:
@@ -154,7 +169,7 @@ class HarvestersCamera:
         finally:
             for message in self._waiting:
                 self._ids.note(message["id"])
-                self._dropped += 1
+                self._unused += 1
             self._waiting.clear()
             self._drop_ring()
         return self._count()
@@ -167,23 +182,32 @@ class HarvestersCamera:
             with self._send_lock:
                 self._pipe.close()
         if self._process is not None:
-            self._process.join(CALL_S)
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(CALL_S)
             self._kill()
         self._pipe = None
 
+    @property
+    def _incomplete(self) -> int:
+        return int(self._counts.get("incomplete", 0))
+
     def _count(self) -> Counters:
-        incomplete = int(self._counts.get("incomplete", 0))
-        underrun = int(self._counts.get("underrun", 0)) + self._dropped
-        missing = self._ids.missing(incomplete + underrun)
+        underrun = int(self._counts.get("underrun", 0))
+        missing = self._ids.missing(self._incomplete + underrun)  # ids of unused frames are known
         return Counters(
-            self._delivered, incomplete, underrun, missing, ignored_triggers=self._counts.get("ignored_triggers")
+            self._delivered,
+            self._incomplete,
+            underrun,
+            missing,
+            ignored_triggers=self._counts.get("ignored_triggers"),
+            unused=self._unused,
         )
 
     def _frame(self, message: Message) -> Frame:
         self._counts |= {name: message[name] for name in ("incomplete", "underrun")}
         sequence = self._ids.note(int(message["id"]))
         if "bad_frame" in message:
-            self._dropped += 1
+            self._unused += 1
             raise FrameError(str(message["bad_frame"]))
         assert self._ring is not None
         slot = int(message["frame"])
@@ -198,6 +222,7 @@ class HarvestersCamera:
             float(message["exposure_us"]),
             form.name,
             form.significant_bits,
+            id_told=bool(message["id_told"]),
         )
         self._delivered += 1
         ring = self._ring
@@ -231,11 +256,11 @@ class HarvestersCamera:
         raise_error(answer)
         return answer.get("result")
 
-    def _receive(self, timeout_s: float) -> None:
-        """Take one message from the camera's process, if one comes in time."""
+    def _receive(self, timeout_s: float) -> bool:
+        """Take one message from the camera's process; False if none came in time."""
         try:
             if not self._pipe.poll(timeout_s):
-                return
+                return False
             message = receive(self._pipe)
         except (EOFError, OSError) as error:
             raise self._lost("its process has ended") from error
@@ -243,8 +268,11 @@ class HarvestersCamera:
             self._answers[int(message["answer"])] = message
         elif "broken" in message:
             raise CameraLost(f"the stream is broken ({message['broken']}); close the camera and open it again")
-        else:
+        elif "id" in message:
             self._waiting.append(message)
+        else:
+            self._counts |= message
+        return True
 
     def _lost(self, why: str) -> CameraLost:
         self._kill()
@@ -252,12 +280,9 @@ class HarvestersCamera:
         return CameraLost(f"the camera is lost: {why}; close it and open it again")
 
     def _kill(self) -> None:
-        process, self._process = self._process, None
-        if process is not None:
-            if process.is_alive():
-                process.kill()
-            process.join()
-            process.close()
+        self._process = None
+        if self._end_process is not None:
+            self._end_process()
 
     def _drop_ring(self) -> None:
         ring, self._ring = self._ring, None
@@ -273,13 +298,7 @@ class HarvestersCamera:
             raise CameraUsageError("the camera is armed; disarm it first")
 
 
-def _serve(pipe: Any, cti: str, serial: str | None) -> None:  # noqa: ANN401
-    """Start of the new process: only here the libraries are imported."""
-    try:
-        from daq.cameras.harvesters_worker import serve
-    except ImportError as error:
-        receive(pipe)
-        text = f"{error}; install the extra rtpiv[camera] (harvesters, genicam)"
-        send(pipe, {"answer": 1, "error": CameraSetupError.__name__, "text": text})
-        return
-    serve(pipe, cti, serial)
+def _end(process: "subprocess.Popen[bytes]", owner: int) -> None:
+    if os.getpid() == owner:  # a fork of it does not own the camera
+        process.kill()  # harmless if it has ended
+        process.wait()

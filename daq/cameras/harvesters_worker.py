@@ -3,6 +3,8 @@
 The genicam binding keeps Python's lock inside every GenTL call, also while it waits for a frame: another thread of
 the same process may stand still (github.com/genicam/harvesters/issues/508).  So this loop has a process of its
 own, and only one thread: look for a request, fetch at most one frame, unpack it into a free slot, tell the parent.
+It waits where something is to come next: for the frame of a software trigger in the producer, and between such
+frames for a request, so that a trigger does not find it waiting for nothing.
 
 Only a small part of Harvesters is used: add_file, update, create, node_map, start, raw fetch, stop.  Its own
 unpacking is not (slow, wrong for padded rows), nor its background thread (drops frames without counting).
@@ -12,6 +14,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -20,6 +23,7 @@ from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, Pa
 
 from daq.cameras import buffer_facts
 from daq.cameras.camera import Setting
+from daq.cameras.camera_clock import CameraClock
 from daq.cameras.genapi_nodes import GenApiNodes, one_line
 from daq.cameras.quiet import without_complaints
 from daq.cameras.ring import FrameRing
@@ -28,6 +32,7 @@ from daq.cameras.wire import Message, pack_error, receive, send
 from daq.errors import CameraBusy, CameraError, CameraLost, CameraSetupError, FrameError
 
 FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
+LOOK_S = 0.001  # the same where no frame is expected
 MIN_PRODUCER_BUFFERS = 3
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 
@@ -58,6 +63,10 @@ class Worker:
         self._underrun_before = 0
         self._grabbed = 0
         self._counts_triggers = False
+        self._ignored_before = 0
+        self._incomplete_told = 0
+        self._triggers = self._unanswered = 0  # of this arm
+        self._clock: CameraClock | None = None
         self._exposure_us = float("nan")
         self._unpack: Callable[..., Any]
         self._calls: dict[str, Callable[..., Any]] = {
@@ -66,7 +75,8 @@ class Worker:
             "verify": lambda: verify_settings(self._nodes, self._configured),
             "settings": self._settings,
             "arm": self._arm,
-            "trigger": lambda: self._nodes.execute("TriggerSoftware"),
+            "clock": self._clock_ns,
+            "trigger": self._trigger,
             "counts": self._counts,
             "probe": self._probe,
             "disarm": self._disarm,
@@ -80,8 +90,11 @@ class Worker:
                 while self._pipe.poll(0 if is_armed else None):
                     self._serve(receive(self._pipe))
                     is_armed = self._ring is not None
-                if is_armed and self._free:
-                    self._grab()
+                if is_armed and self._free and self._triggers and not self._unanswered:
+                    if not self._pipe.poll(FETCH_S):
+                        self._grab(LOOK_S)
+                elif is_armed and self._free:
+                    self._grab(FETCH_S)
                 elif is_armed:
                     self._pipe.poll(FETCH_S)  # no slot free: frames wait in the producer, which counts underruns
         except (EOFError, OSError):
@@ -158,6 +171,23 @@ class Worker:
                 continue  # not readable in the present state
         return values
 
+    def _clock_ns(self) -> int | None:
+        nodes = self._nodes
+        if self._clock is None:
+            self._clock = CameraClock(nodes)
+        return self._clock.read_ns(nodes)
+
+    def _trigger(self) -> int | None:
+        before_ns = None
+        with suppress(
+            *GENICAM_ERRORS
+        ):  # a clock that cannot be read is none; a lost camera takes no trigger either
+            before_ns = self._clock_ns()
+        self._nodes.execute("TriggerSoftware")
+        self._triggers += 1
+        self._unanswered += 1
+        return before_ns
+
     def _arm(self, ring: str, slots: int, pixels: int) -> Message:
         from daq.cameras.pixels import unpack, warm_up  # loads compiled kernels: not before they are needed
 
@@ -167,8 +197,10 @@ class Worker:
         self._free = deque(range(slots))
         nodes = self._nodes
         self._counts_triggers = count_missed_triggers(nodes)
+        self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
         self._exposure_us = exposure_us(nodes)
-        self._incomplete.count = self._grabbed = 0
+        self._incomplete.count = self._incomplete_told = self._grabbed = 0
+        self._triggers = self._unanswered = 0
         warm_up()
         try:
             # As many raw frames again: they bridge the time in which the system lets this process wait.
@@ -181,18 +213,21 @@ class Worker:
         self._underrun_before = self._underrun()
         return {"counts_triggers": self._counts_triggers}
 
-    def _grab(self) -> None:
+    def _grab(self, wait_s: float) -> None:
         assert self._acquirer is not None
         assert self._ring is not None
         try:
-            buffer = self._acquirer.try_fetch(timeout=FETCH_S, is_raw=True)
+            self._acquirer.timeout_period_on_update_event_data_call = round(1e3 * wait_s)
+            buffer = self._acquirer.try_fetch(timeout=wait_s, is_raw=True)
         except GENICAM_ERRORS as error:
             send(self._pipe, {"broken": one_line(error)})
             time.sleep(FETCH_S)
             return
         if buffer is None:
+            self._tell_incomplete()
             return
         received_ns = time.monotonic_ns()
+        self._unanswered = max(0, self._unanswered - 1)
         slot = self._free.popleft()
         message: Message
         try:
@@ -208,12 +243,20 @@ class Worker:
         told = buffer_facts.frame_id(buffer)
         # A producer that tells no ids hides what was lost on the link; what it counts itself still makes gaps.
         message["id"] = self._grabbed + self._incomplete.count + underrun if told is None else told
+        message["id_told"] = told is not None
         self._grabbed += 1
         message |= {"timestamp_ns": buffer_facts.timestamp_ns(buffer), "received_ns": received_ns}
         message |= {"exposure_us": self._exposure_us, "incomplete": self._incomplete.count}
         message["underrun"] = underrun
         buffer.parent.queue_buffer(buffer)
         send(self._pipe, message)
+
+    def _tell_incomplete(self) -> None:
+        """Say at once that a frame was put aside: who waits for it need not wait any longer."""
+        if self._incomplete.count != self._incomplete_told:
+            self._incomplete_told = self._incomplete.count
+            self._unanswered = max(0, self._unanswered - 1)
+            send(self._pipe, {"incomplete": self._incomplete.count})
 
     def _underrun(self) -> int:
         assert self._acquirer is not None
@@ -223,7 +266,9 @@ class Worker:
             return 0
 
     def _counts(self) -> Message:
-        ignored = int(self._nodes.get("CounterValue")) if self._counts_triggers else None
+        ignored = None
+        if self._counts_triggers:
+            ignored = max(0, int(self._nodes.get("CounterValue")) - self._ignored_before)
         return {"incomplete": self._incomplete.count, "underrun": self._underrun(), "ignored_triggers": ignored}
 
     def _probe(self) -> None:

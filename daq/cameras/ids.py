@@ -5,7 +5,9 @@ need not start at 0 and is not reset by arming, so only differences mean anythin
 underruns used up ids too, and are subtracted from the gaps so that nothing is counted twice.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+LONGEST_GAP = 1_000_000  # ids; a camera that jumps further has begun to count anew
 
 
 @dataclass(slots=True)
@@ -19,29 +21,42 @@ class IdTracker:
     """
 
     bits: int = 64
-    gaps: int = 0
     repeated: int = 0
     sequence: int = -1
     _last: int | None = None
+    _open: set[int] = field(default_factory=set)
+
+    @property
+    def gaps(self) -> int:
+        """Ids that were skipped and have not come since."""
+        return len(self._open)
 
     def note(self, frame_id: int) -> int:
-        """Take the id of a complete frame; return its sequence number, 0 for the first."""
+        """Take the id of a frame; return its sequence number, 0 for the first.
+
+        A frame that comes behind a later one fills its gap and gets its own number; one whose id is no gap gets
+        the last number once more.  Neither moves the count.
+        """
         if frame_id > 0xFFFF:
             self.bits = 64
         if self._last is None:
             self.sequence = 0
         else:
             step = self._difference(frame_id, self._last)
-            if step <= 0:  # a repeated or late frame never moves the count backwards
+            if step <= 0:
+                late = self.sequence + step
+                if late in self._open:
+                    self._open.remove(late)
+                    return late
                 self.repeated += 1
                 return self.sequence
-            self.gaps += step - 1
+            self._open.update(range(self.sequence + 1, self.sequence + min(step, LONGEST_GAP)))
             self.sequence += step
         self._last = frame_id
         return self.sequence
 
     def missing(self, accounted: int) -> int:
-        """Ids that came in no form at all, given how many were incomplete or underrun."""
+        """Ids that came in no form at all, given how many of the gaps are known to be incomplete or underrun."""
         return max(0, self.gaps - accounted)
 
     def _difference(self, new: int, old: int) -> int:

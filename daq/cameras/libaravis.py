@@ -87,6 +87,7 @@ PROTOTYPES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_buffer_get_status": (c_int, (c_void_p,)),
     "arv_buffer_get_frame_id": (c_uint64, (c_void_p,)),
     "arv_buffer_get_timestamp": (c_uint64, (c_void_p,)),
+    "arv_buffer_get_system_timestamp": (c_uint64, (c_void_p,)),
     "arv_buffer_get_image_width": (c_int, (c_void_p,)),
     "arv_buffer_get_image_height": (c_int, (c_void_p,)),
     "arv_buffer_get_image_padding": (None, (c_void_p, POINTER(c_int), POINTER(c_int))),

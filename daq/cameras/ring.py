@@ -4,6 +4,10 @@ The owner creates the memory and removes it.  Which slot is free is said by mess
 so a slot is never written while somebody holds it.
 """
 
+import os
+import sys
+import weakref
+from multiprocessing import resource_tracker
 from multiprocessing.shared_memory import SharedMemory
 
 import numpy as np
@@ -28,12 +32,12 @@ class FrameRing:
             raise ValueError(f"a ring of {slots} slots with {pixels} px each cannot hold a frame")
         self.slots = slots
         self.pixels = pixels
-        self._is_owner = name is None
         size = 2 * slots * pixels
-        self._memory = SharedMemory(name=name, create=name is None, size=size if name is None else 0)
+        self._memory = SharedMemory(create=True, size=size) if name is None else _attached(name)
         if self._memory.size < size:
             self._memory.close()
             raise ValueError(f"shared memory {name} is smaller than {slots} frames of {pixels} px")
+        self._let_go = weakref.finalize(self, _let_go, self._memory, os.getpid() if name is None else 0)
 
     @property
     def name(self) -> str:
@@ -49,12 +53,28 @@ class FrameRing:
 
     def close(self) -> None:
         """Let go; the owner also removes the name.  Memory lives on while frames still refer to it."""
-        if self._is_owner:
-            self._memory.unlink()
-            self._is_owner = False
-        try:
-            self._memory.close()
-        except BufferError:  # a frame still shows these pixels; the block goes with its last view
-            # SharedMemory would try, and complain, again when it is collected.
-            self._memory._mmap = None  # type: ignore[attr-defined]
-            self._memory._buf = None  # type: ignore[attr-defined]
+        self._let_go()
+
+
+def _let_go(memory: SharedMemory, owner: int) -> None:
+    """Also called where nobody closed it, at the end of the process; a fork of the owner removes nothing."""
+    if owner == os.getpid():
+        memory.unlink()
+    try:
+        memory.close()
+    except BufferError:  # a frame still shows these pixels; the block goes with its last view
+        # SharedMemory would try, and complain, again when it is collected.
+        memory._mmap = None  # type: ignore[attr-defined]
+        memory._buf = None  # type: ignore[attr-defined]
+
+
+def _attached(name: str) -> SharedMemory:
+    """Memory of another process; this one's tracker must not know it, for it would remove it at our end."""
+    if sys.version_info >= (3, 13):
+        return SharedMemory(name=name, track=False)
+    register = resource_tracker.register
+    resource_tracker.register = lambda *_: None
+    try:
+        return SharedMemory(name=name)
+    finally:
+        resource_tracker.register = register

@@ -52,6 +52,10 @@ class Nodes(Protocol):
         """Available entries of an enumeration."""
         ...
 
+    def can_execute(self, name: str) -> bool:
+        """Whether the command exists and is available now."""
+        ...
+
     def execute(self, name: str) -> None:
         """Execute a command."""
         ...
@@ -137,7 +141,7 @@ def count_missed_triggers(nodes: Nodes) -> bool:
         return False
     try:
         nodes.set("CounterEventSource", "FrameTriggerMissed")
-        if nodes.has("CounterReset"):
+        if nodes.can_execute("CounterReset"):
             nodes.execute("CounterReset")
     except SettingRefused:
         return False

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from tracer.bodies import Rod, Sphere
+from tracer.bodies import Sphere
 from tracer.ray_path import ray_path
 from tracer.scene import Scene
 
@@ -18,22 +18,20 @@ def scene_figure(scene: Scene) -> Figure:
     axes = figure.add_subplot()
     top = max([body.highest_mm for body in scene.bodies], default=50.0)
     _draw_rays(axes, scene)
-    for body in scene.bodies:
-        if isinstance(body, Sphere):
-            x, _, z = body.centre_mm
-            glass = body.medium is not None
-            axes.add_patch(
-                Circle((z, x), body.radius_mm, color="#8fb7d3" if glass else "#5c667a", alpha=0.35, lw=0)
-            )
-            for core in body.cores:  # the denser, the bluer
-                share = min(1.0, 2.0 * (core.medium.n(scene.wavelength_nm) - 1.0))
-                axes.add_patch(Circle((z, x), core.radius_mm, color="white", lw=0))
-                axes.add_patch(Circle((z, x), core.radius_mm, color="#8fb7d3", alpha=0.35 * share, lw=0))
-            for radius_mm in (body.radius_mm, *(core.radius_mm for core in body.cores)):
-                axes.add_patch(Circle((z, x), radius_mm, color="#1d2433", fill=False, lw=0.8))
-            axes.annotate(body.name, (z, x), ha="center", va="center", fontsize=8, color="#1d2433")
-        elif isinstance(body, Rod):
-            ends = np.array([body.start_mm, body.end_mm])
+    for body in Sphere.among(scene.bodies):
+        x, _, z = body.centre_mm
+        glass = body.medium is not None
+        axes.add_patch(Circle((z, x), body.radius_mm, color="#8fb7d3" if glass else "#5c667a", alpha=0.35, lw=0))
+        for core in body.cores:  # the denser, the bluer
+            share = min(1.0, 2.0 * (core.medium.n(scene.wavelength_nm) - 1.0))
+            axes.add_patch(Circle((z, x), core.radius_mm, color="white", lw=0))
+            axes.add_patch(Circle((z, x), core.radius_mm, color="#8fb7d3", alpha=0.35 * share, lw=0))
+        for radius_mm in (body.radius_mm, *(core.radius_mm for core in body.cores)):
+            axes.add_patch(Circle((z, x), radius_mm, color="#1d2433", fill=False, lw=0.8))
+        axes.annotate(body.name, (z, x), ha="center", va="center", fontsize=8, color="#1d2433")
+    for support in scene.bodies:
+        if not support.media and support.capsule.start_mm != support.capsule.end_mm:
+            ends = np.array(support.capsule[:2])
             axes.plot(ends[:, 2], ends[:, 0], color="#5c667a", linewidth=4, solid_capstyle="round")
     axes.axvline(0.0, color="#1d2433", linewidth=1.5)
     reach = 1.2 * _reach_mm(scene)

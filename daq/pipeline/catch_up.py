@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 from daq.pipeline.corrections import Corrections
 from daq.plans.steps import Step
-from daq.runs.raw_frame import read_raw
+from daq.runs.acquired import read_acquired
 from daq.runs.run_folder import RunFolder
 
 
@@ -24,11 +24,13 @@ def correct_from_disk(folder: RunFolder, corrections: Corrections, step: Step, n
 
     Raises
     ------
+    FrameDamaged, RunDamaged
+        The raw frame is not what the journal has acknowledged.
     DiskError
-        The raw frame is damaged, or the disk takes no corrected one.
+        The disk takes no corrected one.
     """
     corrector = corrections.of(step)
     assert corrector is not None
     source = folder.frame_path(number)
-    pixels, _ = read_raw(source)
+    pixels = read_acquired(source)
     corrections.write(folder.corrected_path(number), corrector(pixels), step, source.name)

@@ -253,6 +253,7 @@ class Pipeline:
             "received_ns": meta.received_ns,
             "exposure_us": meta.exposure_us if math.isfinite(meta.exposure_us) else None,
             "bits": meta.significant_bits,
+            "sensor_px": list(frame.pixels.shape[::-1]),
             **job.record,
         }
         write_raw(path, frame.pixels, facts)

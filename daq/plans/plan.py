@@ -87,6 +87,8 @@ def expand(table: PlanTable, bench: Bench) -> tuple[Step, ...]:
                 shows=table.shows,
                 on_plane=abs(pose.target_mm[2]) < ON_PLANE_MM,
                 reference=pose.reference,
+                group=table.frames_together,
+                gaps_at_most=table.share_of_gaps,
             )
         )
     return tuple(steps)

@@ -48,6 +48,16 @@ class PlanTable(Table):
     def shows(self) -> str:
         """What has to hang on the target's stage: ``chessboard`` or ``particles``."""
 
+    @property
+    def frames_together(self) -> int:
+        """How many frames belong together, such as the two of a pair."""
+        return 1
+
+    @property
+    def share_of_gaps(self) -> float:
+        """Share of a step's frames that may be lost; 0 takes a step again until it is whole."""
+        return 0.0
+
     @abstractmethod
     def poses(self, bench: Bench) -> Iterator[Pose]:
         """Yield what is to be photographed, in order; nothing but arithmetic.

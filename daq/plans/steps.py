@@ -36,6 +36,11 @@ class Step:
         Whether the target lies in the investigation plane, so that the frame can be corrected.
     reference : int or None
         Step that this one is displaced from.
+    group : int
+        Frames that belong together, counted from the first one; what is gone on with begins with such a group.
+    gaps_at_most : float
+        Share of the frames that may be lost in one go, 0 to 1.  Above 0 the step keeps every frame that it has; at
+        0 it is whole or taken again.
     """
 
     index: int
@@ -48,6 +53,13 @@ class Step:
     shows: str
     on_plane: bool
     reference: int | None = None
+    group: int = 1
+    gaps_at_most: float = 0.0
+
+    @property
+    def may_have_gaps(self) -> bool:
+        """Whether the step keeps what it has, and goes on behind what it lost."""
+        return self.gaps_at_most > 0.0
 
     @property
     def targets_mm(self) -> dict[str, float]:
@@ -61,8 +73,13 @@ class Step:
 
 
 def steps_hash(steps: Sequence[Step]) -> str:
-    """Hex digest (16 characters) of a list of steps."""
-    return digest([asdict(step) for step in steps])
+    """Hex digest (16 characters) of a list of steps; what a step does not say leaves no trace in it."""
+    told = [asdict(step) for step in steps]
+    for tree in told:
+        for name in ("group", "gaps_at_most"):  # an older version did not know them
+            if tree[name] == Step.__dataclass_fields__[name].default:
+                del tree[name]
+    return digest(told)
 
 
 def frame_count(steps: Sequence[Step]) -> int:

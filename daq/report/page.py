@@ -10,19 +10,13 @@ import html
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
-import cv2
-import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from tracer.whole_file import whole_file
 
-WIDEST_PX = 1008  # pictures in the page; the full frames are files beside it
 PNG_DPI = 170
-GAMMA = 0.6  # particles are few and small: shown as recorded, a reduced picture of them is black
 
 _STYLE = Path(__file__).with_name("page.css")
 Row = Sequence[str]
@@ -106,26 +100,21 @@ class Page:
         data = base64.b64encode(self._files[f"{name}.{kind}"]).decode()
         self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption))
 
-    def picture(self, image: NDArray[np.uint8], caption: str) -> None:
-        """Add a picture, grey (H, W) or RGB (H, W, 3)."""
-        self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="{_encoded(image)}">', caption))
-
-    def slider(self, layers: Sequence[tuple[str, NDArray[np.uint8]]], caption: str) -> None:
+    def slider(self, layers: Sequence[tuple[str, str]], caption: str) -> None:
         """Lay pictures of one shape over each other: a line to drag uncovers one beside the next.
 
         Parameters
         ----------
-        layers : sequence of (name, picture)
-            Two or more, neighbours in the order in which they are compared.
+        layers : sequence of (name, data address)
+            Two or more, see `daq.pictures.embedded`; neighbours in the order in which they are compared.
         caption : str
             Said below.
         """
         self._sliders += 1
         name = f"slider{self._sliders}"
         pictures = "".join(
-            f'<div class="layer"><img alt="{html.escape(title)}" src="{_encoded(image)}">'
-            f"<i>{html.escape(title)}</i></div>"
-            for title, image in layers
+            f'<div class="layer"><img alt="{html.escape(title)}" src="{address}"><i>{html.escape(title)}</i></div>'
+            for title, address in layers
         )
         choices = "".join(
             f'<label><input type="radio" name="{name}" {"checked" if k == 0 else ""} '
@@ -160,21 +149,6 @@ class Page:
                 stream.write(content)
 
 
-def grey(frame: NDArray[Any], limits: tuple[float, float]) -> NDArray[np.uint8]:
-    """8-bit picture of a frame between two grey levels, brightened for the eye; NaN is the darker one."""
-    low, high = limits
-    scaled = (np.nan_to_num(frame.astype(np.float32), nan=low) - low) / max(high - low, 1e-9)
-    return np.asarray(255.0 * np.clip(scaled, 0.0, 1.0) ** GAMMA, dtype=np.uint8)
-
-
-def tinted(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """RGB picture of a grey one (H, W): where `colours` (H, W, 3) is not black, that."""
-    covered = colours.any(axis=-1)
-    rgb = np.repeat(picture[..., None], 3, axis=-1)
-    rgb[covered] = colours[covered]
-    return rgb
-
-
 def _framed(inner: str, caption: str) -> str:
     return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
@@ -185,15 +159,3 @@ def _drawn(figure: Figure, kind: str) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None} if kind == "svg" else None)
     return buffer.getvalue()
-
-
-def _encoded(image: NDArray[np.uint8]) -> str:
-    """Data address of a picture, reduced to WIDEST_PX."""
-    height, width = image.shape[:2]
-    if width > WIDEST_PX:
-        size = (WIDEST_PX, round(height * WIDEST_PX / width))
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    if image.ndim == 3:
-        image = np.ascontiguousarray(image[..., ::-1])
-    _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()

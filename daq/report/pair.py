@@ -1,15 +1,10 @@
 """The chapters of one evaluated pair: pictures, vectors, errors, uncertainty, both routes, images."""
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from correction.corrector import Corrector
-from correction.evaluate.image_figures import ImageFigures, image_figures
 from correction.evaluate.shift import shift_errors
-from correction.node_status import MEANING, NodeStatus
 from daq.evaluation import Evaluation
+from daq.pictures.before_after import BeforeAfter
 from daq.pictures.drawing import scene_figure
 from daq.report.figures import (
     colour_limit,
@@ -18,7 +13,7 @@ from daq.report.figures import (
     radius_figure,
     vector_figure,
 )
-from daq.report.page import Page, grey, tinted
+from daq.report.page import Page
 from daq.report.tables import (
     BUDGET_HEAD,
     IMAGE_HEAD,
@@ -35,25 +30,13 @@ from daq.report.tables import (
 )
 from tracer.scene import Scene
 
-DEPTHS = (255.0, 4095.0, 65535.0)  # full scales of cameras; 12 bit come in uint16, right- or left-aligned
-COLOURS = {
-    NodeStatus.RECOVERED: (226, 232, 226),
-    NodeStatus.RIM: (56, 66, 92),
-    NodeStatus.FOLD: (168, 50, 62),
-    NodeStatus.BLOCKED: (40, 40, 40),
-    NodeStatus.OUT_OF_FRAME: (150, 156, 168),
-    NodeStatus.LOW_MAGNIFICATION: (221, 122, 58),
-}
-COLOUR_NAMES = ("light", "slate blue", "red", "black", "grey", "orange")
-
 
 def pair_tiles(evaluation: Evaluation) -> list[tuple[str, str, str]]:
     """The figures that matter most: value, name, what it is measured against."""
     field, result = evaluation.field, evaluation.shift
-    recovered = float(evaluation.corrector.recovered.mean())
     tiles = [
         (f"{field.counts['valid']}", "valid vectors", f"of {field.flags.size} nodes"),
-        (f"{100 * recovered:.1f} %", "of the plane recovered", "share of the corrected frame"),
+        (f"{100 * evaluation.seen.recovered:.1f} %", "of the plane recovered", "share of the corrected frame"),
     ]
     if result is not None:
         for name, found in list(result.regions.items())[:2]:
@@ -62,30 +45,18 @@ def pair_tiles(evaluation: Evaluation) -> list[tuple[str, str, str]]:
     return tiles
 
 
-def slider_chapter(
-    page: Page, frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, what: str
-) -> None:
+def slider_chapter(page: Page, seen: BeforeAfter, what: str) -> None:
     """Acquired | corrected | mask, and what the mask says."""
-    limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
-    palette = np.array([COLOURS[status] for status in NodeStatus], np.uint8)
-    mask = palette[corrector.status]
-    covered = np.where(corrector.recovered[..., None], 0, mask).astype(np.uint8)
-    after = tinted(grey(corrected, limits), covered)
-    layers = [("corrected", after), ("mask", mask)]
-    if frame.shape == corrected.shape:
-        layers.insert(0, ("acquired", grey(frame, limits)))
-    used = [s for s in NodeStatus if (corrector.status == s).any()]
-    legend = ", ".join(f"{COLOUR_NAMES[status]}: {MEANING[status]}" for status in used)
-    page.slider(layers, f"{what} Drag to compare. Mask: {legend}.")
-    page.table(("nodes of the corrected frame", "share"), mask_rows(corrector))
+    page.heading("Acquired, corrected, recovered")
+    page.slider(seen.layers, f"{what} Drag to compare. Mask: {seen.legend}.")
+    page.table(("nodes of the corrected frame", "share"), mask_rows(seen.shares))
 
 
 def pair_chapters(page: Page, evaluation: Evaluation) -> None:
     """Add the chapters of a pair."""
     if evaluation.field.doubt:
         page.warning(evaluation.field.doubt + ".")
-    page.heading("Acquired, corrected, recovered")
-    slider_chapter(page, evaluation.frame_a, evaluation.corrected_a, evaluation.corrector, "Frame A of the pair.")
+    slider_chapter(page, evaluation.seen, "Frame A of the pair.")
     _vectors(page, evaluation)
     if evaluation.shift is not None:
         _errors(page, evaluation)
@@ -113,7 +84,7 @@ def scene_chapter(page: Page, scene: Scene) -> None:
 
 
 def _vectors(page: Page, evaluation: Evaluation) -> None:
-    field, grid, scene = evaluation.field, evaluation.corrector.map.grid, evaluation.task.scene
+    field, grid, scene = evaluation.field, evaluation.grid, evaluation.task.scene
     page.heading("Displacement")
     sigma = np.hypot(field.sigma_u_px, field.sigma_v_px)
     if evaluation.shift is None:
@@ -131,6 +102,10 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
             "The same vectors before the uncertainty that the evaluation itself estimates, without any truth.",
             dense=True,
         )
+    if evaluation.task.dt_s is not None:
+        per_px = grid.pitch_mm / evaluation.task.dt_s
+        page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
+                    ("1 px of displacement is", f"{per_px:.6g} mm/s")])  # fmt: skip
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
     rule = (
         f"Windows of {field.window_px} px, {field.step_px} px apart. A window is masked if less than 30 % of its "
@@ -144,7 +119,7 @@ def _errors(page: Page, evaluation: Evaluation) -> None:
     assert result is not None
     page.heading("Errors against the known shift")
     page.table(SHIFT_HEAD, shift_rows(result), "Errors of the vectors [px of the corrected frame], v down")
-    scale = evaluation.corrector.map.grid.px_per_mm
+    scale = evaluation.grid.px_per_mm
     shift_mm = (result.shift_px[0] / scale, -result.shift_px[1] / scale)
     facts = [("known shift x, y", f"{shift_mm[0]:+.4f}, {shift_mm[1]:+.4f} mm")]
     facts.append(("in corrected pixels", f"{np.hypot(*result.shift_px):.4f} px"))
@@ -197,21 +172,14 @@ def _routes(page: Page, evaluation: Evaluation) -> None:
         page.figure("radius", radius_figure(routes.image, routes.velocity), "Behind the glass, by radius.")
 
 
-def image_table(
-    page: Page, frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector
-) -> dict[str, ImageFigures]:
-    """Figures of merit, acquired against corrected; returns them."""
-    least = DEPTHS[0] if frame.dtype == np.uint8 else DEPTHS[1]
-    full = next((depth for depth in DEPTHS if depth >= max(least, float(np.nanmax(frame)))), DEPTHS[-1])
-    named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
-    figures = {name: image_figures(image, full, mask) for name, (image, mask) in named.items()}
-    page.table(IMAGE_HEAD, image_rows(figures), f"Figures of merit of the frame; saturated at {full:.0f}")
-    return figures
+def image_table(page: Page, seen: BeforeAfter) -> None:
+    """Figures of merit, acquired against corrected."""
+    what = f"Figures of merit of the frame; saturated at {seen.full_scale:.0f}"
+    page.table(IMAGE_HEAD, image_rows(seen.figures), what)
 
 
 def _images(page: Page, evaluation: Evaluation) -> None:
     page.heading("Images")
-    frame, corrected = evaluation.frame_a, evaluation.corrected_a
-    figures = image_table(page, frame, corrected, evaluation.corrector)
-    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in figures.items()}
+    image_table(page, evaluation.seen)
+    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in evaluation.seen.figures.items()}
     page.figure("intensity", grey_histogram(counts), "Intensity of frame A.")

@@ -1,13 +1,12 @@
 """The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
 
-import json
-from typing import Any
-
 from correction.evaluate.regions import MIDDLE
-from daq.errors import ResumeRefused
 from daq.evaluation import Evaluation
 from daq.report.page import Page
 from daq.runs.conservation import Ledger
+from daq.runs.displacement import FILE as MOVED
+from daq.runs.displacement import read_displacements
+from daq.runs.done_file import read_done
 from daq.runs.run_folder import RunFolder
 
 PAIRS_HEAD = (
@@ -45,7 +44,7 @@ def pairs_chapter(page: Page, found: list[Evaluation]) -> None:
 def books_chapter(page: Page, folder: RunFolder) -> None:
     """What became of every frame."""
     page.heading("Every frame accounted for")
-    done = _json(folder, "done.json")
+    done = read_done(folder)
     if done is None:
         page.text("The run is not finished: resume it, or what follows is a part of the plan.")
         return
@@ -64,13 +63,13 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
 
 def moved_chapter(page: Page, folder: RunFolder) -> None:
     """What the stages were told, what they reported, and (simulated bench only) what they did."""
-    moved = _json(folder, "displacements.json")
-    if not moved:
+    if not (folder.path / MOVED).is_file():
         return
+    moved = read_displacements(folder)
     page.heading("What the stages did")
     rows = [
-        (entry["tag"], *("-" if entry[kind] is None else ", ".join(f"{c:+.4f}" for c in entry[kind])
-                         for kind in ("commanded_mm", "measured_mm", "true_mm")))
+        (entry["tag"], *("-" if way is None else ", ".join(f"{c:+.4f}" for c in way)
+                         for way in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])))
         for entry in moved[:SHOWN_PAIRS]
     ]  # fmt: skip
     head = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
@@ -97,14 +96,3 @@ def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: lis
     )
     for name in ("plan", "bench", "scene"):
         page.folded(f"{name}.yaml as it was when the run began", str(about[name]))
-
-
-def _json(folder: RunFolder, name: str) -> Any:  # noqa: ANN401
-    """Contents of a file of the run, None if there is none yet."""
-    path = folder.path / name
-    if not path.is_file():
-        return None
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ResumeRefused(f"{path}: cannot be read ({error}); restore it, or acquire again") from error

@@ -1,9 +1,10 @@
 """Figures of an evaluation as rows of text, for the page and for the terminal."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.corrector import Corrector
 from correction.evaluate.image_figures import ImageFigures
 from correction.evaluate.regions import MIDDLE, Region
 from correction.evaluate.routes import Routes
@@ -27,11 +28,9 @@ BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
 Row = tuple[str, ...]
 
 
-def mask_rows(corrector: Corrector) -> list[Row]:
+def mask_rows(shares: Mapping[NodeStatus, float]) -> list[Row]:
     """Rows of what became of the nodes."""
-    counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
-    total = corrector.status.size
-    return [(text, f"{100 * counts[status] / total:.2f} %") for status, text in MEANING.items() if counts[status]]
+    return [(MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
 
 
 def shift_rows(result: ShiftResult) -> list[Row]:

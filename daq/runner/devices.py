@@ -89,7 +89,10 @@ class AxisDevice:
         self._stage = stage
 
     def set(self, value: float) -> Work:
-        """Move to a position [mm]; limits and keep-out are judged as for every other move."""
+        """Move to a position [mm]; limits and keep-out are judged as for every other move.
+
+        Two axes that are set at once move one after the other, the second judged from where the first has come to.
+        """
         return Work(lambda: self._stage.move({self.name: float(value)}))
 
     def check_value(self, value: float) -> None:
@@ -97,8 +100,15 @@ class AxisDevice:
         self._stage.axis(self.name).check(float(value))
 
     def stop(self, success: bool = True) -> None:
-        """Stop everything; harmless at rest."""
-        self._stage.stop()
+        """End every motion; harmless at rest.
+
+        An engine says this to every device at the end of each run and at each pause (`success`), and goes on
+        afterwards. Where something has failed the bench is held as well, until `Stage.clear_stop`.
+        """
+        if success:
+            self._stage.halt()
+        else:
+            self._stage.stop("the scan engine has stopped the bench")
 
     def locate(self) -> dict[str, float]:
         """Return where it is [mm]; the set-point is where it came to rest."""

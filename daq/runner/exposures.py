@@ -1,22 +1,44 @@
-"""Frames for a step, and the books about them.
+"""The camera of a run: arming and disarming, waiting, rejecting, and the books about all of it.
 
-Two ways of triggering, told apart by the camera's settings:
+Two ways of taking frames, told apart by the camera's settings:
 
-* **software**: one trigger, one frame, nothing in between.  A frame that does not arrive whole is taken again,
-  a few times; before that the camera is disarmed, so that a late frame can never be taken for the next one.
-* **stream**: the camera (or an outer clock) decides; it is armed for the step only, and frames keep the place
-  that their id gives them.  A gap cannot be filled: the step has failed, and the error says why.
+* **software** (single_frames): one trigger, one frame, nothing in between.  A frame that does not arrive whole is
+  taken again, a few times.
+* **stream** (streaming): the camera, or an outer clock, decides; it is armed for the step only, and frames keep
+  the place that their id gives them.
+
+Both hand over only frames that were exposed when they should have been (trigger_match), in the format that was
+set (frame_format).  Every wait is cut into slices, and before each slice and each trigger the bench's stop is
+asked.
 """
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Generator, Mapping
+from contextlib import suppress
+from typing import NoReturn
 
 from daq.bench.bench_file import CameraSection, trigger_is_software
 from daq.cameras.camera import Camera, Counters, Setting
-from daq.cameras.frame import Frame
-from daq.errors import CameraError, CameraLost, CameraTimeout, FrameError, FramesLost, SettingsChanged
+from daq.cameras.frame import Frame, FrameMeta
+from daq.cameras.waiting import probe_s
+from daq.errors import (
+    CameraError,
+    CameraLost,
+    CameraTimeout,
+    FrameDoubt,
+    FrameError,
+    OtherFormat,
+    SettingsChanged,
+)
+from daq.runner.frame_format import FrameFormat
+from daq.runner.patience import require_patience
+from daq.runner.single_frames import single_frames
+from daq.runner.streaming import stream
+from daq.runner.trigger_match import UNCONFIRMED, TriggerMatch
 from daq.runs.conservation import Bookkeeper, Ledger
+from stages.stop_latch import StopLatch
 
-SURPLUS_S = 0.001
+SLICE_S = 0.05
 
 
 class Exposures:
@@ -28,15 +50,35 @@ class Exposures:
         Open.
     section : CameraSection
         Settings, patience, retakes.
+    latch : StopLatch, optional
+        The bench's stop, which ends exposures too; None where nothing can be stopped.
+    tell_doubt : callable, optional
+        Called at once with everything that makes frames doubtful; it is also kept in `doubts`.
     """
 
-    def __init__(self, camera: Camera, section: CameraSection) -> None:
+    def __init__(
+        self,
+        camera: Camera,
+        section: CameraSection,
+        latch: StopLatch | None = None,
+        tell_doubt: Callable[[str], None] = lambda text: None,
+    ) -> None:
         self.camera = camera
         self.section = section
         self.software = trigger_is_software(section.settings)
-        self.ledger = Ledger()  # of every arm that has ended
+        self.match = TriggerMatch(1e9 * section.timeout_s)
+        self.counts = Bookkeeper(self.software)
         self.discarded = 0  # frames that were written and are not wanted after all
-        self._books: Bookkeeper | None = None
+        self.doubts: list[str] = []
+        self._latch = latch
+        self._tell_doubt = tell_doubt
+        self._token = 0
+        self._format = FrameFormat({})
+        self._is_armed = False
+        self._ended = Ledger()  # when the last arm ended, as the next two
+        self._handed_before = self._rejected_before = 0
+
+    # ---- the books -----------------------------------------------------------------------------
 
     def books(self, written: int) -> Ledger:
         """Books of the arms that have ended.
@@ -46,43 +88,59 @@ class Exposures:
         written : int
             Frames of this session that are on the disk; what was handed over and is not there counts as lost.
         """
-        unwritten = self.ledger.written - written
-        discarded = self.discarded
-        return self.ledger + Ledger(written=-unwritten - discarded, unwritten=unwritten, rejected=discarded)
+        ledger, discarded = self.counts.ledger(), self.discarded
+        unwritten = ledger.written - written
+        return ledger + Ledger(written=-unwritten - discarded, unwritten=unwritten, rejected=discarded)
 
     def books_so_far(self, written: int) -> Ledger:
         """Books in the middle of an arm, without asking the camera; frames under way are not counted yet."""
-        ledger, books = self.ledger, self._books
-        if books is not None:
-            ledger += Ledger(
-                triggered=books.handed + books.rejected, rejected=books.rejected, written=books.handed
-            )
-        under_way = ledger.written - written
-        discarded = self.discarded
+        counts, ended = self.counts, self._ended
+        handed, rejected = counts.handed - self._handed_before, counts.rejected - self._rejected_before
+        ledger = ended + Ledger(triggered=handed + rejected, written=handed, rejected=rejected)
+        under_way, discarded = ledger.written - written, self.discarded
         return ledger + Ledger(triggered=-under_way, written=-under_way - discarded, rejected=discarded)
+
+    # ---- what a run asks for -------------------------------------------------------------------
 
     def set_up(self) -> dict[str, Setting]:
         """Configure the camera; return everything it can tell about its settings."""
         self.camera.configure(self.section.settings)
-        return self.camera.settings()
+        settings = self.camera.settings()
+        self._format = FrameFormat(settings)
+        return settings
 
-    def frames(self, count: int) -> Iterator[tuple[int, Frame]]:
-        """Yield (place in the step, frame) until a step is complete.
+    def require_patience(self, settings: Mapping[str, Setting]) -> None:
+        """Refuse a timeout that no frame can meet, by what `set_up` returned; RunUsageError says what would do."""
+        require_patience(self.section.timeout_s, settings)
+
+    def frames(self, count: int, begin: int = 0, may_lose: int = 0) -> Generator[tuple[int, Frame], None, None]:
+        """Yield (place in the step, frame), in rising order.
+
+        Parameters
+        ----------
+        count : int
+            Places of the step.
+        begin : int
+            First place that is to be filled.
+        may_lose : int
+            Places that may stay empty where frames come by themselves.
 
         Raises
         ------
         FramesLost
-            A frame could not be had, or a stream has a gap.
+            A frame could not be had, or a stream has more gaps than it may.
+        FrameDoubt
+            A frame came, and nothing tells which trigger it answers.
+        CameraTimeout
+            A stream has ended before its time.
         CameraLost
             The camera is gone; see `reopen`.
+        MotionStopped
+            The bench was stopped.
         """
-        if self._books is None:
-            self._arm()
-        if self.software:
-            for place in range(count):
-                yield place, self._one()
-            return
-        yield from self._stream(count)
+        self._token = self._latch.begin() if self._latch is not None else 0
+        places = range(begin, count)
+        return single_frames(self, places) if self.software else stream(self, places, may_lose)
 
     def verify(self) -> None:
         """Make sure that the camera still has its settings.
@@ -95,19 +153,40 @@ class Exposures:
         try:
             self.camera.verify()
         except (SettingsChanged, CameraLost):
-            if self._books is not None:
-                self._books.in_doubt = True
+            self.counts.in_doubt |= self._is_armed
             raise
 
     def end(self) -> None:
         """Disarm and close the books of this arm.  Harmless when repeated."""
-        if self._books is not None:
-            books, self._books = self._books, None
-            try:
-                counters = self.camera.disarm()
-            except CameraError:  # gone; what it counted before is all that will ever be known
-                counters = _last_counters(self.camera)
-            self.ledger += books.close(counters)
+        if not self._is_armed:
+            return
+        with suppress(CameraError, FrameDoubt):  # gone; or said and kept
+            self.drain()
+        self._is_armed = False
+        try:
+            counters = self.camera.disarm()
+        except CameraError:  # what it counted before is all that will ever be known
+            counters = _last_counters(self.camera)
+        self.counts.by_time = self.match.by_time
+        self.counts.unasked += self.match.not_owed(counters.unused)
+        self._ended = self.counts.close(counters)
+        self._handed_before, self._rejected_before = self.counts.handed, self.counts.rejected
+
+    def conclude(self, written: int) -> Ledger:
+        """End the session: close the books, and find what is in doubt now that nothing can clear it any more.
+
+        Parameters
+        ----------
+        written : int
+            As for `books`.
+        """
+        self.end()
+        ledger = self.books(written)
+        if ledger.imbalance:
+            self.doubts.append(f"the books do not balance ({ledger.sentence()})")
+        if self.match.first_is_unconfirmed:
+            self.doubts.append(UNCONFIRMED)
+        return ledger
 
     def reopen(self) -> None:
         """Bring a lost camera back: close, open, configure.
@@ -120,75 +199,109 @@ class Exposures:
         self.end()
         self.camera.close()
         self.camera.open()
+        self.match.reopened()
         self.set_up()
 
-    def _arm(self) -> None:
+    # ---- what the two ways of taking frames ask for --------------------------------------------
+
+    def ask(self) -> None:
+        """Ask the bench's stop; MotionStopped if nothing may be exposed any more."""
+        if self._latch is not None:
+            self._latch.check(self._token)
+
+    def make_ready(self) -> None:
+        """Arm the camera, or empty its queue."""
+        self.ask()
+        if self._is_armed:
+            self.drain()
+            return
         self.camera.arm(self.section.buffers)
-        self._books = Bookkeeper(self.software)
+        self.match.armed()
+        self._is_armed = True
 
-    def _one(self) -> Frame:
-        """Trigger until a whole frame comes."""
-        why: CameraError | None = None
-        for _ in range(self.section.retakes + 1):
-            if self._books is None:
-                self._arm()
-            assert self._books is not None
-            self._books.triggers += 1
-            try:
-                self.camera.trigger()
-                frame = self.camera.next_frame(self.section.timeout_s)
-                self._books.handed += 1
-                return frame
-            except CameraTimeout as error:
-                self._books.timeouts += 1
-                why = error
-            except FrameError as error:
-                why = error
-            except CameraError:
-                self._books.timeouts += 1  # the frame that was under way
-                self._books.in_doubt = True
-                raise
-            self.verify()
-            self.end()
-        raise FramesLost(
-            f"no whole frame after {self.section.retakes + 1} triggers ({why}); look at link and trigger"
-        )
-
-    def _stream(self, count: int) -> Iterator[tuple[int, Frame]]:
-        assert self._books is not None
-        arrived = 0
+    def clock_ns(self) -> int | None:
+        """The camera's clock now; None if it cannot be read."""
         try:
-            while True:
-                try:
-                    frame = self.camera.next_frame(self.section.timeout_s)
-                except CameraTimeout as error:
-                    self._books.timeouts += 1
-                    raise FramesLost(f"the stream ended after {arrived} of {count} frames ({error})") from error
-                if frame.meta.sequence >= count:
-                    frame.release()
-                    self._books.rejected += 1
-                    break
-                arrived += 1
-                self._books.handed += 1
-                yield frame.meta.sequence, frame
-                if frame.meta.sequence == count - 1:
-                    break
-            self._reject_surplus()
-        finally:
-            before = self.ledger
-            self.end()
-        if arrived < count:
-            raise FramesLost(f"{count - arrived} of {count} frames are gone: {_where(before, self.ledger)}")
+            return self.camera.clock_ns()
+        except CameraLost:
+            raise
+        except CameraError:
+            return None
 
-    def _reject_surplus(self) -> None:
-        """Frames that came while the last one was taken are not wanted; count them as such."""
-        assert self._books is not None
+    def wait_until(self, deadline_s: float) -> Frame:
+        """Next whole frame.
+
+        Raises
+        ------
+        CameraTimeout
+            None came by then, and the camera answers.
+        FrameError
+            One came that cannot be used.
+        """
+        while True:
+            self.ask()
+            left_s = deadline_s - time.monotonic()
+            frame = self.camera.poll(max(0.0, min(SLICE_S, left_s)))
+            if frame is not None:
+                return frame
+            if left_s <= 0.0:
+                break
+        timeout_s = self.section.timeout_s
+        self.camera.probe(probe_s(timeout_s))
+        frame = self.camera.poll(0.0)  # the probe may have let a late one through
+        if frame is None:
+            raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
+        return frame
+
+    def hand_over(self, frame: Frame) -> Frame:
+        """Count a frame as given to whoever asked for it.
+
+        Raises
+        ------
+        SettingsChanged, OtherFormat
+            It is not in the format that the camera was set to; it is rejected.
+        """
+        said = self._format.contradiction(frame)
+        if said:
+            self.reject(frame, True)
+            self.verify()
+            raise OtherFormat(f"the camera {said}")
+        self.counts.handed += 1
+        return frame
+
+    def reject(self, frame: Frame, was_asked_for: bool) -> None:
+        """Count a frame that arrived whole and is not wanted; its memory is given back."""
+        frame.release()
+        self.counts.rejected += 1
+        self.counts.unasked += not was_asked_for
+
+    def drain(self) -> list[FrameMeta]:
+        """Reject what has come by now; return what it was."""
+        found: list[FrameMeta] = []
         while True:
             try:
-                self.camera.next_frame(SURPLUS_S).release()
-            except CameraTimeout:
-                return
-            self._books.rejected += 1
+                frame = self.camera.poll(0.0)
+            except FrameError:  # counted by the camera
+                continue
+            if frame is None:
+                return found
+            found.append(frame.meta)
+            was_owed = self.match.was_owed(frame.meta)
+            self.reject(frame, was_owed)
+            if not was_owed and (said := self.match.came_unasked(frame.meta)):
+                self.doubt(said)
+
+    def doubt(self, said: str) -> NoReturn:
+        """End everything: some frame may not show what it is filed under.
+
+        Raises
+        ------
+        FrameDoubt
+            Always.
+        """
+        self.doubts.append(said)
+        self._tell_doubt(said)
+        raise FrameDoubt(f"{said}; look at link and trigger, raise timeout_s, and begin a new run")
 
 
 def _last_counters(camera: Camera) -> Counters:
@@ -196,12 +309,3 @@ def _last_counters(camera: Camera) -> Counters:
         return camera.counters
     except CameraError:
         return Counters()
-
-
-def _where(before: Ledger, after: Ledger) -> str:
-    causes = (
-        ("no buffer was free (disk or computer too slow)", after.underrun - before.underrun),
-        ("incomplete (link)", after.incomplete - before.incomplete),
-        ("never arrived (link)", after.missing - before.missing),
-    )
-    return ", ".join(f"{number} {cause}" for cause, number in causes if number) or "the camera does not tell why"

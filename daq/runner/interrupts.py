@@ -1,32 +1,46 @@
-"""Ctrl-C that behaves: once finishes the step, twice stops the axes now; Ctrl-Z pauses between steps.
+r"""Signals of a run that behave: once finishes the step, twice stops the axes now, and so does every further one.
 
-The handlers only count; what has to be said to controllers is said by a thread of its own, because a handler may
-interrupt the very call that holds the port's lock.  SIGTERM counts as one Ctrl-C.
+    Ctrl-C, SIGTERM, SIGHUP     the first finishes the step, the second stops; they count together
+    Ctrl-\ (SIGQUIT)            stops at once
+    Ctrl-Z (SIGTSTP)            pauses between steps, and goes on
+
+A SIGTERM that wants the program gone soon comes again, or is followed by a kill; what moves is then stopped by the
+watchdog. SIGHUP means that the terminal has gone: what would be written there goes nowhere from then on, instead
+of ending the run with an error. Under nohup a SIGHUP stays ignored.
+
+The handlers only count; what has to be said to controllers is said by a thread of its own (`StopThread`), because
+a handler may interrupt the very call that holds a port's lock, or a lock of the standard library.
 """
 
+import os
 import signal
 import threading
+import time
 from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+from stages.stop_signals import StopThread
+
+LOOK_S = 0.05
+STOPS_AT = 2  # presses
+
 
 class Interrupts:
-    """Signals of the terminal while a run goes on.
+    """Signals while a run goes on.
 
     Parameters
     ----------
     stop_now : callable
-        Called at the second Ctrl-C, from another thread.
+        Called at the second press and at every further one, a few times each, from another thread.
     """
 
     def __init__(self, stop_now: Callable[[], None]) -> None:
         self._stop_now = stop_now
         self._presses = 0
-        self._wake = threading.Event()
-        self._ended = False
-        self._go = threading.Event()
-        self._go.set()
+        self._paused = False
+        self._thread: StopThread | None = None
+        self._terminals: list[int] = []
         self._before: dict[int, Any] = {}
 
     @property
@@ -35,60 +49,78 @@ class Interrupts:
         return self._presses > 0
 
     @property
+    def stopped(self) -> bool:
+        """Whether everything was to stop at once."""
+        return self._presses >= STOPS_AT
+
+    @property
     def paused(self) -> bool:
         """Whether the run shall wait before the next step."""
-        return not self._go.is_set()
+        return self._paused
 
     def press(self) -> None:
-        """Ask for the end after this step; asked twice, stop now."""
+        """Ask for the end after this step; asked again, stop now."""
         self._presses += 1
-        self._go.set()
-        if self._presses >= 2:
-            self._wake.set()
+        self._paused = False
+        if self.stopped and self._thread is not None:
+            self._thread.press()
+
+    def stop(self) -> None:
+        """Stop now, whatever was asked before."""
+        self._presses = max(self._presses, STOPS_AT - 1)
+        self.press()
 
     def pause(self) -> None:
         """Wait before the next step until `go_on`."""
-        self._go.clear()
+        self._paused = True
 
     def go_on(self) -> None:
         """End the pause."""
-        self._go.set()
+        self._paused = False
 
     def wait(self) -> None:
         """Return when there is no pause."""
-        while not self._go.wait(0.1):
-            continue
+        while self._paused:  # no Event: its lock is not made for signal handlers
+            time.sleep(LOOK_S)
 
     def __enter__(self) -> Self:
-        threading.Thread(target=self._watch, name="stop watch", daemon=True).start()
+        self._thread = StopThread(lambda: self._stop_now())
         if threading.current_thread() is threading.main_thread():
-            for number, handler in (
-                (signal.SIGINT, self._on_press),
-                (signal.SIGTERM, self._on_press),
-                (getattr(signal, "SIGTSTP", None), self._on_pause),
+            self._terminals = [number for number in (1, 2) if os.isatty(number)]
+            for name, handler in (
+                ("SIGINT", self._on_press),
+                ("SIGTERM", self._on_press),
+                ("SIGHUP", self._on_hangup),
+                ("SIGQUIT", self._on_quit),
+                ("SIGTSTP", self._on_pause),
             ):
-                if number is not None:
+                number = getattr(signal, name, None)
+                if number is not None and not (name == "SIGHUP" and signal.getsignal(number) is signal.SIG_IGN):
                     self._before[number] = signal.signal(number, handler)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._thread is not None:
+            thread, self._thread = self._thread, None
+            thread.end()  # says what is due
         for number, handler in self._before.items():
-            signal.signal(number, handler)
-        self._ended = True
-        self._wake.set()
-
-    def _watch(self) -> None:
-        self._wake.wait()
-        if not self._ended:
-            self._stop_now()
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)  # None: not made by Python
+        self._before.clear()
 
     def _on_press(self, number: int, frame: FrameType | None) -> None:
         self.press()
 
+    def _on_hangup(self, number: int, frame: FrameType | None) -> None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for descriptor in self._terminals:
+            os.dup2(nowhere, descriptor)
+        os.close(nowhere)
+        self.press()
+
+    def _on_quit(self, number: int, frame: FrameType | None) -> None:
+        self.stop()
+
     def _on_pause(self, number: int, frame: FrameType | None) -> None:
-        if self.paused:
-            self.go_on()
-        else:
-            self.pause()
+        self._paused = not self._paused

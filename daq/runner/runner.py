@@ -5,43 +5,61 @@
 
 A step is finished when every frame of it is on the disk; only then it enters the journal.  Whatever comes between
 (Ctrl-C, a lost camera, kill -9) leaves a run that `rtpiv resume` continues: frames of an unfinished step are
-discarded, and the step is taken again from the start, so that the frames of a pair always belong together.
+discarded, and the step is taken again from the start, so that the frames of a pair always belong together.  A step
+that may have gaps keeps every frame instead and goes on behind the last one (daq.runner.step_frames).
+
+A session in which a frame may have been filed under the wrong stop says so in its lines; its run is never done.
 """
 
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Container, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 from daq.bench.opened import OpenBench, known_positions
-from daq.errors import BadBalance, CameraError, CameraLost, RunInterrupted, SettingsChanged
+from daq.errors import BadBalance, PlanError, ResumeRefused, RunInterrupted
 from daq.pipeline.catch_up import correct_from_disk, uncorrected
 from daq.pipeline.corrections import Corrections
-from daq.pipeline.lanes import LIVE_QUEUE, Job, Pipeline
-from daq.plans.steps import Step, frame_count, route
+from daq.pipeline.lanes import LIVE_QUEUE, Pipeline
+from daq.plans.steps import Step
+from daq.runner.arrival import go_to, require_arrived, rest
 from daq.runner.exposures import Exposures
 from daq.runner.interrupts import Interrupts
 from daq.runner.progress import Progress, Watcher
+from daq.runner.step_frames import StepFrames
 from daq.runs.conservation import Ledger
+from daq.runs.displacement import displacements, write_displacements
+from daq.runs.gaps import booked_gaps, numbers_in
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder, frame_entries, remaining, versions
-from daq.runs.session_books import total_ledger
-from daq.runs.whole_text import sync_folder, write_json
-from stages.errors import DeviceLost, StageError
-
-REPEATS = 3  # of a step that the camera has spoiled
-RETRY_S = 0.5
+from daq.runs.run_hash import run_hash
+from daq.runs.session_books import doubts, total_ledger
+from daq.runs.whole_text import sync_folder, write_json, write_record
+from stages.errors import DeviceLost, NotInPosition, StageError
 
 
-def discard_unfinished(folder: RunFolder, steps: Sequence[Step], journal: Journal) -> int:
-    """Drop frames of steps that were cut off, in the journal first; return how many."""
+def discard_unfinished(
+    folder: RunFolder, steps: Sequence[Step], journal: Journal, again: Container[int] = ()
+) -> int:
+    """Drop frames of steps that were cut off or are to be taken `again`, in the journal first; return how many.
+
+    A step that may have gaps keeps its frames, unless it is to be taken again.
+    """
     entries = folder.entries()
-    left = remaining(steps, entries)
+    left = remaining(steps, entries, again)
     present = frame_entries(entries)
-    doubtful = [number for step in left for number in step.numbers]
+    kept = {
+        number
+        for step in left
+        if step.may_have_gaps and step.index not in again
+        for number in step.numbers
+        if number in present
+    }
+    doubtful = [number for step in left for number in step.numbers if number not in kept]
     known = [number for number in doubtful if number in present]
     if known:
-        journal.append("discard", sync=True, frames=known)
+        retaken = [step.index for step in left if step.index in again]
+        why = f"steps {retaken} are taken again for a damaged frame" if retaken else "the step was cut off"
+        journal.append("discard", sync=True, frames=known, why=why)
     for number in doubtful:  # a frame may have been renamed just before the kill, without its line
         for path in (folder.frame_path(number), folder.corrected_path(number)):
             path.unlink(missing_ok=True)
@@ -68,6 +86,8 @@ class Runner:
         Called with the progress, often.
     live_queue : int
         See `Pipeline`.
+    again : collection of int
+        Finished steps that are to be taken again: a frame of theirs is damaged, see daq.runner.retake.
     """
 
     def __init__(
@@ -78,6 +98,7 @@ class Runner:
         corrections: Corrections | None = None,
         watcher: Watcher | None = None,
         live_queue: int = LIVE_QUEUE,
+        again: Collection[int] = (),
     ) -> None:
         self._hardware = hardware
         self._folder = folder
@@ -85,8 +106,13 @@ class Runner:
         self._corrections = corrections
         self._watcher = watcher or (lambda progress: None)
         self._live_queue = live_queue
-        self._exposures = Exposures(hardware.camera, hardware.camera_section)
+        self._again = again
+        self._journal: Journal | None = None
+        self._exposures = Exposures(
+            hardware.camera, hardware.camera_section, hardware.stage.latch, self._write_doubt
+        )
         self._rests_at_mm: dict[str, float] = {}
+        self._found_mm: dict[str, float] | None = None  # at the end of the step before
         self._caught_up = 0
         self.progress = Progress(steps=len(self._steps))
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
@@ -100,20 +126,35 @@ class Runner:
             Asked for; the run can be resumed.
         StageError, CameraError, DiskError, FramesLost
             What came between; the run can be resumed.
+        ResumeRefused, FrameDoubt, BadBalance
+            A frame of an earlier session, or of this one, is in doubt; the run cannot be resumed.
         """
-        journal = Journal(self._folder.journal_path)
+        journal = self._journal = Journal(self._folder.journal_path)
         try:
-            left = remaining(self._steps, self._folder.entries())
-            self.progress.planned = frame_count(left)
-            journal.append("session", sync=True, utc=_utc(), versions=versions(), steps_left=len(left))
-            discard_unfinished(self._folder, self._steps, journal)
+            entries = self._folder.entries()
+            if said := doubts(entries):
+                raise ResumeRefused(f"{self._folder.path}: {said[0]}; begin a new run")
+            left = remaining(self._steps, entries, self._again)
+            journal.append(
+                "session",
+                sync=True,
+                utc=_utc(),
+                versions=versions(),
+                steps_left=len(left),
+                controllers={name: box.identity for name, box in self._hardware.stage.controllers.items()},
+            )
+            discard_unfinished(self._folder, self._steps, journal, self._again)
+            present = frame_entries(self._folder.entries())
+            self.progress.planned = sum(number not in present for step in left for number in step.numbers)
             if self._corrections is not None:
                 self._corrections.prepare(step.view for step in left if step.on_plane)
             with self.interrupts:
                 self._session(journal, left)
             self._catch_up()
+            if moved := displacements(self._hardware.bench, self._steps, self._folder.entries()):
+                write_displacements(self._folder, moved)
             done = self._done()
-            write_json(self._folder.path / "done.json", done)
+            write_record(self._folder.path / "done.json", done)
             return done
         finally:
             journal.close()
@@ -122,6 +163,7 @@ class Runner:
 
     def _session(self, journal: Journal, left: list[Step]) -> None:
         settings = self._exposures.set_up() if left else {}
+        self._exposures.require_patience(settings)
         count = sum(1 for entry in self._folder.entries() if entry["kind"] == "session")
         write_json(
             self._folder.path / f"camera_{count}.json", {"info": _info(self._hardware), "settings": settings}
@@ -129,11 +171,15 @@ class Runner:
         raw_queue = max(1, self._hardware.camera_section.buffers // 2)
         pipeline = Pipeline(self._folder, journal, self._corrections, self._live_queue, raw_queue)
         self.progress.flow = pipeline.flow
+        frames = StepFrames(
+            self._folder, journal, pipeline, self._exposures, self._hardware, self.interrupts, self.progress,
+            self._tell,
+        )  # fmt: skip
         why, error_text = "finished", ""
         try:
             for step in left:
                 self._between_steps(len(self._steps) - step.index)
-                self._step(journal, pipeline, step)
+                self._step(journal, frames, step)
         except BaseException as error:
             why, error_text = type(error).__name__, str(error)
             raise
@@ -142,12 +188,21 @@ class Runner:
                 self._exposures.end()
             finally:
                 pipeline.close()
-                ledger = self._exposures.books(pipeline.flow.written)
-                journal.append("counts", books=ledger.to_dict(), flow=pipeline.flow.summary())
-                journal.append("end", sync=True, utc=_utc(), why=why, error=error_text)
+                ledger = self._exposures.conclude(pipeline.flow.written)
+                doubt = "; ".join(self._exposures.doubts)
+                about: dict[str, Any] = {"doubt": doubt} if doubt else {}
+                if doubt and why == "finished":
+                    why, error_text = BadBalance.__name__, doubt
+                journal.append("counts", books=ledger.to_dict(), flow=pipeline.flow.summary(), **about)
+                journal.append("end", sync=True, utc=_utc(), why=why, error=error_text, **about)
                 self._tell("closing", ledger)
-        if ledger.imbalance:
-            raise BadBalance(f"{ledger.sentence()}; look at {self._folder.journal_path}")
+        if doubt:
+            raise BadBalance(f"{doubt}; look at {self._folder.journal_path}, and begin a new run")
+
+    def _write_doubt(self, said: str) -> None:
+        """Have a doubt on the disk before anything else happens; a kill may follow."""
+        if self._journal is not None:
+            self._journal.append("doubt", sync=True, doubt=said)
 
     def _between_steps(self, left: int) -> None:
         if self.interrupts.paused:
@@ -156,71 +211,63 @@ class Runner:
         if self.interrupts.wanted:
             raise RunInterrupted(f"ended on request with {left} of {len(self._steps)} steps left")
 
-    def _step(self, journal: Journal, pipeline: Pipeline, step: Step) -> None:
+    def _step(self, journal: Journal, frames: StepFrames, step: Step) -> None:
         self.progress.step, self.progress.tag = step.index, step.tag
-        self._tell("moving")
-        planned = step.targets_mm
+        place = "on the way to"
         try:
-            before, self._rests_at_mm = self._rests_at_mm, {}
-            go_to(self._hardware, planned, before)
-            self._rests_at_mm = planned
+            record = self._arrive(journal, step)
+            place = "at"
+            self._tell("exposing")
+            gaps = frames.take(step, record)
+            self._require_still_there(journal, frames, step, record)
         except StageError as error:
             if self.interrupts.wanted and not isinstance(error, DeviceLost):
-                raise RunInterrupted(f"stopped on the way to step {step.index} ({step.tag}): {error}") from error
+                raise RunInterrupted(f"stopped {place} step {step.index} ({step.tag}): {error}") from error
             raise
-        self._hardware.clock.sleep_s(step.settle_s)
+        if gaps is None:
+            raise RunInterrupted(f"ended on request within step {step.index} ({step.tag}), which keeps its frames")
+        record |= {"gaps": gaps} if gaps else {}
+        journal.append("step", sync=True, step=step.index, tag=step.tag, utc=_utc(), **record)
+        sync_folder(self._folder.path / "frames")
+
+    def _arrive(self, journal: Journal, step: Step) -> dict[str, Any]:
+        """Bring everything to a step's place; return what its frames and its line will say about positions."""
+        self._tell("moving")
+        planned, token = step.targets_mm, self._hardware.stage.latch.begin()
+        before, found, self._rests_at_mm, self._found_mm = self._rests_at_mm, self._found_mm, {}, None
+        go_to(self._hardware, planned, before, found)
+        self._rests_at_mm = planned
+        rest(self._hardware, step.settle_s, token)
         measured = known_positions(self._hardware.stage.where_mm())
         self.progress.positions_mm = measured
         record: dict[str, Any] = {"planned_mm": planned, "measured_mm": measured}
         if self._hardware.simulation is not None:
             record["true_mm"] = self._hardware.simulation.true_mm()
-        self._tell("exposing")
-        for attempt in range(1, REPEATS + 1):
-            try:
-                self._expose(pipeline, step, record)
-                break
-            except (CameraLost, SettingsChanged) as error:
-                pipeline.flush()
-                self._discard(journal, step)
-                if attempt == REPEATS:
-                    raise
-                self._bring_back(error)
-        journal.append("step", sync=True, step=step.index, tag=step.tag, utc=_utc(), **record)
-        sync_folder(self._folder.path / "frames")
+        self._require_arrived(journal, step, record, measured)
+        return record
 
-    def _expose(self, pipeline: Pipeline, step: Step, record: Mapping[str, Any]) -> None:
-        for place, frame in self._exposures.frames(step.frames):
-            job = Job(step, step.first_frame + place, frame.with_positions_mm(record["measured_mm"]), dict(record))
-            pipeline.submit(job)
-            self.progress.frames += 1
-            self.progress.waiting = pipeline.waiting
-            self._tell("exposing")
-        pipeline.flush()
-        self._exposures.verify()
+    def _require_still_there(
+        self, journal: Journal, frames: StepFrames, step: Step, record: Mapping[str, Any]
+    ) -> None:
+        """Ask once more when the frames are in: what was exposed elsewhere must not stay under this step."""
+        try:
+            measured = known_positions(self._hardware.stage.where_mm())
+            self._require_arrived(journal, step, record, measured)
+        except (StageError, PlanError):
+            frames.discard(step)
+            raise
+        self._found_mm = measured
 
-    def _discard(self, journal: Journal, step: Step) -> None:
-        present = frame_entries(self._folder.entries())
-        numbers = [number for number in step.numbers if number in present]
-        if numbers:
-            journal.append("discard", sync=True, frames=numbers)
-            self._exposures.discarded += len(numbers)
-            self.progress.frames -= len(numbers)
-        for number in numbers:
-            self._folder.frame_path(number).unlink(missing_ok=True)
-            self._folder.corrected_path(number).unlink(missing_ok=True)
-
-    def _bring_back(self, why: CameraError) -> None:
-        """Try to get a lost camera back for a while."""
-        end_s = time.monotonic() + self._hardware.camera_section.back_within_s
-        while True:
-            self._tell(f"waiting for the camera: {why}")
-            try:
-                self._exposures.reopen()
-                return
-            except CameraError:
-                if time.monotonic() > end_s or self.interrupts.wanted:
-                    raise why from None
-            time.sleep(RETRY_S)
+    def _require_arrived(
+        self, journal: Journal, step: Step, record: Mapping[str, Any], measured_mm: Mapping[str, float]
+    ) -> None:
+        try:
+            require_arrived(self._hardware, record["planned_mm"], measured_mm)
+        except NotInPosition:
+            self._rests_at_mm = {}
+            about = {"planned_mm": record["planned_mm"], "measured_mm": dict(measured_mm)}
+            journal.append("miss", sync=True, step=step.index, tag=step.tag, utc=_utc(), **about)
+            raise
 
     def _tell(self, doing: str, ledger: Ledger | None = None) -> None:
         self.progress.doing = doing
@@ -244,8 +291,13 @@ class Runner:
         total, sessions = total_ledger(entries)
         present = frame_entries(entries)
         absent = self._folder.absent(entries)
-        if absent or len(present) != frame_count(self._steps):
+        gaps = booked_gaps(entries)
+        never_came = {number for found in gaps.values() for number in numbers_in(found)}
+        if absent or {number for step in self._steps for number in step.numbers} - never_came != set(present):
             raise BadBalance(f"{len(present)} frames in the journal, {len(absent)} of them without a file")
+        if said := doubts(entries):
+            raise BadBalance(f"{said[0]}; begin a new run")
+        about = [{"step": i, "tag": self._steps[i].tag, "gaps": found} for i, found in sorted(gaps.items())]
         flows = [entry["flow"] for entry in entries if entry["kind"] == "counts"]
         return {
             "utc": _utc(),
@@ -254,30 +306,10 @@ class Runner:
             "conservation": total.to_dict(),
             "sessions": sessions,
             "corrected_after_the_run": self._caught_up,
+            **({"gaps": about} if about else {}),
             "flow": flows,
+            "sha256": run_hash(self._folder.path, {line["file"]: line["crc32"] for line in present.values()}),
         }
-
-
-def go_to(hardware: OpenBench, targets_mm: Mapping[str, float], rests_at_mm: Mapping[str, float]) -> None:
-    """Bring every axis to its position along the safe route.
-
-    Parameters
-    ----------
-    hardware : OpenBench
-        Open.
-    targets_mm : mapping
-        Position of every axis.
-    rests_at_mm : mapping
-        Where this run has sent axes before; what is there already is not moved by the micrometre it reads off.
-
-    Raises
-    ------
-    StageError
-        A move was refused, or something came between; everything has been stopped.
-    """
-    here_mm = known_positions(hardware.stage.where_mm()) | dict(rests_at_mm)
-    for move in route(hardware.bench, here_mm, targets_mm):
-        hardware.stage.move(move)
 
 
 def _info(hardware: OpenBench) -> dict[str, str]:

@@ -6,28 +6,33 @@ what moves depends on the bench's scene only through keep-out and scale, so both
 """
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from correction.dewarp import fit_dewarp
-from correction.frame_file import read_frame
 from correction.resample import Method
-from correction.target import Chessboard
+from daq.bare_target import dewarp_of
 from daq.bench.bench_file import Bench, load_bench
 from daq.bench.opened import OpenBench, open_bench
-from daq.errors import DiskError, ResumeRefused
+from daq.errors import DiskError, ResumeRefused, RunDamaged
 from daq.pipeline.corrections import Corrections
 from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.plan import Plan, load_plan
 from daq.plans.steps import frame_count
 from daq.runner.progress import Progress, Watcher
+from daq.runner.retake import steps_to_retake
 from daq.runner.runner import Runner
-from daq.runs.displacement import displacements
-from daq.runs.run_folder import RunFolder, remaining, versions
-from daq.runs.whole_text import write_json, write_text
+from daq.runner.same_boxes import require_same_boxes
+from daq.runs.displacement import FILE as MOVED
+from daq.runs.done_file import FILE as DONE
+from daq.runs.frame_check import Track, untracked
+from daq.runs.gaps import next_place
+from daq.runs.run_folder import RunFolder, frame_entries, remaining, versions
+from daq.runs.session_books import doubts
+from daq.runs.unclaimed import unclaimed
+from daq.runs.whole_text import write_text
 from tracer.scene_file import dump_scene, load_scene
 
 DISK_MARGIN = 1.05
@@ -73,7 +78,7 @@ class Request:
         return {name: str(v.resolve()) if isinstance(v, Path) else v for name, v in vars(self).items()}
 
     @classmethod
-    def from_dict(cls, tree: dict[str, Any]) -> "Request":
+    def from_dict(cls, tree: Mapping[str, Any]) -> "Request":
         """Inverse of `to_dict`."""
         paths = ("bench", "plan", "scene", "target_clear")
         known: dict[str, Any] = {n: Path(v) if n in paths and v is not None else v for n, v in tree.items()}
@@ -96,16 +101,13 @@ def make_corrections(request: Request, bench: Bench, maps: Path) -> Corrections 
     if not request.correct:
         return None
     scene = load_scene(request.scene) if request.scene is not None else bench.scene
-    dewarp = None
-    if request.target_clear is not None:
-        frame = read_frame(request.target_clear, scene.camera.shape)
-        board = Chessboard(bench.table.target.square_mm)
-        dewarp = fit_dewarp(frame, scene.camera, board, request.dewarp_order)
+    dewarp = dewarp_of(request.target_clear, scene.camera, bench.table.target.board, request.dewarp_order)
     return Corrections(scene, dewarp, request.method, maps)
 
 
 def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder:
     """Make the folder of a new run."""
+    board = bench.table.target.board
     about = {
         "name": plan.name,
         "request": request.to_dict(),
@@ -114,26 +116,53 @@ def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder
         "plan": plan.path.read_text(encoding="utf-8"),
         "bench": bench.path.read_text(encoding="utf-8"),
         "scene": dump_scene(bench.scene),
-        "square_mm": bench.table.target.square_mm,
+        "square_mm": board.square_mm,
+        "disc_mm": board.disc_mm,
         "steps": [{"index": s.index, "tag": s.tag, "first_frame": s.first_frame, "frames": s.frames,
-                   "view": s.view, "shows": s.shows, "on_plane": s.on_plane, "reference": s.reference}
+                   "view": s.view, "shows": s.shows, "on_plane": s.on_plane, "reference": s.reference,
+                   "group": s.group}
                   for s in plan.steps],
     }  # fmt: skip
     return RunFolder.create(parent, plan.name, about)
 
 
-def reopen(path: Path) -> tuple[Request, Bench, Plan, RunFolder]:
-    """Read a run's files again and make sure that they still mean the same.
+@dataclass(frozen=True)
+class Reopened:
+    """A run that may go on: what was asked for, its files read again, and the finished steps to take `again`."""
+
+    request: Request
+    bench: Bench
+    plan: Plan
+    folder: RunFolder
+    again: frozenset[int] = frozenset()
+
+
+def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Reopened:
+    """Read a run's files again, and make sure that they still mean the same and that its frames are whole.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run.
+    retake : bool
+        Whether steps with a frame that is missing or damaged are to be taken again, also those of a finished run.
+    track : Track, optional
+        Shows how many frames have been read.
 
     Raises
     ------
     ResumeRefused
-        The run is finished, or a file means something else than when the run began.
+        The run is finished or in doubt, or a file means something else than when the run began.
+    RunDamaged
+        A record is not what was written; or, without `retake`, a frame that would count as done.
     """
     folder = RunFolder.open(path)
     about = folder.about
-    if folder.is_done:
+    if folder.is_done and not retake:
         raise ResumeRefused(f"{path} is finished; there is nothing to resume")
+    entries = folder.entries()
+    if said := doubts(entries):
+        raise ResumeRefused(f"{path}: {said[0]}, so frames may show another stop than they say; begin a new run")
     request = Request.from_dict(about["request"])
     bench = load_bench(request.bench)
     plan = load_plan(request.plan, bench)
@@ -144,9 +173,12 @@ def reopen(path: Path) -> tuple[Request, Bench, Plan, RunFolder]:
                 f"{path}: the {name} is another than when the run began ({now}, was {then}); "
                 "put the old file back, or begin a new run"
             )
-    if absent := folder.absent(folder.entries()):
-        raise ResumeRefused(f"{path}: frames {absent[:5]} are in the journal and not on the disk; begin a new run")
-    return request, bench, plan, folder
+    if strange := unclaimed(folder, about["steps"], entries).sentence:
+        raise RunDamaged(f"{path}: {strange}")
+    again = steps_to_retake(folder, plan.steps, entries, retake, track)
+    if folder.is_done and not again:
+        raise ResumeRefused(f"{path} is finished and all of its frames are right; there is nothing to take again")
+    return Reopened(request, bench, plan, folder, again)
 
 
 def check_disk(folder: Path, needed_bytes: int) -> None:
@@ -173,6 +205,7 @@ def carry_out(
     home: bool,
     watcher: Watcher | None = None,
     before: Callable[[OpenBench], None] | None = None,
+    again: Collection[int] = (),
 ) -> dict[str, Any]:
     """Open the bench and do what is left of a run; return the contents of done.json.
 
@@ -186,16 +219,29 @@ def carry_out(
         Gets the progress.
     before : callable, optional
         Called with the open bench before anything moves.
+    again : collection of int
+        Finished steps that are to be taken again, see `reopen`.
+
+    Raises
+    ------
+    WrongDevice
+        Other controllers answer than those that the run began with; nothing has moved.
     """
-    left = remaining(plan.steps, folder.entries())
+    left = remaining(plan.steps, folder.entries(), again)
     height, width = bench.scene.camera.shape
     check_disk(folder.path, 2 * width * height * frame_count(left) * (2 if request.correct else 1))
     corrections = make_corrections(request, bench, folder.path.parent / MAPS)
     if corrections is not None:
         corrections.prepare(step.view for step in left if step.on_plane)
-    shows, exposures_before = plan.table.shows, left[0].first_frame if left else frame_count(plan.steps)
+    shows, exposures_before = plan.table.shows, frame_count(plan.steps)
+    if left:
+        goes_on = left[0].may_have_gaps and left[0].index not in again
+        kept = next_place(left[0], frame_entries(folder.entries())) if goes_on else 0
+        exposures_before = left[0].first_frame + kept
     with ExitStack() as stack:
         hardware = stack.enter_context(open_bench(bench, request.simulate, shows, exposures_before))
+        boxes = {name: box.identity for name, box in hardware.stage.controllers.items()}
+        require_same_boxes(folder.entries(), boxes)
         if hardware.simulation is not None:
             for name, text in hardware.simulation.secrets().items():
                 write_text(folder.path / name, text)
@@ -210,9 +256,8 @@ def carry_out(
                     watcher(progress)
 
             hardware.stage.home(tell=tell)
-        runner = Runner(hardware, folder, plan.steps, corrections, watcher, request.live_queue)
-        done = runner.run()
-    moved = displacements(bench, plan.steps, folder.entries())
-    if moved:
-        write_json(folder.path / "displacements.json", [entry.to_dict() for entry in moved])
-    return done
+        if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
+            for name in (DONE, MOVED):
+                (folder.path / name).unlink(missing_ok=True)
+        runner = Runner(hardware, folder, plan.steps, corrections, watcher, request.live_queue, again)
+        return runner.run()

@@ -4,25 +4,37 @@ Kinds of lines:
 
     session   a process began to work on the run (the first, or one that resumes)
     frame     a frame is on the disk under its final name: positions, checksum, both clocks
-    step      all frames of a step are on the disk
+    step      all frames of a step are on the disk, and the gaps of one that may have some
+    arm       a step that keeps what it has goes on behind its last frame, and why
     discard   frames of a step that was cut off; the step is taken again and their files are gone
+    miss      axes stood elsewhere than a step had sent them: planned and measured positions; the step has failed
     counts    what became of every triggered frame of this session
     end       a session ended by itself, and why
+    doubt     a frame of this session may not show what its line says
 
-A killed process may leave half a last line; it is ignored on reading and cut off before anything is appended.
+What the lines hold is said in daq.runs.journal_lines; each carries its seal, see daq.runs.seal.
+
+A killed process may leave a part of a last line; it is ignored on reading and cut off before anything is appended.
 Lines reach the operating system at once (kill -9 loses none) and the disk at the end of a step or after
 `SYNC_S`, whichever comes first (power loss).
 """
 
 import json
 import os
+import re
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-from daq.errors import DiskError, ResumeRefused
+from pydantic_core import from_json
+
+from daq.errors import DiskError, ResumeRefused, RunDamaged
+from daq.runs.journal_lines import LINE
+from daq.runs.journal_lines import Entry as Entry  # what readers of a journal hold in their hands
+from daq.runs.records import CURE, parsed
+from daq.runs.seal import sealed
 
 try:
     from fcntl import LOCK_EX, LOCK_NB, flock
@@ -30,36 +42,51 @@ except ImportError:  # not a POSIX machine: nobody keeps a second process away t
     flock = None  # type: ignore[assignment]
 
 SYNC_S = 0.25
-MAX_LINE_BYTES = 1_000_000
-
-Entry = dict[str, Any]
+_MORE_THAN_WHOLE = re.compile(rb'"seal":"[0-9a-f]{8}"\}.', re.DOTALL)
 
 
-def read_journal(path: Path) -> list[Entry]:
+def read_journal(path: Path, has_seals: bool = True) -> list[Entry]:
     """Return the whole lines of a journal, in order; [] if there is none yet.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    has_seals : bool
+        Whether every line must carry its seal: since layout 2 of the run folder.
 
     Raises
     ------
-    ResumeRefused
-        A line before the last one is damaged: somebody edited the file.
+    RunDamaged
+        A line is not what was written, or holds what no run writes; the message names it.
     """
-    if not path.exists():
-        return []
-    return list(_entries(path))
+    try:
+        return list(_entries(path, has_seals)) if path.exists() else []
+    except OSError as error:
+        raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
 
 
-def _entries(path: Path) -> Iterator[Entry]:
+def _entries(path: Path, has_seals: bool) -> Iterator[Entry]:
     with path.open("rb") as file:
         for number, line in enumerate(file, start=1):
             if not line.endswith(b"\n"):
+                if not _is_torn(line):
+                    raise RunDamaged(f"{path}:{number}: the end of the file is damaged; {CURE}")
                 return
-            try:
-                entry = json.loads(line)
-            except ValueError:
-                entry = None
-            if not isinstance(entry, dict) or "kind" not in entry:
-                raise ResumeRefused(f"{path}:{number}: is damaged; restore the journal or begin a new run")
-            yield entry
+            yield parsed(LINE, line, path, number, has_seals)
+
+
+def _is_torn(line: bytes) -> bool:
+    """Whether a last line without its end is what a kill leaves: the beginning of a line, and no more.
+
+    A power cut may leave zeros where the rest was to be.
+    """
+    line = line.rstrip(b"\0")
+    try:
+        from_json(line or b"{", allow_partial="trailing-strings")
+    except ValueError:
+        return False
+    return b'{"kind":'.startswith(line[:8]) and not _MORE_THAN_WHOLE.search(line)
 
 
 class Journal:
@@ -85,6 +112,7 @@ class Journal:
             if flock is not None:
                 flock(self._file, LOCK_EX | LOCK_NB)
             _cut_torn_line(path)
+            self._whole_bytes = path.stat().st_size
         except BlockingIOError as error:
             self._file.close()
             raise ResumeRefused(f"{path.parent}: another process works on this run; let it finish") from error
@@ -108,7 +136,8 @@ class Journal:
         DiskError
             It cannot be written.
         """
-        line = json.dumps({"kind": kind, **fields}, separators=(",", ":")).encode() + b"\n"
+        record = json.dumps({"kind": kind, **fields}, separators=(",", ":"), allow_nan=False)
+        line = sealed(record.encode()) + b"\n"
         with self._lock:
             try:
                 self._write(line)
@@ -127,9 +156,15 @@ class Journal:
                 self._file.close()
 
     def _write(self, line: bytes) -> None:
-        written = self._file.write(line)
-        if written != len(line):  # a full disk takes a part; the torn line is cut off by the next session
-            os.write(self._file.fileno(), line[written or 0 :])
+        try:
+            rest = memoryview(line)
+            while rest:  # a disk that is nearly full takes a part
+                rest = rest[os.write(self._file.fileno(), rest) :]
+        except OSError:
+            with suppress(OSError):  # the next line must not continue a torn one: room may come back before it
+                os.ftruncate(self._file.fileno(), self._whole_bytes)
+            raise
+        self._whole_bytes += len(line)
 
 
 def _cut_torn_line(path: Path) -> None:

@@ -5,28 +5,30 @@
         frames/         000123.tif, raw, never written twice
         steps.jsonl     the journal, see daq.runs.journal
         corrected/      000123.tif, mask.tif; can be made again from the frames at any time
-        camera.json     every setting the camera could tell, per session
-        done.json       last: counts, latencies, checks; a run without it is not finished
+        camera_1.json   every setting the camera could tell, per session
+        done.json       last: counts, latencies, the hash of the run; a run without it is not finished
 
-Names in a journal or run.json are never trusted: every path that is read back must lie inside the folder.
+Nothing that is read back is trusted: records carry seals and are checked against types (daq.runs.records), frames
+carry checksums, and what they name must be of the plan and lie inside the folder.
 Layout and reasons: docs/adr/0007-run-folder.md.
 """
 
-import json
 import platform
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from daq.errors import DiskError, ResumeRefused
+from daq.errors import DiskError, ResumeRefused, RunDamaged
 from daq.plans.steps import Step
-from daq.runs.journal import Entry, read_journal
-from daq.runs.whole_text import sync_folder, write_json
+from daq.runs.journal import read_journal
+from daq.runs.journal_lines import Entry
+from daq.runs.records import CURE
+from daq.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
+from daq.runs.whole_text import sync_folder, write_record
 
-LAYOUT = 1
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 
 
@@ -77,7 +79,7 @@ class RunFolder:
             (path / "corrected").mkdir()
         except OSError as error:
             raise DiskError(f"{parent}: {error.strerror}; choose another folder with -o") from error
-        write_json(path / "run.json", {"layout": LAYOUT, **about})
+        write_record(path / FILE, {"layout": LAYOUT, **about})
         sync_folder(parent)
         return cls(path)
 
@@ -89,24 +91,19 @@ class RunFolder:
         ------
         ResumeRefused
             It is no run folder, or of an unknown layout.
+        RunDamaged
+            run.json is not what was written.
         """
         folder = cls(path)
-        if folder.about.get("layout") != LAYOUT:
-            raise ResumeRefused(f"{path}: run.json has layout {folder.about.get('layout')!r}, known is {LAYOUT}")
+        read_run_file(path)
         for name in ("frames", "corrected"):
             (path / name).mkdir(exist_ok=True)
         return folder
 
     @property
-    def about(self) -> dict[str, Any]:
-        """Contents of run.json."""
-        try:
-            tree = json.loads((self.path / "run.json").read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise ResumeRefused(f"{self.path}: is no run folder (run.json: {error})") from error
-        if not isinstance(tree, dict):
-            raise ResumeRefused(f"{self.path}: run.json is damaged")
-        return tree
+    def about(self) -> RunFile:
+        """Contents of run.json, checked; ResumeRefused or RunDamaged as for `open`."""
+        return read_run_file(self.path)
 
     @property
     def journal_path(self) -> Path:
@@ -119,12 +116,25 @@ class RunFolder:
         return (self.path / "done.json").exists()
 
     def entries(self) -> list[Entry]:
-        """Whole lines of the journal."""
-        return read_journal(self.journal_path)
+        """Whole lines of the journal, checked one by one and against the plan.
+
+        Raises
+        ------
+        RunDamaged
+            A line is not what was written, or says what this plan cannot have led to.
+        """
+        if not self.journal_path.exists():
+            return []
+        about = self.about
+        entries = read_journal(self.journal_path, about["layout"] >= SEALED_FROM)
+        for line, entry in enumerate(entries, start=1):
+            if problem := _against_plan(entry, about["steps"]):
+                raise RunDamaged(f"{self.journal_path}:{line}: {problem}; {CURE}")
+        return entries
 
     def frame_path(self, number: int) -> Path:
         """File of a raw frame."""
-        return self.path / "frames" / f"{number:06d}.tif"
+        return self.path / frame_name(number)
 
     def corrected_path(self, number: int) -> Path:
         """File of a corrected frame."""
@@ -148,24 +158,61 @@ class RunFolder:
         return path
 
 
+def frame_name(number: int) -> str:
+    """Name of a raw frame within its run."""
+    return f"frames/{number:06d}.tif"
+
+
+def _against_plan(entry: Entry, steps: Sequence[PlannedStep]) -> str:
+    """What a line of a journal says that its plan cannot have led to; "" if nothing."""
+    kind = entry["kind"]
+    if kind == "discard":
+        last = steps[-1] if steps else None
+        frames = 0 if last is None else last["first_frame"] + last["frames"]
+        outside = [number for number in entry["frames"] if number >= frames]
+        return f"discards frame {outside[0]}, and the plan has {frames}" if outside else ""
+    if kind not in ("frame", "step", "miss", "arm"):
+        return ""
+    number = entry["step"]
+    if number >= len(steps):
+        return f"is about step {number}, and the plan has {len(steps)}"
+    if kind != "frame":
+        return ""
+    step, frame = steps[number], entry["frame"]
+    if not 0 <= frame - step["first_frame"] < step["frames"]:
+        return f"is about frame {frame}, which is none of step {number}"
+    if entry["file"] != frame_name(frame):
+        return f"names {entry['file']!r} for frame {frame}, which a run writes to {frame_name(frame)}"
+    return ""
+
+
 def frame_entries(entries: Iterable[Entry]) -> dict[int, Entry]:
     """Frame lines that still hold, by frame number: discarded ones are left out."""
     frames: dict[int, Entry] = {}
     for entry in entries:
         if entry["kind"] == "frame":
-            frames[int(entry["frame"])] = entry
+            frames[entry["frame"]] = entry
         elif entry["kind"] == "discard":
             for number in entry["frames"]:
-                frames.pop(int(number), None)
+                frames.pop(number, None)
     return frames
 
 
 def finished_steps(entries: Iterable[Entry]) -> set[int]:
-    """Steps whose every frame is on the disk."""
-    return {int(entry["step"]) for entry in entries if entry["kind"] == "step"}
+    """Steps whose every frame is on the disk: their line is there and no frame of theirs was discarded later."""
+    finished: set[int] = set()
+    step_of: dict[int, int] = {}
+    for entry in entries:
+        if entry["kind"] == "frame":
+            step_of[entry["frame"]] = entry["step"]
+        elif entry["kind"] == "step":
+            finished.add(entry["step"])
+        elif entry["kind"] == "discard":
+            finished -= {step_of[number] for number in entry["frames"] if number in step_of}
+    return finished
 
 
-def remaining(steps: Iterable[Step], entries: Iterable[Entry]) -> list[Step]:
-    """Plan minus journal."""
+def remaining(steps: Iterable[Step], entries: Iterable[Entry], again: Container[int] = ()) -> list[Step]:
+    """Plan minus journal, and the finished steps that are to be taken `again`."""
     done = finished_steps(entries)
-    return [step for step in steps if step.index not in done]
+    return [step for step in steps if step.index not in done or step.index in again]

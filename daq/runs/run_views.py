@@ -1,41 +1,30 @@
-"""What a run folder shows, for the verbs that work on finished runs: target frames, and pairs with their shift."""
+"""What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view."""
 
-import json
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from statistics import fmean
+from tempfile import TemporaryDirectory
 
-from daq.bench.bench_file import Vector
-from daq.errors import ResumeRefused
+from daq.bench.bench_file import TARGET, BenchTable
+from daq.errors import RunDamaged
+from daq.runs.records import CURE
+from daq.runs.run_file import FILE
 from daq.runs.run_folder import RunFolder, frame_entries
 from daq.runs.whole_text import write_text
-from tracer.errors import TracerError
+from tracer.config import read
+from tracer.errors import ConfigError, TracerError
 from tracer.scene_file import load_scene
-
-RUN_MARK = "run.json"
 
 
 @dataclass(frozen=True)
-class ShiftPair:
-    """Two frames of a shift experiment.
-
-    Parameters
-    ----------
-    tag : str
-        What the plan calls the second one.
-    glass : bool
-        Taken through the glass, or the clear reference.
-    frames : (Path, Path)
-        Before and after.
-    commanded_mm, measured_mm : (float, float, float)
-        Displacement of the target in the world, as planned and as the stages reported it.
-    """
+class TargetView:
+    """A frame of the board, through the glass or bare, and how far before the plane the board stood, measured."""
 
     tag: str
+    path: Path
     glass: bool
-    frames: tuple[Path, Path]
-    commanded_mm: Vector
-    measured_mm: Vector
+    height_mm: float
 
 
 @dataclass(frozen=True)
@@ -51,12 +40,12 @@ class View:
 
 def is_run(path: Path) -> bool:
     """Whether a folder is a run."""
-    return (path / RUN_MARK).is_file()
+    return (path / FILE).is_file()
 
 
 def bench_scene(path: Path) -> str:
     """Text of the bench's scene file as it was when a run began."""
-    return str(RunFolder.open(path).about["scene"])
+    return RunFolder.open(path).about["scene"]
 
 
 def scene_file(path: Path, out: Path) -> Path:
@@ -77,69 +66,67 @@ def scene_file(path: Path, out: Path) -> Path:
     return out / "scene.yaml"
 
 
-def target_frames(path: Path) -> dict[str, Path]:
-    """First frame of every step that photographed the target, by tag.
+def target_views(path: Path) -> list[TargetView]:
+    """First frame of every step that photographed the board, in the order of the plan.
+
+    The investigation plane is where the board stood when the plan had it there.  Frames that were planned at one
+    height share the mean of what the stages reported, so that the last digit of an encoder is no other height.
 
     Raises
     ------
     ResumeRefused
-        The folder is no run, or a name in it leads outside.
+        The folder is no run.
+    RunDamaged
+        What it says is not what was written.
     """
     folder = RunFolder.open(path)
-    files = _files(folder)
-    return {
-        str(step["tag"]): files[step["first_frame"]]
-        for step in _steps(folder)
-        if step["shows"] == "chessboard" and step["first_frame"] in files
-    }
-
-
-def shift_pairs(path: Path) -> list[ShiftPair]:
-    """Pairs of a shift experiment, in the order of the plan.
-
-    Raises
-    ------
-    ResumeRefused
-        The folder is no run, a name in it leads outside, or it holds no displacement.
-    """
-    folder = RunFolder.open(path)
-    files, views = _files(folder), {str(step["tag"]): str(step["view"]) for step in _steps(folder)}
-    try:
-        moved = json.loads((path / "displacements.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise ResumeRefused(f"{path}: holds no displacements; evaluate a finished shift run") from None
-    found = []
-    for entry in moved:
-        first, second = entry["frames"]
-        if first in files and second in files:
-            tag, glass = str(entry["tag"]), views.get(str(entry["tag"])) == "glass"
-            ways = (_vector(entry["commanded_mm"]), _vector(entry["measured_mm"]))
-            found.append(ShiftPair(tag, glass, (files[first], files[second]), *ways))
-    if not found:
-        raise ResumeRefused(f"{path}: no displacement is complete; resume the run first")
-    return found
+    about, entries = folder.about, frame_entries(folder.entries())
+    steps = [s for s in about["steps"] if s["shows"] == "chessboard" and s["first_frame"] in entries]
+    if not steps:
+        return []
+    table = _bench_table(folder)
+    reported_mm = defaultdict[float, list[float]](list)
+    planned_mm: list[float] = []
+    for step in steps:
+        entry = entries[step["first_frame"]]
+        try:
+            planned, measured = (table.offset_mm(TARGET, entry[name])[2] for name in ("planned_mm", "measured_mm"))
+        except KeyError as error:
+            raise RunDamaged(f"{path}: frame {entry['frame']} does not say where {error} was; {CURE}") from None
+        planned_mm.append(0.0 if step["on_plane"] else planned)
+        reported_mm[planned_mm[-1]].append(measured)
+    heights_mm = {planned: fmean(reported) for planned, reported in reported_mm.items()}
+    plane_mm = heights_mm.get(0.0, 0.0)
+    views = []
+    for step, planned in zip(steps, planned_mm, strict=True):
+        file = folder.inside(entries[step["first_frame"]]["file"])
+        views.append(TargetView(step["tag"], file, step["view"] == "glass", heights_mm[planned] - plane_mm))
+    return views
 
 
 def first_view(folder: RunFolder) -> View | None:
     """First frame through the glass with the print in the plane, else what comes nearest to that."""
     files = _files(folder)
     views = [
-        View(files[s["first_frame"]], str(s["tag"]), str(s["shows"]), s["view"] == "glass", bool(s["on_plane"]))
-        for s in _steps(folder)
+        View(files[s["first_frame"]], s["tag"], s["shows"], s["view"] == "glass", s["on_plane"])
+        for s in folder.about["steps"]
         if s["first_frame"] in files
     ]
     return max(views, key=lambda view: (view.glass, view.on_plane), default=None)
 
 
-def _steps(folder: RunFolder) -> list[dict[str, Any]]:
-    return list(folder.about["steps"])
-
-
 def _files(folder: RunFolder) -> dict[int, Path]:
     """Frames that are on the disk, by number; every name is confined to the run."""
-    return {number: folder.inside(str(entry["file"])) for number, entry in frame_entries(folder.entries()).items()}
+    return {number: folder.inside(entry["file"]) for number, entry in frame_entries(folder.entries()).items()}
 
 
-def _vector(values: list[float]) -> Vector:
-    x, y, z = values
-    return (float(x), float(y), float(z))
+def _bench_table(folder: RunFolder) -> BenchTable:
+    """Bench file of a run as it was when the run began."""
+    with TemporaryDirectory() as place:
+        own = Path(place) / "bench.yaml"
+        write_text(own, folder.about["bench"])
+        try:
+            return read(own, BenchTable)
+        except ConfigError as error:
+            problem = error.problems[0].text
+            raise RunDamaged(f"{folder.path / FILE}: its bench cannot be read: {problem}; {CURE}") from None

@@ -1,4 +1,9 @@
-"""The books of a whole run from its journal: those of its sessions, added up."""
+"""The books of a whole run from its journal: those of its sessions, added up, and what is in doubt about them.
+
+A doubt is a reason why some frame of the run may not show what its record says: books that do not balance, or a
+frame that could not be given to its trigger.  It never goes away by taking more frames, so a run with one is never
+done and is not resumed; its frames stay where they are.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -31,3 +36,21 @@ def total_ledger(entries: Sequence[Entry]) -> tuple[Ledger, list[dict[str, Any]]
         why = {"ended": "killed", "error": ""} if end is None else {"ended": end["why"], "error": end["error"]}
         sessions.append({"utc": entries[first]["utc"], **why, "conservation": books.to_dict()})
     return total, sessions
+
+
+def doubts(entries: Sequence[Entry]) -> list[str]:
+    """Return what is in doubt about a run, one sentence each, without full stop; [] if nothing is.
+
+    Sessions say so themselves (key `doubt` of their lines, lines of the kind `doubt`); books that do not balance
+    are a doubt whether they were called one or not.
+    """
+    found: list[str] = []
+    for entry in entries:
+        said = entry.get("doubt")
+        if said is not None:
+            found.append(str(said))
+        elif entry["kind"] == "counts":
+            books = Ledger.from_dict(entry["books"])
+            if books.imbalance:
+                found.append(f"the books of a session do not balance ({books.sentence()})")
+    return list(dict.fromkeys(found))

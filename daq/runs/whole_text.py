@@ -2,10 +2,12 @@
 
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from daq.errors import DiskError
+from daq.runs.seal import sealed
 from tracer.whole_file import whole_file
 
 
@@ -28,6 +30,11 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, tree: Any) -> None:  # noqa: ANN401 - anything JSON can hold
     """Write plain data as `write_text` does."""
     write_text(path, json.dumps(tree, indent=1))
+
+
+def write_record(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a record of a run, with its seal, as `write_text` does."""
+    write_text(path, sealed(json.dumps(tree, indent=1, allow_nan=False).encode()).decode() + "\n")
 
 
 def sync_folder(folder: Path) -> None:

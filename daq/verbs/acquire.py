@@ -1,7 +1,7 @@
 """`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
 
-import json
 import sys
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +9,22 @@ from rich.console import Console
 from rich.table import Table
 
 from correction.resample import Method
-from daq.bench.bench_file import Bench, load_bench
+from daq.bench.bench_file import Bench, Vector, load_bench
 from daq.bench.opened import idle_stage
-from daq.errors import PlanError
+from daq.cameras import require_libraries
+from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.forecast import Forecast, forecast
 from daq.plans.plan import Plan, load_plan
+from daq.plans.way_out import forecast_from_home
 from daq.runner.session import Request, begin, carry_out, check_disk
 from daq.runner.watch import watch
+from daq.runs.displacement import FILE as MOVED
+from daq.runs.displacement import Moved, read_displacements
+from daq.runs.gaps import gap_sentence
 from daq.runs.run_folder import RunFolder
 from daq.terminal import console, error_console
+from stages.identities import confusable
 
 SHOWN_STEPS = 40
 SHOWN_PAIRS = 12
@@ -51,7 +57,8 @@ def acquire(
     dry_run : bool
         Print steps, travel, time, disk and violations; open nothing.
     home : bool
-        Home every axis first, in the configured order.
+        Home every axis first, in the configured order; the plan is then judged from the homed place, if the bench
+        file says where that is.
     correct : bool
         Correct frames as they arrive.
     scene : Path, optional
@@ -72,15 +79,27 @@ def acquire(
     ------
     ConfigError, PlanError
         A file is wrong, or the plan violates limits or keep-out; nothing has moved.
+    CameraSetupError
+        Libraries of the camera are not installed.
     RunInterrupted
         Ended on request; resume it.
     """
     screen = console()
     request = Request(bench, plan, simulate, correct, scene, target_clear, dewarp_order, method, live_queue)
     loaded = load_bench(bench)
+    if not dry_run:
+        require_libraries(loaded.table.camera.backend)
     steps = load_plan(plan, loaded)
-    said = forecast(loaded, idle_stage(loaded), steps.steps)
+    stage = idle_stage(loaded)
+    if home:
+        said, sentence = forecast_from_home(loaded, stage, steps.steps)
+        screen.print(sentence, soft_wrap=True)
+    else:
+        said = forecast(loaded, stage, steps.steps)
     print_forecast(screen, loaded, steps, said, with_steps=dry_run)
+    if not simulate:
+        for warning in confusable(loaded.table.stages):
+            error_console().print(warning, soft_wrap=True)
     if said.violations:
         first = said.violations[0]
         raise PlanError(
@@ -99,15 +118,24 @@ def acquire(
 
 
 def run_and_report(
-    screen: Console, request: Request, bench: Bench, plan: Plan, folder: RunFolder, home: bool
+    screen: Console,
+    request: Request,
+    bench: Bench,
+    plan: Plan,
+    folder: RunFolder,
+    home: bool,
+    again: Collection[int] = (),
 ) -> dict[str, Any]:
     """Do what is left of a run, say what came of it, or how to go on."""
     try:
         with watch(error_console()) as watcher:
-            done = carry_out(request, bench, plan, folder, home, watcher)
+            done = carry_out(request, bench, plan, folder, home, watcher, again=again)
+    except (BadBalance, FrameDoubt):
+        print(f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed", file=sys.stderr)
+        raise
     except BaseException:
-        again = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
-        print(f"the run is in {folder.path}; go on with: rtpiv resume {folder.path}{again}", file=sys.stderr)
+        homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
+        print(f"the run is in {folder.path}; go on with: rtpiv resume {folder.path}{homing}", file=sys.stderr)
         raise
     print_done(screen, folder, done)
     return done
@@ -144,6 +172,9 @@ def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None
         f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
         f"+ {books['rejected']} rejected + {books['lost']} lost"
     )
+    for step in done.get("gaps", ()):
+        frames = sum(planned["frames"] for planned in folder.about["steps"] if planned["index"] == step["step"])
+        screen.print(f"{step['tag']}: {gap_sentence(step['gaps'], frames)}", style="bold")
     for flow in done["flow"]:
         latency = flow["latency_ms"]
         if latency is not None:
@@ -151,21 +182,20 @@ def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None
                 f"{flow['corrected_live']} corrected as they arrived, latency p50 {latency['p50']:.0f} ms, "
                 f"p99 {latency['p99']:.0f} ms; {flow['skipped_live']} skipped and corrected after the run"
             )
-    path = folder.path / "displacements.json"
+    path = folder.path / MOVED
     if path.exists():
-        _print_displacements(screen, path)
+        _print_displacements(screen, path, read_displacements(folder))
     screen.print(str(folder.path), style="bold")
 
 
-def _print_displacements(screen: Console, path: Path) -> None:
+def _print_displacements(screen: Console, path: Path, found: Sequence[Moved]) -> None:
     table = Table(title="displacement of the target in mm")
     for name in ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um"):
         table.add_column(name)
-    found = json.loads(path.read_text(encoding="utf-8"))
     for entry in found[:SHOWN_PAIRS]:
         commanded = entry["commanded_mm"]
 
-        def off(vector: list[float] | None, commanded: list[float] = commanded) -> str:
+        def off(vector: Vector | None, commanded: Vector = commanded) -> str:
             if vector is None:
                 return "not known on a real bench"
             return ", ".join(f"{1e3 * (v - c):+.1f}" for v, c in zip(vector, commanded, strict=True))

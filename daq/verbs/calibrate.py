@@ -11,24 +11,24 @@ from correction.fit.map_sigma import map_sigma
 from correction.fit.measurement import TargetFrame
 from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
-from correction.frame_file import FRAME_ENDINGS, read_frame
-from correction.target import Chessboard
+from correction.frame_file import FRAME_ENDINGS
 from daq.calibration import calibration_of
 from daq.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
-from daq.runs.run_views import bench_scene, is_run
-from daq.runs.run_views import target_frames as frames_of_run
+from daq.runs.acquired import read_acquired
+from daq.runs.board import board_of
+from daq.runs.run_views import TargetView, bench_scene, is_run, target_views
 from daq.runs.whole_text import write_json, write_text
 from daq.terminal import console, error_console
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_priors, load_scene
 
-NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?)mm)?")
+NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm)?")
 WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear_z+10mm.tif and so on"
 
 
 def calibrate(
-    folder: Path, scene: Path | None, out: Path, square_mm: float = 2.5, disc_mm: float = 1.0
+    folder: Path, scene: Path | None, out: Path, square_mm: float | None = None, disc_mm: float | None = None
 ) -> SceneFit:
     """Fit a scene to frames of its target.
 
@@ -43,20 +43,22 @@ def calibrate(
     out : Path
         Folder: ``scene.yaml`` fitted, ``fit.npz`` (covariance, corners), ``map_sigma.npz`` and ``.png``,
         ``residuals.png``, ``convergence.png``, ``calibration.json``.
-    square_mm, disc_mm : float
-        The target.
+    square_mm, disc_mm : float, optional
+        The board, of a folder that is no run (default 2.5 and 1.0): a run knows its own.
 
     Raises
     ------
     ConfigError, SceneError
         The scene file is wrong.
+    BoardError
+        The run's board is another one.
     FrameError, TargetNotFound, FitError
         The frames cannot determine the scene; nothing is written then.
     """
     progress = error_console()
     began = time.monotonic()
     nominal, priors = nominal_scene(folder, scene)
-    board = Chessboard(square_mm, disc_mm)
+    board = board_of([folder], square_mm, disc_mm)
     frames = target_frames(folder, nominal.camera.shape)
 
     def say(text: str) -> None:
@@ -102,27 +104,33 @@ def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
 
 
 def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
-    """Read the target frames of a run or a folder; the name says what was before the camera and the height.
+    """Read the target frames of a run, at measured heights, or of a folder, at those that the names say.
 
     Raises
     ------
     ViewsMissing
-        There is no bare target at z = 0.
+        There is no frame of the target, or one that is named like one and is not understood.
     FrameError
         A frame is damaged or of another size.
+    RunDamaged
+        A frame of a run, or a record of it, is not what was written.
     """
     if not folder.is_dir():
         raise ViewsMissing(f"{folder}: is no folder; give a run, or the folder with {WANTED}")
-    if is_run(folder):
-        named = frames_of_run(folder)
-    else:
-        named = {path.stem: path for path in sorted(folder.iterdir()) if path.suffix.lower() in FRAME_ENDINGS}
-    frames = []
-    for name, path in named.items():
-        match = NAME.fullmatch(name)
-        if match:
-            image = read_frame(path, shape)
-            frames.append(TargetFrame(name, image, match[1] == "glass", float(match[2] or 0.0)))
-    if not frames:
+    views = target_views(folder) if is_run(folder) else _named_views(folder)
+    if not views:
         raise ViewsMissing(f"{folder}: holds no frame of the target; name them {WANTED}")
-    return frames
+    return [TargetFrame(view.tag, read_acquired(view.path, shape), view.glass, view.height_mm) for view in views]
+
+
+def _named_views(folder: Path) -> list[TargetView]:
+    """Frames of a folder that is no run: all that somebody knows of them stands in their names."""
+    views = []
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in FRAME_ENDINGS or not path.stem.startswith("target_"):
+            continue
+        match = NAME.fullmatch(path.stem)
+        if match is None:
+            raise ViewsMissing(f"{path}: is named like a frame of the target, but not {WANTED}; rename it")
+        views.append(TargetView(path.stem, path, match[1] == "glass", float(match[2] or 0.0)))
+    return views

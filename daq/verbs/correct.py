@@ -8,20 +8,22 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from correction.correction_map import build_correction_map
 from correction.corrector import UINT16_OFFSET, Corrector, to_uint16
-from correction.dewarp import Dewarp, fit_dewarp
-from correction.errors import CorrectionError, FrameError
+from correction.dewarp import Dewarp
+from correction.errors import FrameError
 from correction.evaluate.target_error import TargetError, target_error
-from correction.frame_file import read_frame, write_frame
+from correction.frame_file import write_frame
 from correction.node_status import MEANING, NodeStatus
+from correction.prepared import prepare
 from correction.resample import Method
 from correction.target import Chessboard
+from daq.bare_target import dewarp_of
 from daq.pictures.overview import draw_overview
 from daq.pictures.seen import seen
+from daq.runs.acquired import read_acquired
+from daq.runs.board import board_of
 from daq.runs.whole_text import write_json
 from daq.terminal import console, progress
-from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
@@ -34,7 +36,8 @@ def correct(
     out: Path,
     target_clear: Path | None = None,
     dewarp_order: int = 2,
-    square_mm: float = 2.5,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
     method: Method = "quintic",
     blend: int = 1,
     as_float: bool = False,
@@ -56,8 +59,8 @@ def correct(
         included, is taken as it is.
     dewarp_order : int
         Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
-    square_mm : float
-        Square of the target.
+    square_mm, disc_mm : float, optional
+        The board, of frames that are of no run (default 2.5 and 1.0): a run knows its own.
     method : {"quintic", "bilinear"}
         Interpolation.
     blend : int
@@ -78,6 +81,8 @@ def correct(
         The scene file is wrong.
     FrameError
         A frame is missing, damaged, colour, or of another size.
+    BoardError
+        A run's board is another one.
     TargetNotFound
         The bare target cannot be read.
     """
@@ -86,16 +91,10 @@ def correct(
     shape = loaded.camera.shape
     _refuse_same_names(frames)
     for path in frames:
-        read_frame(path, shape)
-    board = Chessboard(square_mm)
-    dewarp: Dewarp | None = None
-    if target_clear is not None:
-        frame = read_frame(target_clear, shape)
-        try:
-            dewarp = fit_dewarp(frame, loaded.camera, board, dewarp_order)
-        except CorrectionError as error:
-            raise type(error)(f"{target_clear}: {error}") from None
-    corrector = Corrector(build_correction_map(loaded, build_ray_map(loaded), layers=blend), dewarp, method)
+        read_acquired(path, shape)
+    board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
+    dewarp = dewarp_of(target_clear, loaded.camera, board, dewarp_order)
+    corrector = prepare(loaded, dewarp, method, blend).corrector
     grid = corrector.map.grid
     about: dict[str, Any] = {
         "origin_mm": list(grid.origin_mm),
@@ -108,7 +107,7 @@ def correct(
     errors: list[TargetError] = []
     clipped = 0
     for index, path in enumerate(progress(frames, len(frames), "correcting")):
-        frame = read_frame(path, shape)
+        frame = read_acquired(path, shape)
         corrected = corrector(frame)
         if check_target:
             errors.append(target_error(corrected, corrector, board))

@@ -2,16 +2,16 @@
 
 from pathlib import Path
 
-from daq.errors import DaqError
-from daq.runs.run_views import target_frames
+from daq.bench.bench_file import load_bench
+from daq.cameras import require_libraries
+from daq.example_files import examples
+from daq.runs.run_views import target_views
 from daq.terminal import console
 from daq.verbs.acquire import acquire
 from daq.verbs.calibrate import calibrate
 from daq.verbs.correct import correct
 from daq.verbs.report import report
 from daq.verbs.trace import trace
-
-FILES = Path(__file__).resolve().parents[2] / "examples" / "demo"
 
 
 def demo(out: Path) -> None:
@@ -28,19 +28,18 @@ def demo(out: Path) -> None:
 
     Raises
     ------
-    DaqError
-        The example files are not beside the program.
+    CameraSetupError
+        Libraries of the camera are not installed.
     """
-    if not FILES.is_dir():
-        raise DaqError(f"{FILES} is missing; run the demo from a checkout of the project")
-    screen = console()
-    scene, bench, fitted = FILES / "scene.yaml", FILES / "bench.yaml", out / "fit" / "scene.yaml"
+    files, screen = examples() / "demo", console()
+    scene, bench, fitted = files / "scene.yaml", files / "bench.yaml", out / "fit" / "scene.yaml"
+    require_libraries(load_bench(bench).table.camera.backend)
     screen.rule("1  what two glass balls do to the view")
     trace(scene, out / "trace")
     screen.rule("2  target run: stages and camera by their real protocols")
-    targets = acquire(FILES / "plan-target.yaml", bench, out / "runs", simulate=True, home=True)
+    targets = acquire(files / "plan-target.yaml", bench, out / "runs", simulate=True, home=True)
     assert targets is not None
-    frames = target_frames(targets)
+    frames = {view.tag: view.path for view in target_views(targets)}
     screen.rule("3  corrected as known: everything is a few tenths of a millimetre off")
     correct([frames["target_glass"]], scene, out / "nominal", frames["target_clear"], check_target=True)
     screen.rule("4  the true geometry, found from the target's own frames")
@@ -48,7 +47,7 @@ def demo(out: Path) -> None:
     screen.rule("5  corrected with the geometry found")
     correct([frames["target_glass"]], fitted, out / "fitted", check_target=True)
     screen.rule("6  shift run: printed particles moved by 14 px, corrected as the frames arrive")
-    moved = acquire(FILES / "plan-shift.yaml", bench, out / "runs", simulate=True, home=True, scene=fitted)
+    moved = acquire(files / "plan-shift.yaml", bench, out / "runs", simulate=True, home=True, scene=fitted)
     assert moved is not None
     screen.rule("7  the displacement, measured through the glass, and the report")
     page = report(moved, out / "report", fitted)

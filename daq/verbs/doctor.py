@@ -12,10 +12,13 @@ from rich.table import Table
 from serial.tools import list_ports
 
 from daq.bench.bench_file import Bench, load_bench
+from daq.cameras import LIBRARIES
+from daq.example_files import examples
 from daq.runs.run_folder import versions
 from daq.terminal import console
+from stages.identities import confusable
 
-PACKAGES = ("tracer", "correction", "stages", "daq", "sim")
+PACKAGES = ("tracer", "correction", "stages", "daq", "sim", "benchmarks")
 GENTL_PATH = "GENICAM_GENTL64_PATH"
 
 Finding = tuple[str, bool | None, str]  # what, fine / not fine / just so, words
@@ -72,9 +75,9 @@ def _serial_ports() -> Iterator[Finding]:
 
 
 def _cameras() -> Iterator[Finding]:
-    for name, cure in (("harvesters", "install the extra rtpiv[camera]"), ("genicam", "comes with harvesters")):
+    for name in LIBRARIES["harvesters"]:
         there = importlib.util.find_spec(name) is not None
-        yield f"library {name}", there, "installed" if there else cure
+        yield f"library {name}", there, "installed" if there else "install the extra rtpiv[camera]"
     folders = [Path(part) for part in os.environ.get(GENTL_PATH, "").split(os.pathsep) if part]
     producers = [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.cti"))]
     words = ", ".join(map(str, producers)) or f"none in {GENTL_PATH}; a bench file may name one by its path"
@@ -91,6 +94,7 @@ def _disk() -> Iterator[Finding]:
     usage = shutil.disk_usage(Path.cwd())
     yield "disk here", None, f"{usage.free / 1e9:.0f} GB free"
     yield "runs in", None, sys.prefix
+    yield "examples in", None, str(examples())
 
 
 def _bench(bench: Bench) -> Iterator[Finding]:
@@ -102,6 +106,8 @@ def _bench(bench: Bench) -> Iterator[Finding]:
         there = path.exists() and os.access(path, os.R_OK | os.W_OK)
         words = f"{controller.driver} on {path}" + ("" if there else ": not there, or no permission")
         yield f"controller {name}", there, words
+    for words in confusable(bench.table.stages):
+        yield "identity of the boxes", False, words
     producer = bench.table.camera.options.get("cti")
     if isinstance(producer, str):
         yield "camera's producer", Path(producer).is_file(), producer

@@ -1,5 +1,6 @@
 """`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -7,17 +8,19 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from correction.dewarp import Dewarp, fit_dewarp
 from correction.errors import PairError
 from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
 from correction.fit.scene_sigma import SceneSigma
-from correction.frame_file import read_frame
-from correction.target import Chessboard
+from correction.prepared import PreparedCorrections
+from daq.bare_target import dewarp_of
 from daq.evaluation import Evaluation, Route, Task, evaluate_task
 from daq.report.page import Page
 from daq.report.pair import pair_chapters, pair_tiles
 from daq.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
-from daq.runs.run_views import ShiftPair, is_run, scene_file, shift_pairs
+from daq.runs.acquired import read_acquired
+from daq.runs.board import board_of
+from daq.runs.pairs import FramePair, RunPairs, pairs_of
+from daq.runs.run_views import is_run, scene_file
 from daq.runs.whole_text import write_json
 from daq.terminal import console
 from tracer.errors import TracerError
@@ -34,7 +37,8 @@ def evaluate(
     scene: Path | None = None,
     target_clear: Path | None = None,
     dewarp_order: int = 2,
-    square_mm: float = 2.5,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
     shift_mm: tuple[float, float] | None = None,
     stage_um: float = 10.0,
     route: Route = "image",
@@ -45,14 +49,14 @@ def evaluate(
     Parameters
     ----------
     paths : list of Path
-        Frame A and frame B as acquired; or one run folder of a shift experiment.
+        Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, or a stream.
     out : Path
         Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures as SVG and PNG, and on
         request ``vectors.vtk`` and ``vectors_velocity.nc``; for a run one such folder a pair.
     scene : Path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
         A run without it is evaluated with the scene that its frames were corrected with.
-    target_clear, dewarp_order, square_mm
+    target_clear, dewarp_order, square_mm, disc_mm
         As for `correct`.
     shift_mm : (float, float), optional
         True displacement of the particles, x to the right and y UP: errors are stated against it.  For a run
@@ -72,7 +76,7 @@ def evaluate(
 
     Raises
     ------
-    ConfigError, FrameError, PairError, TargetNotFound, DewarpError, ResumeRefused
+    ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, ResumeRefused, RunDamaged
         What the file, the frames, the target or the run make impossible, in one sentence.
     """
     screen = console()
@@ -82,21 +86,24 @@ def evaluate(
         )
     run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
     if run is None and (len(paths) != 2 or scene is None):
-        raise PairError("give two frames and --scene, or the folder of a shift run")
-    pairs = shift_pairs(run) if run is not None else []
+        raise PairError("give two frames and --scene, or the folder of a run whose frames form pairs")
+    given = pairs_of(run) if run is not None else RunPairs((), ())
+    if given.alone:
+        screen.print(f"{len(given.alone)} frames lost their partner and are in no pair")
     if scene is None:
         scene = scene_file(paths[0], out)
     fitted = load_scene(scene)
     sigma = _scene_sigma(scene, fitted, target_clear is not None)
     if isinstance(sigma, str):
         screen.print(f"no uncertainty of the map: {sigma}")
-    dewarp: Dewarp | None = None
-    if target_clear is not None:
-        clear = read_frame(target_clear, fitted.camera.shape)
-        dewarp = fit_dewarp(clear, fitted.camera, Chessboard(square_mm), dewarp_order)
-    found = []
-    for task in [_task(pair, fitted, out) for pair in pairs] or [_two_frames(paths, fitted, out, shift_mm)]:
-        evaluation = evaluate_task(task, dewarp, sigma, stage_um, route)
+    board = board_of([*paths, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
+    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+    tasks = [_task(pair, fitted, out) for pair in given.pairs] or [_two_frames(paths, fitted, out, shift_mm)]
+    for path in [path for task in tasks for path in task.frames]:
+        read_acquired(path, fitted.camera.shape)  # a damaged one is found now, not after an hour
+    corrections, found = PreparedCorrections(), []
+    for task in tasks:
+        evaluation = evaluate_task(task, corrections.of(task.scene, dewarp), sigma, stage_um, route)
         _write(evaluation, vtk)
         _print(screen, evaluation)
         found.append(evaluation)
@@ -109,15 +116,18 @@ def _two_frames(paths: list[Path], scene: Scene, out: Path, shift_mm: tuple[floa
     return Task(f"{first.stem}, {second.stem}", (first, second), scene, out, shift_mm)
 
 
-def _task(pair: ShiftPair, scene: Scene, out: Path) -> Task:
+def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
     """Task of a pair of a run."""
-    through = scene if pair.glass else scene.with_bodies(())
+    task = Task(
+        pair.tag, pair.frames, scene if pair.glass else scene.with_bodies(()), out / pair.tag, dt_s=pair.dt_s
+    )
+    if pair.measured_mm is None or pair.commanded_mm is None:
+        return task
     x, y, z = pair.measured_mm
-    shift: tuple[float, float] | None = (x, y)
-    note = ""
+    task = replace(task, commanded_mm=pair.commanded_mm[:2])
     if abs(z) > IN_PLANE_MM:
-        shift, note = None, f"moved by {z:+.3f} mm along z: no one displacement is true for all vectors."
-    return Task(pair.tag, pair.frames, through, out / pair.tag, shift, pair.commanded_mm[:2], note)
+        return replace(task, note=f"moved by {z:+.3f} mm along z: no one displacement is true for all vectors.")
+    return replace(task, shift_mm=(x, y))
 
 
 def _scene_sigma(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str:
@@ -136,17 +146,22 @@ def _scene_sigma(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str
 
 def _write(evaluation: Evaluation, vtk: bool) -> None:
     """Write the folder of a pair, the page last."""
-    task, field, grid = evaluation.task, evaluation.field, evaluation.corrector.map.grid
+    task, field, grid = evaluation.task, evaluation.field, evaluation.grid
     out = task.out
     out.mkdir(parents=True, exist_ok=True)
     about = {"scene_hash": task.scene.content_hash(), "frames": ", ".join(path.name for path in task.frames)}
     about["rtpiv_version"] = version("rtpiv")
-    write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity)
+    write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
     if evaluation.traced is not None:
-        write_traced(out / "vectors_velocity.nc", evaluation.traced, about)
+        write_traced(out / "vectors_velocity.nc", evaluation.traced, about, task.dt_s)
     if vtk:
-        write_vtk(out / "vectors.vtk", field, grid)
-    summary: dict[str, Any] = {**about, "note": task.note, "no_map_sigma": evaluation.no_map_sigma}
+        write_vtk(out / "vectors.vtk", field, grid, task.dt_s)
+    summary: dict[str, Any] = {
+        **about,
+        "note": task.note,
+        "dt_s": task.dt_s,
+        "no_map_sigma": evaluation.no_map_sigma,
+    }
     summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels, "doubt": field.doubt}
     summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
     if evaluation.shift is not None:

@@ -4,22 +4,22 @@ from pathlib import Path
 
 import numpy as np
 
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
-from correction.dewarp import Dewarp, fit_dewarp
 from correction.evaluate.target_error import target_error
-from correction.frame_file import read_frame
-from correction.target import Chessboard
+from correction.prepared import prepare
+from daq.bare_target import dewarp_of
 from daq.errors import ResumeRefused
 from daq.evaluation import Evaluation, Route
+from daq.pictures.before_after import before_after
 from daq.report.page import Page
 from daq.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
 from daq.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
+from daq.runs.acquired import read_acquired
+from daq.runs.board import board_of
+from daq.runs.displacement import FILE as MOVED
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import first_view, scene_file
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate
-from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
@@ -68,11 +68,11 @@ def report(
     out = out if out is not None else run / "report"
     out.mkdir(parents=True, exist_ok=True)
     scene = scene or scene_file(run, out)
-    loaded, square_mm = load_scene(scene), float(about["square_mm"])
+    loaded = load_scene(scene)
     page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}")
-    if (run / "displacements.json").is_file():
+    if (run / MOVED).is_file():
         chosen = route if target_clear is None else "image"
-        found = evaluate([run], out, scene, target_clear, dewarp_order, square_mm, None, stage_um, chosen)
+        found = evaluate([run], out, scene, target_clear, dewarp_order, stage_um=stage_um, route=chosen)
         shown = _most_telling(found)
         page.tiles(pair_tiles(shown))
         pairs_chapter(page, found)
@@ -80,7 +80,7 @@ def report(
             page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")
         pair_chapters(page, shown)
     else:
-        _single_frame(page, folder, loaded, target_clear, dewarp_order, square_mm)
+        _single_frame(page, folder, loaded, target_clear, dewarp_order)
     moved_chapter(page, folder)
     books_chapter(page, folder)
     provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])
@@ -96,23 +96,20 @@ def _most_telling(found: list[Evaluation]) -> Evaluation:
 
 
 def _single_frame(
-    page: Page, folder: RunFolder, scene: Scene, target_clear: Path | None, dewarp_order: int, square_mm: float
+    page: Page, folder: RunFolder, scene: Scene, target_clear: Path | None, dewarp_order: int
 ) -> None:
     """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
     view = first_view(folder)
     if view is None:
         raise ResumeRefused(f"{folder.path}: holds no frame yet; resume the run first")
-    board = Chessboard(square_mm)
-    dewarp: Dewarp | None = None
-    if target_clear is not None:
-        clear = read_frame(target_clear, scene.camera.shape)
-        dewarp = fit_dewarp(clear, scene.camera, board, dewarp_order)
-    seen = scene if view.glass else scene.with_bodies(())
-    corrector = Corrector(build_correction_map(seen, build_ray_map(seen)), dewarp)
-    frame = read_frame(view.path, scene.camera.shape)
+    board = board_of([folder.path])
+    dewarp = dewarp_of(target_clear, scene.camera, board, dewarp_order)
+    through = scene if view.glass else scene.with_bodies(())
+    corrector = prepare(through, dewarp).corrector
+    frame = read_acquired(view.path, scene.camera.shape)
     corrected = corrector(frame)
-    recovered = f"{100 * float(corrector.recovered.mean()):.1f} %"
-    tiles = [(recovered, "of the plane recovered", "share of the corrected frame")]
+    seen = before_after(frame, corrected, corrector)
+    tiles = [(f"{100 * seen.recovered:.1f} %", "of the plane recovered", "share of the corrected frame")]
     if view.shows == "chessboard" and view.on_plane:
         errors = target_error(corrected, corrector, board)
         for name, region in list(errors.regions.items())[1:]:
@@ -126,7 +123,6 @@ def _single_frame(
         page.table(TARGET_HEAD, errors.rows(), "Position error of target corners, corrected minus grid [px]")
     else:
         page.tiles(tiles)
-    page.heading("Acquired, corrected, recovered")
-    slider_chapter(page, frame, corrected, corrector, f"Frame {view.path.name}, {view.tag}.")
-    image_table(page, frame, corrected, corrector)
-    scene_chapter(page, seen)
+    slider_chapter(page, seen, f"Frame {view.path.name}, {view.tag}.")
+    image_table(page, seen)
+    scene_chapter(page, through)

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from daq.runner.session import reopen
-from daq.terminal import console
+from daq.terminal import console, progress_if_long
 from daq.verbs.acquire import run_and_report
 
 
-def resume(run: Path, home: bool = False) -> Path:
+def resume(run: Path, home: bool = False, retake: bool = False) -> Path:
     """Do what is left of a run: plan minus journal.
 
     Parameters
@@ -16,6 +16,8 @@ def resume(run: Path, home: bool = False) -> Path:
         Folder of the run.
     home : bool
         Home every axis first, in the configured order; needed if a controller has lost its position.
+    retake : bool
+        Take steps again of which a frame is missing or damaged; also those of a finished run.
 
     Returns
     -------
@@ -25,10 +27,16 @@ def resume(run: Path, home: bool = False) -> Path:
     Raises
     ------
     ResumeRefused
-        The run is finished, or plan, bench or scene are not those it began with.
+        The run is finished or in doubt, or plan, bench or scene are not those it began with.
+    RunDamaged
+        A record is not what was written; or, without `retake`, a frame.
+    WrongDevice
+        Other controllers answer than those that the run began with.
     """
     screen = console()
-    request, bench, plan, folder = reopen(run)
-    screen.print(f"{run}: plan, bench and scene are those it began with")
-    run_and_report(screen, request, bench, plan, folder, home)
+    found = reopen(run, retake, progress_if_long)
+    screen.print(f"{run}: plan, bench and scene are those it began with, and every frame that counts is right")
+    if found.again:
+        screen.print(f"taken again for missing or damaged frames: {len(found.again)} steps")
+    run_and_report(screen, found.request, found.bench, found.plan, found.folder, home, found.again)
     return run

@@ -30,6 +30,12 @@ class CameraConfig:
         File that is locked while the camera is open, so that a second process finds it busy; "" for none.
     hold_gil : bool
         Let the producer keep Python's lock while it waits, as compiled producers do through their binding.
+    delivers : str
+        Pixel format that frames have whatever PixelFormat says, as some producers do it; "" for what it says.
+    has_clock : bool
+        Whether the clock can be read (TimestampLatch); frames are stamped all the same.
+    stamp_offset_ns : int
+        By how much the stamps of frames are ahead of the clock that can be read: another clock.
     faults : FaultPlan
         Scheduled faults.
     """
@@ -44,6 +50,9 @@ class CameraConfig:
     source_arguments: Mapping[str, Any] = field(default_factory=dict)
     lock_path: str = ""
     hold_gil: bool = False
+    delivers: str = ""
+    has_clock: bool = True
+    stamp_offset_ns: int = 0
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def to_json(self) -> str:

@@ -32,11 +32,14 @@ class Darkroom:
         The camera's settings.
     bits : int
         Significant bits of the sensor.
+    delivers : str
+        Pixel format of every picture; "" for that of the settings.
     """
 
-    def __init__(self, registers: RegisterMap, bits: int) -> None:
+    def __init__(self, registers: RegisterMap, bits: int, delivers: str = "") -> None:
         self._registers = registers
         self._bits = bits
+        self._delivers = delivers
         self._known: dict[tuple[object, ...], tuple[NDArray[np.uint16], Picture]] = {}
 
     def develop(self, sensor: NDArray[np.uint16]) -> Picture:
@@ -44,7 +47,7 @@ class Darkroom:
         registers = self._registers
         width, height = registers.integer("Width"), registers.integer("Height")
         left, top = registers.integer("OffsetX"), registers.integer("OffsetY")
-        name = registers.entry("PixelFormat")
+        name = self._delivers or registers.entry("PixelFormat")
         gain = 10 ** (registers.number("Gain") / 20)
         key = (id(sensor), name, left, top, width, height, gain)
         known = self._known.get(key)

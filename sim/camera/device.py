@@ -24,6 +24,7 @@ from sim.camera.source import FrameSource, PatternSource, load_source
 log = logging.getLogger(__name__)
 VENDOR = "rtpiv"
 MODEL = "SimCamera"
+CLOCK = ("TimestampLatch", "TimestampLatchValue")
 
 
 class CameraGone(Exception):  # noqa: N818 - what the client will see
@@ -61,7 +62,7 @@ class SimCamera:
 
     def __init__(self, config: CameraConfig, source: FrameSource | None = None) -> None:
         self.config = config
-        self.registers = RegisterMap(VENDOR, MODEL)
+        self.registers = RegisterMap(VENDOR, MODEL, () if config.has_clock else CLOCK)
         self.sink: Callable[[SimFrame], None] | None = None
         self.on_lost: Callable[[], None] | None = None
         self._source = source or _source_of(config)
@@ -75,10 +76,11 @@ class SimCamera:
         self._is_off = False
         self._triggers = 0
         self._frames = 0
+        self._next_id = config.first_frame_id
         self._frames_left = -1
         self._missed_before = 0
         self._next_free_run_ns = 0
-        self._darkroom = Darkroom(self.registers, config.bits)
+        self._darkroom = Darkroom(self.registers, config.bits, config.delivers)
         self.registers.on_write = self._written
         self.registers.before_read = self._refresh
         self._power_up_settings()
@@ -295,6 +297,10 @@ class SimCamera:
                 self._power_up_settings()
                 self._is_acquiring = running
         self._frames += 1
+        frame_id, self._next_id = self._next_id, self._next_id + 1
+        if number == faults.restart_at:
+            self._restart()
+            return
         try:
             sensor = self._source.frame(pending.trigger_index, pending.exposure.start_ns)
         except OSError as error:  # a remote world that ended takes its camera along
@@ -305,9 +311,9 @@ class SimCamera:
             return
         frame = SimFrame(
             number,
-            self.config.first_frame_id + number,
+            frame_id,
             pending.trigger_index,
-            pending.exposure.start_ns - self._power_up_ns,
+            pending.exposure.start_ns - self._power_up_ns + self.config.stamp_offset_ns,
             self._darkroom.develop(sensor),
             number in faults.incomplete,
         )
@@ -315,6 +321,17 @@ class SimCamera:
         sink = self.sink
         if sink is not None and number not in faults.dropped:
             sink(frame)
+
+    def _restart(self) -> None:
+        """Begin anew, and go on acquiring with the settings after power-up."""
+        with self._wake:
+            running = self._is_acquiring
+            self._power_up_settings()
+            self._is_acquiring = running
+            self._pending.clear()
+            self._power_up_ns = time.monotonic_ns()
+            self._next_free_run_ns = self._power_up_ns
+            self._next_id = self.config.first_frame_id
 
     def _lose(self) -> None:
         with self._wake:

@@ -25,6 +25,9 @@ class FaultPlan:
         It answers again this long after it was lost [s], all settings reset; None: never.
     reset_at : int, optional
         Settings go back to their defaults when this frame is due, and nothing is said about it.
+    restart_at : int, optional
+        The camera restarts when this frame is due, and loses it: settings, clock and ids begin anew, and nothing
+        is said about it.
     packet_loss : float
         Share of GigE stream packets that get lost on the way, 0 to 1.
     seed : int
@@ -37,5 +40,6 @@ class FaultPlan:
     lost_at: int | None = None
     back_after_s: float | None = None
     reset_at: int | None = None
+    restart_at: int | None = None
     packet_loss: float = 0.0
     seed: int = 0

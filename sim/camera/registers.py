@@ -6,7 +6,7 @@ hit one register exactly, and its value must lie within the feature's limits.
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 from sim.camera.features import FEATURE_BASE, FEATURES, XML_BASE, Feature
 from sim.camera.xml import describe
@@ -34,23 +34,26 @@ class RegisterMap:
     ----------
     vendor, model : str
         Names for the XML description.
+    without : collection of str
+        Features that this camera does not have.
     """
 
-    def __init__(self, vendor: str, model: str) -> None:
-        self._features = {feature.name: feature for feature in FEATURES}
-        self.addresses = _lay_out(FEATURES)
+    def __init__(self, vendor: str, model: str, without: Container[str] = ()) -> None:
+        features = tuple(feature for feature in FEATURES if feature.name not in without)
+        self._features = {feature.name: feature for feature in features}
+        self.addresses = _lay_out(features)
         self._at = {address: self._features[name] for name, address in self.addresses.items()}
         top = max(address + self._at[address].length for address in self._at)
         self.bootstrap = bytearray(BOOTSTRAP_BYTES)
         self._memory = bytearray(top - FEATURE_BASE)
-        self.xml = describe(FEATURES, self.addresses, vendor, model)
+        self.xml = describe(features, self.addresses, vendor, model)
         self.on_write: Callable[[str, Value], None] | None = None
         self.before_read: Callable[[str], None] | None = None
         self.reset()
 
     def reset(self) -> None:
         """Give every feature its value after power-up."""
-        for feature in FEATURES:
+        for feature in self._features.values():
             self.put(feature.name, feature.default)
 
     def get(self, name: str) -> Value:

@@ -1,10 +1,23 @@
-"""What every emulator is made of: motors, a clock, and answers with the moment at which they are given."""
+"""What every emulator is made of: motors, a clock, power, and answers with the moment at which they are given.
 
+**Power.** `switch_off` halts the motors where they are and takes what firmware holds in volatile memory: bytes
+of a command that is not complete, answers not yet given, positions, references. `switch_on` begins anew, with a
+banner where the box has one. Carriages do not care: they stand where they stood.
+"""
+
+import math
 from abc import ABC, abstractmethod
+from bisect import insort
 from collections.abc import Mapping
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from zlib import crc32
 
 from sim.motion import Motor
+
+
+def serial_number(name: str) -> int:
+    """Six digits that differ from name to name and are the same in every process."""
+    return 100_000 + crc32(name.encode()) % 900_000
 
 
 class Clock(Protocol):
@@ -13,6 +26,9 @@ class Clock(Protocol):
     def now_s(self) -> float:
         """Seconds."""
         ...
+
+
+Purpose = Literal["move", "reference", "hand"]  # where it was sent; looking for its reference; turned by a person
 
 
 class Said(NamedTuple):
@@ -37,23 +53,94 @@ class Emulator(ABC):
 
     def __init__(self, motors: Mapping[str, Motor], clock: Clock) -> None:
         self.motors = dict(motors)
+        self._all_motors = tuple(self.motors.values())
+        self._up_to_s = -math.inf
         self._clock = clock
         self._said: list[Said] = []
+        self._due_s: list[float] = []  # moments at which firmware wants to act by itself, sorted
+        self._is_on = True
+        self._on_again_s: float | None = None
         self.event_s = clock.now_s()  # moment of what firmware reacts to
+
+    @classmethod
+    def individual(cls, name: str) -> dict[str, Any]:
+        """Options that make a box tell itself from another of its kind, where its protocol can show it."""
+        return {}
 
     def feed(self, data: bytes) -> None:
         """Take bytes from the host, now."""
         self.advance()
-        self._take(data)
+        if self._is_on:
+            self._take(data)
 
     def advance(self) -> None:
         """Let the motors catch up with the clock."""
         now_s = self._clock.now_s()
-        while any(motor.time_s < now_s for motor in self.motors.values()):  # one may start another in the past
-            for motor in self.motors.values():
-                motor.advance(now_s)
-        self.event_s = now_s
-        self._tick(now_s)
+        if now_s == self._up_to_s:
+            return
+        while self._due_s and self._due_s[0] <= now_s:
+            self._come_to(self._due_s.pop(0))
+        self._come_to(now_s)
+
+    def _come_to(self, time_s: float) -> None:
+        self._up_to_s = time_s
+        is_late = True
+        while is_late:  # one may start another in the past
+            is_late = False
+            for motor in self._all_motors:
+                if motor.time_s < time_s:
+                    is_late = True
+                    motor.advance(time_s)
+        self.event_s = time_s
+        if self._on_again_s is not None and time_s >= self._on_again_s:
+            self.switch_on()
+        if self._is_on:
+            self._tick(time_s)
+
+    @property
+    def next_s(self) -> float | None:
+        """When firmware will act by itself, as far as is known."""
+        return self._due_s[0] if self._due_s else None
+
+    def restart(self, off_s: float = 0.0) -> None:
+        """Power fails now and is back `off_s` later; nothing is heard meanwhile."""
+        self.switch_off()
+        if off_s > 0.0:
+            self._on_again_s = self.event_s + off_s
+            self.act_at(self._on_again_s)
+        else:
+            self.switch_on()
+
+    def switch_off(self) -> None:
+        """Power fails: motors halt, what is volatile is gone."""
+        self.advance()
+        for motor in self.motors.values():
+            motor.halt()
+        self._is_on, self._on_again_s = False, None
+        self._said.clear()
+        self._due_s.clear()
+
+    def switch_on(self) -> None:
+        """Power is back."""
+        self._is_on, self._on_again_s = True, None
+        self._power_up()
+
+    @property
+    def is_on(self) -> bool:
+        """Whether it has power."""
+        return self._is_on
+
+    def person_stops(self) -> None:  # noqa: B027 - not every box has a button
+        """Somebody stops what moves, at the box or through another of its interfaces."""
+
+    def purpose(self, channel: str) -> Purpose:
+        """What a motor that runs now runs for, as firmware knows it."""
+        return "move"
+
+    @property
+    def has_said(self) -> bool:
+        """Whether there is something to fetch with `said`."""
+        return bool(self._said)
 
     def said(self) -> list[Said]:
         """Return what has been answered since the last call."""
@@ -74,6 +161,13 @@ class Emulator(ABC):
 
     def rest(self, channel: str) -> None:  # noqa: B027
         """A motor has come to rest by itself."""
+
+    def act_at(self, time_s: float) -> None:
+        """See that `_tick` is called at a moment to come."""
+        insort(self._due_s, time_s)
+
+    def _power_up(self) -> None:  # noqa: B027 - what holds nothing has nothing to forget
+        """Begin as after power-up: whatever is not kept in permanent memory is forgotten."""
 
     @abstractmethod
     def _take(self, data: bytes) -> None:

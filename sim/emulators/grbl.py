@@ -1,27 +1,47 @@
 """A Grbl 1.1 board with up to three motors.
 
-Real-time bytes act at once; lines are obeyed in order. ``ok`` to a motion means queued; a dwell (G4) and
-everything after it wait for the queue. While homing, and in the alarm of a hard limit, no report is given;
-after that alarm only a reset is heard, and one that comes before ``[MSG:Reset to continue]`` is thrown away.
+Real-time bytes act at once; lines are obeyed in order, a little after they have come: the main loop has to read
+them. So a jog cancel (0x85) that comes right behind a ``$J`` line finds no jog and does nothing. ``ok`` to a
+motion means queued; a dwell (G4) and everything after it wait for the queue. While homing, and in the alarm of a
+hard limit, no report is given; after that alarm only a reset is heard, and one that comes before ``[MSG:Reset to
+continue]`` is thrown away.
 
-Homing seeks the switch, leaves it, finds it again slowly and stops ``$27`` away from it; the direction is set
-by ``$23``. Machine coordinates then run from -travel to 0. Nobody watches the rotors.
+A feed hold (``!``, or the button on the box) ends a jog short of its target and keeps the position; at rest and
+in other motions it holds: no line is read any more until ``~`` or a reset, and those that wait are obeyed then.
+
+Power-up and every reset forget what the parser knew (tool, feed); power-up forgets the position as well, and a
+board with homing switched on is then locked.
+
+Homing seeks the switch, leaves it, finds it again slowly and stops ``$27`` away from it; the direction is set by
+``$23``. A switch that is still closed then ends homing with ALARM:8. Machine coordinates then run from -travel
+to 0. Nobody watches the rotors.
 """
 
 import re
 from collections import deque
 from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-from sim.emulators.device import Clock, Emulator
+from sim.emulators.device import Clock, Emulator, Purpose
 from sim.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import grbl
 
 NAMES = ("X", "Y", "Z")
 MESSAGE_DELAY_S = 0.05
+READING_S = 0.0008  # from the end of a line to the beginning of what it asks for
+LARGEST_TOOL = 255
+NOT_CLEARED = 8  # alarm: the switch is still closed after the way that should have opened it
 VERSION = "1.1h"
 
 _WORD = re.compile(r"([A-Z])(-?\d*\.?\d+)")
+
+
+class _Motion(NamedTuple):
+    """A line of the planner's queue."""
+
+    targets_mm: dict[str, float]
+    speed_mm_s: float
 
 
 class GrblEmulator(Emulator):
@@ -35,6 +55,10 @@ class GrblEmulator(Emulator):
         Settings ($n) other than the board's defaults.
     boot_s : float
         Time that the boot loader takes from now on; nothing is heard meanwhile, and a banner ends it.
+    restart_s : float
+        Time that the boot loader takes after power has failed.
+    user_string : str
+        What its owner wrote with ``$I=``; empty on a new board.
     """
 
     zero_at_top = True
@@ -45,10 +69,12 @@ class GrblEmulator(Emulator):
         clock: Clock,
         settings: Mapping[int, float] | None = None,
         boot_s: float = 0.0,
+        restart_s: float = 0.0,
+        user_string: str = "",
     ) -> None:
         super().__init__(motors, clock)
-        self._stream = grbl.CommandStream()
-        self._lines: deque[str] = deque()
+        self._restart_s, self._user_string = restart_s, user_string
+        self._lines: deque[tuple[float, str]] = deque()  # when each will be read
         self.settings: dict[int, float] = {
             0: 10, 1: 255, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0, 20: 1, 21: 1, 22: 1,
             23: 7, 24: 25.0, 25: 1500.0, 26: 250, 27: 1.0, 30: 1000, 31: 0, 32: 0,
@@ -60,16 +86,65 @@ class GrblEmulator(Emulator):
             self.settings[120 + index] = 100.0
             self.settings[130 + index] = screw.high_switch_mm - screw.low_switch_mm if screw else 200.0
         self.settings.update(settings or {})
-        self._zero = dict.fromkeys(self.motors, 0)
+        self._queue: deque[_Motion] = deque()
+        self._homing: deque[str] = deque()
+        self._boots_until_s: float | None = None
+        self._forget()
+        if boot_s:
+            self._boot(boot_s)
+        for name, motor in self.motors.items():
+            motor.listener = self.hear(name)
+
+    @classmethod
+    def individual(cls, name: str) -> dict[str, Any]:
+        """What tells this box from another of its kind."""
+        return {"user_string": name}
+
+    # ---- power and buttons ---------------------------------------------------------------------
+
+    def button(self, code: int = grbl.HOLD) -> None:
+        """Somebody presses a button on the box: feed hold, resume or reset, as their real-time bytes."""
+        self.advance()
+        self._real_time(code)
+
+    def person_stops(self) -> None:
+        """The button for feed hold."""
+        self.button()
+
+    def purpose(self, channel: str) -> Purpose:
+        """Homing, of whatever axis, or a motion."""
+        return "reference" if self._state == "Home" else "move"
+
+    def _power_up(self) -> None:
+        self._forget()
+        if self._restart_s:
+            self._boot(self._restart_s)
+        else:
+            self._greet()
+
+    def _boot(self, duration_s: float) -> None:
+        self._boots_until_s = self.event_s + duration_s
+        self.act_at(self._boots_until_s)
+
+    def _forget(self) -> None:
+        self._stream = grbl.CommandStream()
+        self._zero = {name: motor.steps for name, motor in self.motors.items()}
         self._state = "Alarm" if self.settings[22] else "Idle"
         self._mute = False  # in the alarm of a hard limit
         self._message_s: float | None = None
-        self._queue: deque[tuple[dict[str, float], float]] = deque()
-        self._homing: deque[str] = deque()
         self._phase = ""
-        self._boots_until_s: float | None = self.event_s + boot_s if boot_s else None
-        for name, motor in self.motors.items():
-            motor.listener = self.hear(name)
+        self._boots_until_s = None
+        self._forget_work()
+
+    def _forget_work(self) -> None:
+        """What every reset forgets: waiting lines, motions, the parser's modes."""
+        self._lines.clear()
+        self._queue.clear()
+        self._homing.clear()
+        self._under_way: _Motion | None = None
+        self._substate = 0  # of Hold: 1 while slowing down
+        self._hold_later = False  # a feed hold that came while homing
+        self._tool, self._feed = 0, 0.0
 
     # ---- input ---------------------------------------------------------------------------------
 
@@ -84,8 +159,8 @@ class GrblEmulator(Emulator):
             elif isinstance(command, ProtocolViolation):
                 self.say(grbl.Refusal(11).to_bytes())
             else:
-                self._lines.append(command.text.upper().replace(" ", ""))
-        self._work()
+                self._lines.append((self.event_s + READING_S, command.text.upper().replace(" ", "")))
+                self.act_at(self.event_s + READING_S)
 
     def _tick(self, now_s: float) -> None:
         if self._boots_until_s is not None and now_s >= self._boots_until_s:
@@ -98,14 +173,15 @@ class GrblEmulator(Emulator):
 
     def _work(self) -> None:
         """Obey waiting lines until one has to wait."""
-        while self._lines and self._state != "Home" and not self._mute:
-            if self._lines[0].startswith(("G4", "$H", "$$", "$I")) and self._state in ("Run", "Jog"):
-                if self._lines[0].startswith("G4"):
-                    return
-                self._lines.popleft()
+        while self._lines and self._state not in ("Home", "Hold") and not self._mute:
+            due_s, line = self._lines[0]
+            if due_s > self.event_s or (line.startswith("G4") and self._state in ("Run", "Jog")):
+                return
+            self._lines.popleft()
+            if line.startswith(("$H", "$$", "$I")) and self._state in ("Run", "Jog"):
                 self.say(grbl.Refusal(8).to_bytes())
-                continue
-            self._obey(self._lines.popleft())
+            else:
+                self._obey(line)
 
     def _real_time(self, code: int) -> None:
         if code == grbl.STATUS:
@@ -113,15 +189,40 @@ class GrblEmulator(Emulator):
                 self.say(self._report().to_bytes())
         elif code == grbl.RESET:
             self._reset()
-        elif code == grbl.JOG_CANCEL and self._state == "Jog":
+        elif self._state == "Jog" and code in (grbl.JOG_CANCEL, grbl.HOLD):
             self._queue.clear()
-            for index, name in enumerate(NAMES):
-                if name in self.motors:
-                    self.motors[name].brake(self.settings[120 + index] * self.settings[100 + index])
+            self._brake()
+        elif code == grbl.HOLD:
+            self._hold()
+        elif code == grbl.RESUME and self._state == "Hold" and not self._substate:
+            self._resume()
+
+    def _brake(self) -> None:
+        for index, name in enumerate(NAMES):
+            if name in self.motors:
+                self.motors[name].brake(self.settings[120 + index] * self.settings[100 + index])
+
+    def _hold(self) -> None:
+        if self._state == "Home":
+            self._hold_later = True
+        elif self._state == "Idle":
+            self._state, self._substate = "Hold", 0
+        elif self._state == "Run":
+            self._state, self._substate = "Hold", 1
+            self._brake()
+
+    def _resume(self) -> None:
+        """Go on with the motion that was held, or with nothing."""
+        self._state = "Run"
+        if self._under_way is not None:
+            self._queue.appendleft(self._under_way)
+        self._start_next()
+        self._work()
 
     def _report(self) -> grbl.Status:
         place = tuple(self._place_mm(name) for name in NAMES)
-        return grbl.Status(self._state, place, extras=(("FS", "0,0"),))
+        substate = self._substate if self._state == "Hold" else None
+        return grbl.Status(self._state, place, substate=substate, extras=(("FS", "0,0"),))
 
     def _place_mm(self, name: str) -> float:
         if name not in self.motors:
@@ -134,12 +235,12 @@ class GrblEmulator(Emulator):
         moving = any(motor.running for motor in self.motors.values())
         for motor in self.motors.values():
             motor.halt()
-        self._lines.clear()
-        self._queue.clear()
         if self._state == "Home" or moving:
             self.say(grbl.Alarm(6 if self._state == "Home" else 3).to_bytes())
             self._state = "Alarm"
-        self._homing.clear()
+        elif self._state in ("Hold", "Jog", "Run"):
+            self._state = "Idle"
+        self._forget_work()
         self._mute = False
         self._greet()
 
@@ -153,13 +254,16 @@ class GrblEmulator(Emulator):
     def _obey(self, line: str) -> None:
         answer: grbl.Ok | grbl.Refusal | None = grbl.Ok()
         if line == "$I":
-            self.say(grbl.Feedback("VER", f"{VERSION}.20190830:").to_bytes())
+            self.say(grbl.Feedback("VER", f"{VERSION}.20190830:{self._user_string}").to_bytes())
             self.say(grbl.Feedback("OPT", "V,15,128").to_bytes())
         elif line == "$$":
             for number, value in sorted(self.settings.items()):
                 whole = number < 100 and number not in (11, 12, 24, 25, 27)
                 text = f"{value:.0f}" if whole else f"{value:.3f}"
                 self.say(grbl.Setting(number, text).to_bytes())
+        elif line == "$G":
+            modes = f"G0 G54 G17 G21 G90 G94 M5 M9 T{self._tool} F{self._feed:g} S0"
+            self.say(grbl.Feedback("GC", modes).to_bytes())
         elif line == "$X":
             self._state = "Idle" if self._state == "Alarm" else self._state
             self.say(grbl.Feedback("MSG", "Caution: Unlocked").to_bytes())
@@ -173,6 +277,8 @@ class GrblEmulator(Emulator):
             answer = grbl.Refusal(3)
         elif self._state in ("Alarm", "Jog"):
             answer = grbl.Refusal(9)
+        elif match := re.fullmatch(r"T(\d+)", line):
+            answer = self._choose(int(match[1]))
         elif not line.startswith("G4"):
             answer = self._motion(line, jog=False)
         if answer is not None:
@@ -184,6 +290,12 @@ class GrblEmulator(Emulator):
         if number == 20 and value and not self.settings[22]:
             return grbl.Refusal(10)
         self.settings[number] = value
+        return grbl.Ok()
+
+    def _choose(self, tool: int) -> grbl.Ok | grbl.Refusal:
+        if tool > LARGEST_TOOL:
+            return grbl.Refusal(38)
+        self._tool = tool
         return grbl.Ok()
 
     def _motion(self, text: str, jog: bool) -> grbl.Ok | grbl.Refusal | None:
@@ -211,7 +323,9 @@ class GrblEmulator(Emulator):
                     return grbl.Refusal(15)
                 self._alarm(2)  # the line itself is never answered
                 return None
-        self._queue.append((targets, feed * inch / 60.0 if feed else 1e9))
+        if not jog and feed:
+            self._feed = feed * inch
+        self._queue.append(_Motion(targets, feed * inch / 60.0 if feed else 1e9))
         if self._state == "Idle":
             self._state = "Jog" if jog else "Run"
             self._start_next()
@@ -219,14 +333,15 @@ class GrblEmulator(Emulator):
 
     def _end_mm(self, name: str) -> float:
         """Where a motor will be after everything queued."""
-        for targets, _ in reversed(self._queue):
-            if name in targets:
-                return targets[name]
+        under_way = [] if self._under_way is None else [self._under_way]
+        for motion in [*reversed(self._queue), *under_way]:
+            if name in motion.targets_mm:
+                return motion.targets_mm[name]
         return self._place_mm(name)
 
     def _start_next(self) -> None:
         while self._queue:
-            targets, speed_mm_s = self._queue.popleft()
+            targets, speed_mm_s = self._under_way = self._queue.popleft()
             way_mm = {name: abs(target - self._place_mm(name)) for name, target in targets.items()}
             longest_mm = max(way_mm.values())
             started = False
@@ -243,6 +358,7 @@ class GrblEmulator(Emulator):
                     started = True
             if started:
                 return
+        self._under_way = None
         self._state = "Idle"
 
     # ---- events --------------------------------------------------------------------------------
@@ -251,8 +367,11 @@ class GrblEmulator(Emulator):
         """A motor has come to rest by itself."""
         if self._state == "Home":
             self._homing_rest(axis)
-        elif not any(motor.running for motor in self.motors.values()) and self._state in ("Run", "Jog"):
-            self._start_next()
+        elif not any(motor.running for motor in self.motors.values()):
+            if self._state in ("Run", "Jog"):
+                self._start_next()
+            elif self._state == "Hold":
+                self._substate = 0
 
     def edge(self, axis: str, name: str, upwards: bool) -> None:
         """A motor's carriage crosses an edge."""
@@ -270,6 +389,7 @@ class GrblEmulator(Emulator):
 
     def _alarm(self, code: int) -> None:
         self._state, self._mute, self._message_s = "Alarm", True, self.event_s + MESSAGE_DELAY_S
+        self.act_at(self._message_s)
         self._queue.clear()
         self._lines.clear()
         self.say(grbl.Alarm(code).to_bytes())
@@ -286,7 +406,8 @@ class GrblEmulator(Emulator):
 
     def _home_next(self) -> None:
         if not self._homing:
-            self._state = "Idle"
+            self._state = "Hold" if self._hold_later else "Idle"
+            self._hold_later = False
             self.say(grbl.Ok().to_bytes())
             self._work()
             return
@@ -314,7 +435,9 @@ class GrblEmulator(Emulator):
         motor.go(motor.steps + round(away), speed, ramp, self.event_s)
 
     def _homing_rest(self, axis: str) -> None:
-        if self._phase == "leave":
+        if self.motors[axis].closed("low" if self._downwards(axis) else "high"):
+            self._homing_failed(NOT_CLEARED)
+        elif self._phase == "leave":
             self._phase = "locate"
             self._towards(axis, self.settings[24])
         elif self._phase == "pull off":
@@ -324,6 +447,13 @@ class GrblEmulator(Emulator):
             self._zero[axis] = self.motors[axis].steps - round(place_mm * self.settings[100 + index])
             self._homing.popleft()
             self._home_next()
+
+    def _homing_failed(self, code: int) -> None:
+        """The board tells why, and resets itself."""
+        self._state = "Alarm"
+        self._forget_work()
+        self.say(grbl.Alarm(code).to_bytes())
+        self._greet()
 
 
 EMULATOR = GrblEmulator

@@ -3,13 +3,15 @@
 The controller obeys one command after the other and answers each with one character when it has been carried
 out, a motion when it has ended; what is sent meanwhile waits, only the byte 253 does not. Reference runs go
 axis by axis, Z first: onto the low switch, slowly off it, zero there. A switch that closes during a motion
-halts everything, is answered with 2, and undoes initialisation and reference. Nobody watches the rotor.
+halts everything, is answered with 2, and undoes initialisation and reference. Nobody watches the rotor. The stop
+key on the box does what byte 253 does. After power-up it is not initialised, and a motion that was under way is
+never answered. Nothing in its protocol tells two boxes apart but the text of the version.
 """
 
 from collections import deque
 from collections.abc import Mapping
 
-from sim.emulators.device import Clock, Emulator
+from sim.emulators.device import Clock, Emulator, Purpose
 from sim.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import isel_dnc as dnc
@@ -32,18 +34,32 @@ class IselEmulator(Emulator):
     def __init__(self, motors: Mapping[str, Motor], clock: Clock, model: str | None = "iMC-S8 V2.1") -> None:
         super().__init__(motors, clock)
         self._model = model
-        self._stream = dnc.CommandStream()
         self._waiting: deque[dnc.Command | ProtocolViolation] = deque()
-        self._zero = dict.fromkeys(self.motors, 0)
+        self._to_reference: deque[str] = deque()
+        self._legs: deque[tuple[str, int, float]] = deque()
+        self._power_up()
+        for name, motor in self.motors.items():
+            motor.listener = self.hear(name)
+
+    def _power_up(self) -> None:
+        self._stream = dnc.CommandStream()
+        self._zero = {name: motor.steps for name, motor in self.motors.items()}
         self._referenced: set[str] = set()
         self._axes: tuple[str, ...] = ()
         self._busy = ""  # "", move, reference, stop
-        self._to_reference: deque[str] = deque()
-        self._legs: deque[tuple[str, int, float]] = deque()
         self._reference_speeds = [2000, 2000, 2000, 2000]
         self._ramp = 50_000.0  # steps/s2
-        for name, motor in self.motors.items():
-            motor.listener = self.hear(name)
+        for what_waits in (self._waiting, self._to_reference, self._legs):
+            what_waits.clear()
+
+    def person_stops(self) -> None:
+        """Somebody presses the stop key."""
+        self.advance()
+        self._stop()
+
+    def purpose(self, channel: str) -> Purpose:
+        """A reference run, its end after a stop included, or a motion."""
+        return "reference" if channel in self._to_reference else "move"
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):

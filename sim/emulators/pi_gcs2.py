@@ -3,12 +3,14 @@
 Positions are mm, made from the counts of an encoder on the motor with the firmware's own counts per mm. The
 reference run goes below the reference edge and up onto it; there the position is `reference_mm`. During it only
 queries and stops are taken. An axis that cannot follow switches its servo off and leaves error -1024. A
-stop leaves error 10, moving or not. Errors wait until ERR? takes them.
+stop leaves error 10, moving or not. Errors wait until ERR? takes them. After power-up servos are off, references
+gone, and positions count from where the axes stand, unless their encoders are absolute.
 """
 
 from collections.abc import Callable, Mapping
+from typing import Any
 
-from sim.emulators.device import Clock, Emulator
+from sim.emulators.device import Clock, Emulator, Purpose, serial_number
 from sim.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import pi_gcs2 as gcs
@@ -28,10 +30,16 @@ class _Axis:
         self.reference_mm = reference_mm
         self.travel_mm = travel_mm
         self.zero = 0  # encoder count at position 0
-        self.servo = self.referenced = False
+        self.referenced = False
+        self.power_up(absolute=True)
+
+    def power_up(self, absolute: bool) -> None:
+        if not absolute:
+            self.zero, self.referenced = self.motor.encoder_steps, False
+        self.servo = False
         self.referencing = ""
         self.speed_mm_s, self.ramp_mm_s2 = 10.0, 100.0
-        self.target_mm = 0.0
+        self.target_mm = self.position_mm
         self.error = gcs.NO_ERROR
 
     @property
@@ -95,6 +103,10 @@ class PiEmulator(Emulator):
         The firmware's scale; by default that of the motors' lead and steps, as the vendor would set it.
     reference_mm, travel_mm : float
         Position of the reference edge, and of the upper end of the commandable range.
+    absolute_encoders : bool
+        Positions survive a loss of power once they have been referenced.
+    serial : int
+        Serial number.
     """
 
     def __init__(
@@ -104,8 +116,11 @@ class PiEmulator(Emulator):
         counts_per_mm: float | None = None,
         reference_mm: float | None = None,
         travel_mm: float | None = None,
+        absolute_encoders: bool = False,
+        serial: int = 118_040_001,
     ) -> None:
         super().__init__(motors, clock)
+        self._absolute, self._serial = absolute_encoders, serial
         self._stream = gcs.CommandStream()
         self._error = gcs.NO_ERROR
         self._axes: dict[str, _Axis] = {}
@@ -115,6 +130,25 @@ class PiEmulator(Emulator):
             way_mm = travel_mm if travel_mm is not None else screw.high_switch_mm - screw.low_switch_mm
             at_mm = reference_mm if reference_mm is not None else screw.index_mm - screw.low_switch_mm
             self._axes[name] = _Axis(motor, vendor, at_mm, way_mm)
+
+    @classmethod
+    def individual(cls, name: str) -> dict[str, Any]:
+        """What tells this box from another of its kind."""
+        return {"serial": serial_number(name)}
+
+    def person_stops(self) -> None:
+        """Somebody stops every axis through another interface of the controller."""
+        self.advance()
+        self._single(gcs.STOP_ALL)
+
+    def purpose(self, channel: str) -> Purpose:
+        """A reference run, or a motion."""
+        return "reference" if self._axes[channel].referencing else "move"
+
+    def _power_up(self) -> None:
+        self._stream, self._error = gcs.CommandStream(), gcs.NO_ERROR
+        for axis in self._axes.values():
+            axis.power_up(self._absolute)
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
@@ -151,7 +185,7 @@ class PiEmulator(Emulator):
 
     def _query(self, command: gcs.Command) -> None:
         plain = {
-            "*IDN?": "(c)2019 Physik Instrumente (PI) GmbH & Co. KG, C-663.12, 0118040001, 1.2.1.0",
+            "*IDN?": f"(c)2019 Physik Instrumente (PI) GmbH & Co. KG, C-663.12, {self._serial:010d}, 1.2.1.0",
             "CSV?": "2.0",
         }
         per_axis: dict[str, Callable[[_Axis], str]] = {

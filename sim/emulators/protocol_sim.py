@@ -33,13 +33,13 @@ class SimSerial(serial.SerialBase):
         with line.lock:
             if line.opened:
                 raise serial.SerialException(11, f"simulated line {name!r} is open elsewhere")
-            line.opened = True
+            line.open(self)
         self._line, self._rest, self.is_open = line, b"", True  # the rest of an earlier owner is not ours
 
     def close(self) -> None:
         """Give the line back."""
         if self.is_open and self._line is not None:
-            self._line.opened = False
+            self._line.close(self)
         self.is_open = False
 
     @property
@@ -52,7 +52,7 @@ class SimSerial(serial.SerialBase):
         """Return what is there, waiting up to the timeout for the first byte."""
         line = self._alive()
         end_s = line.clock.now_s() + (self.timeout or 0.0)
-        while not self.in_waiting and line.clock.now_s() < end_s:
+        while not self._rest and not self.in_waiting and line.clock.now_s() < end_s:
             if isinstance(line.clock, VirtualClock):
                 next_s = line.next_s()
                 line.clock.advance_to(min(end_s, end_s if next_s is None else next_s))
@@ -69,11 +69,12 @@ class SimSerial(serial.SerialBase):
         return len(sent)
 
     def _alive(self) -> Line:
-        if not self.is_open or self._line is None:
+        line = self._line
+        if not self.is_open or line is None:
             raise serial.PortNotOpenError()
-        if self._line.dead:
+        if line.owner is not self or line.dead or line.opened_with != line.plugged:
             raise serial.SerialException("device reports readiness to read but returned no data")
-        return self._line
+        return line
 
     def _reconfigure_port(self) -> None:
         """A simulated line has no rate."""

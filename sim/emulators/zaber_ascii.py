@@ -5,19 +5,20 @@ vendor's: speed in microsteps/s x 1.6384, acceleration in microsteps/s2 x 1.6384
 
 Home: back onto the sensor (the low switch), off it again slowly, zero there. So the last motion of homing is
 forwards. An encoder watches the rotor: a held rotor stops the motion with FS. The far switch gives WL. After
-power-up WR is set until homed.
+power-up WR is set until homed, and positions count from where the axis stands; settings are kept. Each device has
+a knob: pressed, it interrupts a motion (NI); turned, it moves the axis (NC) and the position stays known.
 """
 
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from sim.emulators.device import Clock, Emulator
+from sim.emulators.device import Clock, Emulator, Purpose, serial_number
 from sim.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols.zaber_ascii import Alert, Command, CommandStream, Reply
 
 RANK = ("FD", "FQ", "FS", "WL", "WR", "WH", "NC", "NI")  # the reply shows the first that is set
-STALL_STEPS = 200
+PURPOSES: dict[str, Purpose] = {"to sensor": "reference", "off sensor": "reference", "knob": "hand"}
 
 
 class _Axis:
@@ -76,6 +77,14 @@ class _Axis:
             self.phase = "stop"
             self.motor.brake(self.ramp())
 
+    def turn(self, steps: int) -> None:
+        self.phase = "knob"
+        self.flags |= {"NC"}
+        self.motor.go(self.motor.steps + steps, self.speed() / 4.0, self.ramp())
+
+    def power_up(self) -> None:
+        self.zero, self.flags, self.phase = self.motor.encoder_steps, {"WR"}, "rest"
+
     def on_edge(self, name: str, upwards: bool) -> None:
         if name == "blocked":
             self._end({"FS", "WR"})
@@ -98,7 +107,7 @@ class _Axis:
 
     def _end(self, flags: set[str]) -> None:
         self.motor.halt()
-        self.flags |= flags
+        self.flags = (self.flags - {"NC"}) | flags
         self.phase = "rest"
         self._say(False, self.motor.time_s)
 
@@ -112,6 +121,8 @@ class ZaberEmulator(Emulator):
         ``device/axis`` (or ``device``) -> motor.
     checksums : bool
         Devices set to append checksums to everything they say.
+    serial : int
+        Serial number of the chain; that of a device is this and its address.
     """
 
     READ_ONLY: ClassVar[dict[str, str]] = {
@@ -120,20 +131,50 @@ class ZaberEmulator(Emulator):
         "get.settings.max": "10", "peripheralid": "0", "system.platform": "30050301",
     }  # fmt: skip
 
-    def __init__(self, motors: Mapping[str, Motor], clock: Clock, checksums: bool = True) -> None:
+    def __init__(
+        self, motors: Mapping[str, Motor], clock: Clock, checksums: bool = True, serial: int = 70_000
+    ) -> None:
         super().__init__(motors, clock)
+        self._serial = serial
         self._checked = checksums
         self._stream = CommandStream()
         self._alerts = False
         self._axes: dict[tuple[int, int], _Axis] = {}
+        self._by_channel: dict[str, _Axis] = {}
         for channel, motor in self.motors.items():
             device, _, axis = channel.partition("/")
             key = int(device), int(axis or 1)
             self._axes[key] = _Axis(motor, lambda busy, time_s, key=key: self._alert(key, time_s))  # type: ignore[misc]
+            self._by_channel[channel] = self._axes[key]
 
     def axis(self, device: int, axis: int) -> _Axis:
         """One axis, for tests that look inside."""
         return self._axes[device, axis]
+
+    @classmethod
+    def individual(cls, name: str) -> dict[str, Any]:
+        """What tells this box from another of its kind."""
+        return {"serial": serial_number(name)}
+
+    def person_stops(self) -> None:
+        """The knob of every device is pressed."""
+        self.advance()
+        for axis in self._axes.values():
+            axis.stop()
+
+    def turn_knob(self, device: int, axis: int, steps: int) -> None:
+        """Somebody turns the knob of an axis that rests."""
+        self.advance()
+        self._axes[device, axis].turn(steps)
+
+    def purpose(self, channel: str) -> Purpose:
+        """Look for a sensor, follow a knob, or neither."""
+        return PURPOSES.get(self._by_channel[channel].phase, "move")
+
+    def _power_up(self) -> None:
+        self._stream = CommandStream()
+        for axis in self._axes.values():
+            axis.power_up()
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
@@ -205,7 +246,7 @@ class ZaberEmulator(Emulator):
         if name == "pos":
             return True, " ".join(str(box.position) for box in axes)
         if name == "system.serial":
-            return True, str(70_000 + device)
+            return True, str(self._serial + device)
         if name == "system.axiscount":
             return True, str(len(axes) if not axis else 1)
         if name == "comm.alert":

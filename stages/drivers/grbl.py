@@ -9,9 +9,23 @@ During ``$H`` no status is answered; its end is the ``ok``. After a hard limit (
 but a reset, and throws that away if it comes before ``[MSG:Reset to continue]``. DTR is held low because it
 resets most boards; the system raises it on opening all the same, so a board may be deaf for the two seconds of its
 boot loader. There is no encoder: a stalled motor is not noticed.
+
+**Restarts.** A board that has restarted greets with a banner and (homing enabled) stands in Alarm until somebody
+unlocks it. Either may be missed: the banner may be cut or damaged, the alarm unlocked at a pendant. So homing
+leaves a mark on the board that every restart and reset wipes out and that means nothing to a machine without a
+tool changer: the number of the tool (``T137``), drawn anew each time and read back with ``$G`` after every
+position. Boards that do not keep it are judged by banner and state alone.
+
+**Stops at the board.** A feed hold (button, pendant) ends a jog like a cancel: the board is Idle again, short of
+the target. So an axis that rests elsewhere than where it was sent has been stopped by a person.
+
+All input goes through one decoder, so a line that comes in two pieces is one line, whoever reads the second piece.
 """
 
+import random
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 
 from stages.controller import Channel, Controller
 from stages.errors import (
@@ -20,6 +34,7 @@ from stages.errors import (
     LimitHit,
     MotionStopped,
     NoReply,
+    NotReferenced,
     ProtocolViolation,
     StageUsageError,
     WrongDevice,
@@ -31,10 +46,13 @@ AXES = ("X", "Y", "Z")
 HOMING_ENABLED, REPORT_INCHES = 22, 13
 STEPS, RATE, ACCELERATION = 100, 110, 120  # + 0, 1, 2 for X, Y, Z
 BANNER_S = 1.5
+MARKS = range(2, 251)  # tool numbers that nobody uses by habit
+REPORTED_MM = 0.001  # positions have three decimals
+LOCKED = 9
+RESET_BY_A_PERSON = (3, 6)  # in motion, while homing: this driver resets only to stop a reference run
 REFUSALS = {
     5: "homing is switched off ($22=0)",
     8: "only possible at rest",
-    9: "locked by an alarm; home it",
     15: "the target is outside the travel",
 }
 
@@ -51,27 +69,37 @@ class GrblController(Controller):
     _settings: dict[int, float]
     _homing: bool
     _alarm: int | None
-    _pushed: grbl.AnswerStream
+    _input: grbl.AnswerStream
+    _sent_to_mm: dict[str, float]
+    _mark: int | None = None
+    _unread: bool = False  # a jog may wait in the board's buffer
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move."""
         self._raise_alarm()
         self._stopped = False
-        self._line(f"$J=G53G90G21{channel}{target_mm:.4f}F{speed_mm_s * 60:.3f}")
+        self._sent_to_mm = {channel: target_mm}
+        try:
+            self._line(f"$J=G53G90G21{channel}{target_mm:.4f}F{speed_mm_s * 60:.3f}", moves=True)
+        except (NoReply, ProtocolViolation):
+            self._empty_unless_read()
+            raise
 
     def start_home(self, channel: str) -> None:
         """Begin to home every axis; the answer comes at the end."""
         with self._lock:
             if self._settings[HOMING_ENABLED] == 0:
                 raise StageUsageError(f"{self.name}: homing is switched off; set $22=1 on the board")
-            self._referenced.clear()
+            self._forget_references()
             if self._alarm is not None:
                 self._reset()
             self._clear_line()
             self._stopped = False
-            self._homing = True  # before the bytes, so that a stop from another thread sends the right one
-            self._pushed = grbl.AnswerStream()
-            self.port.write(grbl.Line("$H").to_bytes())
+            self._sent_to_mm = {}
+            with self._gate(moves=True):
+                self._homing = True  # before the bytes, so that a stop from another thread sends the right one
+                self._input = grbl.AnswerStream()
+                self.port.write(grbl.Line("$H").to_bytes())
 
     def moving(self, channel: str) -> bool:
         """Ask for a report, or look for the end of homing."""
@@ -87,14 +115,70 @@ class GrblController(Controller):
                 self._raise_alarm()
             if self._stopped:
                 raise MotionStopped(f"{self.name} was stopped")
+            if status.state in ("Hold", "Door"):
+                raise MotionStopped(f"{self.name} is held at the board ({status.state}); release it there")
             if status.state != "Idle":
                 raise DeviceError(f"{self.name} is in state {status.state}; bring it to Idle")
+            if self._is_short(channel, status):
+                status = self._repeated(self._status)  # had it only not begun when it was asked?
+                if status.state != "Idle":
+                    return True
+                if self._is_short(channel, status):
+                    raise MotionStopped(f"{self.name} was stopped at the board short of {channel}'s target")
+            self._sent_to_mm = {}
             return False
 
     def position_mm(self, channel: str) -> float:
-        """Machine position, read twice."""
-        place = self._agreed(lambda: self._status().position_mm)
-        return place[AXES.index(channel)]
+        """Machine position, that two answers agree on."""
+        index = AXES.index(channel)
+
+        def ask() -> tuple[float, bool]:
+            status = self._status()
+            return status.position_mm[index], status.state == "Alarm"
+
+        place_mm, locked = self._settled(channel, ask)
+        if locked:
+            self._forget_references()
+        return place_mm
+
+    def _is_short(self, channel: str, status: grbl.Status) -> bool:
+        """Whether a channel that was sent somewhere is not there."""
+        if channel not in self._sent_to_mm:
+            return False
+        index = AXES.index(channel)
+        step_mm = 1.0 / self._settings[STEPS + index]
+        return abs(status.position_mm[index] - self._sent_to_mm[channel]) > step_mm + REPORTED_MM
+
+    def _still_referenced(self, channel: str) -> bool:
+        if self._mark is not None:
+            return self._repeated(self._tool) == self._mark or self._agreed(self._tool) == self._mark
+        return self._repeated(self._status).state != "Alarm"
+
+    def _forget_references(self) -> None:
+        super()._forget_references()
+        self._mark = None
+
+    def _leave_mark(self) -> None:
+        """Give the board something to forget."""
+        number = random.choice(MARKS)
+        try:
+            self._line(f"T{number}")
+            self._mark = number if self._agreed(self._tool) == number else None
+        except (CommandRejected, NoReply, ProtocolViolation):
+            self._mark = None  # not every descendant keeps a tool
+
+    def _tool(self) -> int | None:
+        """Modal number of the tool; None if the board does not tell."""
+        seen: set[int] = set()
+
+        def accept(answer: object) -> set[int] | None:
+            self._overhear(answer)
+            if isinstance(answer, grbl.Feedback) and answer.kind == "GC":
+                seen.update(int(number) for number in re.findall(r"\bT(\d{1,9})\b", answer.text))
+            return seen if isinstance(answer, grbl.Ok | grbl.Refusal) else None
+
+        found = self._transact(grbl.Line("$G").to_bytes(), accept)
+        return found.pop() if len(found) == 1 else None
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Raise if the board's own settings differ from the bench file's."""
@@ -116,18 +200,22 @@ class GrblController(Controller):
     def _reset_state(self) -> None:
         self._homing = False
         self._alarm = None
-        self._pushed = grbl.AnswerStream()
+        self._input = grbl.AnswerStream()
+        self._sent_to_mm = {}
 
     def _identify(self) -> str:
         """Answer to $I; a stale ok can only stand before its [VER:...]."""
         seen: list[str] = []
 
         def accept(answer: object) -> str | None:
+            self._overhear(answer)
             if isinstance(answer, grbl.Feedback) and answer.kind == "VER":
                 seen[:] = [f"Grbl {answer.text}"]
             return seen[0] if seen and isinstance(answer, grbl.Ok) else None
 
-        return self._converse(grbl.Line("$I").to_bytes(), accept)
+        identity = self._converse(grbl.Line("$I").to_bytes(), accept)
+        self._unread = False  # lines are read in order
+        return identity
 
     def _set_up(self) -> None:
         self._settings = self._agreed(self._read_settings)
@@ -146,8 +234,9 @@ class GrblController(Controller):
         found: dict[int, float] = {}
 
         def accept(answer: object) -> bool | None:
-            if isinstance(answer, grbl.Setting):
-                found[answer.number] = float(answer.value)
+            self._overhear(answer)
+            if isinstance(answer, grbl.Setting) and re.fullmatch(r"-?\d{1,9}(\.\d{1,6})?", answer.value):
+                found[answer.number] = float(answer.value)  # descendants have settings that are texts
             return True if isinstance(answer, grbl.Ok) else None
 
         self._transact(grbl.Line("$$").to_bytes(), accept, timeout_s=2.0)
@@ -158,35 +247,46 @@ class GrblController(Controller):
         return found
 
     def _stop_bytes(self) -> Sequence[bytes]:
-        return [grbl.RealTime(grbl.RESET if self._homing else grbl.JOG_CANCEL).to_bytes()]
+        waits = self._homing or self._unread
+        return [grbl.RealTime(grbl.RESET if waits else grbl.JOG_CANCEL).to_bytes()]
+
+    def watchdog_bytes(self) -> Sequence[bytes]:
+        """Cancel of a jog, then a reset: nobody knows any more whether it was homing."""
+        return [grbl.RealTime(grbl.JOG_CANCEL).to_bytes(), grbl.RealTime(grbl.RESET).to_bytes()]
 
     def _stream(self) -> Stream:
-        return grbl.AnswerStream()
+        return self._input
 
     def _unsolicited(self, data: bytes) -> None:
-        """Reports, messages and alarms may come at any time; a late ok may not."""
-        self._surplus(self._pushed.feed(data), b"")
+        """Reports, messages and alarms may come at any time; a late ok or half a line may not."""
+        answers = self._input.feed(data)
+        self._surplus(answers, self._input.rest)
 
     def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
         for answer in answers:
-            if isinstance(answer, grbl.Alarm):
-                self._note_alarm(answer.code)
-            elif isinstance(answer, grbl.Banner):
-                self._referenced.clear()  # it has reset itself, and forgotten where it was
-            elif not isinstance(answer, grbl.Status | grbl.Feedback):
+            self._overhear(answer)
+            if not isinstance(answer, grbl.Status | grbl.Feedback | grbl.Alarm | grbl.Banner):
                 self._suspect = True
         self._suspect = self._suspect or bool(rest)
 
+    def _overhear(self, answer: object) -> None:
+        """What may come at any time and takes the reference away, whatever was asked."""
+        if isinstance(answer, grbl.Alarm):
+            self._note_alarm(answer.code)
+        elif isinstance(answer, grbl.Banner):
+            self._forget_references()
+
     def _drained(self, data: bytes) -> None:
         suspect = self._suspect
-        self._surplus(grbl.AnswerStream().feed(data), b"")
+        self._surplus(self._input.feed(data), b"")
+        self._input = grbl.AnswerStream()  # what has no end after such a silence will have none
         self._suspect = suspect
         self._raise_alarm()
 
     def _note_alarm(self, code: int) -> None:
         self._alarm = code
         if code != 2:  # a refused target keeps the position
-            self._referenced.clear()
+            self._forget_references()
 
     def _raise_alarm(self) -> None:
         if early := self.port.pending():
@@ -195,16 +295,14 @@ class GrblController(Controller):
             return
         reason = grbl.ALARMS.get(self._alarm, "locked")
         message = f"{self.name}: alarm {self._alarm}, {reason}; home it"
+        if self._alarm in RESET_BY_A_PERSON:
+            raise MotionStopped(message)
         raise LimitHit(message) if self._alarm == 1 else DeviceError(message)
 
     def _status(self) -> grbl.Status:
         def accept(answer: object) -> grbl.Status | None:
-            if isinstance(answer, grbl.Alarm):
-                self._note_alarm(answer.code)
-                self._raise_alarm()
-            if isinstance(answer, grbl.Banner):
-                self._referenced.clear()
-                raise DeviceError(f"{self.name} has reset itself; home it")
+            self._overhear(answer)
+            self._raise_if_alarm_or_restart(answer)
             return answer if isinstance(answer, grbl.Status) else None
 
         status = self._transact(grbl.RealTime(grbl.STATUS).to_bytes(), accept)
@@ -212,23 +310,53 @@ class GrblController(Controller):
             raise WrongDevice(f"{self.name} reports work positions; set $10=1 on the board")
         return status
 
-    def _line(self, text: str) -> None:
+    def _raise_if_alarm_or_restart(self, answer: object) -> None:
+        if isinstance(answer, grbl.Alarm):
+            self._raise_alarm()
+        if isinstance(answer, grbl.Banner):
+            raise NotReferenced(f"{self.name} has restarted or was reset; home it")
+
+    def _line(self, text: str, moves: bool = False) -> None:
         def accept(answer: object) -> grbl.Ok | grbl.Refusal | None:
-            if isinstance(answer, grbl.Alarm):
-                self._note_alarm(answer.code)
-                self._raise_alarm()
+            self._overhear(answer)
+            self._raise_if_alarm_or_restart(answer)
             if isinstance(answer, grbl.Feedback) and answer.kind == "VER":
                 self._suspect = True  # a fence answered twice: the ok behind it is not ours
                 raise ProtocolViolation(f"{self.name}: an older answer came late", answer.to_bytes())
             return answer if isinstance(answer, grbl.Ok | grbl.Refusal) else None
 
-        answer = self._transact(grbl.Line(text).to_bytes(), accept)
+        answer = self._transact(grbl.Line(text).to_bytes(), accept, moves=moves)
         if isinstance(answer, grbl.Refusal):
+            if answer.code == LOCKED:
+                self._forget_references()  # an alarm or a restart that was not heard of
+                raise NotReferenced(f"{self.name}: locked by an alarm or a restart; home it")
             reason = REFUSALS.get(answer.code, "refused")
             raise CommandRejected(f"{self.name}: {text!r}: {reason} (error {answer.code})", answer.code)
 
+    def _empty_unless_read(self) -> None:
+        """See that a jog without an answer does not wait in the board.
+
+        A board that is held reads no line: it would obey whenever somebody releases it, long after a stop. A
+        report needs no fence, its shape tells it. Where none comes either, stops reset the board until it has
+        read a line.
+        """
+
+        def accept(answer: object) -> grbl.Status | None:
+            self._overhear(answer)
+            return answer if isinstance(answer, grbl.Status) else None
+
+        with self._lock:
+            ask = grbl.RealTime(grbl.STATUS).to_bytes()
+            self._unread = True
+            with suppress(NoReply, ProtocolViolation):
+                if self._repeated(lambda: self._converse(ask, accept)).state in ("Hold", "Door"):
+                    self._reset()
+                    self._forget_references()
+                    raise MotionStopped(f"{self.name} is held at the board; release it there, then home it")
+                self._unread = False
+
     def _homing_goes_on(self) -> bool:
-        for answer in self._pushed.feed(self.port.pending()):
+        for answer in self._input.feed(self.port.pending()):
             if isinstance(answer, grbl.Alarm):
                 self._homing = False
                 self._note_alarm(answer.code)
@@ -240,8 +368,16 @@ class GrblController(Controller):
                 raise CommandRejected(f"{self.name}: homing refused (error {answer.code})", answer.code)
             if isinstance(answer, ProtocolViolation):
                 self._suspect = True
+            if isinstance(answer, grbl.Banner):
+                if self._stopped:
+                    self._homing = False
+                    raise MotionStopped(f"{self.name} was stopped while homing; home it again")
+                self._reset()  # the banner may be of a restart before $H: then the board is homing still
+                self._homing = False
+                raise NotReferenced(f"{self.name} has restarted or was reset while homing; home it again")
             if isinstance(answer, grbl.Ok):
                 self._homing = False
+                self._leave_mark()
                 self._referenced |= set(self._channels)
                 return False
         return True
@@ -257,6 +393,7 @@ class GrblController(Controller):
             self.port.drain(QUIET_S)
             self._suspect = False
             self._alarm = None
+            self._unread = False
             return
         raise DeviceError(f"{self.name} does not come back from a reset; switch it off and on")
 

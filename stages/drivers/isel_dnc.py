@@ -5,6 +5,10 @@ Channels are X, Y, Z. The controller is mute from the moment it takes a motion u
 of the axis that is meant, with zero for the others: a wrong idea about another axis can then never move it.
 Positions are read twice.
 
+A controller that was switched off and on answers 4 (no axes defined) to everything but the version until it is
+initialised. It is initialised on connecting and before a reference run, never before a move: so an answer to the
+question for the position also says that there was no restart since.
+
 A C142 does not know the version command and answers 5; it gets no acceleration, and its 5 serves as identity. A
 limit switch (2) or a fault (9) forgets every reference. The controller has no encoder: a stalled motor is not
 noticed.
@@ -19,6 +23,7 @@ from stages.errors import (
     LimitHit,
     MotionStopped,
     NoReply,
+    NotReferenced,
     OutOfRange,
     ProtocolViolation,
     StageUsageError,
@@ -29,6 +34,7 @@ from stages.protocols import isel_dnc as dnc
 AXES = ("X", "Y", "Z")
 C142 = "C142"
 FASTEST_RAMP = 4000  # Hz/ms
+NOT_INITIALISED = "4"
 
 
 class IselController(Controller):
@@ -51,6 +57,8 @@ class IselController(Controller):
             raise OutOfRange(f"{self.name} channel {channel}: {target_mm} mm is beyond the controller's 24 bit")
         with self._lock:
             self._refuse_while_moving()
+            if not self._initialised:
+                raise NotReferenced(f"{self.name} has lost its reference (was it switched off?); home it")
             self._set_ramp(scale, acceleration_mm_s2)
             distance = steps - self._steps()[index]
             self._stopped = False
@@ -61,7 +69,7 @@ class IselController(Controller):
         """Begin the reference run of one axis."""
         with self._lock:
             self._refuse_while_moving()
-            if not self._initialised:
+            if not self._initialised or self._has_restarted():
                 self._initialise()
             self._referenced.discard(channel)
             self._stopped = False
@@ -142,8 +150,33 @@ class IselController(Controller):
         self._repeated(lambda: self._acknowledged(dnc.Initialise((1 << self._axes) - 1)))
         self._initialised = True
 
+    def known_mm(self, channel: str) -> float:
+        """Steps / scale; the answer itself says that there was no restart."""
+        position_mm = self.position_mm(channel)
+        if not self.referenced(channel):
+            raise NotReferenced(f"{self.name} channel {channel} is not referenced; home it")
+        return position_mm
+
+    def _still_referenced(self, channel: str) -> bool:
+        self._refuse_while_moving()
+        return not self._has_restarted()
+
+    def _has_restarted(self) -> bool:
+        if self._repeated(self._steps_once) is not None:
+            return False
+        return self._agreed(self._steps_once) is None  # one damaged answer is no restart
+
+    def _forget_references(self) -> None:
+        super()._forget_references()
+        self._initialised = False
+        self._ramp = None
+
     def _stop_bytes(self) -> Sequence[bytes]:
         return [dnc.Stop().to_bytes()] if self._motion_pending else []
+
+    def watchdog_bytes(self) -> Sequence[bytes]:
+        """The stop of a motion; whether there is one nobody knows any more."""
+        return [dnc.Stop().to_bytes()]
 
     def _stream(self) -> Stream:
         return dnc.AckStream()
@@ -155,8 +188,9 @@ class IselController(Controller):
     def _begin(self, command: dnc.Numbered | dnc.Move) -> None:
         """Send a command whose answer comes when the motion has ended."""
         self._clear_line()
-        self._motion_pending = True  # before the bytes, so that a stop from another thread is never taken for idle
-        self.port.write(command.to_bytes())
+        with self._gate(moves=True):
+            self._motion_pending = True  # before the bytes: a stop from another thread must not take it for idle
+            self.port.write(command.to_bytes())
 
     def _motion(self, index: int, distance: int, speed: int) -> dnc.Move:
         pairs = [(0, dnc.SLOWEST)] * (4 if self._axes == 3 else self._axes)
@@ -165,8 +199,6 @@ class IselController(Controller):
 
     def _set_ramp(self, scale: float, acceleration_mm_s2: float) -> None:
         ramp = max(1, round(acceleration_mm_s2 * scale / 1000))
-        if not self._initialised:
-            self._initialise()
         if self.identity != C142 and ramp != self._ramp:
             self._repeated(lambda: self._acknowledged(dnc.Numbered("J", ramp)))
             self._ramp = ramp
@@ -180,24 +212,30 @@ class IselController(Controller):
             self._raise(code, f"taking {command.to_bytes()!r}")
 
     def _steps(self) -> tuple[int, ...]:
-        return self._agreed(self._steps_once)
+        steps = self._settled("P", self._steps_once)
+        if steps is None:
+            self._forget_references()
+            raise NotReferenced(f"{self.name} has lost its reference (was it switched off?); home it")
+        return steps
 
-    def _steps_once(self) -> tuple[int, ...]:
+    def _steps_once(self) -> tuple[int, ...] | None:
+        """Steps of every axis; None if the controller says that it is not initialised, so has restarted."""
         stream = dnc.PositionStream(self._axes)
 
-        def accept(answer: object) -> tuple[int, ...] | None:
-            if isinstance(answer, dnc.Ack):  # a lone character is no position; it may belong to an older command
+        def accept(answer: object) -> dnc.Position | dnc.Ack | None:
+            if isinstance(answer, dnc.Ack) and answer.code != NOT_INITIALISED:
+                # a lone character is no position; it may belong to an older command
                 raise ProtocolViolation(f"{self.name}: no position", answer.to_bytes())
-            return answer.steps if isinstance(answer, dnc.Position) else None
+            return answer if isinstance(answer, dnc.Position | dnc.Ack) else None
 
-        return self._transact(dnc.AskPosition().to_bytes(), accept, stream=stream)
+        answer = self._transact(dnc.AskPosition().to_bytes(), accept, stream=stream)
+        return answer.steps if isinstance(answer, dnc.Position) else None
 
     def _raise(self, code: str, doing: str) -> None:
         """Turn an error character into what it means for the axes."""
         meaning = f"{self.name}, {doing}: {dnc.MEANING[code]} ({code})"
-        if code in "29":
-            self._referenced.clear()
-            self._initialised = False
+        if code in "29" + NOT_INITIALISED:
+            self._forget_references()
         if code == "2":
             raise LimitHit(f"{meaning}; home its axes")
         if code == "9":
@@ -205,6 +243,8 @@ class IselController(Controller):
         if code == "F":
             self._suspect = True  # a late 0 or F of the interrupted motion may follow
             raise MotionStopped(meaning)
+        if code == NOT_INITIALISED:
+            raise NotReferenced(f"{meaning}: it was switched off and on; home its axes")
         if code == "R":
             self._referenced.clear()
         raise CommandRejected(meaning, code)

@@ -6,6 +6,8 @@ Failures show only in ``ERR?``, which is sent behind every command in the same w
 10 behind, which would look like a failure of the next command; it is read away before that. While a reference
 move runs, only the one-byte commands are answered. Error -1024 means that the motor did not follow and the
 servo has switched itself off. ``ONT?`` is not used: its window is the controller's, ours is in the bench file.
+After a restart ``FRF?`` says 0 (an axis with an absolute encoder keeps its reference), the servo is off and the
+velocity is the parameter's: `_forget_references` forgets all of it.
 """
 
 import re
@@ -49,7 +51,7 @@ class PiController(Controller):
             for name in ("ACC", "DEC"):
                 self._if_known(name, channel, profile[1])
             self._profile[channel] = profile
-        self._command("MOV", channel, f"{target_mm:.6f}")
+        self._command("MOV", channel, f"{target_mm:.6f}", moves=True)
 
     def start_home(self, channel: str) -> None:
         """Begin the reference move."""
@@ -57,7 +59,9 @@ class PiController(Controller):
         self._profile.pop(channel, None)
         self._repeated(lambda: self._command("SVO", channel, "1"))
         self._homing.add(channel)
-        self._send(gcs.Command("FRF", (channel,)).to_bytes())  # not every firmware answers ERR? meanwhile
+        self._send(
+            gcs.Command("FRF", (channel,)).to_bytes(), moves=True
+        )  # not every firmware answers ERR? meanwhile
 
     def moving(self, channel: str) -> bool:
         """Ask by byte 5, twice if the answer is no; then ask for errors."""
@@ -79,7 +83,7 @@ class PiController(Controller):
 
     def position_mm(self, channel: str) -> float:
         """Position in mm, read until two readings agree within the noise of an encoder."""
-        return self._agreed(lambda: self._value("POS?", channel), lambda a, b: abs(a - b) <= NOISE_MM)
+        return self._settled(channel, lambda: self._value("POS?", channel), lambda a, b: abs(a - b) <= NOISE_MM)
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Nothing to check: the controller refuses what it cannot do, with error 8."""
@@ -110,6 +114,13 @@ class PiController(Controller):
         if missing := set(self._channels) - set(self._axes):
             raise WrongDevice(f"{self.name} has axes {', '.join(self._axes)}, not {', '.join(sorted(missing))}")
         self._repeated(self._error)  # whatever stands there is not ours
+
+    def _still_referenced(self, channel: str) -> bool:
+        return self._remembers_reference(channel)
+
+    def _forget_references(self) -> None:
+        super()._forget_references()
+        self._profile = {}
 
     def _remembers_reference(self, channel: str) -> bool:
         return self._repeated(lambda: self._value("FRF?", channel)) == 1
@@ -162,13 +173,13 @@ class PiController(Controller):
             raise ProtocolViolation(f"{self.name}: no error code", answer.to_bytes())
         return int(answer.lines[0])
 
-    def _command(self, name: str, *arguments: str) -> None:
+    def _command(self, name: str, *arguments: str, moves: bool = False) -> None:
         """Send a command and ask at once whether it went well."""
         if self._stopped:  # the 10 of an earlier stop is not this command's
             self._repeated(self._error)
             self._stopped = False
         data = gcs.Command(name, arguments).to_bytes() + gcs.Command("ERR?").to_bytes()
-        if code := self._error_code(self._transact(data, _any_answer)):
+        if code := self._error_code(self._transact(data, _any_answer, moves=moves)):
             self._raise(code, " ".join([name, *arguments]))
 
     def _if_known(self, name: str, *arguments: str) -> None:
@@ -183,13 +194,13 @@ class PiController(Controller):
         if code == gcs.STOPPED:
             raise MotionStopped(f"{where}: stopped")
         if code == gcs.MOTION_ERROR:
-            self._referenced.clear()
+            self._forget_references()
             raise AxisStalled(f"{where}: the motor did not follow ({code}); clear the way and home it")
         if code in ON_LIMIT_SWITCH:
-            self._referenced.clear()
+            self._forget_references()
             raise LimitHit(f"{where}: limit switch ({code}); home it")
         if code == gcs.NOT_ALLOWED:
-            self._referenced.clear()
+            self._forget_references()
         raise CommandRejected(f"{where}: refused with error {code}", code)
 
 

@@ -7,7 +7,9 @@ Appendix).
 Every command carries a number that comes back with its answer, so a late answer is recognised and skipped. With
 the flag WR or WH the position means nothing. Every flag that begins with F is a fault that has ended the motion,
 and so is WL (unexpected limit); they stay until ``warnings clear``, which homing sends first. An answer carries
-only the flag that matters most, so what else is wrong is asked for with ``warnings``.
+only the flag that matters most, so what else is wrong is asked for with ``warnings``. WR stands after every
+power-up until homed, so it tells a restart as well; it is looked at in every answer, and asked for where a
+position counts.
 """
 
 import re
@@ -20,6 +22,7 @@ from stages.errors import (
     CommandRejected,
     LimitHit,
     MotionStopped,
+    NotReferenced,
     ProtocolViolation,
     StageUsageError,
     WrongDevice,
@@ -40,6 +43,7 @@ FAULTS = {
 LIMITS = {"WL": "ran into a limit"}
 UNREFERENCED = {"WR", "WH"}
 INTERRUPTED = {"NI", "NC"}
+NO_FLAG = "--"  # nothing is wrong: the flag shows the first of all that are set
 
 
 class ZaberController(Controller):
@@ -51,6 +55,7 @@ class ZaberController(Controller):
     senses_stall = True
 
     _next_id = 0
+    _flag = NO_FLAG  # of the last answer
     _profile: dict[str, tuple[int, int]]
     _homing: set[str]
 
@@ -64,14 +69,17 @@ class ZaberController(Controller):
             self._repeated(lambda: self._tell(channel, f"set accel {acceleration}"))
             self._profile[channel] = (speed, acceleration)
         self._stopped = False
-        self._tell(channel, f"move abs {steps}")
+        if self._tell(channel, f"move abs {steps}", moves=True).flag in UNREFERENCED:
+            self.stop()  # restarted since it was asked: it moves in a coordinate that means nothing
+            self._forget_references()
+            raise NotReferenced(f"{self.name} channel {channel} has restarted; stopped at once, home it")
 
     def start_home(self, channel: str) -> None:
         """Begin to home, after the reasons of older faults have been cleared."""
         self._referenced.discard(channel)
         self._repeated(lambda: self._tell(channel, "warnings clear"))
         self._stopped = False
-        self._tell(channel, "home")
+        self._tell(channel, "home", moves=True)
         self._homing.add(channel)
 
     def moving(self, channel: str) -> bool:
@@ -89,9 +97,12 @@ class ZaberController(Controller):
             return True
         homing = channel in self._homing
         self._homing.discard(channel)
+        flags = {reply.flag}
         if reply.flag in UNREFERENCED:
             self._referenced.discard(channel)
-        if self._stopped or reply.flag in INTERRUPTED:
+            if homing:  # a knob that ends a reference run stands behind the missing reference
+                flags |= self._flags(channel)
+        if self._stopped or flags & INTERRUPTED:
             raise MotionStopped(f"{where} was stopped")
         if homing and reply.flag not in UNREFERENCED:
             self._referenced.add(channel)
@@ -99,7 +110,15 @@ class ZaberController(Controller):
 
     def position_mm(self, channel: str) -> float:
         """Microsteps / scale, from a checksummed answer or from two equal ones."""
-        return self._agreed(lambda: self._integer(channel, "get pos")) / self._scale(channel)
+        return self._settled(channel, lambda: self._integer(channel, "get pos")) / self._scale(channel)
+
+    def known_mm(self, channel: str) -> float:
+        """Position; an answer without any flag vouches for it, else the flags are asked for."""
+        with self._lock:
+            position_mm = self.position_mm(channel)
+            if self._flag != NO_FLAG or not self.referenced(channel):
+                self.vouch(channel)
+            return position_mm
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Raise if a value does not fit the setting it goes to."""
@@ -147,9 +166,16 @@ class ZaberController(Controller):
             if not (count.isdecimal() and axis <= int(count)):
                 raise WrongDevice(f"{self.name}: device {device} has {count} axes, so there is no channel {name}")
 
+    def _still_referenced(self, channel: str) -> bool:
+        return self._remembers_reference(channel)
+
     def _remembers_reference(self, channel: str) -> bool:
+        return not UNREFERENCED & self._flags(channel)
+
+    def _flags(self, channel: str) -> set[str]:
+        """Return every flag that is set, whatever its rank."""
         reply = self._repeated(lambda: self._tell(channel, "warnings"))
-        return not UNREFERENCED & {reply.flag, *reply.data.split()}
+        return {reply.flag, *reply.data.split()}
 
     def _stop_bytes(self) -> Sequence[bytes]:
         devices = sorted({_address(name)[0] for name in self._channels})
@@ -165,16 +191,21 @@ class ZaberController(Controller):
         """Same."""
 
     def _integer(self, channel: str, question: str) -> int:
-        data = self._tell(channel, question).data
+        reply = self._tell(channel, question)
+        if (
+            reply.busy
+        ):  # a knob is turned, or a program that was killed has begun it: two readings may agree by chance
+            raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
+        data = reply.data
         if not re.fullmatch(r"-?\d{1,15}", data):
             self._suspect = True
             raise ProtocolViolation(f"{self.name}: no whole number", data.encode())
         return int(data)
 
-    def _tell(self, channel: str, text: str) -> Reply:
-        return self._reply(*_address(channel), text)
+    def _tell(self, channel: str, text: str, moves: bool = False) -> Reply:
+        return self._reply(*_address(channel), text, moves)
 
-    def _reply(self, device: int, axis: int, text: str) -> Reply:
+    def _reply(self, device: int, axis: int, text: str, moves: bool = False) -> Reply:
         """Answer of the device and axis addressed, with the number of this very command."""
         with self._lock:
             number = self._next_id
@@ -186,7 +217,8 @@ class ZaberController(Controller):
                     return answer if answer.axis == axis else None
                 return None
 
-            reply = self._transact(command.to_bytes(), accept)
+            reply = self._transact(command.to_bytes(), accept, moves=moves)
+            self._flag = reply.flag
             if not reply.accepted:
                 raise CommandRejected(
                     f"{self.name} refused {text!r} for {device}/{axis}: {reply.data}", reply.data

@@ -1,6 +1,7 @@
 """What line-based grammars share: from a stream of bytes to lines to messages, and the shape of an example."""
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from stages.errors import ProtocolViolation
@@ -36,7 +37,7 @@ class Lines:
     """
 
     def __init__(self, ends: bytes, longest: int = 512) -> None:
-        self._ends = frozenset(ends)
+        self._cut = re.compile(b"[" + re.escape(ends) + b"]")
         self._longest = longest
         self._rest = bytearray()
 
@@ -44,6 +45,12 @@ class Lines:
     def rest(self) -> bytes:
         """The unfinished line."""
         return bytes(self._rest)
+
+    def fitting(self, chunk: bytes) -> Sequence[bytes]:
+        """Part a chunk so that a line without an end is noticed at the byte that is too many."""
+        if len(self._rest) + len(chunk) <= self._longest:
+            return (chunk,)
+        return [chunk[place : place + 1] for place in range(len(chunk))]
 
     def feed(self, chunk: bytes) -> list[bytes]:
         """Add bytes; return the lines that are complete now, without their ends.
@@ -53,13 +60,14 @@ class Lines:
         ProtocolViolation
             A line grew past the limit; everything unfinished is dropped.
         """
+        *whole, rest = self._cut.split(chunk)
         lines = []
-        for byte in chunk:
-            if byte not in self._ends:
-                self._rest.append(byte)
-            elif self._rest:
+        for part in whole:
+            self._rest += part
+            if self._rest:
                 lines.append(bytes(self._rest))
                 self._rest.clear()
+        self._rest += rest
         if len(self._rest) > self._longest:
             raw = bytes(self._rest[:60])
             self._rest.clear()
@@ -92,6 +100,9 @@ class LineStream(Generic[T]):
         self._read = read
         self._lines = Lines(ends, longest)
         self._singles = singles or {}
+        single = b"[" + re.escape(bytes(self._singles)) + b"]|" if self._singles else b""
+        others = re.escape(ends + bytes(self._singles))
+        self._parts = re.compile(single + b"[" + re.escape(ends) + b"]+|[^" + others + b"]+")
 
     @property
     def rest(self) -> bytes:
@@ -101,14 +112,15 @@ class LineStream(Generic[T]):
     def feed(self, chunk: bytes) -> list[T | ProtocolViolation]:
         """Add bytes; return what is complete now."""
         found: list[T | ProtocolViolation] = []
-        for byte in chunk:
-            if byte in self._singles:
-                found.append(self._singles[byte])
+        for part in self._parts.findall(chunk):
+            if self._singles and part[0] in self._singles:
+                found.append(self._singles[part[0]])
                 continue
-            try:
-                found += [self._read(line) for line in self._lines.feed(bytes([byte]))]
-            except ProtocolViolation as violation:
-                found.append(violation)
+            for piece in self._lines.fitting(part):
+                try:
+                    found += [self._read(line) for line in self._lines.feed(piece)]
+                except ProtocolViolation as violation:
+                    found.append(violation)
         return found
 
 

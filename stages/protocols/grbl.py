@@ -12,7 +12,12 @@ recognised by its shape, never by its place. Several ``?`` may get one report; d
 Jogs (``$J=``) are the safe motions: out of travel they are refused with ``error:15`` instead of an alarm, and
 0x85 or ``!`` ends them without losing the position.
 
-Source: gnea/grbl, doc/markdown/{interface,commands,jogging,settings}.md, v1.1.
+Two descendants speak the same with more words: grblHAL (banner ``GrblHAL 1.1f [...]``, sub-states of up to three
+digits as in ``<Alarm:11|...>``, settings that hold texts or nothing) and FluidNC (banner ``Grbl 3.7 [FluidNC
+v3.7.8 (wifi) '$' for help]``).
+
+Source: gnea/grbl, doc/markdown/{interface,commands,jogging,settings}.md, v1.1; grblHAL, core wiki, "Report
+extensions"; FluidNC wiki, "Startup messages".
 """
 
 import re
@@ -25,7 +30,7 @@ DOC = "gnea/grbl v1.1 doc/markdown"
 
 STATUS, HOLD, RESUME, RESET, JOG_CANCEL = 0x3F, 0x21, 0x7E, 0x18, 0x85
 REALTIME = (STATUS, HOLD, RESUME, RESET, JOG_CANCEL)
-STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
+STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool")
 
 ALARMS = {
     1: "hard limit triggered, position lost",
@@ -39,7 +44,7 @@ ALARMS = {
 
 _NUMBER = r"-?\d{1,9}\.\d{1,6}"
 _STATUS = re.compile(
-    rf"<([A-Z][a-z]+)(?::(\d))?\|(MPos|WPos):({_NUMBER}(?:,{_NUMBER})*)((?:\|[A-Za-z]+:[^|<>]*)*)>"
+    rf"<([A-Z][a-z]+)(?::(\d{{1,3}}))?\|(MPos|WPos):({_NUMBER}(?:,{_NUMBER})*)((?:\|[A-Za-z]+:[^|<>]*)*)>"
 )
 
 
@@ -161,6 +166,11 @@ class Status:
                 cls("Hold", (-2.5, 0.0, 11.0), False, 0, (("Bf", "15,128"),)),
                 f"{DOC}/interface.md, sub-states, work position, buffer state",
             ),
+            Example(
+                b"<Alarm:11|MPos:0.000,0.000,0.000|FS:0,0>\r\n",
+                cls("Alarm", (0.0, 0.0, 0.0), substate=11, extras=(("FS", "0,0"),)),
+                "grblHAL, report extensions: the alarm's number",
+            ),
         )
 
 
@@ -181,6 +191,8 @@ class Setting:
         return (
             Example(b"$100=250.000\r\n", cls(100, "250.000"), f"{DOC}/interface.md, $$"),
             Example(b"$13=0\r\n", cls(13, "0"), f"{DOC}/interface.md, $$"),
+            Example(b"$74=\r\n", cls(74, ""), "grblHAL, settings with network support: no name is set"),
+            Example(b"$396=http\r\n", cls(396, "http"), "grblHAL, settings of its web server"),
         )
 
 
@@ -214,15 +226,29 @@ class Banner:
     """The first line after power-up and after every reset."""
 
     version: str
+    firmware: str = "Grbl"
+    words: str = "'$' for help"
 
     def to_bytes(self) -> bytes:
         """Bytes as they go over the wire."""
-        return f"Grbl {self.version} ['$' for help]\r\n".encode("ascii")
+        return f"{self.firmware} {self.version} [{self.words}]\r\n".encode("ascii")
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
         """Documented lines."""
-        return (Example(b"Grbl 1.1h ['$' for help]\r\n", cls("1.1h"), f"{DOC}/interface.md, Start Up Message"),)
+        return (
+            Example(b"Grbl 1.1h ['$' for help]\r\n", cls("1.1h"), f"{DOC}/interface.md, Start Up Message"),
+            Example(
+                b"GrblHAL 1.1f ['$' or '$HELP' for help]\r\n",
+                cls("1.1f", "GrblHAL", "'$' or '$HELP' for help"),
+                "grblHAL, start-up message",
+            ),
+            Example(
+                b"Grbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]\r\n",
+                cls("3.7", "Grbl", "FluidNC v3.7.8 (wifi) '$' for help"),
+                "FluidNC wiki, start-up message",
+            ),
+        )
 
 
 COMMANDS = (Line, RealTime)
@@ -243,14 +269,14 @@ def parse_answer(line: bytes) -> Answer:
         return Ok()
     if match := re.fullmatch(r"error:(\d{1,3})", text):
         return Refusal(int(match[1]))
-    if match := re.fullmatch(r"ALARM:(\d{1,2})", text):
+    if match := re.fullmatch(r"ALARM:(\d{1,3})", text, re.IGNORECASE):
         return Alarm(int(match[1]))
-    if match := re.fullmatch(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{1,6})?)", text):
+    if match := re.fullmatch(r"\$(\d{1,4})=(.{0,200})", text):
         return Setting(int(match[1]), match[2])
     if match := re.fullmatch(r"\[([A-Za-z0-9]+):(.*)\]", text):
         return Feedback(match[1], match[2])
-    if match := re.fullmatch(r"Grbl (\S+) \['\$' for help\]", text):
-        return Banner(match[1])
+    if match := re.fullmatch(r"(Grbl|GrblHAL) (\S+) \[(.{0,80} for help)\]", text):
+        return Banner(match[2], match[1], match[3])
     if (match := _STATUS.fullmatch(text)) and match[1] in STATES:
         extras = tuple((name, value) for name, _, value in (f.partition(":") for f in match[5].split("|")[1:]))
         place = tuple(float(word) for word in match[4].split(","))

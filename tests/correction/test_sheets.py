@@ -12,7 +12,7 @@ from correction.kernels.inverse import solve_node
 from correction.kernels.sheets import GLASS, RUN, SIGN, USEFUL, join_runs, list_runs
 from tests.correction.small_scenes import SCENES, small_scene
 from tracer.bodies import Sphere
-from tracer.cells import cells_of
+from tracer.cells import world_of
 from tracer.kernels.march import march_pixel_tangents
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
@@ -80,7 +80,7 @@ def test_hardly_a_node_is_missing_to_which_its_neighbour_leads() -> None:
     scene = packed_bed(6)
     ray_map = build_ray_map(scene)
     found = build_correction_map(scene, ray_map)
-    tables = pack_camera(scene.camera), scene.sphere_table(), scene.rod_table(), *cells_of(scene.sphere_table())
+    tables = pack_camera(scene.camera), world_of(scene)
     nodes, pitch = found.grid.nodes_mm(), found.grid.pitch_mm
     edge, tried = np.array(scene.camera.sensor_px) - 1.0, 0
     height, width = found.status.shape
@@ -110,7 +110,7 @@ def test_derivatives_are_those_of_the_stored_pixel_to_what_float32_holds(name: s
     """The last step is not traced again: what it leaves in Jacobian and transmittance is bounded by its size."""
     scene = small_scene(name)
     made = build_correction_map(scene, build_ray_map(scene), layers=2)
-    tables = pack_camera(scene.camera), scene.sphere_table(), scene.rod_table(), *cells_of(scene.sphere_table())
+    tables = pack_camera(scene.camera), world_of(scene)
     seen = np.isfinite(made.pixel[..., 0]) & (made.branch != 0)
     off, dim = [], []
     for (u, v), stored, light in zip(made.pixel[seen], made.jacobian[seen], made.transmittance[seen], strict=True):

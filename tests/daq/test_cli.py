@@ -3,13 +3,15 @@
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 
-from daq.cli import USAGE, main
+from daq import cameras
+from daq.cli import DEVICE, USAGE, main
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SMALL = """
@@ -50,6 +52,25 @@ def _bare_start():
     start = time.perf_counter()
     subprocess.run([sys.executable, "-c", "pass"], check=True)
     return time.perf_counter() - start
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["--version"])
+    assert caught.value.code == 0
+    assert capsys.readouterr().out == f"rtpiv {version('rtpiv')}\n"
+
+
+@pytest.mark.parametrize("verb", ["demo", "acquire"])
+def test_a_missing_extra_is_named_before_anything_is_done(verb, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(cameras, "find_spec", lambda name: None)
+    options = [str(EXAMPLES / "plan-target.yaml"), "--bench", str(EXAMPLES / "bench-sim.yaml"), "--simulate"]
+    assert main([verb, *(options if verb == "acquire" else []), "-o", str(tmp_path / "out")]) == DEVICE
+    said = capsys.readouterr().err
+    assert "harvesters and genicam" in said
+    assert "rtpiv[camera]" in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("arguments", [[], ["nonsense"], ["correct"], ["trace"], ["correct", "a.tif"]])

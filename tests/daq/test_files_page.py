@@ -4,23 +4,32 @@ import re
 from pathlib import Path
 
 import pytest
+from pydantic import TypeAdapter
 
 from daq.bench.bench_file import BenchTable
 from daq.plans.experiments import EXPERIMENTS, plan_table
-from tracer.config import Table, load_yaml, validate
+from daq.runs.displacement import Moved
+from daq.runs.done_file import DoneFile
+from daq.runs.journal_lines import Line
+from daq.runs.run_file import RunFile
+from sim.bench import SimulationTable
+from tracer.config import load_yaml, validate
 from tracer.scene_file import load_scene
 from tracer.scene_tables import SceneTable
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "files.md"
 
 
-def keys_of(model: type[Table]) -> set[str]:
-    schema = model.model_json_schema()
+def keys_of(model: object) -> set[str]:
+    schema = TypeAdapter(model).json_schema()
     tables = [schema, *schema.get("$defs", {}).values()]
     return {key for table in tables for key in table.get("properties", {})}
 
 
-@pytest.mark.parametrize("model", [SceneTable, BenchTable, *map(plan_table, EXPERIMENTS)])
+@pytest.mark.parametrize(
+    "model",
+    [SceneTable, BenchTable, SimulationTable, *map(plan_table, EXPERIMENTS), RunFile, Line, DoneFile, Moved],
+)
 def test_every_key_is_on_the_page(model):
     words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", PAGE.read_text(encoding="utf-8")))))
     assert keys_of(model) <= words

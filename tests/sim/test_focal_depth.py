@@ -16,7 +16,7 @@ from sim.renderer import Aperture, render_irradiance
 
 VIEW_PX = 33
 LENS = Aperture(60.0, 2.8, 500.0)  # focused 500 mm ahead, wherever the camera stands
-BOARD = Chessboard(square_mm=10.0, disc_diameter_mm=0.0)
+BOARD = Chessboard(square_mm=10.0, disc_mm=0.0)
 
 
 def sharpness(scene, travel_mm):

@@ -155,16 +155,17 @@ def test_clocks():
 
 
 def test_faults_do_what_they_are_called_and_keep_the_order():
-    kinds = ("late", "lost", "cut", "doubled", "garbled")
+    kinds = ("late", "lost", "cut", "doubled", "garbled", "split")
     faults = FaultSchedule(
-        [Fault(kind, index, delay_s=1.0 if kind == "late" else 0.0) for index, kind in enumerate(kinds)]
+        [Fault(kind, index, delay_s=1.0 if kind in ("late", "split") else 0.0) for index, kind in enumerate(kinds)]
     )
-    passed = [faults.pass_on(0.1 * index, b"abcdef") for index in range(6)]
-    assert passed[0] == (1.0, b"abcdef")
-    assert [time_s for time_s, _ in passed] == [1.0] * 6  # nothing overtakes
-    assert [data for _, data in passed[1:4]] == [b"", b"abc", b"abcdefabcdef"]
-    assert sum(a != b for a, b in zip(passed[4][1], b"abcdef", strict=True)) == 1
-    assert passed[5][1] == b"abcdef"
+    passed = [faults.pass_on(0.1 * index, b"abcdef") for index in range(7)]
+    assert passed[0] == [(1.0, b"abcdef")]
+    assert [pieces[0][0] for pieces in passed] == [1.0] * 6 + [2.0]  # nothing overtakes
+    assert [pieces[0][1] for pieces in passed[1:4]] == [b"", b"abc", b"abcdefabcdef"]
+    assert sum(a != b for a, b in zip(passed[4][0][1], b"abcdef", strict=True)) == 1
+    assert passed[5] == [(1.0, b"abc"), (2.0, b"def")]
+    assert passed[6] == [(2.0, b"abcdef")]
     assert [fault.kind for fault in faults.met] == list(kinds)
     assert FaultSchedule([Fault("unplug", time_s=3.0)]).dead(3.0)
     assert not FaultSchedule([Fault("unplug", time_s=3.0)]).dead(2.9)

@@ -40,8 +40,9 @@ def test_compiled_loops_do_what_the_python_says(aperture):
     out = np.empty(len(flat), np.float32)
     prints.particles.py_func(flat, *sheet._bins, sheet.sigma_mm, sheet.background, out)
     assert sheet.reflectance(flat) == pytest.approx(out, abs=1e-6)
-    prints.chessboard.py_func(flat, 2.5, 0.5, 0.08, 0.92, out)
-    assert np.array_equal(Chessboard().reflectance(flat), out)
+    board = Chessboard()
+    prints.chessboard.py_func(flat, 2.5, 0.5, np.array(board.discs, float), 0.08, 0.92, out)
+    assert np.array_equal(board.reflectance(flat), out)
 
 
 def test_index_one_gives_the_direct_view():

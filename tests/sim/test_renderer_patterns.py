@@ -30,10 +30,10 @@ def test_chessboard_squares_and_discs():
 
 
 def test_chessboard_of_other_size():
-    board = Chessboard(square_mm=4.0, disc_diameter_mm=2.0)
+    board = Chessboard(square_mm=4.0, disc_mm=2.0)
     assert at(board, (2.0, 2.9))[0] == np.float32(0.92)  # in the disc of (0, 0)
     assert at(board, (2.0, 3.1))[0] == np.float32(0.08)
-    with pytest.raises(SceneError, match="disc_diameter_mm"):
+    with pytest.raises(SceneError, match="disc_mm"):
         Chessboard(square_mm=1.0)
 
 

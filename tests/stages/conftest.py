@@ -63,12 +63,14 @@ def bench():
     made: list[Bench] = []
     up = ExitStack()
 
-    def make(driver: str, faults=(), seed: int = 0, backlash_um: float = 50.0, sim=None, **changes) -> Bench:
+    def make(
+        driver: str, faults=(), seed: int = 0, backlash_um: float = 50.0, sim=None, firmware=None, **changes
+    ) -> Bench:
         clock = HookedClock()
         table = stages_table(driver, **changes)
         built = screws(table, backlash_um=backlash_um, **(sim or {}))
         schedule = faults if isinstance(faults, FaultSchedule) else FaultSchedule(faults, seed)
-        world = SimulatedStages(table, clock, built, faults={"box": schedule})
+        world = SimulatedStages(table, clock, built, {"box": firmware or {}}, {"box": schedule})
         table = up.enter_context(world.put_up())
         stage = Stage(table, clock)
         result = Bench(stage, world, clock, world.lines["box"], table, [stage])

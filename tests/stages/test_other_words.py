@@ -13,8 +13,10 @@ from sim.clock import VirtualClock
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
-from stages.axis import AxisState
+from stages.errors import ProtocolViolation
+from stages.protocols import grbl
 from stages.stage import Stage
+from stages.states import AxisState
 from tests.stages.benches import stages_table
 
 
@@ -117,6 +119,42 @@ class Grbl(Box):
         )
 
 
+class GrblHal(Grbl):
+    """grblHAL: its own banner, alarms with their number, settings that are texts or empty, more fields."""
+
+    homed = False
+
+    def reply(self, said):
+        if said == "\x18":
+            return "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n[MSG:'$H'|'$X' to unlock]\r\n"
+        if said == "?" and not self.homed:
+            return "<Alarm:11|MPos:0.000,0.000,0.000|Bf:100,1023|FS:0,0,0|Pn:P|A:|FW:grblHAL>\r\n"
+        if said == "$$":
+            return super().reply(said).replace("ok", "$74=\r\n$75=255\r\n$396=http\r\n$481=0\r\nok")
+        if said == "$I":
+            lines = (
+                "[VER:1.1f.20260801:left]",
+                "[OPT:VNMGPH,100,1023,3,0]",
+                "[AXS:3:XYZ]",
+                "[FIRMWARE:grblHAL]",
+                "ok",
+            )
+            return "".join(f"{line}\r\n" for line in lines)
+        self.homed = self.homed or said == "$H"
+        return super().reply(said)
+
+
+class FluidNc(Grbl):
+    """FluidNC: no carriage returns to rely on, messages with levels, its own version, a tool that stays 0."""
+
+    def reply(self, said):
+        if said == "$I":
+            return "[VER:3.7 FluidNC v3.7.8 (wifi) :stage]\n[OPT:MPHS]\n[MSG: Machine: traverse]\nok\n"
+        if said == "$G":
+            return "[GC:G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0]\nok\n"
+        return super().reply(said).replace("\r", "").replace("[MSG:", "[MSG:INFO: ")
+
+
 class Isel(Box):
     """Programming guide: one character and no line end; hexadecimal digits of either case."""
 
@@ -133,13 +171,13 @@ class Isel(Box):
         return "" if said == "\xfd" else "0"
 
 
-BOXES = {"zaber_ascii": Zaber, "pi_gcs2": Pi, "grbl": Grbl, "isel_dnc": Isel}
+BOXES = {"zaber_ascii": [Zaber], "pi_gcs2": [Pi], "grbl": [Grbl, GrblHal, FluidNc], "isel_dnc": [Isel]}
 
 
-@pytest.mark.parametrize("spoken", BOXES)
-def test_a_driver_understands_a_box_that_is_none_of_ours(spoken):
+@pytest.mark.parametrize(("spoken", "made"), [(name, made) for name, boxes in BOXES.items() for made in boxes])
+def test_a_driver_understands_a_box_that_is_none_of_ours(spoken, made):
     clock = VirtualClock()
-    box = BOXES[spoken](clock)
+    box = made(clock)
     LINES["stranger"] = Line(box, clock)
     table = stages_table(spoken).model_copy(deep=True)
     table.controllers["box"].__dict__["port"] = "sim://stranger"
@@ -156,3 +194,33 @@ def test_a_driver_understands_a_box_that_is_none_of_ours(spoken):
     finally:
         LINES.pop("stranger")
     assert len(box.asked) > 20
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        (b"GrblHAL 1.1f ['$' or '$HELP' for help]", grbl.Banner("1.1f", "GrblHAL", "'$' or '$HELP' for help")),
+        (
+            b"Grbl 3.7 [FluidNC v3.7.8 (wifi) '$' for help]",
+            grbl.Banner("3.7", words="FluidNC v3.7.8 (wifi) '$' for help"),
+        ),
+        (b"Grbl 0.9j ['$' for help]", grbl.Banner("0.9j")),
+        (b"$74=", grbl.Setting(74, "")),
+        (b"$396=http", grbl.Setting(396, "http")),
+        (b"$1023=a b", grbl.Setting(1023, "a b")),
+        (b"Alarm:1", grbl.Alarm(1)),
+        (b"ALARM:17", grbl.Alarm(17)),
+        (b"<Alarm:11|MPos:0.000,0.000|FS:0,0>", grbl.Status("Alarm", (0.0, 0.0), True, 11, (("FS", "0,0"),))),
+        (b"<Tool|MPos:0.000,0.000,1.500>", grbl.Status("Tool", (0.0, 0.0, 1.5))),
+    ],
+)
+def test_descendants_of_grbl_are_read_as_what_they_are(line, meant):
+    assert grbl.parse_answer(line) == meant
+
+
+@pytest.mark.parametrize(
+    "line", [b"Grbl 1.1h ['$' for hel", b"bl 1.1h ['$' for help]", b"$=1", b"$x=1", b"ALARM:", b"GrblHAL"]
+)
+def test_pieces_are_not(line):
+    with pytest.raises(ProtocolViolation):
+        grbl.parse_answer(line)

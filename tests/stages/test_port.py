@@ -10,11 +10,11 @@ import pytest
 
 from sim.clock import ScaledClock
 from sim.stages import SimulatedStages
-from stages.axis import AxisState
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import DeviceLost, MotionStopped, NoReply, NotReferenced, PortUnavailable, StageError
 from stages.port import Port
 from stages.stage import Stage
+from stages.states import AxisState
 from tests.stages.benches import screws, stages_table
 
 SPEED = 25.0  # the simulated world runs that much faster than the wall clock

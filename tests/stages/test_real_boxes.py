@@ -3,9 +3,9 @@
 import pytest
 
 from sim.emulators.line import Line
-from stages.axis import AxisState
 from stages.errors import AxisStalled, NoReply, NotReferenced
 from stages.protocols.zaber_ascii import Alert, Info
+from stages.states import AxisState
 
 
 @pytest.mark.parametrize("flag", ["FR", "FO", "FV", "FC", "FM", "FH", "FX"])

@@ -4,7 +4,6 @@ import pytest
 
 from sim.clock import VirtualClock
 from sim.stages import SimulatedStages
-from stages.axis import AxisState
 from stages.config import StagesTable
 from stages.errors import (
     DeviceLost,
@@ -16,39 +15,11 @@ from stages.errors import (
     StageUsageError,
 )
 from stages.stage import Stage
+from stages.states import AxisState
 from tests.stages.benches import screws
+from tests.stages.mixed import paper_bench
 from tracer.config import Document, validate
 from tracer.errors import ConfigError
-
-
-def axis(controller, channel, carries, along, low_mm=0.0, high_mm=100.0, **more):
-    usual = {
-        "controller": controller, "channel": channel, "carries": carries, "along": along,
-        "limits_mm": [low_mm, high_mm], "speed_mm_s": 25.0, "acceleration_mm_s2": 100.0, "settle_s": 0.2,
-        "approach": {"side": "from_below", "distance_mm": 0.5, "speed_mm_s": 2.0},
-    }  # fmt: skip
-    return {**usual, **more}
-
-
-def paper_bench():
-    """The stages of the paper over four kinds of controllers: camera, 2 m rail, glass, target."""
-    axes = {
-        "camera_x": axis("camera", "1/1", "camera", "x", steps_per_mm=2000.0),
-        "camera_y": axis("camera", "1/2", "camera", "y", steps_per_mm=2000.0),
-        "rail_z": axis("rail", "X", "camera", "z", 0.0, 1900.0, steps_per_mm=320.0, home_timeout_s=600.0),
-        "glass_x": axis("glass", "1", "glass", "x"),
-        "glass_y": axis("glass", "2", "glass", "y"),
-        "glass_z": axis("glass", "3", "glass", "z", sign=-1, offset_mm=100.0),
-        "target_x": axis("target", "X", "target", "x", offset_mm=110.0),
-        "target_y": axis("target", "Y", "target", "y", offset_mm=110.0),
-        "target_z": axis("target", "Z", "target", "z", offset_mm=110.0),
-    }
-    controllers = {
-        "camera": {"driver": "zaber_ascii", "port": "a"}, "rail": {"driver": "isel_dnc", "port": "b"},
-        "glass": {"driver": "pi_gcs2", "port": "c"}, "target": {"driver": "grbl", "port": "d"},
-    }  # fmt: skip
-    order = ["glass_z", "glass_y", "glass_x", "target_z", "target_y", "target_x", "rail_z", "camera_x", "camera_y"]
-    return {"controllers": controllers, "axes": axes, "home_order": order}
 
 
 @pytest.fixture
@@ -111,6 +82,7 @@ def test_one_lost_controller_stops_the_others_and_spares_their_references(paper)
     assert stage.axis("glass_x").state is AxisState.LOST
     assert stage.axis("camera_x").state is AxisState.READY
     stage.stop_quietly()
+    stage.clear_stop()
     stage.move({"camera_x": 30.0})
     where_mm = stage.where_mm()
     assert where_mm["glass_x"] is None

@@ -1,7 +1,6 @@
 """The same step list on a Bluesky RunEngine and on our runner: the same frames at the same places."""
 
 import pytest
-from small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 
 from daq.plans.steps import route
 from daq.runner.devices import AxisDevice, CameraDevice
@@ -10,6 +9,7 @@ from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.run_folder import frame_entries
 from stages.errors import OutOfRange
+from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 
 protocols = pytest.importorskip("bluesky.protocols")
 PLAN = SHIFT + "frames: 2\n"

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from small_bench import SHIFT, TARGET, write_bench
 
 from correction.frame_file import read_frame
 from daq.cli import DONE, main
 from daq.runs.raw_frame import checksum, read_raw
 from daq.runs.run_folder import RunFolder, frame_entries
+from tests.daq.small_bench import SHIFT, TARGET, write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

@@ -22,7 +22,6 @@ from sim.demo_scenes import at_size, named_scene
 from sim.patterns import Chessboard as Print
 from sim.renderer import render
 from sim.sensor import Sensor
-from tracer.glass_map import build_glass_map
 from tracer.ray_map import build_ray_map
 from tracer.sensitivity import TargetPose, landings
 from tracer.trace import trace
@@ -48,7 +47,6 @@ def fingerprint() -> str:
         )
         made = {
             "ray map": (ray_map.plane_mm, ray_map.status, ray_map.branch),
-            "glass map": (build_glass_map(scene).plane_mm,),
             "correction map": tuple(corrected.arrays().values()),
             "frames": (quintic(pair[0]), bilinear(pair[1])),
             "rays": (trace(scene, pixels).rays,),

@@ -2,26 +2,20 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.scenes import bench_scene
 from tracer.bodies import Body, Core, Sphere
 from tracer.camera import Camera, Lens, look_at
+from tracer.cells import NO_CELLS
+from tracer.kernels.maps import trace_trails
+from tracer.kernels.march import march
+from tracer.kernels.world import World
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
-from tracer.scene_file import load_scene
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
-PAPER = (
-    "one_sphere_250",
-    "one_sphere_500",
-    "one_sphere_1000",
-    "two_spheres_500",
-    "three_spheres_500",
-    "pyramid_500",
-)
 TILTED = "tilted"
 HOLLOW = "hollow"
 
@@ -53,6 +47,13 @@ def camera_at(
     return Camera(focal_px, principal, sensor_px, position_mm, rotation, lens or Lens())
 
 
+def shrunk(camera: Camera, factor: float) -> Camera:
+    """The same view on a sensor with `factor` times fewer pixels each way."""
+    width, height = (int(n / factor) for n in camera.sensor_px)
+    principal = ((width - 1) / 2.0, (height - 1) / 2.0)
+    return replace(camera, focal_px=camera.focal_px / factor, sensor_px=(width, height), principal_px=principal)
+
+
 @cache
 def scene(name: str) -> Scene:
     """A scene by name: those of the paper; nothing aligned; the same hollow, filled, a ball in a ball."""
@@ -66,7 +67,7 @@ def scene(name: str) -> Scene:
         )
         return scene(TILTED).with_bodies(bodies)
     if name != TILTED:
-        return load_scene(EXAMPLES / f"{name}.yaml")
+        return bench_scene(name)
     return Scene(
         camera=camera_at(
             (120.0, -60.0, 420.0),
@@ -85,27 +86,6 @@ def scene(name: str) -> Scene:
         ),
         ambient=ConstantMedium(1.0003),
     )
-
-
-def aimed_pixels(where: Scene, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """Pixels on the sensor: half anywhere, half aimed at a sphere with b/R up to 1 - 1e-6 (N, 2)."""
-    height, width = where.camera.shape
-    pixels = rng.uniform((-0.5, -0.5), (width - 0.5, height - 0.5), (count, 2))
-    aimed = pixels[::2]
-    count = len(aimed)
-    eye = np.array(where.camera.position_mm)
-    centres, radii = np.array([ball.centre_mm for ball in where.spheres]), [b.radius_mm for b in where.spheres]
-    which = rng.integers(len(radii), size=count)
-    axis = centres[which] - eye
-    distance = np.linalg.norm(axis, axis=-1, keepdims=True)
-    share = 1.0 - 10.0 ** rng.uniform(-6.0, 0.0, (count, 1))
-    side = np.cross(axis, rng.normal(size=(count, 3)))
-    side /= np.linalg.norm(side, axis=-1, keepdims=True)
-    sine = share * np.array(radii)[which, None] / distance
-    wanted = where.camera.project(eye + distance * (np.sqrt(1.0 - sine**2) * axis / distance + sine * side))
-    seen = np.all((wanted > -0.5) & (wanted < (width - 0.5, height - 0.5)), axis=-1)
-    aimed[seen] = wanted[seen]
-    return pixels
 
 
 def random_bodies(rng: np.random.Generator, count: int, bubbles: bool = False) -> list[Body]:
@@ -161,3 +141,13 @@ def random_scene(rng: np.random.Generator, most: int = 8, cores: bool = False) -
         bodies = hollowed(rng, bodies)
     ambient = ConstantMedium(1.333 if bubbles else 1.0)
     return Scene(random_camera(rng, bodies), tuple(bodies), ambient=ambient)
+
+
+def one_ray(
+    *numbers: float, table: NDArray[np.float64], trail: NDArray[np.int32] | None = None
+) -> tuple[float, ...]:
+    """`march` from a point along a direction past every sphere of a table; its events go to `trail` (64,)."""
+    world = World(table, *NO_CELLS)
+    if trail is not None:
+        trace_trails(np.array([numbers[:3]]), np.array([numbers[3:]]), world, trail[None])
+    return march(*numbers, world)

@@ -7,12 +7,12 @@ import pytest
 
 from correction.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
-from tracer import cells, ray_map
+from tracer import branches, cells
 from tracer.bodies import Rod
 from tracer.cells import NO_CELLS, sort_into_cells
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.maps import trace_rows
-from tracer.kernels.march import MAX_EVENTS, next_body
+from tracer.kernels.world import World, next_sphere
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.trace import pack_camera, trace
@@ -37,15 +37,15 @@ def bed(kind: str, seed: int = 0) -> Scene:
 def test_rows_have_the_same_bits_as_asking_every_sphere(kind: str, seed: int) -> None:
     where = bed(kind, seed)
     height, width = where.camera.shape
-    tables = pack_camera(where.camera), where.sphere_table(), where.rod_table()
+    camera, spheres = pack_camera(where.camera), where.sphere_table()
     results = []
-    for grid in (sort_into_cells(tables[1]), NO_CELLS):
+    for grid in (sort_into_cells(spheres), NO_CELLS):
         arrays = (
             np.empty((height, width, 2)),
             np.empty((height, width), np.uint8),
             np.empty((height, width), np.int64),
         )
-        trace_rows(*tables, *grid, 0, height, np.empty(MAX_EVENTS, np.int32), *arrays)
+        trace_rows(camera, World(spheres, *grid, where.other_tables()), 0, height, *arrays)
         results.append(arrays)
     for one, other in zip(*results, strict=True):
         assert one.tobytes() == other.tobytes()
@@ -69,7 +69,7 @@ def test_single_rays_go_through_cells_too(kind: str, monkeypatch: pytest.MonkeyP
 def test_rays_from_anywhere_meet_the_same_sphere(kind: str, seed: int) -> None:
     """Starts outside, inside and on faces of cells; directions along axes, along faces, and any."""
     where = bed(kind, seed)
-    spheres, rods = where.sphere_table(), where.rod_table()
+    spheres = where.sphere_table()
     frame, begin, items = sort_into_cells(spheres)
     rng = np.random.default_rng(seed)
     met = 0
@@ -86,9 +86,9 @@ def test_rays_from_anywhere_meet_the_same_sphere(kind: str, seed: int) -> None:
             way = spheres[rng.integers(len(spheres)), :3] - start
         way = way / np.linalg.norm(way)
         last = int(rng.integers(-1, len(spheres)))
-        expected = next_body(*start, *way, last, spheres, rods)
-        assert next_in_bed(*start, *way, last, spheres, rods, frame, begin, items) == expected
-        met += expected >= 0
+        expected = next_sphere(*start, *way, last, spheres)
+        assert next_in_bed(*start, *way, last, spheres, frame, begin, items) == expected
+        met += expected[0] >= 0
     assert met > 1000
 
 
@@ -112,7 +112,7 @@ def test_more_branches_than_short_numbers(monkeypatch: pytest.MonkeyPatch, tmp_p
     where = bed("cubic")
     short = build_ray_map(where)
     first = build_correction_map(where, short)
-    monkeypatch.setattr(ray_map, "SHORT_NUMBERS", 4)
+    monkeypatch.setattr(branches, "SHORT_NUMBERS", 4)
     long = build_ray_map(where, short)
     assert long.branch.dtype == np.uint32
     assert np.array_equal(long.branch, build_ray_map(where).branch)

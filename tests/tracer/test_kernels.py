@@ -8,23 +8,24 @@ import pytest
 from mpmath import mpf
 from scipy.optimize import minimize_scalar
 
-from tests.tracer.reference import follow, pixel_direction
-from tests.tracer.scenes import HOLLOW, PAPER, TILTED, aimed_pixels, ball, camera_at, random_scene, scene
+from benchmarks.reference import follow, pixel_direction
+from benchmarks.scenes import PAPER, aimed_pixels
+from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, random_scene, scene
 from tracer.bodies import Rod, Sphere
+from tracer.bodies.rod import meets_rod
 from tracer.camera import Lens
-from tracer.cells import NO_CELLS
+from tracer.cells import world_of
 from tracer.kernels.camera import ideal_xy, pixel_ray, pixel_ray_tangents
 from tracer.kernels.maps import trace_rays, trace_rows, trace_trails
-from tracer.kernels.march import MAX_EVENTS, march, march_pixel_tangents, next_body
-from tracer.kernels.rod import meets_rod
+from tracer.kernels.march import march, march_pixel_tangents
 from tracer.kernels.sensor import sensor_rows
 from tracer.kernels.sphere import angles, foot, through, transmittance, turned
+from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.world import next_body
 from tracer.lockstep import find_mirrors, pack_chain, row_scratch
 from tracer.scene import Scene
 from tracer.status import RayStatus
 from tracer.trace import RAY, pack_camera, trace, trace_from
-
-NO_RODS = np.empty((0, 7))
 
 
 def both(kernel: Any, *arguments: object) -> tuple[np.ndarray, np.ndarray]:
@@ -58,31 +59,27 @@ def test_small_kernels_compiled_and_interpreted() -> None:
 @pytest.mark.parametrize("name", [PAPER[0], "pyramid_500", TILTED, HOLLOW])
 def test_ray_kernels_compiled_and_interpreted(name: str) -> None:
     where = scene(name)
-    camera, spheres = pack_camera(where.camera), where.sphere_table()
-    rods = np.array([[60.0, 60.0, 20.0, 70.0, 70.0, 20.0, 3.0]])
-    trail = np.empty(MAX_EVENTS, np.int32)
+    rod = Rod("rod", (60.0, 60.0, 20.0), (70.0, 70.0, 20.0), 3.0)
+    camera, world = pack_camera(where.camera), world_of(where.with_bodies([*where.bodies, rod]))
     for u, v in np.random.default_rng(2).uniform(0.0, 1800.0, (60, 2)).tolist():
         for kernel in (ideal_xy, pixel_ray, pixel_ray_tangents):
             np.testing.assert_allclose(*both(kernel, u, v, camera), rtol=1e-12, atol=1e-15)
         d = pixel_ray(u, v, camera)
-        assert next_body(*camera[:3], *d, -1, spheres, rods) == next_body.py_func(
-            *camera[:3], *d, -1, spheres, rods
-        )
-        compiled, plain = both(march, *camera[:3], *d, spheres, rods, *NO_CELLS, trail)
+        assert next_body(*camera[:3], *d, -1, world) == next_body.py_func(*camera[:3], *d, -1, world)
+        compiled, plain = both(march, *camera[:3], *d, world)
         np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)
-        compiled, plain = both(march_pixel_tangents, u, v, camera, spheres, rods, *NO_CELLS)
+        compiled, plain = both(march_pixel_tangents, u, v, camera, world)
         np.testing.assert_allclose(compiled, plain, rtol=1e-7, atol=1e-9)
 
 
 def test_array_kernels_compiled_and_interpreted() -> None:
     where = scene("two_spheres_500")
-    camera, spheres = pack_camera(where.camera), where.sphere_table()
+    camera, world = pack_camera(where.camera), world_of(where)
     camera[12], camera[13], camera[14] = camera[12] / 84.0, 11.5, 11.5
-    trail = np.empty(MAX_EVENTS, np.int32)
     outcomes = []
     for kernel in (trace_rows, trace_rows.py_func):
         plane, status, key = np.empty((24, 24, 2)), np.empty((24, 24), np.uint8), np.empty((24, 24), np.int64)
-        kernel(camera, spheres, NO_RODS, *NO_CELLS, 0, 24, trail, plane, status, key)
+        kernel(camera, world, 0, 24, plane, status, key)
         outcomes.append((plane, status, key))
     np.testing.assert_array_equal(outcomes[0][1], outcomes[1][1])
     np.testing.assert_array_equal(outcomes[0][2], outcomes[1][2])
@@ -93,14 +90,14 @@ def test_array_kernels_compiled_and_interpreted() -> None:
     records = []
     for kernel in (trace_rays, trace_rays.py_func):
         rays = np.zeros(50, RAY).view(np.recarray)
-        kernel(starts, ways, spheres, NO_RODS, *NO_CELLS, 0, 50, trail, rays)
+        kernel(starts, ways, world, 0, 50, rays)
         records.append(rays)
     for field in ("status", "events", "key"):
         np.testing.assert_array_equal(records[0][field], records[1][field])
     np.testing.assert_allclose(records[0]["x_mm"], records[1]["x_mm"], rtol=1e-9, atol=1e-9)
     trails = [np.full((50, MAX_EVENTS), -1, np.int32) for _ in range(2)]
-    trace_trails(starts, ways, spheres, NO_RODS, *NO_CELLS, trails[0])
-    trace_trails.py_func(starts, ways, spheres, NO_RODS, *NO_CELLS, trails[1])
+    trace_trails(starts, ways, world, trails[0])
+    trace_trails.py_func(starts, ways, world, trails[1])
     np.testing.assert_array_equal(*trails)
 
 
@@ -139,13 +136,11 @@ def exact_derivatives(where: Scene, u: float, v: float) -> np.ndarray:
 def test_analytic_derivatives(name: str) -> None:
     """Lens terms, direction, every turn and the landing: 1e-8 of the matrix, rims excepted."""
     where = scene(name)
-    camera, spheres = pack_camera(where.camera), where.sphere_table()
+    camera, world = pack_camera(where.camera), world_of(where)
     eye = tuple(mpf(x) for x in where.camera.position_mm)
     compared = glass = 0
     for u, v in aimed_pixels(where, np.random.default_rng(5), 160).tolist():
-        status, _, _, xu, xv, yu, yv, _, _, events = march_pixel_tangents(
-            u, v, camera, spheres, NO_RODS, *NO_CELLS
-        )
+        status, _, _, xu, xv, yu, yv, _, _, events = march_pixel_tangents(u, v, camera, world)
         seen = follow(where, eye, pixel_direction(where.camera, u, v))
         if status != RayStatus.RECOVERED or seen.worst > 0.99 or abs(seen.direction[2]) < 0.05:
             continue
@@ -166,9 +161,7 @@ def test_lens_terms_alone() -> None:
         )
         packed = pack_camera(where.camera)
         for u, v in ((0.0, 0.0), (2000.0, 100.0), (1007.5, 1007.5), (1500.0, 1900.0)):
-            status, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
-                u, v, packed, where.sphere_table(), NO_RODS, *NO_CELLS
-            )
+            status, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(u, v, packed, world_of(where))
             assert status == RayStatus.RECOVERED
             np.testing.assert_allclose(
                 [[xu, xv], [yu, yv]], exact_derivatives(where, u, v), rtol=1e-11, atol=1e-14
@@ -272,7 +265,7 @@ def test_fermat() -> None:
     pixels = aimed_pixels(where, np.random.default_rng(8), 400)
     step = 1e-3
     base = trace(where, pixels)
-    camera, spheres = pack_camera(where.camera), where.sphere_table()
+    camera, world = pack_camera(where.camera), world_of(where)
     chosen = base.recovered & (base.rays["transmittance"] > 0.8) & (base.rays["direction"][:, 2] < -0.5)
     assert chosen.sum() > 100
     ahead = [trace(where, pixels + np.array(move)).rays for move in ((step, 0.0), (0.0, step))]
@@ -280,9 +273,7 @@ def test_fermat() -> None:
     for index in np.flatnonzero(chosen):
         if any(rays["key"][index] != base.rays["key"][index] for rays in (*ahead, *behind)):
             continue
-        _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(
-            *pixels[index].tolist(), camera, spheres, NO_RODS, *NO_CELLS
-        )
+        _, _, _, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(*pixels[index].tolist(), camera, world)
         slope = [
             (a["path_mm"][index] - b["path_mm"][index]) / (2.0 * step) for a, b in zip(ahead, behind, strict=True)
         ]

@@ -1,31 +1,23 @@
 """The lockstep form of the tracer against `march`: same branch, same status, same plane point for every pixel."""
 
-from dataclasses import replace
-
 import mpmath
 import numpy as np
 import pytest
 from mpmath import mpf
 
-from tests.tracer.reference import follow_pixel
-from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, random_bodies, random_camera, scene
-from tracer.camera import Camera, Lens
-from tracer.cells import NO_CELLS
+from benchmarks.reference import follow_pixel
+from benchmarks.scenes import PAPER, aimed_pixels
+from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
+from tracer.camera import Lens
+from tracer.cells import world_of
 from tracer.kernels.maps import trace_rows
-from tracer.kernels.march import MAX_EVENTS, march_pixel_tangents
+from tracer.kernels.march import march_pixel_tangents
 from tracer.lockstep import fits_lockstep
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.status import RayStatus
 from tracer.trace import pack_camera, trace
-
-
-def shrunk(camera: Camera, factor: float) -> Camera:
-    """The same view on a sensor with `factor` times fewer pixels each way."""
-    width, height = (int(n / factor) for n in camera.sensor_px)
-    principal = ((width - 1) / 2.0, (height - 1) / 2.0)
-    return replace(camera, focal_px=camera.focal_px / factor, sensor_px=(width, height), principal_px=principal)
 
 
 def check(where: Scene) -> RayMap:
@@ -167,7 +159,7 @@ def test_same_bits_for_any_threads(name: str, monkeypatch: pytest.MonkeyPatch) -
 def test_same_bits_for_any_block(block: int, threads: int) -> None:
     where = scene("pyramid_500")
     where = where.with_camera(shrunk(where.camera, 12.0))
-    packed, spheres, rods = pack_camera(where.camera), where.sphere_table(), where.rod_table()
+    packed, world = pack_camera(where.camera), world_of(where)
     outcomes = []
     for rows, many in ((24, 1), (block, threads)):
         plane = np.empty((*where.camera.shape, 2))
@@ -176,7 +168,7 @@ def test_same_bits_for_any_block(block: int, threads: int) -> None:
         def work(
             first: int, last: int, outputs: tuple[np.ndarray, np.ndarray, np.ndarray] = (plane, status, key)
         ) -> None:
-            trace_rows(packed, spheres, rods, *NO_CELLS, first, last, np.empty(MAX_EVENTS, np.int32), *outputs)
+            trace_rows(packed, world, first, last, *outputs)
 
         run_rows(work, where.camera.shape[0], block=rows, threads=many)
         outcomes.append((plane.tobytes(), status.tobytes(), key.tobytes()))
@@ -186,11 +178,11 @@ def test_same_bits_for_any_block(block: int, threads: int) -> None:
 def test_tangents_go_with_the_map() -> None:
     """The ray with derivatives is the same ray."""
     where = scene(TILTED)
-    packed, spheres, rods = pack_camera(where.camera), where.sphere_table(), where.rod_table()
+    packed, world = pack_camera(where.camera), world_of(where)
     pixels = np.random.default_rng(4).uniform(0.0, 1800.0, (2000, 2))
     rays = trace(where, pixels)
     for (u, v), ray in zip(pixels.tolist(), rays.rays, strict=True):
-        status, x, y, *_, passed, key, events = march_pixel_tangents(u, v, packed, spheres, rods, *NO_CELLS)
+        status, x, y, *_, passed, key, events = march_pixel_tangents(u, v, packed, world)
         assert (status, key, events) == (ray["status"], ray["key"], ray["events"])
         if status == RayStatus.RECOVERED:
             assert passed == pytest.approx(float(ray["transmittance"]), abs=1e-9)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene
-from tests.tracer.test_lockstep import shrunk
+from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens, look_at
+from tracer.kernels.branches import branch_number
 from tracer.kernels.chain import (
     BALL,
     SKIP_LEFT_BEHIND,
@@ -16,7 +16,6 @@ from tracer.kernels.chain import (
     insert_span,
     place_row,
 )
-from tracer.kernels.sensor import branch_number
 from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, pack_chain, trace_lockstep
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene

@@ -15,10 +15,8 @@ import numpy as np
 import pytest
 from mpmath import mpf
 
-from tests.tracer.reference import Glass, Vector, along, dot, follow, roots, snell
-from tests.tracer.scenes import ball, camera_at
-from tracer.cells import NO_CELLS
-from tracer.kernels.march import march
+from benchmarks.reference import Glass, Vector, along, dot, follow, roots, snell
+from tests.tracer.scenes import ball, camera_at, one_ray
 from tracer.kernels.sphere import angles, through
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
@@ -26,7 +24,6 @@ from tracer.status import RayStatus
 from tracer.trace import trace_from
 
 EPSILON = 2.0**-52
-NO_RODS = np.empty((0, 7))
 INDICES = (1.0, 1.0 + 1e-12, 1.0 + 1e-6, 1.023, 1.53, 4.0)
 DISTANCES = (1.05, 10.0, 17.0, 1e3, 1e6)
 IMPACTS = (0.0, 0.5, 0.999, 1.0 - 1e-6, 1.0 - 1e-12)
@@ -61,12 +58,11 @@ def apart(one: tuple[mpf, ...], other: tuple[mpf, ...]) -> float:
 
 
 def digits(
-    distance: float, impact: float, radius_mm: float, n: float, tracer: Callable[..., Sequence[float]] = march
+    distance: float, impact: float, radius_mm: float, n: float, tracer: Callable[..., Sequence[float]] = one_ray
 ) -> tuple[float, float]:
     """Worst digits lost and inherent digits over random rays of one case."""
     rng = np.random.default_rng(7)
     lost, inherent = 1e-2, 1e-2
-    trail = np.empty(64, np.int32)
     compared = 0
     for _ in range(20):
         way = rng.normal(size=3)
@@ -76,7 +72,7 @@ def digits(
         centre = 0.3 * distance * radius_mm * rng.normal(size=3)
         start = centre + radius_mm * (impact * side - math.sqrt(distance**2 - impact**2) * way)
         table = np.array([[*centre, radius_mm, n, 0.0]])
-        result = tracer(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, trail)
+        result = tracer(*start.tolist(), *way.tolist(), table=table)
         s, d, c = (tuple(mpf(x) for x in vector.tolist()) for vector in (start, way, centre))
         exact = way_out(s, d, c, mpf(radius_mm), mpf(n))
         if exact is None or result[-1] != 1:

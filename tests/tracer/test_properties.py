@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.tracer.scenes import PAPER, TILTED, aimed_pixels, ball, camera_at, random_scene, scene
+from benchmarks.scenes import PAPER, aimed_pixels
+from tests.tracer.scenes import TILTED, ball, camera_at, random_scene, scene
 from tracer.bodies import Sphere
-from tracer.cells import NO_CELLS
+from tracer.cells import world_of
 from tracer.kernels.march import march
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
@@ -71,8 +72,7 @@ def leaves_at(
     where: Scene, start: NDArray[np.float64], way: NDArray[np.float64]
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Point and direction of the last straight piece, and the transmittance."""
-    trail = np.empty(64, np.int32)
-    result = march(*start.tolist(), *way.tolist(), where.sphere_table(), where.rod_table(), *NO_CELLS, trail)
+    result = march(*start.tolist(), *way.tolist(), world_of(where))
     return np.array(result[1:4]), np.array(result[4:7]), float(result[8])
 
 
@@ -145,8 +145,7 @@ def test_angular_momentum_about_a_sphere_is_kept(seed: int) -> None:
         aside = radius * (1.0 - 10.0 ** rng.uniform(-12.0, 0.0))
         # From the foot point's neighbourhood: the start is exact to an ulp of the radius, not of the distance.
         start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
-        trail = np.empty(64, np.int32)
-        result = march(*start.tolist(), *way.tolist(), table, where.rod_table(), *NO_CELLS, trail)
+        result = march(*start.tolist(), *way.tolist(), world_of(where))
         if result[-1] != 1 or result[6] < 0.0:
             continue
         before = np.cross(start - table[0, :3], way)

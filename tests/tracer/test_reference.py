@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from mpmath import mpf
 
-from tests.tracer.reference import Glass, Seen, Vector, dot, follow, follow_pixel, snell
-from tests.tracer.scenes import HOLLOW, PAPER, TILTED, aimed_pixels, ball, camera_at, scene
+from benchmarks.reference import Glass, Seen, Vector, dot, follow, follow_pixel, snell
+from benchmarks.scenes import PAPER, aimed_pixels
+from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, scene
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 from tracer.status import RayStatus

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.tracer.scenes import HOLLOW, PAPER, TILTED, random_scene, scene
+from benchmarks.scenes import PAPER
+from tests.tracer.scenes import HOLLOW, TILTED, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.errors import ConfigError, SceneError
 from tracer.media import MEDIA, SellmeierMedium

@@ -9,13 +9,14 @@ import pytest
 from mpmath import mpf
 from scipy.spatial.transform import Rotation
 
+from benchmarks.reference import dot, follow_pixel
 from sim.demo_scenes import named_scene
-from tests.tracer.reference import dot, follow_pixel
 from tracer.bodies import Core
 from tracer.camera import Lens
+from tracer.cells import world_of
 from tracer.kernels.adjoint import STATE
 from tracer.kernels.landing import trace_landings
-from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.walk import MAX_EVENTS
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 from tracer.sensitivity import CAMERA, SPHERE, TARGET, TargetPose, landings, parameter_names
@@ -144,7 +145,7 @@ def test_compiled_and_interpreted_agree_and_lost_rays_are_nan():
         np.empty((3, 2, count)),
     )
     directions, camera = scene.camera.directions(pixels), pack_camera(scene.camera)
-    world = (scene.sphere_table(), scene.rod_table(), POSE.packed(), scene.n_ambient)
+    world = (world_of(scene), POSE.packed(), scene.n_ambient)
     scratch = (np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE)))
     trace_landings.py_func(pixels, directions, camera, *world, 0, 3, *scratch, *out)
     np.testing.assert_array_equal(out[0], found.status)

@@ -13,29 +13,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import mpf
 
-from tests.tracer.reference import Glass, Vector, along, cross, dot, roots
-from tests.tracer.scenes import HOLLOW, aimed_pixels, ball, camera_at, random_scene, scene
-from tests.tracer.test_second_formulation import inside
-from tests.tracer.test_second_formulation import met as meet
+from benchmarks.reference import Glass, Vector, along, cross, dot, roots
+from benchmarks.scenes import aimed_pixels
+from tests.tracer.scenes import HOLLOW, ball, camera_at, one_ray, random_scene, scene
+from tests.tracer.second_formulation import inside
+from tests.tracer.second_formulation import met as meet
 from tracer.bodies import Core, Sphere
-from tracer.cells import NO_CELLS
+from tracer.branches import sphere_of
 from tracer.errors import SceneError
 from tracer.fov import field_of_view
-from tracer.glass_map import build_glass_map
-from tracer.kernels.march import march
-from tracer.kernels.shell import SOLID, core_turn, core_turn_rates, way_through, with_cores, with_cores_rates
-from tracer.kernels.sphere import angles, through
+from tracer.kernels.shell import core_turn, core_turn_rates, way_through, with_cores, with_cores_rates
+from tracer.kernels.sphere import SOLID, angles, through
 from tracer.lockstep import fits_lockstep
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.ray_path import ray_path
-from tracer.reflections import trace_branches
 from tracer.scene import Scene
 from tracer.status import RayStatus
 from tracer.trace import trace, trace_from
 
 EPSILON = 2.0**-52
-NO_RODS = np.empty((0, 7))
 RADIUS_MM, N, AWAY = 25.0, 1.53, 17.0
 RATIOS = (1e-6, 0.5, 0.999, 1.0 - 1e-12)
 INDICES = (1.0, 1.0 + 1e-12, 1.33, 1.53, 2.5)
@@ -69,7 +66,7 @@ def way_out(numbers: tuple[list[float], ...]) -> tuple[tuple[mpf, ...], str] | N
 
 
 def digits(
-    ratio: float, n: float, impact: float, room: float, away: float = AWAY, tracer: Callable[..., Any] = march
+    ratio: float, n: float, impact: float, room: float, away: float = AWAY, tracer: Callable[..., Any] = one_ray
 ) -> tuple[float, float, set[str]]:
     """Worst digits lost, inherent digits, and ways met, over three random rays of a case.
 
@@ -89,7 +86,7 @@ def digits(
         centre = 0.3 * away * RADIUS_MM * rng.normal(size=3)
         start = centre + RADIUS_MM * (impact * side - math.sqrt(away**2 - impact**2) * way)
         table[0, :3] = centre
-        result = tracer(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, trail)
+        result = tracer(*start.tolist(), *way.tolist(), table=table, trail=trail)
         numbers = start.tolist(), way.tolist(), centre.tolist(), table[0, [3, 4, 6, 7]].tolist()
         exact = way_out(numbers)
         if exact is None or result[-1] != 1:
@@ -131,9 +128,9 @@ def test_digits_lost(ratio: float, n: float) -> None:
     assert ways == {WAYS[k] for k, there in enumerate((N * ratio < 1.0, True, n < N and n * ratio < 1.0)) if there}
 
 
-def textbook(*arguments: Any) -> Any:
+def textbook(*numbers: float, table: Any, trail: Any) -> Any:
     """What `march` returns for one sphere, by roots and normals in float64: the formulas not used here."""
-    p, d, table, trail = np.array(arguments[:3]), np.array(arguments[3:6]), arguments[6], arguments[-1]
+    p, d = np.array(numbers[:3]), np.array(numbers[3:])
     _, _, root = meet(table[0], table[0, 3], p, d)
     p += root * d
     trail[0], _, _ = inside(table[0], p, d)
@@ -231,7 +228,7 @@ def test_bouguer(seed: int) -> None:
         side = np.cross(way, rng.normal(size=3))
         aside = radius * (1.0 - 10.0 ** rng.uniform(-12.0, 0.0)) / np.linalg.norm(side)
         start = np.array([0.0, 0.0, 250.0]) + aside * side - 1.5 * radius * way
-        result = march(*start.tolist(), *way.tolist(), table, NO_RODS, *NO_CELLS, np.empty(64, np.int32))
+        result = one_ray(*start.tolist(), *way.tolist(), table=table)
         if result[0] != RayStatus.MISSED_PLANE or result[-1] != 1:  # upwards: `march` returns the foot point
             continue
         before = np.cross(start - table[0, :3], way)
@@ -253,10 +250,8 @@ def test_reversed_rays(seed: int) -> None:
     for ray in result.rays[chosen][:60]:
         start = np.array([ray["x_mm"], ray["y_mm"], 0.0])
         back = trace_from(where, start, -ray["direction"])
-        names, trail = result.branches[int(ray["key"])], np.empty(64, np.int32)
-        there = march(
-            *start.tolist(), *(-ray["direction"]).tolist(), where.sphere_table(), NO_RODS, *NO_CELLS, trail
-        )
+        names = result.branches[int(ray["key"])]
+        there = one_ray(*start.tolist(), *(-ray["direction"]).tolist(), table=where.sphere_table())
         assert back.branches[int(back.rays["key"])] == names[::-1]
         assert there[8] == pytest.approx(float(ray["transmittance"]), abs=1e-6)
         miss = np.cross(eye - np.array(there[1:4]), np.array(there[4:7]))
@@ -315,7 +310,7 @@ def test_the_names_of_the_ways() -> None:
         "nested", "nested core", "nested off core", "nested core 2", "nested off core 2", "nested core 3",
         "nested off core 3",
     ]  # fmt: skip
-    assert all(where.sphere_of(name).name == name.split()[0] for name in names)
+    assert all(sphere_of(where, name).name == name.split()[0] for name in names)
     made = build_ray_map(where)
     assert {("drop",), ("drop core",), ("gas core",), ("gas off core",)} <= set(made.branches)
 
@@ -326,10 +321,6 @@ def test_only_solid_spheres_travel_the_fast_way() -> None:
     assert scene("pyramid_500").sphere_table().shape == (5, SOLID)
     hollow = Scene(camera_at(), (ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (20.0, 1.0)),))
     assert not fits_lockstep(hollow)
-    with pytest.raises(SceneError, match="solid"):
-        build_glass_map(hollow)
-    with pytest.raises(SceneError, match="reflections are followed in solid spheres only"):
-        trace_branches(hollow, [(1000.0, 1000.0)])
     with pytest.raises(SceneError, match="field of view is for solid spheres"):
         field_of_view(hollow)
 
@@ -363,7 +354,7 @@ def test_the_drawn_ray_is_the_traced_ray() -> None:
         if ray["status"] != RayStatus.RECOVERED or len(names) != 1:
             continue
         met.add(names)
-        corners, body = ray_path(where, pixel), where.sphere_of(names[0])
+        corners, body = ray_path(where, pixel), sphere_of(where, names[0])
         off = np.linalg.norm(corners[1:-1] - np.array(body.centre_mm), axis=1)
         layers = [(body.radius_mm, body.medium), *((core.radius_mm, core.medium) for core in body.cores)]
         radii = np.array([radius for radius, _ in layers])

@@ -1,12 +1,13 @@
 """Bodies: what stands between the camera and the investigation plane.
 
-One file a kind.  A new kind needs its dataclass here, its rays in ``tracer/kernels`` and its line in the
-scene file's table (``tracer/scene_file.py``); scenes without it pay nothing.
+One file a kind, and its class in KINDS: ``docs/add-a-body.md``.  Scenes without a kind pay nothing for it.  The
+place in KINDS is part of a scene's content hash: new kinds come last.
 """
 
+from tracer.bodies.body import Body, BodySection, Capsule, shifted_by, vector3
 from tracer.bodies.rod import Rod
 from tracer.bodies.sphere import Core, Sphere
 
-Body = Sphere | Rod
+KINDS: tuple[type[Body], ...] = (Sphere, Rod)
 
-__all__ = ["Body", "Core", "Rod", "Sphere"]
+__all__ = ["KINDS", "Body", "BodySection", "Capsule", "Core", "Rod", "Sphere", "shifted_by", "vector3"]

@@ -1,16 +1,76 @@
 """An opaque rod with round ends: a support that hides part of the view."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tracer.bodies.body import Body, BodySection, Capsule, vector3
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
+from tracer.config import Triple
 from tracer.errors import SceneError
+from tracer.kernels._jit import Array, kernel
+from tracer.kernels.world import KINDS, Kind
+from tracer.media import Medium
+from tracer.medium_table import Positive
+
+
+@kernel
+def meets_rod(px: float, py: float, pz: float, dx: float, dy: float, dz: float, rod: Array) -> float:
+    """Distance along the half-line p + t d, t >= 0, to its closest approach if that lies in the rod, else inf.
+
+    Closest approach of a half-line and a segment: minimise |w + t d - s e|^2, w = p - start, e the axis,
+    over t >= 0 and 0 <= s <= 1.  The function is convex, so clamping s and solving for t again suffices.
+    """
+    x, y, z, end_x, end_y, end_z, radius = rod[0], rod[1], rod[2], rod[3], rod[4], rod[5], rod[6]
+    ex, ey, ez = end_x - x, end_y - y, end_z - z
+    wx, wy, wz = px - x, py - y, pz - z
+    ee = ex * ex + ey * ey + ez * ez
+    de = dx * ex + dy * ey + dz * ez
+    wd = wx * dx + wy * dy + wz * dz
+    we = wx * ex + wy * ey + wz * ez
+    across = ee - de * de
+    s = 0.0
+    if across > 1e-14 * ee:  # else parallel: either end will do
+        s = (we - wd * de) / across
+    s = min(max(s, 0.0), 1.0)
+    t = s * de - wd
+    if t < 0.0:
+        t = 0.0
+        if ee > 0.0:
+            s = min(max(we / ee, 0.0), 1.0)
+    gx, gy, gz = wx + t * dx - s * ex, wy + t * dy - s * ey, wz + t * dz - s * ez
+    if gx * gx + gy * gy + gz * gz < radius * radius:
+        return float(t)
+    return math.inf
+
+
+class Rods(NamedTuple):
+    """Rods for the kernels: rows (N, 7) start x, y, z, end x, y, z, radius [mm]."""
+
+    rows: Array
+
+
+KINDS[Rods] = Kind(meets_rod)
+
+
+class RodSection(BodySection):
+    """A rod in a scene file."""
+
+    kind: Literal["rod"]
+    start_mm: Triple
+    end_mm: Triple
+    radius_mm: Positive
+
+    def body(self, name: str, media: Mapping[str, Medium]) -> "Rod":
+        """Return the rod described."""
+        return Rod(name, vector3(self.start_mm), vector3(self.end_mm), self.radius_mm)
 
 
 @dataclass(frozen=True)
-class Rod:
+class Rod(Body):
     """An opaque rod: every point within `radius_mm` of the segment `start_mm`-`end_mm`.
 
     Parameters
@@ -22,6 +82,9 @@ class Rod:
     radius_mm : float
         Radius.
     """
+
+    kind: ClassVar[str] = "rod"
+    Section: ClassVar[type[BodySection]] = RodSection
 
     name: str
     start_mm: Vector3
@@ -38,20 +101,21 @@ class Rod:
                 f"rod {self.name!r}: start_mm and end_mm must lie within {LONGEST_MM:g} mm of the origin"
             )
 
-    @property
-    def lowest_mm(self) -> float:
-        """Smallest z of the body."""
-        return min(self.start_mm[2], self.end_mm[2]) - self.radius_mm
+    @classmethod
+    def table_of(cls, bodies: Iterable[Self], index: Callable[[Medium], float]) -> Rods:
+        """Rods for the kernels."""
+        return Rods(np.array([[*rod.start_mm, *rod.end_mm, rod.radius_mm] for rod in bodies]).reshape(-1, 7))
+
+    def section(self) -> dict[str, Any]:
+        """Return the rod as a scene file has it."""
+        ends = {"start_mm": list(self.start_mm), "end_mm": list(self.end_mm)}
+        return {"name": self.name, "kind": self.kind, **ends, "radius_mm": self.radius_mm}
 
     @property
-    def highest_mm(self) -> float:
-        """Largest z of the body."""
-        return max(self.start_mm[2], self.end_mm[2]) + self.radius_mm
+    def capsule(self) -> Capsule:
+        """The rod itself."""
+        return Capsule(self.start_mm, self.end_mm, self.radius_mm)
 
-    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
-        """Distance from the surface to a point (3,), negative inside."""
-        start, end = np.array(self.start_mm), np.array(self.end_mm)
-        axis = end - start
-        length2 = float(axis @ axis)
-        along = float(np.clip((point_mm - start) @ axis / length2, 0.0, 1.0)) if length2 > 0.0 else 0.0
-        return float(np.linalg.norm(point_mm - start - along * axis)) - self.radius_mm
+    def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
+        """Return the rod with both ends moved."""
+        return replace(self, start_mm=to(self.start_mm), end_mm=to(self.end_mm))

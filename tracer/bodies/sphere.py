@@ -1,14 +1,62 @@
 """A sphere, solid or with others inside it, of glass or opaque."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.bodies.body import Body, BodySection, Capsule, vector3
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
+from tracer.config import Table, Triple
 from tracer.errors import SceneError
+from tracer.kernels._jit import Array
+from tracer.kernels.sphere import INDEX, SOLID
 from tracer.media import Medium
+from tracer.medium_table import OPAQUE, MediumTable, Positive, medium_of, written
+
+
+class CoreSection(Table):
+    """What is inside a sphere, about the same centre; it may have a core itself."""
+
+    radius_mm: Positive
+    material: str | MediumTable
+    core: "CoreSection | None" = None
+
+
+class SphereSection(BodySection):
+    """A sphere."""
+
+    kind: Literal["sphere"]
+    centre_mm: Triple
+    radius_mm: Positive
+    material: str | MediumTable
+    core: CoreSection | None = None
+
+    def body(self, name: str, media: Mapping[str, Medium]) -> "Sphere":
+        """Return the sphere described.
+
+        Raises
+        ------
+        SceneError
+            It cannot be; names the part at fault, such as ``core``.
+        """
+        medium = None if self.material == OPAQUE else medium_of(self.material, media)
+        return Sphere(name, vector3(self.centre_mm), self.radius_mm, medium, self._cores(name, media))
+
+    def _cores(self, name: str, media: Mapping[str, Medium]) -> tuple["Core", ...]:
+        """Cores from the outside in."""
+        cores, table, part = [], self.core, "core"
+        while table is not None:
+            try:
+                if table.material == OPAQUE:
+                    raise SceneError(f"a core of sphere {name!r} cannot be opaque; give it a medium")
+                cores.append(Core(table.radius_mm, medium_of(table.material, media)))
+            except SceneError as error:
+                raise SceneError(problems=[(f"{part}.material", str(error))]) from None
+            table, part = table.core, f"{part}.core"
+        return tuple(cores)
 
 
 @dataclass(frozen=True)
@@ -28,7 +76,7 @@ class Core:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(Body):
     """A sphere.
 
     Parameters
@@ -44,6 +92,9 @@ class Sphere:
     cores : tuple of Core
         What is inside it, about the same centre, from the outside in.
     """
+
+    kind: ClassVar[str] = "sphere"
+    Section: ClassVar[type[BodySection]] = SphereSection
 
     name: str
     centre_mm: Vector3
@@ -71,6 +122,71 @@ class Sphere:
                 raise SceneError(problems=[(".".join(["core"] * depth), text)])
             around = core.radius_mm
 
+    @classmethod
+    def table_of(cls, bodies: Iterable[Self], index: Callable[[Medium], float]) -> Array:
+        """Spheres for the kernels: (N, 6) float64, rows x, y, z, radius [mm], n / n_ambient, opaque (0 or 1).
+
+        Longer where there are cores: radius [mm], n / n_ambient of each follow, inwards; radius 0 is none.
+        """
+        spheres = tuple(bodies)
+        most_cores = max((len(sphere.cores) for sphere in spheres), default=0)
+        table = np.tile((0.0, 1.0), (len(spheres), SOLID // 2 + most_cores))
+        for row, sphere in zip(table, spheres, strict=True):
+            row[:SOLID] = (*sphere.centre_mm, sphere.radius_mm, 1.0, float(sphere.medium is None))
+            if sphere.medium is not None:
+                row[INDEX] = index(sphere.medium)
+            for k, core in enumerate(sphere.cores):
+                row[SOLID + 2 * k :][:2] = core.radius_mm, index(core.medium)
+        return table
+
+    def section(self) -> dict[str, Any]:
+        """Return the sphere as a scene file has it, its cores in one another."""
+        inside: dict[str, Any] = {}
+        for core in reversed(self.cores):
+            inside = {"core": {"radius_mm": core.radius_mm, "material": written(core.medium), **inside}}
+        place = {"name": self.name, "kind": self.kind, "centre_mm": list(self.centre_mm)}
+        material = OPAQUE if self.medium is None else written(self.medium)
+        return {**place, "radius_mm": self.radius_mm, "material": material, **inside}
+
+    @property
+    def capsule(self) -> Capsule:
+        """The sphere itself."""
+        return Capsule(self.centre_mm, self.centre_mm, self.radius_mm)
+
+    @property
+    def lowest_mm(self) -> float:
+        """Smallest z of the sphere."""
+        return self.centre_mm[2] - self.radius_mm
+
+    @property
+    def highest_mm(self) -> float:
+        """Largest z of the sphere."""
+        return self.centre_mm[2] + self.radius_mm
+
+    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
+        """Distance from the surface to a point (3,), negative inside."""
+        return float(np.linalg.norm(point_mm - np.array(self.centre_mm))) - self.radius_mm
+
+    def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
+        """Return the sphere with its centre moved."""
+        return replace(self, centre_mm=to(self.centre_mm))
+
+    @property
+    def media(self) -> tuple[tuple[str, Medium], ...]:
+        """Its own medium and those of its cores; none if it is opaque."""
+        if self.medium is None:
+            return ()
+        of_cores = ((f"core of sphere {self.name!r}", core.medium) for core in self.cores)
+        return ((f"sphere {self.name!r}", self.medium), *of_cores)
+
+    def with_media(self, media: Iterable[Medium]) -> Self:
+        """Return the sphere made of other media, itself first, then its cores."""
+        if self.medium is None:
+            return self
+        own, *inner = media
+        cores = tuple(replace(core, medium=medium) for core, medium in zip(self.cores, inner, strict=True))
+        return replace(self, medium=own, cores=cores)
+
     @property
     def event_names(self) -> tuple[str, ...]:
         """Names of all ways through the sphere."""
@@ -90,17 +206,3 @@ class Sphere:
             return self.name
         which = (way + 1) // 2
         return f"{self.name} {'core' if way % 2 else 'off core'}{'' if which == 1 else f' {which}'}"
-
-    @property
-    def lowest_mm(self) -> float:
-        """Smallest z of the body."""
-        return self.centre_mm[2] - self.radius_mm
-
-    @property
-    def highest_mm(self) -> float:
-        """Largest z of the body."""
-        return self.centre_mm[2] + self.radius_mm
-
-    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
-        """Distance from the surface to a point (3,), negative inside."""
-        return float(np.linalg.norm(point_mm - np.array(self.centre_mm))) - self.radius_mm

@@ -34,9 +34,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _digest(root: Path) -> str:
-    """Digest of all kernel sources below `root` and of the numba version."""
+    """Digest of all kernel sources below `root`, those of bodies included, and of the numba version."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted(root.glob("*/kernels/*.py")):
+    for path in sorted([*root.glob("*/kernels/*.py"), *root.glob("tracer/bodies/*.py")]):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -51,6 +51,7 @@ numba.config.CACHE_DIR = str(_cache_dir())  # type: ignore[attr-defined]
 
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
+OVERLOADED: Any = {name: value for name, value in _OPTIONS.items() if name != "cache"}  # what types choose
 
 
 def kernel(function: F) -> F:
@@ -61,6 +62,15 @@ def kernel(function: F) -> F:
 def kernel_inlined(function: F) -> F:
     """Compile like `kernel`, but always into its caller: one call left in a loop stops its vectorisation."""
     return cast("F", numba.njit(forceinline=True, **_OPTIONS)(function))
+
+
+def kernel_composed(function: F) -> F:
+    """Compile like `kernel_inlined` what takes other kernels as arguments: each choice is a function of its own.
+
+    It is part of its caller's file in the cache.  In its own it would never be found again: which function an
+    argument was is known within one process only.
+    """
+    return cast("F", numba.njit(forceinline=True, **OVERLOADED)(function))
 
 
 def unowned(array: Array) -> Array:

@@ -14,104 +14,84 @@ with w = p - c, m = -w . d, a = w + m d, beta = a . a, C and q the turn, a' = C 
     p_bar = w_bar                            c_bar = a'_bar - w_bar
 
 Cost: about two tangents, whatever the number of parameters.
+
+A tangent by rounding (``tracer.kernels.walk``) passes: C = 1, q = 0 and nothing depends on the sphere.  A body of
+another kind gives derivatives forwards only (`Kind.rates`); one sweep through it takes six of them.
 """
 
-from tracer.kernels._jit import Array, kernel
-from tracer.kernels.march import (
-    BLOCKED,
-    DIRECT,
-    MAX_EVENTS,
-    RECOVERED,
-    TIR,
-    TOO_MANY_EVENTS,
-    next_body,
-    next_key,
-)
-from tracer.kernels.rod import ROD
-from tracer.kernels.shell import event_at, with_cores, with_cores_rates
-from tracer.kernels.sphere import angles, foot, through, through_rates, turned
+from typing import Any
 
-STATE = 8  # w, d, m, b2 of each sphere crossed
+from tracer.kernels._jit import Array, kernel, kernel_composed
+from tracer.kernels.shell import with_cores, with_cores_rates
+from tracer.kernels.sphere import INDEX, RADIUS, angles, through, through_rates
+from tracer.kernels.walk import Crossing, walk
+from tracer.kernels.world import World, rates_other
+
+STATE = 8  # w, d, m, b2 of each body crossed
+AXES, NORMAL = 3, 9  # of a target: where they begin after its origin
+
+
+@kernel_composed
+def keep_states(kept: tuple[Array, Array], c: Crossing, world: World) -> tuple[Array, Array]:
+    """Record what the way back needs: trail (MAX_EVENTS,) int32, state (MAX_EVENTS, STATE)."""
+    trail, state = kept
+    at = c.place
+    trail[at] = c.event
+    state[at, 0], state[at, 1], state[at, 2] = c.wx, c.wy, c.wz
+    state[at, 3], state[at, 4], state[at, 5] = c.dx, c.dy, c.dz
+    state[at, 6], state[at, 7] = c.m, c.b2
+    return kept
 
 
 @kernel
-def march_recorded(
-    px: float,
-    py: float,
-    pz: float,
-    dx: float,
-    dy: float,
-    dz: float,
-    spheres: Array,
-    rods: Array,
-    trail: Array,
-    state: Array,
-) -> tuple[float, ...]:
-    """March as `tracer.kernels.march.march`, and keep what the way back needs.
+def trace_states(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, world: World, trail: Array, state: Array
+) -> tuple[Any, ...]:  # fmt: skip
+    """Trace one ray from p along d as `walk`, and keep its states."""
+    status, px, py, pz, dx, dy, dz, key, events, _ = walk(
+        px, py, pz, dx, dy, dz, world, keep_states, (trail, state)
+    )
+    return status, px, py, pz, dx, dy, dz, key, events
 
-    Returns status, the foot point and direction of the last straight piece, key and events; ``state``
-    (MAX_EVENTS, STATE) receives w, d, m and b^2 of each sphere crossed, ``trail`` the event.
-    """
-    key, events, last = DIRECT, 0, -1
-    while True:
-        body = next_body(px, py, pz, dx, dy, dz, last, spheres, rods)
-        if body == -1:
-            return RECOVERED, px, py, pz, dx, dy, dz, key, events
-        if body == ROD or spheres[body, 5] != 0.0:
-            return BLOCKED, px, py, pz, dx, dy, dz, key, events
-        if events == MAX_EVENTS:
-            return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, key, events
-        radius, n = spheres[body, 3], spheres[body, 4]
-        wx, wy, wz = px - spheres[body, 0], py - spheres[body, 1], pz - spheres[body, 2]
-        m, ax, ay, az = foot(wx, wy, wz, dx, dy, dz)
-        b2 = ax * ax + ay * ay + az * az
-        if b2 >= radius * radius or b2 >= n * n * radius * radius:
-            return TIR, px, py, pz, dx, dy, dz, key, events
-        event = event_at(b2, body, spheres)
-        trail[events] = event
-        state[events, 0], state[events, 1], state[events, 2] = wx, wy, wz
-        state[events, 3], state[events, 4], state[events, 5] = dx, dy, dz
-        state[events, 6], state[events, 7] = m, b2
-        cos_i, cos_t = angles(b2, radius, n)
-        cosine, q = through(b2, radius, n, cos_i, cos_t)
-        if event != body:
-            cosine, q, _, _ = with_cores(b2, spheres[body], event // spheres.shape[0], cosine, q)
-        ax, ay, az, dx, dy, dz = turned(ax, ay, az, dx, dy, dz, b2, cosine, q)
-        px, py, pz = spheres[body, 0] + ax, spheres[body, 1] + ay, spheres[body, 2] + az
-        key = next_key(key, event)
-        events += 1
-        last = body
+
+@kernel
+def back_through_other(
+    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, body: int, world: World, state: Array
+) -> tuple[float, ...]:  # fmt: skip
+    """Carry one adjoint pair (f, g) of (p', d') back through a body of another kind."""
+    px, py, pz, dx, dy, dz = state[0], state[1], state[2], state[3], state[4], state[5]
+    back = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for k in range(6):
+        a, b, c = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
+        e, f, g = 1.0 if k == 3 else 0.0, 1.0 if k == 4 else 0.0, 1.0 if k == 5 else 0.0
+        x, y, z, u, v, w = rates_other(px, py, pz, dx, dy, dz, a, b, c, e, f, g, body, world.others)
+        rate = fx * x + fy * y + fz * z + gx * u + gy * v + gz * w
+        back = (
+            rate if k == 0 else back[0],
+            rate if k == 1 else back[1],
+            rate if k == 2 else back[2],
+            rate if k == 3 else back[3],
+            rate if k == 4 else back[4],
+            rate if k == 5 else back[5],
+        )
+    return back
 
 
 @kernel
 def back_through(
-    fx: float,
-    fy: float,
-    fz: float,
-    gx: float,
-    gy: float,
-    gz: float,
-    sphere: Array,
-    way: int,
-    state: Array,
-    out: Array,
-) -> tuple[float, ...]:
+    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float,
+    sphere: Array, way: int, state: Array, out: Array,
+) -> tuple[float, ...]:  # fmt: skip
     """Carry one adjoint pair (f, g) of (a', d') back through a sphere; add c_bar, R_bar, n_bar to out (5,).
 
     `way` through its cores, which are held fixed (``tracer.kernels.shell``).
     """
-    wx, wy, wz, dx, dy, dz, m, b2 = (
-        state[0],
-        state[1],
-        state[2],
-        state[3],
-        state[4],
-        state[5],
-        state[6],
-        state[7],
-    )
+    wx, wy, wz, dx, dy, dz = state[0], state[1], state[2], state[3], state[4], state[5]
+    m, b2 = state[6], state[7]
+    radius, n = sphere[RADIUS], sphere[INDEX]
+    if not b2 < radius * radius:
+        return fx, fy, fz, gx + m * fx, gy + m * fy, gz + m * fz
     ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
-    radius, n = sphere[3], sphere[4]
     cos_i, cos_t = angles(b2, radius, n)
     solid, solid_q = through(b2, radius, n, cos_i, cos_t)
     cosine, q = solid, solid_q
@@ -159,8 +139,8 @@ def land_on_target(
 
     ``target`` (12,): origin, first axis, second axis, normal (orthonormal).
     """
-    ex, ey, ez = target[3 + 3 * axis], target[4 + 3 * axis], target[5 + 3 * axis]
-    nx, ny, nz = target[9], target[10], target[11]
+    ex, ey, ez = target[AXES + 3 * axis], target[AXES + 3 * axis + 1], target[AXES + 3 * axis + 2]
+    nx, ny, nz = target[NORMAL], target[NORMAL + 1], target[NORMAL + 2]
     qx, qy, qz = px - target[0], py - target[1], pz - target[2]
     slope = dx * nx + dy * ny + dz * nz
     t = -(qx * nx + qy * ny + qz * nz) / slope

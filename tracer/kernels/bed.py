@@ -1,8 +1,8 @@
 """Many spheres: which one a ray meets next, by walking through a grid of cells.
 
 Space is cut into equal cubes; each lists the spheres whose box, grown by GROW cells, reaches into it.  A ray walks
-from cell to cell and asks the spheres listed there by the very test of ``march.next_body``, so that what it finds
-has the same bits.  When may it stop?  A sphere B that comes before the best one A has its foot point, which lies
+from cell to cell and asks the spheres listed there by the very test of ``next_sphere``: what it finds has the same
+bits.  When may it stop?  A sphere B that comes before the best one A has its foot point, which lies
 inside B, at m_B < m_A: in a cell that the walk enters before m_A.  So the walk goes on until it enters a cell
 beyond m_A, and finds the nearest for certain.  Growing the boxes makes the rounding of the walk harmless: it adds
 candidates, and no tolerance enters the decision whether a sphere is hit.
@@ -14,7 +14,8 @@ and ``items`` int32: the spheres of cell c are items[begin[c]:begin[c + 1]].
 import math
 
 from tracer.kernels._jit import Array, kernel
-from tracer.kernels.rod import ROD, meets_rod
+from tracer.kernels.branches import NOTHING
+from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, RADIUS
 
 GROW = 1e-6  # cells; the walk is off by a few 1e-16 of the distance walked
 
@@ -38,13 +39,12 @@ def next_in_bed(
     dz: float,
     last: int,
     spheres: Array,
-    rods: Array,
     frame: Array,
     begin: Array,
     items: Array,
-) -> int:
-    """Number of the sphere met next, ROD, or -1 for none, as ``march.next_body``."""
-    best, nearest = -1, math.inf
+) -> tuple[int, float]:
+    """Number of the sphere met next, or NOTHING, and the distance to its foot point, as ``world.next_sphere``."""
+    best, nearest = NOTHING, math.inf
     x0, y0, z0, side = frame[0], frame[1], frame[2], frame[3]
     nx, ny, nz = int(frame[4]), int(frame[5]), int(frame[6])
     ax, bx = enter_axis(px, dx, x0, x0 + nx * side)
@@ -64,11 +64,11 @@ def next_in_bed(
             for e in range(begin[cell], begin[cell + 1]):
                 s = items[e]
                 if s != last:
-                    wx, wy, wz = px - spheres[s, 0], py - spheres[s, 1], pz - spheres[s, 2]
+                    wx, wy, wz = px - spheres[s, CENTRE_X], py - spheres[s, CENTRE_Y], pz - spheres[s, CENTRE_Z]
                     m = -(wx * dx + wy * dy + wz * dz)
                     if 0.0 < m < nearest:
                         fx, fy, fz = wx + m * dx, wy + m * dy, wz + m * dz
-                        if fx * fx + fy * fy + fz * fz < spheres[s, 3] * spheres[s, 3]:
+                        if fx * fx + fy * fy + fz * fz < spheres[s, RADIUS] * spheres[s, RADIUS]:
                             best, nearest = s, m
             if tx <= ty and tx <= tz:
                 t, i = tx, i + si
@@ -85,8 +85,4 @@ def next_in_bed(
                 tz += side / abs(dz)
                 if k < 0 or k >= nz:
                     break
-    for r in range(rods.shape[0]):
-        distance = meets_rod(px, py, pz, dx, dy, dz, rods[r])
-        if distance < nearest:
-            best, nearest = ROD, distance
-    return best
+    return best, nearest

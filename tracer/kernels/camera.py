@@ -1,12 +1,17 @@
 """Pixels to rays.
 
-The camera arrives as one array (20,): position x, y, z; rotation rows (world -> camera, 9); focal_px;
-principal u, v; lens k1, k2, k3, p1, p2 (acquired -> ideal, equations in ``tracer.camera``).
+The camera arrives as one array (20,): the pinhole; its own axes in the world, which are the rows of the rotation
+(right, down, ahead); focal_px; principal pixel; lens terms (acquired -> ideal, equations in ``tracer.camera``).
 """
 
 import math
 
 from tracer.kernels._jit import Array, kernel, kernel_inlined
+
+EYE_X, EYE_Y, EYE_Z = 0, 1, 2
+RIGHT_X, RIGHT_Y, RIGHT_Z, DOWN_X, DOWN_Y, DOWN_Z, AHEAD_X, AHEAD_Y, AHEAD_Z = range(3, 12)
+FOCAL, CENTRE_U, CENTRE_V = 12, 13, 14
+K1, K2, K3, P1, P2 = range(15, 20)
 
 
 @kernel_inlined
@@ -25,9 +30,9 @@ def undistorted(
 @kernel
 def ideal_xy(u: float, v: float, camera: Array) -> tuple[float, ...]:
     """Ideal image coordinates x, y in units of the focal length, and their derivatives by u and v."""
-    focal = camera[12]
-    x, y = (u - camera[13]) / focal, (v - camera[14]) / focal
-    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    focal = camera[FOCAL]
+    x, y = (u - camera[CENTRE_U]) / focal, (v - camera[CENTRE_V]) / focal
+    k1, k2, k3, p1, p2 = camera[K1], camera[K2], camera[K3], camera[P1], camera[P2]
     if k1 == 0.0 and k2 == 0.0 and k3 == 0.0 and p1 == 0.0 and p2 == 0.0:
         return x, y, 1.0 / focal, 0.0, 0.0, 1.0 / focal
     ideal_x, ideal_y, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
@@ -40,8 +45,8 @@ def ideal_xy(u: float, v: float, camera: Array) -> tuple[float, ...]:
 @kernel
 def ideal_row(row: int, camera: Array, x: Array, y: Array) -> None:
     """Ideal image coordinates x, y (W,) of all pixels of a row, in units of the focal length."""
-    focal, centre, level = camera[12], camera[13], (row - camera[14]) / camera[12]
-    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    focal, centre, level = camera[FOCAL], camera[CENTRE_U], (row - camera[CENTRE_V]) / camera[FOCAL]
+    k1, k2, k3, p1, p2 = camera[K1], camera[K2], camera[K3], camera[P1], camera[P2]
     for i in range(x.shape[0]):
         a, b, _, _ = undistorted((i - centre) / focal, level, k1, k2, k3, p1, p2)
         x[i], y[i] = a, b
@@ -51,9 +56,9 @@ def ideal_row(row: int, camera: Array, x: Array, y: Array) -> None:
 def to_world(x: float, y: float, z: float, camera: Array) -> tuple[float, ...]:
     """World components of a camera vector."""
     return (
-        camera[3] * x + camera[6] * y + camera[9] * z,
-        camera[4] * x + camera[7] * y + camera[10] * z,
-        camera[5] * x + camera[8] * y + camera[11] * z,
+        camera[RIGHT_X] * x + camera[DOWN_X] * y + camera[AHEAD_X] * z,
+        camera[RIGHT_Y] * x + camera[DOWN_Y] * y + camera[AHEAD_Y] * z,
+        camera[RIGHT_Z] * x + camera[DOWN_Z] * y + camera[AHEAD_Z] * z,
     )
 
 

@@ -35,7 +35,24 @@ overlap, where eight arrays would need more overlap tests at run time than it is
 import math
 
 from tracer.kernels._jit import Array, kernel, kernel_inlined
-from tracer.kernels.camera import ideal_row
+from tracer.kernels.branches import ALL_BITS, BITS, MOST_EVENTS
+from tracer.kernels.camera import (
+    AHEAD_X,
+    AHEAD_Y,
+    AHEAD_Z,
+    CENTRE_V,
+    DOWN_X,
+    DOWN_Y,
+    DOWN_Z,
+    EYE_X,
+    EYE_Y,
+    EYE_Z,
+    FOCAL,
+    RIGHT_X,
+    RIGHT_Y,
+    RIGHT_Z,
+    ideal_row,
+)
 
 LANES = 256  # rays of a block: 24 kB, what the first-level cache holds
 BALL = 11
@@ -46,9 +63,6 @@ RAY_NUMBERS = 11 * STEP
 PICK, TRIP = (k * STEP for k in range(2))
 TRIP_NUMBERS = 2 * STEP
 NOBODY = -1
-BITS, ALL_BITS = 4, 15  # a trip is the numbers + 1 of the bodies met, four bits each, the latest lowest
-MOST_EVENTS = 15  # what 60 bits hold; longer trips are left to `march`
-UNKNOWN = 1 << 15  # branch number of a ray that met spheres in another order: `march` names it
 SKIP_SILHOUETTES, SKIP_LEFT_BEHIND = 1, 2  # skips that a test may switch off; the result must not change
 
 
@@ -61,9 +75,16 @@ def whole_vectors(count: int) -> int:
 @kernel
 def begin_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
     """Put the rays of a span with ideal image coordinates x, y (n,) into the block, n <= LANES."""
-    ox, oy, oz = camera[0], camera[1], camera[2]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11 = camera[9], camera[10], camera[11]
+    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
+    c3, c4, c5, c6, c7, c8 = (
+        camera[RIGHT_X],
+        camera[RIGHT_Y],
+        camera[RIGHT_Z],
+        camera[DOWN_X],
+        camera[DOWN_Y],
+        camera[DOWN_Z],
+    )
+    c9, c10, c11 = camera[AHEAD_X], camera[AHEAD_Y], camera[AHEAD_Z]
     for i in range(x.shape[0]):
         dx = c3 * x[i] + c6 * y[i] + c9
         dy = c4 * x[i] + c7 * y[i] + c10
@@ -205,11 +226,11 @@ def glass_span(x: Array, y: Array, flat: bool, camera: Array, balls: Array, k: i
     an ideal camera (`flat`: y is the same in all columns, x is linear) d is linear in x and the bounds are the
     roots of a quadratic; else the row is searched.
     """
-    wx, wy, wz = camera[0] - balls[k, 0], camera[1] - balls[k, 1], camera[2] - balls[k, 2]
+    wx, wy, wz = camera[EYE_X] - balls[k, 0], camera[EYE_Y] - balls[k, 1], camera[EYE_Z] - balls[k, 2]
     outside = wx * wx + wy * wy + wz * wz - balls[k, 3]
-    u = camera[3] * wx + camera[4] * wy + camera[5] * wz  # w in camera axes
-    v = camera[6] * wx + camera[7] * wy + camera[8] * wz
-    w = camera[9] * wx + camera[10] * wy + camera[11] * wz
+    u = camera[RIGHT_X] * wx + camera[RIGHT_Y] * wy + camera[RIGHT_Z] * wz  # w in camera axes
+    v = camera[DOWN_X] * wx + camera[DOWN_Y] * wy + camera[DOWN_Z] * wz
+    w = camera[AHEAD_X] * wx + camera[AHEAD_Y] * wy + camera[AHEAD_Z] * wz
     width = x.shape[0]
     if flat and u * u < outside:  # the usual case, an ellipse: inside between the roots
         rest = v * y[0] + w
@@ -242,7 +263,7 @@ def place_row(row: int, flat: bool, camera: Array, x: Array, y: Array) -> None:
     Of an ideal camera (`flat`) x is the same in every row and stays, and one y stands for all where `y` is (1,).
     """
     if flat:
-        level = (row - camera[14]) / camera[12]
+        level = (row - camera[CENTRE_V]) / camera[FOCAL]
         for i in range(y.shape[0]):
             y[i] = level
     else:

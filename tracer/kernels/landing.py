@@ -16,9 +16,33 @@ sphere (x, y, z, radius, n) | target (6: x, y, z, rx, ry, rz); turns are about t
 import math
 
 from tracer.kernels._jit import Array, kernel, unowned
-from tracer.kernels.adjoint import back_through, land_on_target, march_recorded
-from tracer.kernels.camera import undistorted
-from tracer.kernels.march import MISSED_PLANE, RECOVERED
+from tracer.kernels.adjoint import NORMAL, back_through, back_through_other, keep_states, land_on_target
+from tracer.kernels.branches import NOTHING, body_of
+from tracer.kernels.camera import (
+    AHEAD_X,
+    AHEAD_Y,
+    AHEAD_Z,
+    CENTRE_U,
+    CENTRE_V,
+    DOWN_X,
+    DOWN_Y,
+    DOWN_Z,
+    EYE_X,
+    EYE_Y,
+    EYE_Z,
+    FOCAL,
+    K1,
+    K2,
+    K3,
+    P1,
+    P2,
+    RIGHT_X,
+    RIGHT_Y,
+    RIGHT_Z,
+    undistorted,
+)
+from tracer.kernels.walk import walk
+from tracer.kernels.world import MISSED_PLANE, RECOVERED, World, unowned_world
 
 CAMERA_NUMBERS, SPHERE_NUMBERS, TARGET_NUMBERS = 14, 5, 6
 
@@ -33,14 +57,14 @@ def camera_rates(
     camera (20,) as in `tracer.kernels.camera`; (dx, dy, dz) the ray's direction; by_pixel (2,) out; row (14,)
     out, of which the first three are left alone.
     """
-    focal = camera[12]
-    x, y = (u - camera[13]) / focal, (v - camera[14]) / focal
-    p1, p2 = camera[18], camera[19]
-    a, b, radial, slope = undistorted(x, y, camera[15], camera[16], camera[17], p1, p2)
+    focal = camera[FOCAL]
+    x, y = (u - camera[CENTRE_U]) / focal, (v - camera[CENTRE_V]) / focal
+    p1, p2 = camera[P1], camera[P2]
+    a, b, radial, slope = undistorted(x, y, camera[K1], camera[K2], camera[K3], p1, p2)
     row[3], row[4], row[5] = dy * gz - dz * gy, dz * gx - dx * gz, dx * gy - dy * gx
-    cx = camera[3] * gx + camera[4] * gy + camera[5] * gz
-    cy = camera[6] * gx + camera[7] * gy + camera[8] * gz
-    cz = camera[9] * gx + camera[10] * gy + camera[11] * gz
+    cx = camera[RIGHT_X] * gx + camera[RIGHT_Y] * gy + camera[RIGHT_Z] * gz
+    cy = camera[DOWN_X] * gx + camera[DOWN_Y] * gy + camera[DOWN_Z] * gz
+    cz = camera[AHEAD_X] * gx + camera[AHEAD_Y] * gy + camera[AHEAD_Z] * gz
     square = a * a + b * b + 1.0
     length, along = math.sqrt(square), (cx * a + cy * b + cz) / square
     hx, hy = (cx - along * a) / length, (cy - along * b) / length
@@ -57,26 +81,25 @@ def camera_rates(
 
 @kernel
 def trace_landings(
-    pixels: Array, directions: Array, camera: Array, spheres: Array, rods: Array, target: Array, n_ambient: float,
+    pixels: Array, directions: Array, camera: Array, world: World, target: Array, n_ambient: float,
     first: int, last: int, trail: Array, state: Array, status: Array, key: Array, point: Array, by_pixel: Array,
     rate: Array,
 ) -> None:  # fmt: skip
     """Trace pixels first..last-1 onto a target plane with all derivatives.
 
-    pixels (N, 2); directions (N, 3) of their rays; camera (20,); spheres (S, 6); rods (M, 7); target (12,) origin
-    and axes; trail (MAX_EVENTS,) int32 and state (MAX_EVENTS, STATE) scratch; status (N,) uint8, key (N,)
-    int64, point (N, 2) target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + 6) out.  NaN unless
-    recovered.
+    pixels (N, 2); directions (N, 3) of their rays; camera (20,); target (12,) origin and axes; trail
+    (MAX_EVENTS,) int32 and state (MAX_EVENTS, STATE) scratch; status (N,) uint8, key (N,) int64, point (N, 2)
+    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + 6) out.  NaN unless recovered.
     """
-    spheres, rods, trail, state = unowned(spheres), unowned(rods), unowned(trail), unowned(state)
+    world, trail, state = unowned_world(world), unowned(trail), unowned(state)
     point, by_pixel, rate = unowned(point), unowned(by_pixel), unowned(rate)
+    spheres = world.spheres
     place = CAMERA_NUMBERS + SPHERE_NUMBERS * spheres.shape[0]
+    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
     for i in range(first, last):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        s, px, py, pz, wx, wy, wz, k, events = march_recorded(
-            camera[0], camera[1], camera[2], dx, dy, dz, spheres, rods, trail, state
-        )
-        if s == RECOVERED and not wx * target[9] + wy * target[10] + wz * target[11] < 0.0:
+        s, px, py, pz, wx, wy, wz, k, events, _ = walk(ox, oy, oz, dx, dy, dz, world, keep_states, (trail, state))
+        if s == RECOVERED and not wx * target[NORMAL] + wy * target[NORMAL + 1] + wz * target[NORMAL + 2] < 0.0:
             s = MISSED_PLANE
         status[i], key[i] = s, k
         if s != RECOVERED:
@@ -94,7 +117,10 @@ def trace_landings(
             row[place + 5] = -(ax * fy - ay * fx)
             row[CAMERA_NUMBERS:place] = 0.0
             for event in range(int(events) - 1, -1, -1):
-                body, way = trail[event] % spheres.shape[0], trail[event] // spheres.shape[0]
+                body, way = body_of(trail[event], spheres)
+                if len(world.others) > 0 and body < NOTHING:
+                    fx, fy, fz, gx, gy, gz = back_through_other(fx, fy, fz, gx, gy, gz, body, world, state[event])
+                    continue
                 at = CAMERA_NUMBERS + SPHERE_NUMBERS * body
                 fx, fy, fz, gx, gy, gz = back_through(
                     fx, fy, fz, gx, gy, gz, spheres[body], way, state[event], row[at : at + SPHERE_NUMBERS]

@@ -11,16 +11,15 @@ Every pixel has the same bits whatever block it stands in: all loops that calcul
 """
 
 from tracer.kernels._jit import Array, kernel, unowned
+from tracer.kernels.branches import UNKNOWN, branch_number
+from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import (
-    ALL_BITS,
-    BITS,
     LANES,
     PICK,
     PX,
     PY,
     SKIP_SILHOUETTES,
     TRIP,
-    UNKNOWN,
     begin_block,
     follow_block,
     glass_span,
@@ -28,28 +27,9 @@ from tracer.kernels.chain import (
     place_row,
     whole_vectors,
 )
-from tracer.kernels.march import MISSED_PLANE, RECOVERED
 from tracer.kernels.mirror import mirror_left_right, mirror_up_down
 from tracer.kernels.straight import direct_block, land_block, lone_block
-
-
-@kernel
-def branch_number(trip: int, paired: bool, balls: Array) -> int:
-    """Number of a trip, bit k for body k, if its bodies come in order; else UNKNOWN.
-
-    `paired`: two of the same height have no order, because the mirror image would have the other.
-    """
-    if trip < 0:
-        return UNKNOWN
-    number, later = 0, ALL_BITS + 1
-    while trip > 0:
-        body = trip & ALL_BITS
-        if body >= later or (paired and number and balls[body - 1, 2] == balls[later - 1, 2]):
-            return UNKNOWN
-        number |= 1 << (body - 1)
-        later = body
-        trip >>= BITS
-    return number
+from tracer.kernels.world import MISSED_PLANE, RECOVERED
 
 
 @kernel
@@ -131,7 +111,7 @@ def silhouettes(
 @kernel
 def flat_columns(flat: bool, camera: Array, x: Array) -> None:
     """Image coordinate x of all columns of an ideal camera, the same in every row."""
-    focal, centre = camera[12], camera[13]
+    focal, centre = camera[FOCAL], camera[CENTRE_U]
     if flat:
         for i in range(x.shape[0]):
             x[i] = (i - centre) / focal

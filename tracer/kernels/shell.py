@@ -26,22 +26,19 @@ a kink.  They are different ways of one ball, and different branches:
     way 2 k        through core k - 1, totally reflected at core k.
 
 Rows of a sphere table with cores are longer than SOLID: radius and relative index (to the room) of each core
-follow, inwards; radius 0 where a sphere has none or fewer.  An event on a trail is  sphere + way * (number of
-spheres), which is the number of the sphere itself on way 0.
+follow, inwards; radius 0 where a sphere has none or fewer.
 """
 
 from tracer.kernels._jit import Array, kernel
-from tracer.kernels.sphere import angles, through, through_rates, transmittance
-
-SOLID = 6  # columns of a sphere table without cores: centre, radius, relative index, opaque
+from tracer.kernels.sphere import INDEX, RADIUS, SOLID, angles, through, through_rates, transmittance
 
 
 @kernel
 def way_through(b2: float, sphere: Array) -> int:
     """Way of a ray of squared impact parameter b2 through a sphere (a row of the table)."""
     way = 0
-    if b2 < sphere[3] * sphere[3]:
-        outside = sphere[4]
+    if b2 < sphere[RADIUS] * sphere[RADIUS]:
+        outside = sphere[INDEX]
         for at in range(SOLID, sphere.shape[0], 2):
             rho, inner = outside * sphere[at], sphere[at + 1] * sphere[at]
             if not b2 < rho * rho:
@@ -51,14 +48,6 @@ def way_through(b2: float, sphere: Array) -> int:
             way = int(at - SOLID + 1)
             outside = sphere[at + 1]
     return way
-
-
-@kernel
-def event_at(b2: float, body: int, spheres: Array) -> int:
-    """Event of a ray that meets sphere number `body`."""
-    if spheres.shape[1] == SOLID:
-        return body
-    return int(body + way_through(b2, spheres[body]) * spheres.shape[0])
 
 
 @kernel
@@ -87,7 +76,7 @@ def core_turn_rates(
 @kernel
 def with_cores(b2: float, sphere: Array, way: int, cosine: float, q: float) -> tuple[float, ...]:
     """Add the turns of the cores to a solid sphere's: cos, q, optical path added, share of light that passes."""
-    path, passed, outside = 0.0, 1.0, sphere[4]
+    path, passed, outside = 0.0, 1.0, sphere[INDEX]
     cores = (way + 1) // 2
     for k in range(cores):
         radius, inside = sphere[SOLID + 2 * k], sphere[SOLID + 2 * k + 1]
@@ -112,7 +101,7 @@ def with_cores_rates(
     n_rate: float,
 ) -> tuple[float, float]:
     """Derivatives of `with_cores`'s cos and q, from those of the solid sphere and the rates of b^2 and its n."""
-    outside = sphere[4]
+    outside = sphere[INDEX]
     for k in range((way + 1) // 2):
         radius, inside, reflected = sphere[SOLID + 2 * k], sphere[SOLID + 2 * k + 1], way == 2 * k + 2
         rho, nu = outside * radius, inside / outside

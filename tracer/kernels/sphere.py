@@ -17,8 +17,7 @@ normal, no second root of a quadratic is ever formed.  With
 The second form of g has no cancellation as n -> 1 (the first loses log10(1/(n-1)) digits); at n = 1 the
 turn is exactly nothing.  Total reflection (n < 1) is decided by b >= n R, never by the sign of a root.
 
-The other ways to leave are turns of the same pair: reflection outside by 2 i - pi, and k reflections inside
-by 2 (i - t) + k (pi - 2 t) (Descartes).  Light is unpolarised at every surface:
+Light is unpolarised at every surface:
 
     T = 2 n cos i cos t [1/(cos i + n cos t)^2 + 1/(n cos i + cos t)^2].
 """
@@ -26,6 +25,9 @@ by 2 (i - t) + k (pi - 2 t) (Descartes).  Light is unpolarised at every surface:
 import math
 
 from tracer.kernels._jit import kernel
+
+# Columns of a sphere table (N, 6 or more).  Cores follow inwards (``tracer.kernels.shell``).
+CENTRE_X, CENTRE_Y, CENTRE_Z, RADIUS, INDEX, OPAQUE, SOLID = range(7)
 
 
 @kernel

@@ -7,15 +7,36 @@ They hold what a block of ``tracer.kernels.chain`` holds when it is finished: th
 import math
 
 from tracer.kernels._jit import Array, kernel
+from tracer.kernels.camera import (
+    AHEAD_X,
+    AHEAD_Y,
+    AHEAD_Z,
+    DOWN_X,
+    DOWN_Y,
+    DOWN_Z,
+    EYE_X,
+    EYE_Y,
+    EYE_Z,
+    RIGHT_X,
+    RIGHT_Y,
+    RIGHT_Z,
+)
 from tracer.kernels.chain import COS_I, COS_T, DX, DY, DZ, IQ, NEAR, PICK, PX, PY, PZ, QQ, foot_of
 
 
 @kernel
 def direct_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
     """Trace a block (n,) that no glass touches."""
-    ox, oy, oz = camera[0], camera[1], camera[2]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11 = camera[9], camera[10], camera[11]
+    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
+    c3, c4, c5, c6, c7, c8 = (
+        camera[RIGHT_X],
+        camera[RIGHT_Y],
+        camera[RIGHT_Z],
+        camera[DOWN_X],
+        camera[DOWN_Y],
+        camera[DOWN_Z],
+    )
+    c9, c10, c11 = camera[AHEAD_X], camera[AHEAD_Y], camera[AHEAD_Z]
     for i in range(x.shape[0]):
         dx = c3 * x[i] + c6 * y[i] + c9
         dy = c4 * x[i] + c7 * y[i] + c10
@@ -36,9 +57,16 @@ def lone_block(x: Array, y: Array, camera: Array, balls: Array, rays: Array, tri
     unit for roots would wait.
     """
     count = x.shape[0]
-    ox, oy, oz = camera[0], camera[1], camera[2]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11 = camera[9], camera[10], camera[11]
+    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
+    c3, c4, c5, c6, c7, c8 = (
+        camera[RIGHT_X],
+        camera[RIGHT_Y],
+        camera[RIGHT_Z],
+        camera[DOWN_X],
+        camera[DOWN_Y],
+        camera[DOWN_Z],
+    )
+    c9, c10, c11 = camera[AHEAD_X], camera[AHEAD_Y], camera[AHEAD_Z]
     cx, cy, cz, r2, ir2, kt = balls[0, 0], balls[0, 1], balls[0, 2], balls[0, 3], balls[0, 4], balls[0, 5]
     nu, gk, ir = balls[0, 6], balls[0, 7], balls[0, 8]
     wx, wy, wz = ox - cx, oy - cy, oz - cz

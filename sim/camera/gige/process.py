@@ -2,11 +2,11 @@
 
 import os
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
 
+from daq.child import child
 from sim.camera.config import CameraConfig
 
 PATIENCE_S = 10.0
@@ -23,8 +23,8 @@ def loopback_address() -> str:
 def device_process(config: CameraConfig) -> Iterator[str]:
     """Serve a camera on the loopback while the block runs; yield its address."""
     address = loopback_address()
-    command = [sys.executable, "-m", "sim.camera.gige", address, config.to_json()]
-    device = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    command, environment = child("sim.camera.gige", address, config.to_json())
+    device = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     try:
         assert device.stdin is not None
         assert device.stdout is not None

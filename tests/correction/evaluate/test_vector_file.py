@@ -96,6 +96,29 @@ def test_xarray_and_pivpy_read_it(tmp_path, field):
     assert "w" in data.piv.vorticity()
 
 
+def test_it_is_a_velocity_only_where_the_time_is_known(tmp_path, field):
+    sigma = VectorMapSigma(*np.ones((2, 3, 4, 2)))
+    write_netcdf(tmp_path / "way.nc", field, GRID, {}, sigma)
+    write_netcdf(tmp_path / "speed.nc", field, GRID, {}, sigma, dt_s=0.25)
+    with (
+        netcdf_file(tmp_path / "way.nc", mmap=False) as way,
+        netcdf_file(tmp_path / "speed.nc", mmap=False) as speed,
+    ):
+        assert (way.delta_t, speed.delta_t) == (0.0, 0.25)
+        for name in ("u", "v", "sigma_u", "sigma_v", "map_sigma_u", "map_sigma_v"):
+            slow, fast = way.variables[name], speed.variables[name]
+            assert (slow.units, fast.units) == (b"mm", b"mm/s")
+            assert np.array_equal(fast[:], slow[:] / 0.25, equal_nan=True)
+        assert (way.variables["u"].standard_name, way.variables["v"].standard_name) == (
+            b"u_displacement", b"v_displacement")  # fmt: skip
+        assert (speed.variables["u"].standard_name, speed.variables["v"].standard_name) == (
+            b"u_velocity", b"v_velocity")  # fmt: skip
+        assert speed.variables["x"].units == speed.variables["map_sigma_x"].units == b"mm"
+        assert np.array_equal(way.variables["map_sigma_x"][:], speed.variables["map_sigma_x"][:])
+    write_vtk(tmp_path / "speed.vtk", field, GRID, 0.25)
+    assert "VECTORS velocity double" in (tmp_path / "speed.vtk").read_text()
+
+
 def test_vtk_lists_points_and_vectors(tmp_path, field):
     path = tmp_path / "vectors.vtk"
     write_vtk(path, field, GRID)

@@ -10,6 +10,7 @@ from correction.target.board_search import find_board, track_board
 from correction.target.corners import refine_corners
 from correction.target.lattice_growth import grow_patches
 from correction.target.saddles import find_saddles
+from correction.target.smooth_lattice import on_smooth_map
 from tests.correction.frame_truth import FRAMES, nominal_projection, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
 
@@ -238,3 +239,9 @@ def test_search_costs_little_more_than_the_corners_it_finds():
         find_board(image, BOARD)
         ratios.append((time.process_time() - middle) / (middle - start))
     assert np.median(ratios) < 3.0
+
+
+def test_no_corner_lies_on_any_map():
+    """A small frame in which nothing of the board is found is for the caller to refuse, in words."""
+    none = np.zeros((0, 2))
+    assert on_smooth_map(none.astype(int), none, np.zeros((0, 2, 2))).shape == (0,)

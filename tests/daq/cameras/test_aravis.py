@@ -8,7 +8,6 @@ import time
 
 import numpy as np
 import pytest
-from rigs import loopback_address, need_aravis
 
 from daq.cameras.aravis import AravisCamera
 from daq.cameras.gvcp_probe import read_register
@@ -17,6 +16,7 @@ from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
 from sim.camera.gige import GigeDevice
 from sim.camera.source import PatternSource
+from tests.daq.cameras.rigs import loopback_address, need_aravis
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 

@@ -5,20 +5,20 @@ import time
 
 import numpy as np
 import pytest
-from rigs import RIGS
 
 from daq.cameras.camera import Camera
-from daq.cameras.pairs import pairs
 from daq.errors import (
     CameraBusy,
     CameraLost,
     CameraTimeout,
     CameraUsageError,
+    FrameIncomplete,
     SettingRefused,
     SettingsChanged,
 )
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
+from tests.daq.cameras.rigs import RIGS
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 FORMATS = ["Mono8", "Mono10", "Mono12", "Mono12p", "Mono12Packed", "Mono16"]
@@ -159,6 +159,30 @@ def test_time_stamps_count_on_the_cameras_clock(camera):
     assert all(np.diff([frame.meta.received_ns for frame in frames]) > 0)
 
 
+def test_the_clock_that_can_be_read_is_the_one_that_stamps(camera):
+    camera.configure({"PixelFormat": "Mono12", "ExposureTime": 200.0, **SOFTWARE})
+    camera.arm()
+    for _ in range(3):
+        before_ns = camera.trigger()
+        frame = camera.next_frame(2.0).copy()
+        after_ns = camera.clock_ns()
+        assert before_ns <= frame.meta.timestamp_ns <= after_ns
+        assert frame.meta.id_told
+
+
+def test_polling_only_looks(camera):
+    camera.configure({"PixelFormat": "Mono12", **SOFTWARE})
+    camera.arm()
+    assert camera.poll(0.0) is None
+    assert camera.poll(0.05) is None
+    camera.trigger()
+    frame = camera.poll(2.0)
+    assert frame.meta.sequence == 0
+    frame.release()
+    assert camera.poll(0.0) is None
+    camera.probe(2.0)
+
+
 def test_double_frames_pair_by_id_and_time(camera):
     double = {"DoubleFrameEnable": True, "DoubleFrameInterval": 500.0, "ExposureTime": 100.0}
     camera.configure({"PixelFormat": "Mono12", **double, **SOFTWARE})
@@ -169,11 +193,10 @@ def test_double_frames_pair_by_id_and_time(camera):
         frames += [camera.next_frame(2.0).copy(), camera.next_frame(2.0).copy()]
     camera.disarm()
     camera.configure({"DoubleFrameEnable": False})
-    found = list(pairs(frames, max_separation_us=900.0))
-    assert len(found) == 4
-    assert [pair.separation_us for pair in found] == [500.0] * 4
-    for pair in found:
-        assert pair.first.pixels[0, 0] == pair.second.pixels[0, 0]  # the same trigger's pattern
+    assert [frame.meta.sequence for frame in frames] == list(range(8))
+    for first, second in zip(frames[::2], frames[1::2], strict=True):
+        assert second.meta.timestamp_ns - first.meta.timestamp_ns == 500_000
+        assert first.pixels[0, 0] == second.pixels[0, 0]  # the same trigger's pattern
 
 
 def test_triggers_while_the_sensor_is_busy_are_counted(camera):
@@ -225,9 +248,12 @@ def test_a_slow_consumer_is_an_underrun_and_held_pixels_stay(camera):
         frame.release()
     time.sleep(0.1)
     late = [camera.next_frame(2.0).copy() for _ in range(12)]
+    before = camera.counters
     counters = camera.disarm()
     camera.configure({"AcquisitionFrameRate": 10.0, **SOFTWARE})
     assert counters.underrun > 20
+    # Frames, not packets: with those delivered they make the ids up to the last one fetched, and hardly more.
+    assert late[-1].meta.sequence + 1 <= before.delivered + before.underrun <= late[-1].meta.sequence + 1 + 6
     # The frames that waited behind the gap are told apart from those before it.
     assert late[-1].meta.sequence >= 3 + 20
     assert counters.missing == 0
@@ -267,6 +293,20 @@ def test_incomplete_and_dropped_frames_are_told_apart(faulty):
     assert [frame.meta.sequence for frame in frames] == ids
     assert (counters.incomplete, counters.missing, counters.delivered) == (2, 3, counters.delivered)
     assert all((frame.pixels[0, 0], 0) == (index, 0) for index, frame in zip(ids, frames, strict=True))
+
+
+def test_who_waits_for_a_frame_that_comes_incomplete_hears_of_it_at_once(faulty):
+    camera = faulty(FaultPlan(incomplete=(1,)))
+    camera.configure({"PixelFormat": "Mono12", **SOFTWARE})
+    camera.arm()
+    triggered(camera, 1)
+    camera.trigger()
+    with pytest.raises(FrameIncomplete):
+        camera.poll(60.0)
+    assert camera.poll(0.0) is None  # told once
+    assert triggered(camera, 1)[0].pixels[0, 0] == 2
+    counters = camera.disarm()
+    assert (counters.delivered, counters.incomplete, counters.missing) == (2, 1, 0)
 
 
 def test_a_late_frame_is_a_timeout_and_then_a_frame(faulty):

@@ -2,18 +2,20 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs import need_harvesters
 
 from daq.cameras import make_camera
 from daq.cameras.harvesters import HarvestersCamera
 from daq.errors import CameraLost, CameraSetupError
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
+from tests.daq.cameras.rigs import need_harvesters
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
 
@@ -60,6 +62,69 @@ def test_a_process_that_dies_is_a_lost_camera(make):
     with pytest.raises(CameraLost, match="process has ended"):  # noqa: PT012
         while True:  # some may have come before
             camera.next_frame(1.0).release()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_what_a_terminal_sends_is_for_the_parent_to_decide(make, number):
+    """A closed window ends a run after its step; the camera must live as long."""
+    camera = make()
+    camera.configure(SOFTWARE)
+    camera.arm()
+    os.kill(camera._process.pid, number)
+    time.sleep(0.2)
+    camera.trigger()
+    assert camera.next_frame(2.0).meta.sequence == 0
+
+
+SCRIPT = """
+import sys
+from daq.cameras import make_camera
+
+camera = make_camera("harvesters", cti=sys.argv[1])
+camera.open()
+camera.configure({"TriggerMode": "On", "TriggerSource": "Software"})
+camera.arm()
+camera.trigger()
+with camera.next_frame(30.0) as frame:
+    print("took", frame.pixels.shape)
+if sys.argv[2] == "leave":
+    sys.exit()
+camera.close()
+"""
+
+
+@pytest.mark.parametrize("ending", ["close", "leave"])
+def test_a_script_needs_no_guard_and_may_stand_beside_any_file(tmp_path, ending):
+    """The camera's process neither runs the caller's script again nor looks into the folder it was started in."""
+    need_harvesters()
+    cti = write_producer(tmp_path / "sim.cti", [CameraConfig(width=64, height=16)])
+    (tmp_path / "script.py").write_text(SCRIPT)
+    here = tmp_path / "here"
+    here.mkdir()
+    for name in ("daq.py", "numpy.py", "genicam.py"):
+        (here / name).write_text("raise SystemExit('this is the wrong one')")
+    command = [sys.executable, str(tmp_path / "script.py"), str(cti), ending]
+    done = subprocess.run(command, cwd=here, capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout == "took (16, 64)\n", done.stderr
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+def test_the_process_ends_with_a_caller_that_is_killed(tmp_path):
+    need_harvesters()
+    cti = write_producer(tmp_path / "sim.cti", [CameraConfig(width=64, height=16)])
+    text = SCRIPT.replace("camera.close()", "print(camera._process.pid, flush=True); sys.stdin.read()")
+    (tmp_path / "script.py").write_text(text)
+    command = [sys.executable, str(tmp_path / "script.py"), str(cti), "stay"]
+    caller = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert caller.stdout.readline().startswith("took")
+    number = int(caller.stdout.readline())
+    caller.kill()
+    caller.communicate()
+    deadline = time.monotonic() + 60
+    while Path(f"/proc/{number}").exists() and "Z" not in Path(f"/proc/{number}/stat").read_text().split()[2]:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 @pytest.mark.slow

@@ -4,13 +4,13 @@ import time
 
 import numpy as np
 import pytest
-from rigs import need_aravis, need_harvesters
 
 from daq.cameras.aravis import AravisCamera
 from daq.cameras.harvesters import HarvestersCamera
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
+from tests.daq.cameras.rigs import need_aravis, need_harvesters
 
 SIDE, SECONDS = 2016, 60
 SETTINGS = {

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from daq.pipeline import corrections
+from correction import prepared
 from daq.pipeline.corrections import Corrections
 from daq.plans.steps import CLEAR, Step
 from tests.correction.small_scenes import small_scene
@@ -10,8 +10,8 @@ from tests.correction.small_scenes import small_scene
 
 def test_nothing_is_traced_again_when_only_the_pattern_moves(tmp_path, monkeypatch):
     traced = []
-    build = corrections.build_ray_map
-    monkeypatch.setattr(corrections, "build_ray_map", lambda scene: traced.append(scene) or build(scene))
+    build = prepared.build_ray_map
+    monkeypatch.setattr(prepared, "build_ray_map", lambda scene: traced.append(scene) or build(scene))
     scene = small_scene("two_spheres_500", 96)
     here = Step(0, "here", (("target_x", 0.0),), 0.0, 0, 1, "glass", "particles", True, None)
     there = replace(here, index=1, tag="there", positions_mm=(("target_x", 3.7),), reference=0)

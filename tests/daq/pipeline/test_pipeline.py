@@ -16,6 +16,7 @@ from daq.plans.steps import Step
 from daq.runs.journal import Journal, read_journal
 from daq.runs.raw_frame import checksum
 from daq.runs.run_folder import RunFolder
+from tests.daq.small_run import PLACES, about_run, planned
 
 FRAMES = 24
 
@@ -59,7 +60,7 @@ class Memory:
 
 @pytest.fixture
 def run(tmp_path):
-    folder = RunFolder.create(tmp_path, "p", {})
+    folder = RunFolder.create(tmp_path, "p", about_run([planned(0, "t", frames=FRAMES)]))
     journal = Journal(folder.journal_path)
     yield folder, journal
     journal.close()
@@ -67,7 +68,7 @@ def run(tmp_path):
 
 def push(pipeline, step, memory, period_s=0.0):
     for number in range(FRAMES):
-        pipeline.submit(Job(step, number, memory.frame(number), {}))
+        pipeline.submit(Job(step, number, memory.frame(number), dict(PLACES)))
         time.sleep(period_s)
     pipeline.flush()
 

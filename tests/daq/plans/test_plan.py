@@ -1,18 +1,19 @@
 """Plans as data: expansion, routes, forecast, and what is refused before anything moves."""
 
 import math
+from dataclasses import asdict, replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_bench import SHIFT, TARGET, load, write_bench
 
-from daq.bench.bench_file import load_bench
+from daq.bench.bench_file import digest, load_bench
 from daq.bench.opened import idle_stage
 from daq.errors import PlanError
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
-from daq.plans.steps import frame_count, route
+from daq.plans.steps import Step, frame_count, route, steps_hash
+from tests.daq.small_bench import SHIFT, TARGET, load, write_bench
 from tracer.errors import ConfigError
 
 ONE_SHIFT = "experiment: shift\nviews: [glass]\ndisplacements: [{}]\n"
@@ -192,3 +193,13 @@ def test_glass_never_travels_sideways_in_front_of_the_target(bench, start, end):
             assert "glass_z" not in move
         here |= move
     assert here == bench.home_mm | end
+
+
+def test_what_an_older_version_did_not_know_of_a_step_leaves_its_hash_as_it_was():
+    """Runs that were begun before steps had groups and gaps can be resumed."""
+    step = Step(0, "a", (("x", 0.0),), 0.0, 0, 2, "clear", "chessboard", True)
+    tree = asdict(step)
+    del tree["group"], tree["gaps_at_most"]
+    assert steps_hash([step]) == digest([tree])
+    assert steps_hash([replace(step, group=2)]) != steps_hash([step])
+    assert steps_hash([replace(step, gaps_at_most=0.1)]) != steps_hash([step])

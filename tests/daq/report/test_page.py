@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from daq.report.page import Page, grey, tinted
+from daq.pictures.embedded import embedded, grey, tinted
+from daq.report.page import Page
 from tests.daq.report.browser import browse, measured
 
 
@@ -17,8 +18,8 @@ def page():
     made.heading("Pictures")
     colours = np.zeros((60, 80, 3), np.uint8)
     colours[picture > 40] = (56, 66, 92)
-    made.slider([("raw", picture), ("corrected", tinted(picture, colours)), ("mask", colours)], "drag <me>")
-    made.picture(255 - picture, "negative")
+    layers = {"raw": picture, "corrected": tinted(picture, colours), "mask": colours}
+    made.slider([(name, embedded(image)) for name, image in layers.items()], "drag <me>")
     figure = Figure(figsize=(2.0, 1.0))
     figure.add_subplot().plot([0, 1])
     made.figure("line", figure, "a line")

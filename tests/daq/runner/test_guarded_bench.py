@@ -1,15 +1,16 @@
 """Keep-out stands before everything that moves: the verb `stage`, runs, resumed runs."""
 
 import pytest
-from small_bench import FILES_CAMERA, TARGET, files_bench, load, write_frames
 
 from daq.bench.bench_file import load_bench
 from daq.bench.opened import idle_stage, open_bench, open_stage
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
-from daq.runner.runner import Runner, go_to
+from daq.runner.arrival import go_to
+from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from stages.errors import Obstructed
+from tests.daq.small_bench import FILES_CAMERA, TARGET, files_bench, load, write_frames
 
 
 @pytest.fixture

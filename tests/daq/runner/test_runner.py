@@ -5,16 +5,16 @@ import threading
 import time
 
 import pytest
-from small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 
 from daq.cameras.files import FilesCamera
-from daq.errors import CameraLost, DiskError, FramesLost, ResumeRefused, RunInterrupted
+from daq.errors import CameraLost, DiskError, FramesLost, ResumeRefused, RunDamaged, RunInterrupted
 from daq.pipeline import lanes
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, check_disk, reopen
 from daq.runs.raw_frame import checksum, read_raw, write_raw
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
 from stages.errors import DeviceLost, MotionStopped
+from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 
 PLAN = SHIFT + "frames: 2\n"
 
@@ -153,13 +153,18 @@ class Flaky(FilesCamera):
 
     def __init__(self, folder, at=(5,), forever=False):
         super().__init__(folder)
-        self.asked, self.at, self.forever = 0, at, forever
+        self.asked, self.at, self.forever, self.is_gone = 0, at, forever, False
 
-    def next_frame(self, timeout_s):
-        self.asked += 1
-        if self.asked in self.at or (self.forever and self.asked > self.at[0]):
+    def open(self):
+        super().open()
+        self.is_gone = False
+
+    def poll(self, timeout_s):
+        self.asked += timeout_s > 0.0  # looking whether something lies there is no waiting for a frame
+        self.is_gone |= timeout_s > 0.0 and self.asked in self.at
+        if self.is_gone or (self.forever and self.asked >= self.at[0]):
             raise CameraLost("somebody stepped on the cable")
-        return super().next_frame(timeout_s)
+        return super().poll(timeout_s)
 
     def disarm(self):
         if self.asked in self.at:
@@ -182,7 +187,7 @@ def test_camera_lost_and_back_repeats_the_step(bench_and_plan, folder, files):
 
 def test_camera_lost_for_good_ends_the_run_resumable(bench_and_plan, folder, files, monkeypatch):
     bench, plan = bench_and_plan
-    monkeypatch.setattr("daq.runner.runner.RETRY_S", 0.01)
+    monkeypatch.setattr("daq.runner.step_frames.RETRY_S", 0.01)
     with files_bench(bench, files, lambda folder: Flaky(folder, at=(6,), forever=True)) as hardware:
         with pytest.raises(CameraLost, match="stepped on the cable"):
             Runner(hardware, folder, plan.steps).run()
@@ -298,7 +303,7 @@ def test_resume_of_a_finished_run_or_with_missing_files_is_refused(bench_and_pla
         reopen(folder.path)
     (folder.path / "done.json").unlink()
     folder.frame_path(3).unlink()
-    with pytest.raises(ResumeRefused, match=r"frames \[3\] are in the journal"):
+    with pytest.raises(RunDamaged, match=r"frames/000003\.tif is missing.*--retake"):
         reopen(RunFolder.open(folder.path).path)
 
 

@@ -15,15 +15,18 @@ from pathlib import Path
 import numpy as np
 from daq.errors import DiskError
 from daq.runs.journal import Journal, read_journal
-from daq.runs.raw_frame import read_raw, write_raw
+from daq.runs.raw_frame import checksum, read_raw, write_raw
 from daq.runs.whole_text import write_json
 
 folder, frame, whole = Path(sys.argv[1]), np.full((128, 128), 7, np.uint16), 0
+places = {"planned_mm": {}, "measured_mm": {}}
+facts = {"step": 0, "tag": "t", "crc32": checksum(frame), "frame_id": 1, "sequence": 0, "timestamp_ns": 5,
+         "received_ns": 6, "exposure_us": None, "bits": 12, **places}
 journal = Journal(folder / "steps.jsonl")
 try:
     while True:
-        write_raw(folder / f"{whole}.tif", frame, {})
-        journal.append("frame", frame=whole)
+        write_raw(folder / f"{whole}.tif", frame, facts)
+        journal.append("frame", frame=whole, file=f"{whole}.tif", **facts)
         whole += 1
 except DiskError as error:
     print(error)
@@ -44,7 +47,7 @@ except DiskError as error:
     print(error)
 try:
     for _ in range(2000):
-        journal.append("note", text="x" * 1000)
+        journal.append("end", utc="now", why="x", error="x" * 1000)
 except DiskError as error:
     print(error)
 try:
@@ -52,7 +55,7 @@ try:
 finally:
     (folder / "ballast").unlink()
 again = Journal(folder / "steps.jsonl")
-again.append("session")
+again.append("session", utc="now", versions={}, steps_left=1)
 again.close()
 entries = read_journal(folder / "steps.jsonl")
 assert entries[-1]["kind"] == "session"

@@ -6,19 +6,22 @@ import re
 import numpy as np
 import pytest
 
-from correction.frame_file import write_frame
+from correction import prepared
 from correction.grid import grid_of
 from daq.cli import DONE, USAGE, main
 from daq.runs.conservation import Ledger
+from daq.runs.displacement import Displacement, write_displacements
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import scene_file
-from daq.runs.whole_text import write_json
+from daq.runs.whole_text import write_record
+from daq.verbs.evaluate import evaluate
 from sim.patterns import Chessboard, printed_particles
 from sim.renderer import render
 from sim.sensor import Sensor
 from tests.correction.small_scenes import small_scene
 from tests.daq.report.browser import measured
+from tests.daq.small_run import about_run, keep_frame, keep_step, planned
 from tracer.scene_file import dump_scene
 
 SIZE_PX = 336
@@ -29,27 +32,25 @@ def run_folder(path, name, prints, done=True):
     """A run whose frames show `prints`: (tag, view, print's name, print, reference or None)."""
     scene = small_scene("two_spheres_500", SIZE_PX)
     steps = [
-        {"index": k, "tag": tag, "first_frame": k, "frames": 1, "view": view, "shows": shows, "on_plane": True,
-         "reference": reference}
+        planned(k, tag, view, shows, reference=reference)
         for k, (tag, view, shows, _, reference) in enumerate(prints)
-    ]  # fmt: skip
-    about = {"name": name, "plan": f"experiment: {name}\n", "bench": "name: bench\n", "scene": dump_scene(scene)}
-    about |= {"square_mm": 8.0, "hashes": {"plan": "p1", "scene": scene.content_hash()}}
-    about |= {"versions": {"python": "3"}, "steps": steps, "request": {}}
+    ]
+    known = {"plan": "p1", "scene": scene.content_hash()}
+    about = about_run(steps, name=name, scene=dump_scene(scene), square_mm=8.0, disc_mm=3.2, hashes=known)
     folder = RunFolder.create(path, name, about)
     journal = Journal(folder.journal_path)
     for k, (_, view, _, print_, _) in enumerate(prints):
         seen = scene if view == "glass" else scene.with_bodies(())
         image = render(seen, print_, Sensor(), samples=3, seed=k)
-        write_frame(folder.frame_path(k), image, 1.0, {})
-        journal.append("frame", frame=k, file=f"frames/{k:06d}.tif")
-        journal.append("step", step=k)
+        keep_frame(folder, journal, k, image, step=k, tag=prints[k][0])
+        keep_step(journal, k, prints[k][0])
     journal.close()
     if done:
         books = Ledger(triggered=len(prints), written=len(prints)).to_dict()
         latency = {"p50": 12.0, "p99": 20.0}
         flow = [{"corrected_live": 1, "skipped_live": 0, "latency_ms": latency}]
-        write_json(folder.path / "done.json", {"conservation": books, "flow": flow})
+        done = {"utc": "now", "steps": len(prints), "frames": len(prints), "conservation": books, "sessions": []}
+        write_record(folder.path / "done.json", {**done, "corrected_after_the_run": 0, "flow": flow})
     return folder
 
 
@@ -66,9 +67,9 @@ def shift_run(tmp_path_factory):
         frames = [len(prints), len(prints) + 1]
         prints.append((tag.replace("_b", "_a"), view, "particles", sheet, None))
         prints.append((tag, view, "particles", moved, frames[0]))
-        found.append({"tag": tag, "frames": frames, "commanded_mm": shift, "measured_mm": shift, "true_mm": None})
+        found.append(Displacement(tag, tuple(frames), shift, shift, None))
     folder = run_folder(tmp_path_factory.mktemp("runs"), "shift", prints)
-    write_json(folder.path / "displacements.json", found)
+    write_displacements(folder, found)
     assert main(["report", str(folder.path)]) == DONE
     return folder.path
 
@@ -89,6 +90,13 @@ def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
     for name in ("vectors", "uncertainty", "errors", "intensity", "radius", "scene"):
         assert (shift_run / "report" / f"{name}.svg").is_file()
         assert (shift_run / "report" / f"{name}.png").is_file()
+
+
+def test_a_map_is_made_once_however_many_pairs_are_seen_through_it(shift_run, tmp_path, mocker):
+    traced = mocker.spy(prepared, "build_ray_map")
+    found = evaluate([shift_run], tmp_path)
+    assert [one.task.name for one in found] == ["clear_b", "glass_b", "deep_b"]
+    assert [bool(call.args[0].bodies) for call in traced.call_args_list] == [False, True]
 
 
 def test_a_phone_shows_it_without_sideways_scrolling(shift_run, tmp_path):
@@ -131,10 +139,6 @@ def test_what_is_no_run_or_holds_nothing_is_one_sentence(tmp_path, capsys):
     folder = run_folder(tmp_path, "target", [])
     assert main(["report", str(folder.path)]) == USAGE
     assert "holds no frame yet" in capsys.readouterr().err
-    (folder.path / "done.json").write_text("{")
-    (folder.path / "displacements.json").write_text("[]")
-    assert main(["report", str(folder.path)]) == USAGE
-    assert "no displacement is complete" in capsys.readouterr().err
 
 
 def test_a_run_is_shown_as_it_was_corrected(tmp_path):
@@ -146,7 +150,7 @@ def test_a_run_is_shown_as_it_was_corrected(tmp_path):
     about = folder.about
     about["request"]["scene"] = str(tmp_path / "fit.yaml")
     about["hashes"]["scene for the correction"] = fitted.content_hash()
-    write_json(folder.path / "run.json", about)
+    write_record(folder.path / "run.json", about)
     assert scene_file(folder.path, tmp_path / "out") == tmp_path / "fit.yaml"
     (tmp_path / "fit.yaml").write_text(dump_scene(fitted.with_bodies(())))
     assert scene_file(folder.path, tmp_path / "out") == tmp_path / "out" / "scene.yaml"

@@ -1,0 +1,135 @@
+"""A correction ready for frames: the scene, traced and inverted, and the dewarp, composed with it; made once.
+
+    scene -> ray map -> correction map (kept on the disk where asked) -> Corrector (with dewarp and method)
+
+Whoever corrects takes it from here: the lanes of a run, `correct`, `evaluate`, `report`, the figures of a fit.
+`PreparedCorrections` keeps the latest: what is asked for again, by what it is made of (`content_key`), is at hand.
+
+The ray map is not kept: once inverted, only the velocity route asks for it, and tracing it once more (`ray_map`)
+costs less than its 80 MB.
+"""
+
+import hashlib
+import json
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from correction.correction_map import CorrectionMap, build_correction_map
+from correction.corrector import Corrector
+from correction.dewarp import Dewarp
+from correction.resample import Method
+from tracer.errors import TracerError
+from tracer.ray_map import RayMap, build_ray_map
+from tracer.scene import Scene
+
+KEPT = 2  # through the glass and without it: 0.3 GB each at 4 million pixels
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedCorrection:
+    """What turns frames of one scene into frames without its glass.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the camera looked through.
+    corrector : Corrector
+        With the correction map and the dewarp that it was made from.
+    content_key : str
+        Of everything that the corrected pixels depend on, see `content_key`.
+    """
+
+    scene: Scene
+    corrector: Corrector
+    content_key: str
+
+    @cached_property
+    def ray_map(self) -> RayMap:
+        """Ray map of the scene (H, W), traced when it is first asked for."""
+        return build_ray_map(self.scene)
+
+
+def content_key(scene: Scene, dewarp: Dewarp | None = None, method: Method = "quintic", layers: int = 1) -> str:
+    """Hex digest (16 characters) of everything that corrected pixels depend on, but for the frame itself."""
+    tree = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
+    text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def prepare(
+    scene: Scene,
+    dewarp: Dewarp | None = None,
+    method: Method = "quintic",
+    layers: int = 1,
+    maps: Path | None = None,
+) -> PreparedCorrection:
+    """Make a correction ready.
+
+    Parameters
+    ----------
+    scene : Scene
+        As known, or as fitted.
+    dewarp : Dewarp, optional
+        Ideal pixel -> acquired pixel; without it the camera's lens terms are taken as they are.
+    method : {"quintic", "bilinear"}
+        Interpolation.
+    layers : int
+        Views joined a node; 1 takes the best.
+    maps : Path, optional
+        Folder of stored correction maps, by the hash of their scene; a map that is missing or damaged is made and
+        put there.
+
+    Raises
+    ------
+    MapUsageError
+        `layers` is not 1 to MAX_LAYERS.
+    """
+    corrector = Corrector(_map(scene, layers, maps), dewarp, method)
+    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers))
+
+
+class PreparedCorrections:
+    """The corrections used last, by what they are made of.
+
+    Parameters
+    ----------
+    maps : Path, optional
+        Folder of stored correction maps, see `prepare`.
+    kept : int
+        Corrections that stay in memory; the one not used for longest goes first.
+    """
+
+    def __init__(self, maps: Path | None = None, kept: int = KEPT) -> None:
+        self._maps, self._kept = maps, kept
+        self._latest: OrderedDict[str, PreparedCorrection] = OrderedDict()
+
+    def of(
+        self, scene: Scene, dewarp: Dewarp | None = None, method: Method = "quintic", layers: int = 1
+    ) -> PreparedCorrection:
+        """Return a correction, made now if it is not at hand; what is taken and raised is that of `prepare`."""
+        key = content_key(scene, dewarp, method, layers)
+        if key not in self._latest:
+            while len(self._latest) >= self._kept:  # before, so that memory holds no more than `kept` at any time
+                self._latest.popitem(last=False)
+            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps)
+        self._latest.move_to_end(key)
+        return self._latest[key]
+
+
+def _map(scene: Scene, layers: int, maps: Path | None) -> CorrectionMap:
+    if maps is None:
+        return build_correction_map(scene, build_ray_map(scene), layers=layers)
+    path = maps / f"{scene.content_hash()}{f'_{layers}' if layers > 1 else ''}.map"
+    if path.exists():
+        try:
+            stored = CorrectionMap.load(path)
+            stored.check(scene)
+            return stored
+        except TracerError:
+            path.unlink()  # damaged or of an older layout: made again below
+    built = build_correction_map(scene, build_ray_map(scene), layers=layers)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    built.save(path)
+    return built

@@ -1,0 +1,249 @@
+"""True clearances between camera, glass and target while they move.
+
+Camera, glass and target are carried by axes; where one element is relative to another is the sum of what their
+axes have moved since the place at which the scene file holds. For each pair of shapes the clearance (distance of
+the surfaces, negative inside) is a function of that relative place and changes by no more than the place does.
+So from one exact look a whole neighbourhood is known to be free, and the next exact look is needed only outside
+it: that is what makes watching cheap.
+
+Shapes are those of the bench file: bodies are capsules (a sphere is one without length), the camera is a capsule
+along its axis, the target a box behind z = 0. The scene is the file's: that a simulated bench is built a few
+tenths of a millimetre off it is not held against whoever works with the file.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from itertools import combinations
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from sim.witness.distances import Point, along, least, plus, segment_to_box, segment_to_segment
+from tracer.bodies import Rod, Sphere
+
+if TYPE_CHECKING:  # names alone: whoever watches without a scene does not wait for scipy and numba
+    from stages.keep_out import KeepOutTable
+    from tracer.scene import Scene
+
+ELEMENTS = ("camera", "glass", "target")
+CONTACT_MM = 0.025  # by which bodies named in `contact` may overlap the target, as docs/files.md says
+
+
+class Carried(NamedTuple):
+    """What an axis carries: element, index of the world direction, its position where the scene file holds."""
+
+    element: str
+    direction: Literal[0, 1, 2]
+    scene_at_mm: float
+
+
+class Approach(NamedTuple):
+    """Two shapes came too close."""
+
+    one: str
+    other: str
+    clearance_mm: float
+    allowed_mm: float
+
+
+class _Capsule(NamedTuple):
+    name: str
+    begin: Point
+    end: Point
+    radius_mm: float
+
+
+class _Box(NamedTuple):
+    name: str
+    low: Point
+    high: Point
+
+
+@dataclass
+class _Pair:
+    """Two shapes; `clearance_mm` takes where the first one's element is relative to the other one's."""
+
+    one: str
+    other: str
+    allowed_mm: float
+    clearance_mm: Callable[[Point], float]
+    begun_mm: float = math.inf  # clearance at the beginning of the present motion
+
+
+@dataclass
+class _Elements:
+    """All pairs of shapes of two elements, and how far these may still move relative to each other unseen."""
+
+    pairs: list[_Pair]
+    axes: dict[str, tuple[Literal[0, 1, 2], int, float]]  # direction, sense, and where the scene file holds
+    slack_mm: float
+    left_mm: float = -1.0
+    is_moving: bool = False
+
+    def place(self, at_mm: Mapping[str, float]) -> Point:
+        """Where the first element is relative to the second."""
+        place = [0.0, 0.0, 0.0]
+        for axis, (direction, sense, scene_at_mm) in self.axes.items():
+            place[direction] += sense * (at_mm[axis] - scene_at_mm)
+        return (place[0], place[1], place[2])
+
+    def look(self, place: Point) -> list[float]:
+        """Return all clearances at a place; the least of them is free way from there."""
+        clearances_mm = [pair.clearance_mm(place) for pair in self.pairs]
+        self.left_mm = min(mm - pair.allowed_mm for pair, mm in zip(self.pairs, clearances_mm, strict=True))
+        return clearances_mm
+
+    def begin(self, at_mm: Mapping[str, float]) -> None:
+        """Note what the clearances are when a motion begins; what is free need not be known closer."""
+        self.is_moving = True
+        clearances_mm = [math.inf] * len(self.pairs) if self.left_mm > 0.0 else self.look(self.place(at_mm))
+        for pair, clearance_mm in zip(self.pairs, clearances_mm, strict=True):
+            pair.begun_mm = clearance_mm
+
+
+class Clearances:
+    """Judges how elements move relative to each other.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and bodies where every axis stands at its `scene_at_mm`.
+    carried : mapping of str to Carried
+        By axis.
+    table : KeepOutTable
+        Sizes and clearance.
+    slack_mm : mapping of str to float
+        How far each axis may truly be off, by axis.
+    """
+
+    def __init__(
+        self, scene: "Scene", carried: Mapping[str, Carried], table: "KeepOutTable", slack_mm: Mapping[str, float]
+    ) -> None:
+        self._at_mm = {axis: what.scene_at_mm for axis, what in carried.items()}
+        shapes = _shapes(scene, table)
+        self._elements = []
+        for one, other in combinations(ELEMENTS, 2):
+            if shapes[one] and shapes[other]:
+                axes = {
+                    axis: (what.direction, 1 if what.element == one else -1, what.scene_at_mm)
+                    for axis, what in carried.items()
+                    if what.element in (one, other)
+                }
+                pairs = [_pair(a, b, table) for a in shapes[one] for b in shapes[other]]
+                self._elements.append(_Elements(pairs, axes, _slack(axes, slack_mm)))
+        self._of_axis = {axis: [two for two in self._elements if axis in two.axes] for axis in carried}
+
+    def put(self, axis: str, at_mm: float) -> None:
+        """Note where an axis is, without judging how it came there."""
+        for two in self._of_axis[axis]:
+            two.left_mm -= abs(at_mm - self._at_mm[axis])
+        self._at_mm[axis] = at_mm
+
+    def moved(
+        self, ends_mm: Mapping[str, float], watched: set[str], slipped_mm: Mapping[str, float]
+    ) -> list[Approach]:
+        """Judge a straight stretch of motion from where everything was; return what came too close.
+
+        Parameters
+        ----------
+        ends_mm : mapping of str to float
+            Where the axes that move come to.
+        watched : set of str
+            Those of them that have to keep clear; two elements are judged if one of these carries one of them.
+        slipped_mm : mapping of str to float
+            How far axes may be off besides, where nobody at the bench can know.
+        """
+        touched = {id(two): two for axis in ends_mm for two in self._of_axis[axis]}
+        held = []
+        for two in touched.values():
+            if watched.isdisjoint(two.axes):
+                two.is_moving = False  # what moves next begins where this has ended
+                continue
+            held.append(two)
+            if not two.is_moving:
+                two.begin(self._at_mm)
+        begin_mm = {axis: self._at_mm[axis] for axis in ends_mm}
+        for axis, at_mm in ends_mm.items():
+            self.put(axis, at_mm)
+        found: list[Approach] = []
+        for two in held:
+            if two.left_mm <= 0.0:
+                begin, end = two.place(self._at_mm | begin_mm), two.place(self._at_mm)
+                slack_mm = two.slack_mm + sum(mm for axis, mm in slipped_mm.items() if axis in two.axes)
+                found += _judged(two, begin, end, slack_mm)
+        return found
+
+    def rested(self) -> None:
+        """Note that everything is at rest: what moves next begins anew."""
+        for two in self._elements:
+            two.is_moving = False
+
+
+def _judged(elements: _Elements, begin: Point, end: Point, slack_mm: float) -> Iterator[Approach]:
+    way_mm = math.dist(begin, end)
+    for pair, end_mm in zip(elements.pairs, elements.look(end), strict=True):
+        allowed_mm = pair.allowed_mm - slack_mm
+        if pair.begun_mm < allowed_mm:  # it may not come closer still
+            allowed_mm = pair.begun_mm - slack_mm
+        if end_mm - way_mm >= allowed_mm:
+            continue
+        closest_mm = least(partial(_between, pair, begin, end))
+        if closest_mm < allowed_mm:
+            yield Approach(pair.one, pair.other, closest_mm, allowed_mm)
+
+
+def _between(pair: _Pair, begin: Point, end: Point, part: float) -> float:
+    return pair.clearance_mm(along(begin, end, part))
+
+
+def _shapes(scene: "Scene", table: "KeepOutTable") -> dict[str, list[_Capsule | _Box]]:
+    x, y, z = scene.camera.position_mm
+    fx, fy, fz = (float(component) for component in scene.camera.rotation_matrix[2])
+    ahead, behind = table.camera_ahead_mm, table.camera_behind_mm
+    camera = _Capsule(
+        "the camera",
+        (x - behind * fx, y - behind * fy, z - behind * fz),
+        (x + ahead * fx, y + ahead * fy, z + ahead * fz),
+        table.camera_radius_mm,
+    )
+    width, height, depth = table.target_size_mm
+    target = _Box("the target", (-width / 2, -height / 2, -depth), (width / 2, height / 2, 0.0))
+    glass: list[_Capsule | _Box] = []
+    for body in scene.bodies:
+        if isinstance(body, Rod):
+            glass.append(_Capsule(body.name, body.start_mm, body.end_mm, body.radius_mm))
+        elif isinstance(body, Sphere):
+            glass.append(_Capsule(body.name, body.centre_mm, body.centre_mm, body.radius_mm))
+        else:
+            raise TypeError(f"the witness knows no distances to {body!r}; teach it")
+    return {"camera": [camera], "glass": glass, "target": [target]}
+
+
+def _pair(one: _Capsule | _Box, other: _Capsule | _Box, table: "KeepOutTable") -> _Pair:
+    touches = {one.name, other.name} & set(table.contact) and isinstance(other, _Box)
+    allowed_mm = -CONTACT_MM if touches else table.clearance_mm
+    if isinstance(one, _Box):
+        raise TypeError("a box stands second in every pair")
+    if isinstance(other, _Box):
+        box = other
+
+        def to_box(place: Point) -> float:
+            apart = segment_to_box(plus(one.begin, place), plus(one.end, place), box.low, box.high)
+            return apart - one.radius_mm
+
+        return _Pair(one.name, other.name, allowed_mm, to_box)
+    capsule = other
+
+    def to_capsule(place: Point) -> float:
+        apart = segment_to_segment(plus(one.begin, place), plus(one.end, place), capsule.begin, capsule.end)
+        return apart - one.radius_mm - capsule.radius_mm
+
+    return _Pair(one.name, other.name, allowed_mm, to_capsule)
+
+
+def _slack(axes: Mapping[str, tuple[int, int, float]], slack_mm: Mapping[str, float]) -> float:
+    """What two elements may truly be off along the worst direction."""
+    along_each = [0.0, 0.0, 0.0]
+    for axis, (direction, _, _) in axes.items():
+        along_each[direction] += slack_mm[axis]
+    return max(along_each)

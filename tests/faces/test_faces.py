@@ -1,0 +1,45 @@
+"""What the packages show at their tops: light to import, every name there, every name one that people need."""
+
+import ast
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+FACES = ("tracer", "correction", "stages", "daq", "sim")
+HEAVY = ("numpy", "numba", "scipy", "cv2", "matplotlib", "pydantic", "yaml", "rich", "tifffile", "serial")
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_importing_a_package_loads_nothing_heavy(name):
+    code = f"import sys, {name}; print(*(m for m in sys.modules if m.partition('.')[0] in {(*FACES, *HEAVY)!r}))"
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == [name]
+
+
+@pytest.mark.parametrize("name", FACES)
+def test_every_name_is_there_and_documented(name):
+    face = import_module(name)
+    assert 2 <= len(face.__all__) <= 10
+    for shown in face.__all__:
+        assert getattr(face, shown).__doc__, shown
+        assert getattr(face, shown).__module__.partition(".")[0] == name
+    assert set(face.__all__) <= set(dir(face))
+
+
+def test_a_function_named_like_its_module_stays_the_function():
+    code = "import tracer, tracer.ray_path, tracer.trace; print(callable(tracer.ray_path))"
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "True"
+
+
+def test_inside_the_project_modules_are_named_in_full():
+    """A name taken from a face would hide which module needs which, and make circles."""
+    shown = {name: set(import_module(name).__all__) for name in FACES}
+    for path in (path for name in FACES for path in (ROOT / name).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module in shown:
+                assert not shown[node.module] & {alias.name for alias in node.names}, path

@@ -1,0 +1,62 @@
+"""At every place in the traffic of a move and of a reference run: what can happen there, happens."""
+
+import pytest
+
+from tests.safety.fuzz import Playground
+from tests.safety.play import Player
+from tests.safety.sequences import Command, written
+
+BEFORE = [["move", {"glass_z": 25.0}], ["move", {"glass_x": 0.0}]]  # the ball stands between target and lens
+DURING = {
+    "portal": [["move", {"camera_x": 5.0}], ["home", ["camera_x", "camera_y"]]],
+    "glass": [["move", {"glass_z": 30.0}], ["home", ["glass_z"]]],
+    "target": [["move", {"target_z": 5.0}], ["home", ["target_z"]]],
+    "rail": [["move", {"rail_z": 10.0}], ["home", ["rail_z"]]],
+}
+AFTER = [["where"], ["move", {"rail_z": -25.0}], ["move", {"target_z": 8.0}], ["clear"], ["resume", "portal"],
+         ["move", {"glass_z": 2.0}]]  # fmt: skip
+ACTIONS = [["restart", 0.0], ["restart", 0.3], ["person"], ["stop"], ["halt"], ["kill"], ["unplug"]]
+CASES = [(controller, number) for controller in DURING for number in range(2)]
+
+
+def traffic(playground, controller, do):
+    """What passes on the line of a controller during a command."""
+    player = Player(playground.bench)
+    hooks = playground.bench.lines[controller].hooks
+    for command in BEFORE:
+        player._try(command)
+    before = dict(hooks.passed)
+    player._try(do)
+    passed = {what: count - before[what] for what, count in hooks.passed.items()}
+    playground.play([])  # back to the beginning
+    return passed
+
+
+def played(playground, controller, do, what, number, action):
+    sequence = [
+        *(Command(command) for command in BEFORE),
+        Command(do, [[controller, what, number, action]]),
+        *(Command(command) for command in AFTER),
+    ]
+    findings = playground.play(sequence).findings
+    assert not findings, f"{findings[0]}  --replay '{written(sequence)}'"
+
+
+@pytest.mark.parametrize(("controller", "number"), CASES)
+def test_at_some_places(controller, number):
+    playground, do = Playground(longest_s=0), DURING[controller][number]
+    for place in (1, 3, 7, 9):
+        for action in ACTIONS:
+            played(playground, controller, do, "byte", 7 * place, action)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("controller", "number"), CASES)
+def test_at_every_place(controller, number):
+    playground, do = Playground(longest_s=0), DURING[controller][number]
+    count = traffic(playground, controller, do)
+    assert count["byte"] > 5
+    for what, most in count.items():
+        for place in range(1, most + 1, max(1, most // 50)):
+            for action in ACTIONS:
+                played(playground, controller, do, what, place, action)

@@ -1,0 +1,132 @@
+"""Some hundred random sequences every time; and without any one protection the judge must see what it prevents.
+
+`make fuzz` plays many more.
+"""
+
+import random
+
+import pytest
+
+from stages.axis import Axis
+from stages.controller import Controller
+from stages.drivers.grbl import GrblController
+from stages.drivers.isel_dnc import IselController
+from stages.drivers.pi_gcs2 import PiController
+from stages.drivers.zaber_ascii import ZaberController
+from stages.stop_latch import StopLatch
+from tests.safety.fuzz import Playground, fuzz, shortened
+from tests.safety.sequences import Command, drawn, read, written
+
+DRIVERS = (GrblController, IselController, PiController, ZaberController)
+
+
+def kinds(tally):
+    return {text.split(" of ")[0] for _, _, findings in tally.findings for text in findings}
+
+
+def quiet(text):
+    return
+
+
+def test_random_sequences_show_nothing():
+    told = []
+    tally = fuzz("fast", range(150), Playground(longest_s=0), tell=told.append)
+    assert not told, "\n".join(told)
+    assert tally.told > 2000
+    assert {
+        "done",
+        "MotionStopped",
+        "NotReferenced",
+        "Obstructed",
+        "DeviceLost",
+        "Killed",
+    } <= tally.commands.keys()
+
+
+def test_without_keep_out_things_come_too_close():
+    tally = fuzz("guard", range(200), Playground(is_guarded=False, longest_s=0), enough=3, tell=quiet)
+    assert kinds(tally) == {"keep-out"}
+    assert len(tally.findings) == 3
+
+
+def test_without_the_latch_things_move_after_stops(monkeypatch):
+    """Each stop ends what has begun, and no more."""
+    monkeypatch.setattr(StopLatch, "stop", lambda self, why="": self.halt())
+    tally = fuzz("latch", range(300), Playground(longest_s=0), enough=3, tell=quiet)
+    assert "stop" in kinds(tally)
+    assert len(tally.findings) == 3
+
+
+def test_without_asking_for_references_false_positions_are_told(monkeypatch):
+    """A box is believed until it has lost its port or said of itself that it has moved wrongly."""
+    for driver in DRIVERS:
+        monkeypatch.setattr(driver, "_still_referenced", lambda self, channel: True)
+    monkeypatch.setattr(Controller, "_forget_references", lambda self: None)
+    monkeypatch.setattr(GrblController, "_forget_references", lambda self: None)
+    tally = fuzz("reference", range(300), Playground(longest_s=0), enough=3, tell=quiet)
+    assert "told" in kinds(tally)
+
+
+def test_without_limits_axes_leave_them(monkeypatch):
+    monkeypatch.setattr(Axis, "check", lambda self, target_mm: None)
+    tally = fuzz("limits", range(300), Playground(is_guarded=False, longest_s=0), enough=6, tell=quiet)
+    assert "limit" in kinds(tally)
+
+
+class NoTurn:
+    """A lock that keeps nobody away."""
+
+    def __enter__(self):
+        return True
+
+    def __exit__(self, *args):
+        return None
+
+
+def two_at_once(rng):
+    """Moves of two threads that are harmless one by one, often enough."""
+    moves = [("target_z", 0.0, 25.0), ("glass_z", -25.0, 40.0), ("rail_z", -60.0, 30.0), ("camera_x", -30.0, 30.0)]
+    one, other, third, fourth = (["move", {axis: round(rng.uniform(low, high), 2)}] for axis, low, high in moves)
+    apart = [Command(["move", {"glass_z": rng.uniform(12.0, 40.0)}]), Command(["move", {"glass_x": 0.0}])]
+    return [*apart, Command(["beside", one, other]), Command(["beside", third, fourth])]
+
+
+@pytest.mark.parametrize("takes_turns", [True, False])
+def test_two_threads_meet_only_if_they_need_not_take_turns(takes_turns):
+    playground, rng, seen = Playground(longest_s=0), random.Random(3), []
+    for _ in range(30 if takes_turns else 150):  # what two threads meet is the machine's business
+        if not takes_turns:
+            playground.bench.stage._turn.lock = NoTurn()
+        seen += playground.play(two_at_once(rng)).findings
+        if seen:
+            break
+    assert bool(seen) is not takes_turns, seen
+
+
+def test_sequences_know_nothing_of_each_other():
+    playground, numbers = Playground(longest_s=0), range(40)
+    sequences = [
+        (number, drawn("order", number)) for number in numbers if "beside" not in written(drawn("order", number))
+    ]
+    forwards = {number: playground.play(sequence) for number, sequence in sequences}
+    backwards = {number: playground.play(sequence) for number, sequence in reversed(sequences)}
+    assert forwards == backwards
+
+
+def test_a_finding_is_shortened_to_what_shows_it():
+    playground = Playground(is_guarded=False, longest_s=0)
+    sequence = read(
+        '[[["wait",0.1],[]],[["move",{"target_z":1.0}],[]],[["where"],[]],[["clear"],[["rail","byte",3,["halt"]]]],'
+        '[["move",{"glass_x":0.0}],[["glass","answer",2,["fault","late",0.2]]]]]'
+    )
+    assert written(read(written(sequence))) == written(sequence)
+    short = shortened(playground, sequence, {"keep-out"})
+    assert written(short) == '[[["move",{"glass_x":0.0}],[]]]'
+    assert playground.play(short).findings
+
+
+@pytest.mark.slow
+def test_many_random_sequences_show_nothing():
+    told = []
+    fuzz("slow", range(3000), Playground(longest_s=0), tell=told.append)
+    assert not told, "\n".join(told)

@@ -1,0 +1,207 @@
+"""A controller that restarts, at rest or in motion, is never believed again until it has been homed."""
+
+import pytest
+
+from stages.errors import MotionStopped, NotReferenced, StageError, StageUsageError
+from stages.protocols.grbl import RESET, RESUME
+from stages.states import AxisState
+
+
+def homed(bench, driver, **changes):
+    made = bench(driver, **changes)
+    made.stage.home()
+    made.stage.move({"a": 60.0, "b": 30.0})
+    return made
+
+
+@pytest.mark.parametrize("off_s", [0.0, 0.02, 0.3, 2.0])
+def test_at_rest(bench, driver, off_s):
+    """Seen from outside only: whatever is asked first must not believe the old position."""
+    asks = {
+        "where": lambda stage: stage.where_mm()["a"],
+        "position": lambda stage: stage.axis("a").position_mm,
+        "state": lambda stage: stage.axis("a").state,
+        "move": lambda stage: stage.move({"a": 40.0}),
+        "the other axis": lambda stage: stage.move({"b": 40.0}),
+    }
+    for name, ask in asks.items():
+        made = homed(bench, driver)
+        made.line.power_cycle(off_s)
+        made.clock.sleep_s(off_s + 0.5)
+        stood_mm = made.world.true_mm("a"), made.world.true_mm("b")
+        try:
+            answer = ask(made.stage)
+        except NotReferenced:
+            answer = None
+        assert answer in (None, AxisState.UNREFERENCED), name
+        made.clock.sleep_s(5.0)
+        assert (made.world.true_mm("a"), made.world.true_mm("b")) == stood_mm, name
+        made.stage.home()
+        made.stage.move({"a": 40.0})
+        datum_mm = made.world.true_mm("a")
+        made.stage.move({"a": 50.0})
+        assert made.world.true_mm("a") - datum_mm == pytest.approx(10.0, abs=0.01), name
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.4, 2.0, 2.65, 2.7, 2.75, 2.8, 2.9, 3.0])
+def test_in_motion(bench, driver, after_s):
+    """Also between the two legs of an arrival: nothing drives on in another coordinate."""
+    made = homed(bench, driver)
+    here_mm = made.world.true_mm("a")
+    made.clock.at(made.clock.now_s() + after_s, lambda: made.line.power_cycle(0.3))
+    with pytest.raises(StageError):
+        made.stage.move({"a": 10.0})
+    rests_mm = made.world.true_mm("a")
+    assert 9.4 <= rests_mm <= here_mm + 0.1
+    made.clock.sleep_s(20.0)
+    assert made.world.true_mm("a") == rests_mm
+    assert made.stage.where_mm() == {"a": None, "b": None}
+
+
+def test_while_homing(bench, driver):
+    made = bench(driver)
+    made.clock.at(made.clock.now_s() + 0.5, lambda: made.line.power_cycle(0.3))
+    with pytest.raises(StageError):
+        made.stage.home()
+    assert made.stage.where_mm()["b"] is None
+    made.stage.home()
+    made.stage.move({"a": 50.0})
+
+
+def test_home_works_right_after_a_restart_that_nobody_noticed(bench, driver):
+    made = homed(bench, driver)
+    made.line.power_cycle(0.3)
+    made.clock.sleep_s(2.0)
+    made.stage.home()
+    assert made.stage.where_mm()["a"] is not None
+
+
+@pytest.mark.parametrize("cut", range(1, 25))
+def test_a_banner_in_two_pieces_is_a_banner(bench, cut):
+    """The first piece is read as unasked bytes, the second with the next answer; alarm and mark are mute here."""
+    made = homed(bench, "grbl")
+    made.line.emulator.settings[22] = 0  # so that it stands in Idle after the restart
+    made.controller._mark = None
+    made.line.power_cycle(0.0)
+    banner, pending = made.line.receive(), made.controller.port.pending
+    pieces = [banner[:cut], banner[cut:]]
+
+    def in_pieces():
+        return pieces.pop(0) if pieces else pending()
+
+    made.controller.port.pending = in_pieces
+    assert made.stage.where_mm() == {"a": None, "b": None}
+
+
+def test_a_board_unlocked_at_a_pendant_is_not_believed(bench):
+    """Neither banner nor alarm reach us: only the mark tells."""
+    made = homed(bench, "grbl")
+    made.line.power_cycle(0.0)
+    made.line.send(b"$X\n")
+    made.clock.sleep_s(0.5)
+    made.line.receive()
+    assert made.stage.where_mm() == {"a": None, "b": None}
+    with pytest.raises(NotReferenced):
+        made.stage.move({"a": 40.0})
+
+
+def test_what_keeps_its_reference_over_power_is_believed(bench):
+    """An absolute encoder knows where it is: homing it again would be a motion that nobody needs."""
+    made = bench("pi_gcs2", firmware={"absolute_encoders": True})
+    made.stage.home()
+    made.stage.move({"a": 60.0})
+    made.line.power_cycle(0.3)
+    made.clock.sleep_s(1.0)
+    assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)
+    made.stage.move({"a": 40.0})
+    assert made.stage.where_mm()["a"] == pytest.approx(40.0, abs=0.01)
+
+
+def test_a_person_at_the_box_stops_the_bench(bench, driver):
+    """A feed hold, a stop key, a knob: the move has ended, and nothing drives on until somebody clears it."""
+    made = homed(bench, driver)
+    made.clock.at(made.clock.now_s() + 1.0, made.line.emulator.person_stops)
+    with pytest.raises(MotionStopped):
+        made.stage.move({"a": 110.0, "b": 50.0})
+    rests_mm = made.world.true_mm("a"), made.world.true_mm("b")
+    assert rests_mm[0] < 100.0
+    for again in (
+        lambda: made.stage.move({"b": 50.0}),
+        lambda: made.stage.home(),
+        lambda: made.stage.axis("a").home(),
+    ):
+        with pytest.raises(MotionStopped, match="clear"):
+            again()
+    made.clock.sleep_s(10.0)
+    assert (made.world.true_mm("a"), made.world.true_mm("b")) == rests_mm
+
+
+def test_a_person_at_the_box_stops_a_reference_run_for_good(bench, driver):
+    """What outranks the knob in the answer must not hide it.
+
+    A Grbl board ignores a feed hold then, but not a reset.
+    """
+    made = bench(driver, sim={"power_up_mm": 100.0})
+    box = made.line.emulator
+    made.clock.at(made.clock.now_s() + 0.3, (lambda: box.button(RESET)) if driver == "grbl" else box.person_stops)
+    with pytest.raises(MotionStopped):
+        made.stage.home()
+    rests_mm = made.world.true_mm("a"), made.world.true_mm("b")
+    with pytest.raises(MotionStopped, match="clear"):
+        made.stage.home()
+    made.clock.sleep_s(10.0)
+    assert (made.world.true_mm("a"), made.world.true_mm("b")) == rests_mm
+
+
+def test_a_jog_that_a_held_board_has_not_read_never_runs(bench):
+    """Somebody holds the board just before the jog, and releases it when the program has long given up."""
+    made = bench("grbl")
+    made.stage.home()
+    made.stage.move({"a": 60.0})
+    transact = made.controller._transact
+
+    def held_before_the_jog(data, *rest, **named):
+        if data.startswith(b"$J"):
+            made.line.emulator.person_stops()
+        return transact(data, *rest, **named)
+
+    made.controller._transact = held_before_the_jog
+    rests_mm = made.world.true_mm("a")
+    with pytest.raises(MotionStopped, match="held"):
+        made.stage.move({"a": 10.0})
+    assert made.stage.held
+    made.line.emulator.button(RESUME)
+    made.clock.sleep_s(10.0)
+    assert made.world.true_mm("a") == rests_mm
+
+
+def test_a_banner_from_before_a_reference_run_does_not_leave_it_alone(bench):
+    """The board was reset a moment before $H: its banner comes while it homes, and nobody would watch it more."""
+    made = bench("grbl", sim={"power_up_mm": 100.0})
+    clear_line = made.controller._clear_line
+
+    def reset_behind_the_last_look():
+        clear_line()
+        made.line.emulator.button(RESET)
+
+    made.controller._clear_line = reset_behind_the_last_look
+    with pytest.raises(StageError):
+        made.stage.home()
+    made.controller._clear_line = clear_line
+    rests_mm = made.world.true_mm("a"), made.world.true_mm("b")
+    made.clock.sleep_s(30.0)
+    assert (made.world.true_mm("a"), made.world.true_mm("b")) == rests_mm
+
+
+def test_a_zaber_axis_that_moves_by_itself_tells_no_position(bench):
+    """A motion that a killed program has begun, or a knob: slow enough that two readings agree."""
+    made = bench("zaber_ascii")
+    made.stage.home()
+    made.stage.move({"a": 60.0})
+    made.line.send(b"/1 1 7 set maxspeed 200\n")
+    made.line.send(b"/1 1 8 move abs 30000\n")
+    made.clock.sleep_s(0.2)
+    made.line.receive()
+    assert made.stage.where_mm()["a"] is None
+    with pytest.raises(StageUsageError, match="wait until it rests"):
+        made.stage.move({"a": 30.0})

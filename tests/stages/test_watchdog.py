@@ -1,0 +1,205 @@
+"""What no handler meets: a program killed in mid-motion, judged by where the simulated carriage comes to rest."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import stages.watchdog
+from stages.watchdog import Watchdog, needs_watchdog
+from tests.stages.children import end, go, served
+
+FAR_MM = 110.0  # five seconds away
+MOVE = f"stage.move({{'a': {FAR_MM}}})"
+TELL_PID = "said(stage._watchdog.pid); "
+
+
+def moved(world, from_mm, by_mm=3.0):
+    world.wait_until(lambda: abs(world.true_mm() - from_mm) > by_mm)
+
+
+def test_killed_in_motion_the_axis_stops(driver):
+    with served(driver) as world:
+        child = world.start(MOVE)
+        begun_mm = world.true_mm()
+        go(child)
+        moved(world, begun_mm)
+        child.kill()
+        assert end(child)[0] == -signal.SIGKILL
+        assert world.rest_mm() < 60.0
+
+
+@pytest.mark.slow
+def test_without_the_watchdog_it_drives_on(driver):
+    """The judge must be able to see what the watchdog prevents."""
+    with served(driver) as world:
+        child = world.start(TELL_PID + MOVE)
+        begun_mm = world.true_mm()
+        go(child)
+        watchdog = int(child.stdout.readline())
+        moved(world, begun_mm)
+        os.kill(watchdog, signal.SIGKILL)
+        child.kill()
+        end(child)
+        assert world.rest_mm() == pytest.approx(FAR_MM, abs=1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("end_of_it", [signal.SIGSEGV, signal.SIGABRT])
+def test_other_ends_without_a_word(driver, end_of_it):
+    with served(driver) as world:
+        child = world.start(MOVE)
+        begun_mm = world.true_mm()
+        go(child)
+        moved(world, begun_mm)
+        child.send_signal(end_of_it)
+        assert child.wait(60) == -end_of_it
+        end(child)
+        assert world.rest_mm() < 60.0
+
+
+@pytest.mark.slow
+def test_killed_while_homing(driver):
+    with served(driver, home_timeout_s=300.0) as world:
+        child = world.start("said('homing'); stage.home(['a', 'b'])")
+        motor = world.world.motors["a" if driver == "grbl" else "b"]
+        begun_mm = motor.carriage_mm
+        go(child)
+        world.wait_until(lambda: world.true_mm() and abs(motor.carriage_mm - begun_mm) > 0.5)
+        child.kill()
+        end(child)
+        world.rest_mm()
+        rest_mm = motor.carriage_mm
+        time.sleep(0.5)
+        world.true_mm()
+        assert motor.carriage_mm == rest_mm
+        closed = motor.closed("low") or motor.closed("high")
+        assert not closed, "it has homed to the end"
+
+
+@pytest.mark.slow
+def test_os_exit_and_a_port_that_is_closed_in_motion(driver):
+    """Nobody says goodbye: what the books say is moving when the pipe ends is stopped."""
+    late = "import threading, os; threading.Timer(0.7, lambda: os._exit(5)).start(); " + MOVE
+    with served(driver) as world:
+        child = world.start(late)
+        go(child)
+        assert child.wait(60) == 5
+        end(child)
+        assert world.rest_mm() < 60.0
+
+
+def test_a_forked_child_that_lives_on_keeps_neither_pipe_nor_port():
+    """Its copy of the pipe's end would keep the watchdog waiting, its copy of the port the lock."""
+    fork = "import os\nif os.fork() == 0:\n    time.sleep(300.0)\n    os._exit(0)\n" + MOVE
+    with served("isel_dnc") as world:
+        child = world.start(fork, start_new_session=True)
+        begun_mm = world.true_mm()
+        go(child)
+        moved(world, begun_mm)
+        child.kill()
+        try:
+            assert child.wait(60) == -signal.SIGKILL
+            assert world.rest_mm() < 60.0
+        finally:
+            os.killpg(child.pid, signal.SIGKILL)
+            end(child)
+
+
+@pytest.mark.slow
+def test_another_program_on_the_port_does_not_keep_the_stop_away(driver):
+    """The lock is taken the moment the killed program lets go of it."""
+    import fcntl
+
+    with served(driver) as world:
+        child = world.start(MOVE)
+        begun_mm = world.true_mm()
+        descriptor = os.open(world.offered.controllers["box"].port, os.O_RDWR | os.O_NOCTTY)
+        try:
+            go(child)
+            moved(world, begun_mm)
+            child.kill()
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            end(child)
+            assert world.rest_mm() < 60.0
+        finally:
+            os.close(descriptor)
+
+
+def test_at_rest_nothing_is_said():
+    """A program killed at rest costs nobody a position: no byte is sent."""
+    with served("zaber_ascii") as world:
+        child = world.start(TELL_PID + "time.sleep(300.0)")
+        sent = []
+        line = world.world.lines["box"]
+        real = line.send
+        line.send = lambda data: (sent.append(data), real(data))
+        go(child)
+        pid = int(child.stdout.readline())
+        child.kill()
+        end(child)
+        world.wait_until(lambda: not Path(f"/proc/{pid}").exists() or "Z" in status(pid))
+        time.sleep(0.2)
+        assert sent == []
+
+
+def status(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return "Z"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_signals_pass_it_by(number):
+    watchdog = Watchdog()
+    try:
+        pid = watchdog.pid
+        time.sleep(0.5)  # its handlers are set
+        os.kill(pid, number)
+        time.sleep(0.2)
+        assert status(pid) not in ("Z", "X")
+        assert os.getsid(pid) != os.getsid(0)
+    finally:
+        watchdog.close()
+    deadline = time.monotonic() + 60.0
+    while status(pid) not in ("Z", "X"):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.slow
+def test_a_watchdog_that_was_killed_is_replaced_and_told_everything():
+    with served("pi_gcs2") as world:
+        child = world.start(TELL_PID + "sys.stdin.readline(); " + MOVE)
+        begun_mm = world.true_mm()
+        go(child)
+        os.kill(int(child.stdout.readline()), signal.SIGKILL)
+        time.sleep(0.2)
+        go(child)
+        moved(world, begun_mm)
+        child.kill()
+        end(child)
+        assert world.rest_mm() < 60.0
+
+
+def test_it_imports_nothing_heavy_and_nothing_of_ours():
+    code = (
+        "import sys, runpy; sys.argv = ['watchdog', '0']; sys.stdin.close; "
+        f"runpy.run_path({stages.watchdog.__file__!r}, run_name='looked at'); "
+        "print(sorted({name.partition('.')[0] for name in sys.modules}))"
+    )
+    said = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True).stdout
+    names = said.replace("'", '"')
+    assert not set(json.loads(names)) & {"numpy", "scipy", "numba", "pydantic", "yaml", "stages", "daq", "tracer"}
+
+
+def test_simulated_lines_of_this_process_need_none():
+    assert not needs_watchdog(["sim://box-1", "loop://"])
+    assert needs_watchdog(["sim://box-1", "/dev/ttyUSB0"])
+    assert needs_watchdog(["socket://10.0.0.7:4001"])

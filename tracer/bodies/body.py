@@ -1,0 +1,120 @@
+"""What every kind of body says of itself.
+
+Scene, files, fit, keep-out zones, renderer and benches ask a body these questions and no other: a new kind is one
+file that answers them (``docs/add-a-body.md``).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.camera import Vector3
+from tracer.config import Table
+from tracer.media import Medium
+
+
+class Capsule(NamedTuple):
+    """All points within `radius_mm` of the segment `start_mm`-`end_mm`."""
+
+    start_mm: Vector3
+    end_mm: Vector3
+    radius_mm: float
+
+    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
+        """Distance from the surface to a point (3,), negative inside."""
+        start, end = np.array(self.start_mm), np.array(self.end_mm)
+        axis = end - start
+        length2 = float(axis @ axis)
+        along = float(np.clip((point_mm - start) @ axis / length2, 0.0, 1.0)) if length2 > 0.0 else 0.0
+        return float(np.linalg.norm(point_mm - start - along * axis)) - self.radius_mm
+
+
+class BodySection(Table):
+    """A body in a scene file; each kind adds ``kind`` and its numbers."""
+
+    name: str | None = None
+    kind: str
+
+    def body(self, name: str, media: Mapping[str, Medium]) -> "Body":
+        """Return the body described.
+
+        Raises
+        ------
+        SceneError
+            It cannot be; names the part at fault, such as ``core``.
+        """
+        raise NotImplementedError
+
+
+class Body(ABC):
+    """A body: what stands before the investigation plane.  Subclasses are frozen dataclasses."""
+
+    name: str
+    kind: ClassVar[str]
+    Section: ClassVar[type[BodySection]]
+
+    @classmethod
+    def among(cls, bodies: Iterable["Body"]) -> tuple[Self, ...]:
+        """Those of some bodies that are of this kind, in order."""
+        return tuple(body for body in bodies if isinstance(body, cls))
+
+    @classmethod
+    @abstractmethod
+    def table_of(cls, bodies: Iterable[Any], index: Callable[[Medium], float]) -> Any:  # noqa: ANN401
+        """Bodies of this kind for the kernels (``tracer.kernels.world``); `index` is a medium's n / n_ambient."""
+
+    @abstractmethod
+    def section(self) -> dict[str, Any]:
+        """Return the body as a scene file has it."""
+
+    @property
+    @abstractmethod
+    def capsule(self) -> Capsule:
+        """Smallest capsule around the body."""
+
+    @abstractmethod
+    def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
+        """Return the body where a movement takes it; `to` says where it takes a point."""
+
+    @property
+    def lowest_mm(self) -> float:
+        """Smallest z of the body."""
+        return min(self.capsule.start_mm[2], self.capsule.end_mm[2]) - self.capsule.radius_mm
+
+    @property
+    def highest_mm(self) -> float:
+        """Largest z of the body."""
+        return max(self.capsule.start_mm[2], self.capsule.end_mm[2]) + self.capsule.radius_mm
+
+    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
+        """Distance from the surface to a point (3,), negative inside: that of the capsule, if need be."""
+        return self.capsule.distance_mm(point_mm)
+
+    @property
+    def media(self) -> tuple[tuple[str, Medium], ...]:
+        """Media in the body, from the outside in, with what is said of each; none in an opaque one."""
+        return ()
+
+    def with_media(self, media: Iterable[Medium]) -> Self:
+        """Return the body with other media, in the order of `media`."""
+        return self
+
+    @property
+    def event_names(self) -> tuple[str, ...]:
+        """Names of all ways through the body, as branches have them."""
+        return (self.name,)
+
+
+def shifted_by(step_mm: Iterable[float]) -> Callable[[Vector3], Vector3]:
+    """Return the movement by a vector (3,) [mm], for `Body.moved`."""
+    dx, dy, dz = (float(part) for part in step_mm)
+    return lambda point: (point[0] + dx, point[1] + dy, point[2] + dz)
+
+
+def vector3(values: Iterable[float]) -> Vector3:
+    """Three numbers as a tuple."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,230 @@
+"""What a ray can meet, as the kernels take it, and what it meets next.
+
+Spheres come first: they have a table of their own, cells to look them up (``tracer.kernels.bed``), and numbers
+from 0 up.  All other kinds of bodies stand in ``others``, one table a kind, and are asked one by one; their
+numbers go down from FIRST_OTHER, kind by kind.
+
+Which kinds a scene has is known by the TYPE of ``others``: kernels are compiled for the kinds in use, and for a
+scene of spheres ``others`` is the empty tuple, of which nothing is left in the machine code.  A kind is a
+NamedTuple class of one array ``rows`` (N, ...), with its functions in KINDS (see `Kind`, and
+``docs/add-a-body.md``).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from numba.extending import overload
+
+from tracer.kernels._jit import OVERLOADED, Array, kernel, kernel_inlined, unowned
+from tracer.kernels.bed import next_in_bed
+from tracer.kernels.branches import FIRST_OTHER, NOTHING
+from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, OPAQUE, RADIUS
+
+RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS = 0, 1, 2, 3, 4  # RayStatus, as plain integers
+
+
+class World(NamedTuple):
+    """Bodies of a scene.
+
+    Parameters
+    ----------
+    spheres : (N, 6 or more) float64
+        See ``Scene.sphere_table``.
+    frame, begin, items : (7,) float64, (C,) int32, (I,) int32
+        Grid of cells, see ``tracer.kernels.bed``; no items: every sphere is asked.
+    others : tuple of NamedTuple
+        Tables of the other kinds in use.
+    """
+
+    spheres: Array
+    frame: Array
+    begin: Array
+    items: Array
+    others: tuple[Any, ...] = ()
+
+
+class Kind(NamedTuple):
+    """What rays do with one kind of bodies; kernels, of which row is one row of the kind's table.
+
+    Parameters
+    ----------
+    meets : (px, py, pz, dx, dy, dz, row) -> float
+        Distance along the half-line p + t d to any point in the body, inf for a miss.
+    cross : (px, py, pz, dx, dy, dz, row) -> (status, px, py, pz, dx, dy, dz, path, light), optional
+        The ray behind the body, from a point that lies before all that comes later: RECOVERED if there is one,
+        else BLOCKED or TIR; optical path / n_ambient from p to p', share of the light that passes.  None: opaque.
+    rates : (px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row) -> six floats, optional
+        Derivatives of p' and d' when p changes by f and d by u.
+    """
+
+    meets: Callable[..., float]
+    cross: Callable[..., tuple[float, ...]] | None = None
+    rates: Callable[..., tuple[float, ...]] | None = None
+
+
+KINDS: dict[type, Kind] = {}
+
+
+@kernel_inlined
+def unowned_world(world: World) -> World:
+    """Return a world whose arrays do not count references; see `unowned`."""
+    return World(
+        unowned(world.spheres), unowned(world.frame), unowned(world.begin), unowned(world.items), world.others
+    )
+
+
+@kernel
+def next_sphere(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, spheres: Array
+) -> tuple[int, float]:
+    """Number of the sphere met next, or NOTHING, and the distance to its foot point."""
+    best = NOTHING
+    nearest = math.inf
+    for i in range(spheres.shape[0]):
+        if i != last:
+            wx, wy, wz = px - spheres[i, CENTRE_X], py - spheres[i, CENTRE_Y], pz - spheres[i, CENTRE_Z]
+            m = -(wx * dx + wy * dy + wz * dz)
+            if 0.0 < m < nearest:
+                ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
+                if ax * ax + ay * ay + az * az < spheres[i, RADIUS] * spheres[i, RADIUS]:
+                    best, nearest = i, m
+    return best, nearest
+
+
+@kernel_inlined
+def next_body(px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, world: World) -> int:
+    """Number of the body met next, or NOTHING; the half-line starts at p and body `last` is excluded."""
+    if world.items.shape[0] > 0:
+        best, nearest = next_in_bed(
+            px, py, pz, dx, dy, dz, last, world.spheres, world.frame, world.begin, world.items
+        )
+    else:
+        best, nearest = next_sphere(px, py, pz, dx, dy, dz, last, world.spheres)
+    if len(world.others) > 0:
+        best = meet_others(px, py, pz, dx, dy, dz, last, best, nearest, FIRST_OTHER, world.others)
+    return best
+
+
+@kernel_inlined
+def stops(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, body: int, world: World
+) -> bool:  # fmt: skip
+    """Whether a ray from p along d ends at the body that it meets."""
+    if len(world.others) > 0 and body < NOTHING:
+        return cross_other(px, py, pz, dx, dy, dz, body, world.others)[0] == BLOCKED
+    return bool(world.spheres[body, OPAQUE] != 0.0)
+
+
+def meet_others(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
+    last: int, best: int, nearest: float, number: int, others: tuple[Any, ...],
+) -> int:  # fmt: skip
+    """Number of the other body met before `nearest`, else `best`; `number` is that of the first one."""
+    for table in others:
+        for row in table.rows:
+            if number != last:
+                t = KINDS[type(table)].meets(px, py, pz, dx, dy, dz, row)
+                if t < nearest:
+                    best, nearest = number, t
+            number -= 1
+    return best
+
+
+def cross_other(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, number: int, others: tuple[Any, ...]
+) -> tuple[float, ...]:
+    """Take a ray through another body, as `Kind.cross`; `number` counts from FIRST_OTHER down."""
+    for table in others:
+        if FIRST_OTHER - number < len(table.rows):
+            cross = KINDS[type(table)].cross or stopped
+            return cross(px, py, pz, dx, dy, dz, table.rows[FIRST_OTHER - number])
+        number += len(table.rows)
+    return stopped(px, py, pz, dx, dy, dz)
+
+
+def rates_other(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
+    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, number: int, others: tuple[Any, ...],
+) -> tuple[float, ...]:  # fmt: skip
+    """Derivatives of a ray behind another body, as `Kind.rates`."""
+    for table in others:
+        if FIRST_OTHER - number < len(table.rows):
+            rates = KINDS[type(table)].rates or held
+            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, table.rows[FIRST_OTHER - number])
+        number += len(table.rows)
+    return fx, fy, fz, ux, uy, uz
+
+
+@kernel
+def stopped(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array | None = None
+) -> tuple[int, float, float, float, float, float, float, float, float]:
+    """Stop a ray: `Kind.cross` of an opaque body."""
+    return BLOCKED, px, py, pz, dx, dy, dz, 0.0, 0.0
+
+
+@kernel
+def held(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float,
+    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array,
+) -> tuple[float, ...]:  # fmt: skip
+    """`Kind.rates` of an opaque body, which nobody asks for."""
+    return fx, fy, fz, ux, uy, uz
+
+
+def _kind(others: Any) -> Kind | None:  # noqa: ANN401
+    """Functions of the first of some tables, given by their type; None for no tables."""
+    return KINDS[others.types[0].instance_class] if len(others) else None
+
+
+@overload(meet_others, jit_options=OVERLOADED)
+def _meet_others(px, py, pz, dx, dy, dz, last, best, nearest, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    kind = _kind(others)
+    if kind is None:
+        return lambda px, py, pz, dx, dy, dz, last, best, nearest, number, others: best
+    meets = kind.meets
+
+    def first_and_rest(px, py, pz, dx, dy, dz, last, best, nearest, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+        rows = others[0].rows
+        for i in range(rows.shape[0]):
+            if number - i != last:
+                t = meets(px, py, pz, dx, dy, dz, rows[i])
+                if t < nearest:
+                    best, nearest = number - i, t
+        return meet_others(px, py, pz, dx, dy, dz, last, best, nearest, number - rows.shape[0], others[1:])
+
+    return first_and_rest
+
+
+@overload(cross_other, jit_options=OVERLOADED)
+def _cross_other(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    kind = _kind(others)
+    if kind is None:
+        return lambda px, py, pz, dx, dy, dz, number, others: stopped(px, py, pz, dx, dy, dz)
+    cross = kind.cross or stopped
+
+    def first_or_rest(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+        rows = others[0].rows
+        if FIRST_OTHER - number < rows.shape[0]:
+            return cross(px, py, pz, dx, dy, dz, rows[FIRST_OTHER - number])
+        return cross_other(px, py, pz, dx, dy, dz, number + rows.shape[0], others[1:])
+
+    return first_or_rest
+
+
+@overload(rates_other, jit_options=OVERLOADED)
+def _rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    kind = _kind(others)
+    if kind is None:
+        return lambda px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others: (fx, fy, fz, ux, uy, uz)
+    rates = kind.rates or held
+
+    def first_or_rest(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+        rows = others[0].rows
+        if FIRST_OTHER - number < rows.shape[0]:
+            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, rows[FIRST_OTHER - number])
+        rest = others[1:]
+        return rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number + rows.shape[0], rest)
+
+    return first_or_rest
