@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from rich.table import Table
-
 from daq.errors import RunDamaged
 from daq.runs.run_check import RunCheck, check_run
 from daq.terminal import console, progress
@@ -31,12 +29,10 @@ def check(runs: list[Path]) -> list[RunCheck]:
     checks = []
     for path in runs:
         found = check_run(path, progress)
-        table = Table(title=str(path))
-        for name in ("part", "sound", "what there is to say"):
-            table.add_column(name)
+        screen.print(path, soft_wrap=True)  # as all lines here: whoever copies a path wants it in one piece
         for finding in found.findings:
-            table.add_row(finding.part, "yes" if finding.sound else "NO", finding.said)
-        screen.print(table)
+            sound = "ok " if finding.sound else "BAD"
+            screen.print(f"  {finding.part:<13} {sound}  {finding.said}", soft_wrap=True)
         checks.append(found)
     bad = [found for found in checks if not found.is_sound]
     if bad:

@@ -108,7 +108,7 @@ class GrblController(Controller):
                 return self._homing_goes_on()
             self._raise_alarm()
             status = self._repeated(self._status)
-            if status.state in ("Run", "Jog", "Home") or (status.state == "Hold" and status.substate == 1):
+            if _drives(status):
                 return True
             if status.state == "Alarm":
                 self._alarm = self._alarm or 0
@@ -134,6 +134,8 @@ class GrblController(Controller):
 
         def ask() -> tuple[float, bool]:
             status = self._status()
+            if _drives(status):  # by a pendant or another program: two readings may agree by chance
+                raise StageUsageError(f"{self.name} moves; wait until it rests")
             return status.position_mm[index], status.state == "Alarm"
 
         place_mm, locked = self._settled(channel, ask)
@@ -400,3 +402,8 @@ class GrblController(Controller):
 
 def _banner(answer: object) -> bool | None:
     return True if isinstance(answer, grbl.Banner) else None
+
+
+def _drives(status: grbl.Status) -> bool:
+    """Whether the board moves now; held, it brakes still under substate 1."""
+    return status.state in ("Run", "Jog", "Home") or (status.state == "Hold" and status.substate == 1)

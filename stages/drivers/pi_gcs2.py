@@ -82,8 +82,14 @@ class PiController(Controller):
         return False
 
     def position_mm(self, channel: str) -> float:
-        """Position in mm, read until two readings agree within the noise of an encoder."""
-        return self._settled(channel, lambda: self._value("POS?", channel), lambda a, b: abs(a - b) <= NOISE_MM)
+        """Position in mm of an axis that rests, read until two readings agree within the noise of an encoder."""
+
+        def ask() -> float:
+            if self._moves(channel):  # by a joystick or another program: two readings may agree by chance
+                raise StageUsageError(f"{self.name} axis {channel} moves; wait until it rests")
+            return self._value("POS?", channel)
+
+        return self._settled(channel, ask, lambda a, b: abs(a - b) <= NOISE_MM)
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Nothing to check: the controller refuses what it cannot do, with error 8."""
