@@ -26,8 +26,10 @@ from stages.stop_latch import StopLatch
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
-if hasattr(signal, "SIGHUP"):  # tests started under nohup, as CI may be: programs inherit what is ignored
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+# Under nohup or in the background of a script, as CI may be: programs inherit what is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for name in {"SIGHUP", "SIGQUIT", "SIGTSTP"} & set(dir(signal)):
+    signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 
 class Watch:

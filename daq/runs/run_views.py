@@ -1,10 +1,12 @@
 """What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view."""
 
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
+from typing import Literal, TypeVar
 
 from daq.bench.bench_file import TARGET, BenchTable
 from daq.errors import RunDamaged
@@ -15,6 +17,8 @@ from daq.runs.whole_text import write_text
 from tracer.config import read
 from tracer.errors import ConfigError, TracerError
 from tracer.scene_file import load_scene
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,24 @@ def is_run(path: Path) -> bool:
 def bench_scene(path: Path) -> str:
     """Text of the bench's scene file as it was when a run began."""
     return RunFolder.open(path).about["scene"]
+
+
+def load_kept(folder: RunFolder, what: Literal["bench", "scene"], load: Callable[[Path], T]) -> T:
+    """Load the text of a file that the run keeps in its record.
+
+    Raises
+    ------
+    RunDamaged
+        It was loaded when the run began, and cannot be any more.
+    """
+    with TemporaryDirectory() as place:
+        own = Path(place) / f"{what}.yaml"
+        write_text(own, folder.about[what])
+        try:
+            return load(own)
+        except ConfigError as error:
+            problem = error.problems[0].text
+            raise RunDamaged(f"{folder.path / FILE}: its {what} cannot be read: {problem}; {CURE}") from None
 
 
 def scene_file(path: Path, out: Path) -> Path:
@@ -122,11 +144,4 @@ def _files(folder: RunFolder) -> dict[int, Path]:
 
 def _bench_table(folder: RunFolder) -> BenchTable:
     """Bench file of a run as it was when the run began."""
-    with TemporaryDirectory() as place:
-        own = Path(place) / "bench.yaml"
-        write_text(own, folder.about["bench"])
-        try:
-            return read(own, BenchTable)
-        except ConfigError as error:
-            problem = error.problems[0].text
-            raise RunDamaged(f"{folder.path / FILE}: its bench cannot be read: {problem}; {CURE}") from None
+    return load_kept(folder, "bench", lambda file: read(file, BenchTable))

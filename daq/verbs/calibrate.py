@@ -3,7 +3,6 @@
 import re
 import time
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from correction.fit.errors import ViewsMissing
 from correction.fit.fit_file import save_fit
@@ -16,7 +15,8 @@ from daq.calibration import calibration_of
 from daq.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
 from daq.runs.acquired import read_acquired
 from daq.runs.board import board_of
-from daq.runs.run_views import TargetView, bench_scene, is_run, target_views
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import TargetView, is_run, load_kept, target_views
 from daq.runs.whole_text import write_json, write_text
 from daq.terminal import console, error_console
 from tracer.fit_section import FitTable
@@ -92,15 +92,14 @@ def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
     ------
     ViewsMissing
         No scene is given, and the folder is no run.
+    RunDamaged
+        The scene that the run keeps cannot be read any more.
     """
     if scene is not None:
         return load_scene(scene), load_priors(scene)
     if not is_run(folder):
         raise ViewsMissing(f"{folder}: is no run, which would know its scene; give the nominal one with --scene")
-    with TemporaryDirectory() as place:
-        own = Path(place) / "scene.yaml"
-        write_text(own, bench_scene(folder))
-        return load_scene(own), load_priors(own)
+    return load_kept(RunFolder.open(folder), "scene", lambda file: (load_scene(file), load_priors(file)))
 
 
 def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
