@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.formulas import plane_point
 from benchmarks.scenes import bench_scene
-from tracer.rows import thread_count
+from ground.rows import thread_count
 from tracer.scene import Scene
 
 Tasks = dict[str, Callable[[], Any]]
@@ -53,10 +53,10 @@ def ours(scene: Scene) -> Tasks:
 
 def march(scene: Scene) -> Tasks:
     """Our tracer ray by ray, every body asked at every step."""
+    from ground.rows import run_rows
     from tracer.cells import NO_CELLS
     from tracer.kernels.maps import trace_rows
     from tracer.kernels.world import World
-    from tracer.rows import run_rows
     from tracer.trace import pack_camera
 
     height, width = scene.camera.shape

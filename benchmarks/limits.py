@@ -6,8 +6,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import run_rows
 from tracer.ray_map import build_ray_map
-from tracer.rows import run_rows
 from tracer.scene import Scene
 
 REPEATS = 15

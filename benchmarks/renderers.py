@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.rows import thread_count
+from ground.rows import thread_count
 from tracer.scene import Scene
 
 SAMPLE = 20_000  # pixels a round of a renderer that traces one ray at a time in Python

@@ -22,8 +22,8 @@ from benchmarks.scenes import bench_scene
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector, to_uint16
 from correction.resample import Method, prefilter
+from ground.rows import thread_count
 from tracer.ray_map import build_ray_map
-from tracer.rows import thread_count
 
 METHODS: tuple[Method, ...] = ("quintic", "bilinear")
 SLOW = ("SciPy order 5",)

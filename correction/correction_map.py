@@ -34,9 +34,9 @@ from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
 from correction.inversion import Inversion
 from correction.node_status import NodeStatus
+from ground.errors import MapFileError
+from ground.map_file import load_arrays, save_arrays
 from tracer.branches import Branch, Numbers
-from tracer.errors import MapFileError
-from tracer.map_file import load_arrays, save_arrays
 from tracer.ray_map import RayMap
 from tracer.scene import Scene, SceneBound
 

@@ -26,7 +26,7 @@ from correction.kernels.lanes import TAPS, WIDE
 from correction.kernels.store import to_offset_uint16
 from correction.node_status import NodeStatus
 from correction.resample import Method, checked_frame, filter_tiles, tile_grid
-from tracer.rows import run_rows
+from ground.rows import run_rows
 
 UINT16_OFFSET = 1024  # room for the negative lobes beside bright particles: clipping them shifts centroids
 NEGLIGIBLE_PX = 1e-3  # a tenth of what calibrated glass is good for

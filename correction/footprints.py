@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from correction.kernels.footprint import SPAN, lay_rows, mark_tiles
 from correction.kernels.lanes import TAPS, WIDE
 from correction.resample import TILE, tile_grid
-from tracer.rows import run_rows
+from ground.rows import run_rows
 
 
 @dataclass(frozen=True)

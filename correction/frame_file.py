@@ -23,7 +23,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from correction.errors import FrameDamaged, FrameError
-from tracer.whole_file import whole_file
+from ground.whole_file import whole_file
 
 TIFF_ENDINGS = (".tif", ".tiff")
 FRAME_ENDINGS = (*TIFF_ENDINGS, ".png", ".bmp")

@@ -20,13 +20,13 @@ from correction.kernels.inverse import join_weights
 from correction.kernels.newton import GROUP, NEWTON_NUMBERS
 from correction.kernels.views import solve_nodes
 from correction.sheets import Sheet, Sheets, Starts
+from ground.rows import run_parts, run_rows
 from tracer.branches import chain_trip, event_numbers, key_of
 from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import BALL
 from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
 from tracer.ray_map import RayMap
-from tracer.rows import run_parts, run_rows
 from tracer.scene import Scene
 from tracer.trace import pack_camera
 

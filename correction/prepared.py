@@ -20,6 +20,7 @@ from correction.correction_map import CorrectionMap, build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp
 from correction.resample import Method
+from ground.errors import GroundError
 from tracer.errors import TracerError
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
@@ -127,7 +128,7 @@ def _map(scene: Scene, layers: int, maps: Path | None) -> CorrectionMap:
             stored = CorrectionMap.load(path)
             stored.check(scene)
             return stored
-        except TracerError:
+        except (GroundError, TracerError):
             path.unlink()  # damaged or of an older layout: made again below
     built = build_correction_map(scene, build_ray_map(scene), layers=layers)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from correction.errors import FrameError
 from correction.kernels.bspline import sample_bilinear, sample_quintic
 from correction.kernels.prefilter import REACH, SPREAD, filter_tile
-from tracer.rows import run_rows
+from ground.rows import run_rows
 
 Method = Literal["bilinear", "quintic"]
 FRAME_TYPES = (np.uint8, np.uint16, np.float32)

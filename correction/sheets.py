@@ -15,8 +15,8 @@ from correction.grid import PlaneGrid
 from correction.kernels.inverse import Tables
 from correction.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
 from correction.kernels.starts import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
+from ground.rows import run_rows
 from tracer.ray_map import RayMap
-from tracer.rows import run_rows
 
 Starts = tuple[NDArray[np.float64], NDArray[np.int32]]  # (N, 4) and (N, 2), see `scatter_sheet`
 LAST_STAMP = np.iinfo(np.uint8).max

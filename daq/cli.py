@@ -236,6 +236,7 @@ def _exit_code(error: Exception) -> int | None:
     """Exit code of an error that a person can cure; None for a bug."""
     from correction.errors import CorrectionError, FrameDamaged
     from daq.errors import CameraUsageError, DaqError, RunInterrupted, RunUsageError
+    from ground.errors import GroundError
     from stages.errors import StageError, StageUsageError
     from tracer.errors import TracerError
 
@@ -243,7 +244,8 @@ def _exit_code(error: Exception) -> int | None:
         return INTERRUPTED
     if isinstance(error, FrameDamaged):
         return DEVICE
-    if isinstance(error, TracerError | CorrectionError | RunUsageError | StageUsageError | CameraUsageError):
+    usage = GroundError | TracerError | CorrectionError | RunUsageError | StageUsageError | CameraUsageError
+    if isinstance(error, usage):
         return USAGE
     if isinstance(error, DaqError | StageError):
         return DEVICE

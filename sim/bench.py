@@ -35,6 +35,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from daq.bench.bench_file import Bench, CameraSection
+from ground.config import Document, Table, validate
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
 from sim.camera.gentl import write_producer
@@ -49,7 +50,6 @@ from sim.sensor import Sensor
 from sim.stages import ScrewTable, SimulatedStages
 from stages.config import Name
 from tracer.bodies import shifted_by
-from tracer.config import Document, Table, validate
 from tracer.errors import SceneError
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene

@@ -21,13 +21,13 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from ground.whole_file import whole_file
 from sim.demo_scenes import BARREL_35MM, at_size, misaligned, named_scene
 from sim.patterns import Chessboard, ParticleSheet, Pattern, Pose, placed, printed_particles
 from sim.renderer import render
 from sim.sensor import Sensor
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_scene
-from tracer.whole_file import whole_file
 
 SHIFT_PX = 14.0
 CLEAR_STACK_MM = (-20.0, -10.0, 10.0, 20.0)

@@ -14,13 +14,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import run_rows
 from sim.patterns import Pattern
 from sim.rays import trace_pixels, weighted_mean
 from sim.sensor import Sensor
 from sim.surfaces import SOLID
 from tracer.bodies import Body, Rod, Sphere
 from tracer.errors import SceneError
-from tracer.rows import run_rows
 from tracer.scene import CONTACT_TOL_MM, Scene
 
 BLOCK_ROWS = 4

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from ground.config import Table
 from sim.emulators import emulator_class
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
@@ -24,7 +25,6 @@ from sim.faults_serial import FaultSchedule
 from sim.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.config import Positive, StagesTable
-from tracer.config import Table
 
 
 class ScrewTable(Table):

@@ -29,7 +29,7 @@ A controller with an `identity` is used only if what answers at every connect sa
 on swapped cables are refused before anything moves. `after_home` is carried out whenever all axes have been homed;
 its moves are judged as every move, so what stands too close already may move away and not come closer.
 
-Embed `StagesTable` in the table of a larger file; `validate` of `tracer.config` then reports every problem with
+Embed `StagesTable` in the table of a larger file; `validate` of `ground.config` then reports every problem with
 its line.
 """
 
@@ -37,11 +37,11 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from ground.config import Pair, Table
 from stages.axis_settings import AxisSettings
 from stages.drivers import driver_class
 from stages.errors import StageUsageError
 from stages.profile import Approach
-from tracer.config import Pair, Table
 
 Positive = Annotated[float, Field(gt=0.0, le=1e7)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]

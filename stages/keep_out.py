@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import lsq_linear
 
+from ground.config import Table
 from stages.errors import Obstructed, StageUsageError
 from stages.stage import Piece
-from tracer.config import Table
 from tracer.scene import Scene
 
 CONTACT_MM = 0.025

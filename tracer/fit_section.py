@@ -20,7 +20,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from tracer.config import Table
+from ground.config import Table
 from tracer.media import VISIBLE_NM
 
 Sigma = Annotated[float, Field(ge=0.0, le=1e6)]

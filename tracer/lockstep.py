@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.rows import run_rows
 from tracer.bodies import Sphere
 from tracer.branches import Branch, Numbers, chain, chain_branches, mirrored_numbers, number_in
 from tracer.kernels.branches import UNKNOWN
@@ -29,7 +30,6 @@ from tracer.kernels.chain import (
 )
 from tracer.kernels.sensor import sensor_rows
 from tracer.kernels.sphere import SOLID
-from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.trace import pack_camera, trace
 

@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
+from ground.config import Table
 from tracer.camera import LONGEST_MM
-from tracer.config import Table
 from tracer.errors import SceneError
 from tracer.media import MEDIA, AirMedium, ConstantMedium, Medium, SellmeierMedium, ShiftedMedium
 

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.errors import MapFileError
+from ground.map_file import load_arrays, save_arrays
+from ground.rows import run_rows
 from tracer.branches import Branch, Numbers, number_keys
 from tracer.cells import world_of
-from tracer.errors import MapFileError
 from tracer.kernels.maps import trace_rows
 from tracer.lockstep import fits_lockstep, trace_lockstep
-from tracer.map_file import load_arrays, save_arrays
-from tracer.rows import run_rows
 from tracer.scene import Scene, SceneBound
 from tracer.status import RayStatus
 from tracer.trace import pack_camera

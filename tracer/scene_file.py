@@ -30,9 +30,10 @@ from pathlib import Path
 
 import yaml
 
+from ground.config import Document, load_yaml, validate
+from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
-from tracer.config import Document, load_yaml, validate
-from tracer.errors import ConfigError, Problem, SceneError
+from tracer.errors import SceneError
 from tracer.fit_section import FitTable
 from tracer.media import MEDIA, Medium
 from tracer.medium_table import medium_of, written

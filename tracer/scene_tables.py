@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Union
 import numpy as np
 from pydantic import Field, model_validator
 
+from ground.config import Pair, Table, Triple
 from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
-from tracer.config import Pair, Table, Triple
 from tracer.fit_section import FitTable
 from tracer.medium_table import MediumTable, Positive
 

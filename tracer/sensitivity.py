@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ground.rows import run_rows
 from tracer.camera import Camera
 from tracer.cells import world_of
 from tracer.kernels.adjoint import STATE
 from tracer.kernels.landing import trace_landings
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import World
-from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.status import RayStatus
 from tracer.trace import pack_camera

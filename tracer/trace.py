@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ground.rows import run_rows
 from tracer.branches import Branch, name_keys
 from tracer.camera import Camera
 from tracer.cells import world_of
 from tracer.kernels.maps import trace_rays
-from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.status import RayStatus
 

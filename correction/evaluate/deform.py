@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from correction.evaluate.windows import WindowGrid, around, interpolated
 from correction.kernels.piv_deform import deform_rows
-from tracer.rows import run_rows
+from ground.rows import run_rows
 
 
 class DeformedPair(NamedTuple):

@@ -28,7 +28,7 @@ from correction.evaluate.deform import DeformedPair
 from correction.evaluate.windows import WindowGrid
 from correction.kernels.piv_statistics import REACH, window_sigma
 from correction.kernels.piv_windows import cut_windows
-from tracer.rows import run_rows
+from ground.rows import run_rows
 
 
 def correlation_statistics(

@@ -29,7 +29,7 @@ from correction.evaluate.vector_field import VectorField, VectorFlag
 from correction.evaluate.vector_map_sigma import VectorMapSigma
 from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
-from tracer.whole_file import whole_file
+from ground.whole_file import whole_file
 
 SCHEMA = 1
 PLACES = ("x", "y", "map_sigma_x", "map_sigma_y")

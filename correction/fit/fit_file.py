@@ -10,7 +10,7 @@ import numpy as np
 
 from correction.fit.result import SceneFit
 from correction.fit.scene_sigma import KIND, SceneSigma
-from tracer.map_file import save_arrays
+from ground.map_file import save_arrays
 
 
 def save_fit(path: Path | str, fit: SceneFit) -> None:

@@ -19,8 +19,8 @@ from correction.correction_map import CorrectionMap, build_correction_map
 from correction.fit.result import SceneFit
 from correction.fit.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
-from tracer.errors import MapFileError
-from tracer.map_file import load_arrays, save_arrays
+from ground.errors import MapFileError
+from ground.map_file import load_arrays, save_arrays
 from tracer.ray_map import build_ray_map
 
 KIND = "map sigma"

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from correction.fit.result import SceneFit
 from correction.fit.unknowns import left_jacobian
-from tracer.errors import MapFileError, StaleMap
-from tracer.map_file import load_arrays
+from ground.errors import MapFileError
+from ground.map_file import load_arrays
+from tracer.errors import StaleMap
 from tracer.scene import Scene, SceneBound
 from tracer.sensitivity import CAMERA, TARGET, landings
 

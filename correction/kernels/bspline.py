@@ -13,7 +13,7 @@ import numpy as np
 
 from correction.kernels.lanes import WIDE, footprint_sum
 from correction.kernels.prefilter import mirrored
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 INDEX = 0x7FFFFFFF  # i & INDEX tells the compiler that i >= 0, which spares the test for negative indices
 _BEHIND = WIDE - 3  # columns from a position's pixel on that a row of its footprint is read over

@@ -2,7 +2,7 @@
 
 from math import sqrt
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 
 @kernel

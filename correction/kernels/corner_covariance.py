@@ -14,7 +14,7 @@ white, as a camera's, 1.3 sigma in noise blurred by 0.5 px.
 
 from correction.kernels.cholesky import factorise, solve
 from correction.kernels.corner_model import FREE, gradient, set_turn
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 BLOCK = 2  # block of pixels taken as correlated [px]
 

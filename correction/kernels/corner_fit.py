@@ -22,7 +22,7 @@ from correction.kernels.corner_model import (
     set_turn,
     start_levels,
 )
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 SETTLED_PX = 5e-4  # a step that no longer matters
 TOLERANCE_RATIO = 2.0  # relative gain in the squares that belongs to a step of 1 px

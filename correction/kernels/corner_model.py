@@ -28,7 +28,7 @@ from math import cos, erf, exp, sin
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 FREE = 13  # px, py, angle 1, angle 2, curvature 1, 2, blur 1, 2, A, B, slope u, slope v, edge shape
 SIDE = 121  # largest bounding box of a window [px]

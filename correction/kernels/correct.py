@@ -9,7 +9,7 @@ import numpy as np
 from correction.kernels.bspline import weight_inner, weight_middle, weight_outer
 from correction.kernels.footprint import ADDS, COLUMN, FIRST, FRACTIONS, NODES, SAMPLES
 from correction.kernels.lanes import copy_pair, footprint_sum
-from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined, unowned
 
 CHUNK = 256  # samples at a time; a node has no more
 WEIGHTS = 7  # lines of scratch for the spline: the fraction along a row, the weights of six rows

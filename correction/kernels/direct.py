@@ -10,7 +10,7 @@ import numpy as np
 
 from correction.kernels.inverse import Tables
 from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
-from tracer.kernels._jit import Array, kernel, unowned
+from ground.jit import Array, kernel, unowned
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.camera import undistorted
 from tracer.kernels.chain import (

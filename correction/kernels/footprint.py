@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 MAX_SAMPLES = 16  # a side; the largest magnification that a correction map keeps
 FRACTIONS = 65535  # steps a pixel: both ends of a pixel's side are among them

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from correction.node_status import RECOVERED
-from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED as TRACED
 from tracer.kernels.world import World, unowned_world

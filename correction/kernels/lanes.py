@@ -21,7 +21,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic, overload
 
-from tracer.kernels._jit import Array
+from ground.jit import Array
 
 Code = Any  # a type of numba, a value of LLVM, or who writes them
 

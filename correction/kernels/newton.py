@@ -16,7 +16,7 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 
 import math
 
-from tracer.kernels._jit import Array, kernel, kernel_inlined
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import undistorted, unit_tangent
 from tracer.kernels.sphere import foot, foot_tangent, turned, turned_tangent
 

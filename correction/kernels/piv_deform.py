@@ -12,7 +12,7 @@ for 8 or 16 pixels at once, several times faster than point by point and with th
 import numpy as np
 
 from correction.kernels.bspline import quintic_at, weight_inner, weight_middle, weight_outer
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 _ONE = np.float32(1.0)
 

@@ -16,7 +16,7 @@ leaves frequencies in bit-reversed order and the inverse takes them so: nobody s
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 LANES = 16
 BLOCK = 2 * LANES  # floats: real and imaginary parts of one element of 16 windows

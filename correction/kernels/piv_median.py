@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 
 @kernel

@@ -5,7 +5,7 @@ See `correction.evaluate.uncertainty` for the method; here are its sums for one 
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 REACH = 4  # px; covariances are looked for within +-4
 FALLEN = 0.05  # of the variance: the ring at which the covariance has died out

@@ -7,7 +7,7 @@ them exact to float32 and lets them share vector registers.
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 INF = np.float32(np.inf)
 NAN = np.float32(np.nan)

@@ -23,7 +23,7 @@ whoever computes it and whenever, and tiles that nobody reads need no work.
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel, unowned
+from ground.jit import Array, kernel, unowned
 
 Z_1, Z_2 = -0.43057534709997814, -0.04309628820326465
 REACH = 24  # rows of margin above and below: 0.43^24 = 2e-9

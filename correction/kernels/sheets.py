@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from correction.kernels.inverse import Tables, stretch
-from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED
 

@@ -20,7 +20,7 @@ import numpy as np
 from correction.kernels.bspline import INDEX
 from correction.kernels.inverse import TOLERANCE_PX, Tables, inverse_2x2, unowned_tables
 from correction.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
-from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
 
 REACH, WHOLE = 0.7, 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 LARGEST = np.float32(65535.0)
 ZERO, ONE = np.float32(0.0), np.float32(1.0)

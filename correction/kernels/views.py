@@ -26,7 +26,7 @@ from correction.kernels.newton import (
     solve_block,
 )
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
-from tracer.kernels._jit import Array, kernel, kernel_inlined, unowned
+from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.camera import undistorted
 from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
 from tracer.kernels.march import march_pixel_tangents

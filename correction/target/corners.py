@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from correction.errors import FrameError
 from correction.kernels import corner_fit, corner_model
 from correction.resample import checked_frame
-from tracer.rows import run_rows
+from ground.rows import run_rows
 
 WINDOW = 0.45  # half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
 ARM = 0.15  # half width of the arms in squares, clear of discs of up to half a square

@@ -20,7 +20,7 @@ import yaml
 
 from daq.errors import RunUsageError
 from daq.runs.whole_text import write_text
-from tracer.config import load_yaml
+from ground.config import load_yaml
 
 Place = tuple[str, ...]
 Value = float | str

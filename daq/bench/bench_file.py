@@ -32,10 +32,10 @@ from pydantic import Field, model_validator
 
 from correction.target import Chessboard
 from daq.cameras.camera import Setting
+from ground.config import Document, Table, load_yaml, validate
+from ground.errors import ConfigError, Problem
 from stages.config import AxisTable, Name, Positive, StagesTable
 from stages.keep_out import KeepOutTable
-from tracer.config import Document, Table, load_yaml, validate
-from tracer.errors import ConfigError, Problem
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 

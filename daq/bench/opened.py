@@ -15,11 +15,11 @@ from daq.bench.bench_file import Bench, CameraSection
 from daq.cameras import make_camera
 from daq.cameras.camera import Camera
 from daq.errors import PlanError
+from ground.errors import ConfigError, Problem
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
 from stages.keep_out import Carrier, Element, KeepOut
 from stages.stage import Guard, Stage
-from tracer.errors import ConfigError, Problem
 
 
 class Simulation(Protocol):

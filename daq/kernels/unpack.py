@@ -15,7 +15,7 @@ Formats of the GenICam Pixel Format Naming Convention (PFNC 2.x) and of GigE Vis
 ``int(...)`` keeps the interpreted kernels from overflowing a uint8; it costs nothing when compiled.
 """
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 
 @kernel

@@ -11,8 +11,8 @@ from daq.errors import PlanError
 from daq.plans.experiments import EXPERIMENTS, plan_table
 from daq.plans.plan_table import PlanTable, Pose
 from daq.plans.steps import CLEAR, Step, steps_hash
-from tracer.config import Document, load_yaml, validate
-from tracer.errors import ConfigError, Problem
+from ground.config import Document, load_yaml, validate
+from ground.errors import ConfigError, Problem
 
 ON_PLANE_MM = 1e-9
 

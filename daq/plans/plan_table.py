@@ -9,7 +9,7 @@ from pydantic import Field
 
 from daq.bench.bench_file import Bench, Vector
 from daq.plans.steps import CLEAR
-from tracer.config import Table
+from ground.config import Table
 
 View = Literal["clear", "glass"]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from tracer.whole_file import whole_file
+from ground.whole_file import whole_file
 
 PNG_DPI = 170
 

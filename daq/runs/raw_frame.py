@@ -18,7 +18,7 @@ from correction.frame_file import checksum as checksum  # who writes raw frames 
 from correction.frame_file import read_tiff
 from daq.errors import DiskError, RunDamaged
 from daq.runs.whole_text import why
-from tracer.whole_file import whole_file
+from ground.whole_file import whole_file
 
 
 def write_raw(path: Path, pixels: NDArray[np.uint16], about: dict[str, Any]) -> None:

@@ -14,8 +14,9 @@ from daq.runs.records import CURE
 from daq.runs.run_file import FILE
 from daq.runs.run_folder import RunFolder, frame_entries
 from daq.runs.whole_text import write_text
-from tracer.config import read
-from tracer.errors import ConfigError, TracerError
+from ground.config import read
+from ground.errors import ConfigError, GroundError
+from tracer.errors import TracerError
 from tracer.scene_file import load_scene
 
 T = TypeVar("T")
@@ -81,7 +82,7 @@ def scene_file(path: Path, out: Path) -> Path:
         try:
             if load_scene(used).content_hash() == about["hashes"].get("scene for the correction"):
                 return Path(used)
-        except TracerError:
+        except (GroundError, TracerError):
             pass  # no longer a scene: not the file that was used
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / "scene.yaml", bench_scene(path))

@@ -8,7 +8,7 @@ from typing import Any
 
 from daq.errors import DiskError
 from daq.runs.seal import sealed
-from tracer.whole_file import whole_file
+from ground.whole_file import whole_file
 
 
 def write_text(path: Path, text: str) -> None:

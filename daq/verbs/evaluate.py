@@ -23,6 +23,7 @@ from daq.runs.pairs import FramePair, RunPairs, pairs_of
 from daq.runs.run_views import is_run, scene_file
 from daq.runs.whole_text import write_json
 from daq.terminal import console
+from ground.errors import GroundError
 from tracer.errors import TracerError
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -139,7 +140,7 @@ def _scene_sigma(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str
     try:
         sigma = SceneSigma.load(scene.with_name(FIT_FILE))
         sigma.check(fitted)
-    except TracerError as error:
+    except (GroundError, TracerError) as error:
         return str(error)
     return sigma
 

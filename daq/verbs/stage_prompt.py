@@ -17,10 +17,11 @@ from daq.bench.bench_session import BenchSession
 from daq.errors import DaqError, RunUsageError
 from daq.terminal import console, error_console
 from daq.verbs.stage import numbers, where_table
+from ground.errors import GroundError
 from stages.errors import StageError
 from tracer.errors import TracerError
 
-CURABLE = (StageError, DaqError, TracerError)
+CURABLE = (StageError, DaqError, GroundError, TracerError)
 COMMENT = "#"
 
 
@@ -75,7 +76,7 @@ class Prompt:
         ------
         KeyboardInterrupt
             Ctrl-C was pressed twice.
-        StageError, DaqError, TracerError
+        StageError, DaqError, GroundError, TracerError
             From a pipe: what went wrong first.
         """
         if self._talks:
@@ -98,7 +99,7 @@ class Prompt:
         ------
         RunUsageError
             There is no such verb, or its words make no sense.
-        StageError, DaqError, TracerError
+        StageError, DaqError, GroundError, TracerError
             What came between.
         """
         name, *words = line.partition(COMMENT)[0].split() or [""]

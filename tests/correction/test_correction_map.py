@@ -8,10 +8,11 @@ import pytest
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.grid import PlaneGrid, grid_of
 from correction.node_status import NodeStatus
+from ground.errors import MapFileError
 from tests.correction.small_scenes import SCENES, small_scene
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Lens
-from tracer.errors import MapFileError, StaleMap
+from tracer.errors import StaleMap
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.trace import trace

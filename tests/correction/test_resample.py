@@ -6,7 +6,7 @@ from correction.errors import FrameError
 from correction.kernels import bspline, lanes
 from correction.kernels import prefilter as kernels
 from correction.resample import filter_tiles, prefilter, sample, tile_grid
-from tracer.kernels._jit import kernel
+from ground.jit import kernel
 
 
 def speckle(shape, dtype, seed=3):

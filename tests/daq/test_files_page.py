@@ -12,8 +12,8 @@ from daq.runs.displacement import Moved
 from daq.runs.done_file import DoneFile
 from daq.runs.journal_lines import Line
 from daq.runs.run_file import RunFile
+from ground.config import load_yaml, validate
 from sim.bench import SimulationTable
-from tracer.config import load_yaml, validate
 from tracer.scene_file import load_scene
 from tracer.scene_tables import SceneTable
 

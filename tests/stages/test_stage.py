@@ -2,6 +2,8 @@
 
 import pytest
 
+from ground.config import Document, validate
+from ground.errors import ConfigError
 from sim.clock import VirtualClock
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
@@ -18,8 +20,6 @@ from stages.stage import Stage
 from stages.states import AxisState
 from tests.stages.benches import screws
 from tests.stages.mixed import paper_bench
-from tracer.config import Document, validate
-from tracer.errors import ConfigError
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
 """The first run after an install, which compiles its kernels, gives the bits of all later ones, which load them.
 
 A kernel that is compiled both by itself and into a caller exists twice; a process that compiles uses the one, a
-process that loads the other.  They must round alike (``tracer.kernels._jit``).
+process that loads the other.  They must round alike (``ground.jit``).
 """
 
 import hashlib

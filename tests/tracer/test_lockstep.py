@@ -7,6 +7,7 @@ from mpmath import mpf
 
 from benchmarks.reference import follow_pixel
 from benchmarks.scenes import PAPER, aimed_pixels
+from ground.rows import run_rows
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens
 from tracer.cells import world_of
@@ -14,7 +15,6 @@ from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import march_pixel_tangents
 from tracer.lockstep import fits_lockstep
 from tracer.ray_map import RayMap, build_ray_map
-from tracer.rows import run_rows
 from tracer.scene import Scene
 from tracer.status import RayStatus
 from tracer.trace import pack_camera, trace

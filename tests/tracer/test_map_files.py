@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ground.errors import MapFileError
+from ground.map_file import load_arrays, save_arrays
 from tests.tracer.scenes import ball, camera_at, scene
-from tracer.errors import MapFileError, StaleMap
-from tracer.map_file import load_arrays, save_arrays
+from tracer.errors import StaleMap
 from tracer.ray_map import KIND, RayMap, build_ray_map
 from tracer.scene import Scene
 
@@ -114,7 +115,7 @@ def test_other_kind_and_layout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     save_arrays(path, "correction map", {}, {"a": np.zeros(3)})
     with pytest.raises(MapFileError, match="holds a correction map, not a ray map"):
         RayMap.load(path)
-    monkeypatch.setattr("tracer.map_file.LAYOUT", 99)
+    monkeypatch.setattr("ground.map_file.LAYOUT", 99)
     save_arrays(path, KIND, {}, {"a": np.zeros(3)})
     monkeypatch.undo()
     with pytest.raises(MapFileError, match="has layout 99"):

@@ -12,9 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.scenes import PAPER
+from ground.errors import ConfigError
 from tests.tracer.scenes import HOLLOW, TILTED, random_scene, scene
 from tracer.bodies import Rod, Sphere
-from tracer.errors import ConfigError, SceneError
+from tracer.errors import SceneError
 from tracer.media import MEDIA, SellmeierMedium
 from tracer.scene_file import dump_scene, load_scene
 from tracer.trace import trace

@@ -11,8 +11,8 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.config import Table
 from tracer.camera import Vector3
-from tracer.config import Table
 from tracer.media import Medium
 
 

@@ -7,11 +7,11 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
+from ground.config import Triple
+from ground.jit import Array, kernel
 from tracer.bodies.body import Body, BodySection, Capsule, vector3
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
-from tracer.config import Triple
 from tracer.errors import SceneError
-from tracer.kernels._jit import Array, kernel
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium
 from tracer.medium_table import Positive

@@ -7,11 +7,11 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.config import Table, Triple
+from ground.jit import Array
 from tracer.bodies.body import Body, BodySection, Capsule, vector3
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
-from tracer.config import Table, Triple
 from tracer.errors import SceneError
-from tracer.kernels._jit import Array
 from tracer.kernels.sphere import INDEX, SOLID
 from tracer.media import Medium
 from tracer.medium_table import OPAQUE, MediumTable, Positive, medium_of, written

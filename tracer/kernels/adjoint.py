@@ -21,7 +21,7 @@ another kind gives derivatives forwards only (`Kind.rates`); one sweep through i
 
 from typing import Any
 
-from tracer.kernels._jit import Array, kernel, kernel_composed
+from ground.jit import Array, kernel, kernel_composed
 from tracer.kernels.shell import with_cores, with_cores_rates
 from tracer.kernels.sphere import INDEX, RADIUS, angles, through, through_rates
 from tracer.kernels.walk import Crossing, walk

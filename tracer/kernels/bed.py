@@ -13,7 +13,7 @@ and ``items`` int32: the spheres of cell c are items[begin[c]:begin[c + 1]].
 
 import math
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, RADIUS
 

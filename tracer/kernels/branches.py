@@ -8,7 +8,7 @@ trip     the sequence itself where it is short and its bodies few (``tracer.kern
 number   of a trip whose bodies come in order: bit k for body k
 """
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 from tracer.kernels.sphere import CENTRE_Z, SOLID
 
 NOTHING, FIRST_OTHER = -1, -2  # bodies: a sphere's number, nothing, or another body's, downwards

@@ -6,7 +6,7 @@ The camera arrives as one array (20,): the pinhole; its own axes in the world, w
 
 import math
 
-from tracer.kernels._jit import Array, kernel, kernel_inlined
+from ground.jit import Array, kernel, kernel_inlined
 
 EYE_X, EYE_Y, EYE_Z = 0, 1, 2
 RIGHT_X, RIGHT_Y, RIGHT_Z, DOWN_X, DOWN_Y, DOWN_Z, AHEAD_X, AHEAD_Y, AHEAD_Z = range(3, 12)

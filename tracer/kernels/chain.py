@@ -34,7 +34,7 @@ overlap, where eight arrays would need more overlap tests at run time than it is
 
 import math
 
-from tracer.kernels._jit import Array, kernel, kernel_inlined
+from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.branches import ALL_BITS, BITS, MOST_EVENTS
 from tracer.kernels.camera import (
     AHEAD_X,

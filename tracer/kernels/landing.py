@@ -15,7 +15,7 @@ sphere (x, y, z, radius, n) | target (6: x, y, z, rx, ry, rz); turns are about t
 
 import math
 
-from tracer.kernels._jit import Array, kernel, unowned
+from ground.jit import Array, kernel, unowned
 from tracer.kernels.adjoint import NORMAL, back_through, back_through_other, keep_states, land_on_target
 from tracer.kernels.branches import NOTHING, body_of
 from tracer.kernels.camera import (

@@ -2,7 +2,7 @@
 
 import math
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, pixel_ray
 from tracer.kernels.march import march
 from tracer.kernels.walk import keep_trail, walk

@@ -2,7 +2,7 @@
 
 import math
 
-from tracer.kernels._jit import Array, kernel, kernel_composed, kernel_inlined
+from ground.jit import Array, kernel, kernel_composed, kernel_inlined
 from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, pixel_ray_tangents
 from tracer.kernels.shell import with_cores_rates
 from tracer.kernels.sphere import INDEX, RADIUS, foot_tangent, through_rates, turned_tangent

@@ -6,7 +6,7 @@ y -> -y and rows.  Bodies may change places: ``swap`` (2^N + 1,) int64 says whic
 last one for UNKNOWN; empty: all stay.
 """
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 
 
 @kernel

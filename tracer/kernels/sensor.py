@@ -10,7 +10,7 @@ Of scenes that are their own mirror image half or a quarter is traced, the rest 
 Every pixel has the same bits whatever block it stands in: all loops that calculate run over whole vectors.
 """
 
-from tracer.kernels._jit import Array, kernel, unowned
+from ground.jit import Array, kernel, unowned
 from tracer.kernels.branches import UNKNOWN, branch_number
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import (

@@ -29,7 +29,7 @@ Rows of a sphere table with cores are longer than SOLID: radius and relative ind
 follow, inwards; radius 0 where a sphere has none or fewer.
 """
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 from tracer.kernels.sphere import INDEX, RADIUS, SOLID, angles, through, through_rates, transmittance
 
 

@@ -24,7 +24,7 @@ Light is unpolarised at every surface:
 
 import math
 
-from tracer.kernels._jit import kernel
+from ground.jit import kernel
 
 # Columns of a sphere table (N, 6 or more).  Cores follow inwards (``tracer.kernels.shell``).
 CENTRE_X, CENTRE_Y, CENTRE_Z, RADIUS, INDEX, OPAQUE, SOLID = range(7)

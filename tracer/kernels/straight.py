@@ -6,7 +6,7 @@ They hold what a block of ``tracer.kernels.chain`` holds when it is finished: th
 
 import math
 
-from tracer.kernels._jit import Array, kernel
+from ground.jit import Array, kernel
 from tracer.kernels.camera import (
     AHEAD_X,
     AHEAD_Y,

@@ -22,7 +22,7 @@ code. What a recorder does not ask for is not calculated.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from tracer.kernels._jit import Array, kernel_composed
+from ground.jit import Array, kernel_composed
 from tracer.kernels.branches import DIRECT, NOTHING, next_key, other_event
 from tracer.kernels.shell import way_through, with_cores
 from tracer.kernels.sphere import (

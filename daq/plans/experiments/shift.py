@@ -20,7 +20,7 @@ from pydantic import Field, model_validator
 
 from daq.bench.bench_file import Bench, Vector
 from daq.plans.plan_table import PlanTable, Pose, View, px_per_mm
-from tracer.config import Table, Triple
+from ground.config import Table, Triple
 
 
 class DisplacementTable(Table):

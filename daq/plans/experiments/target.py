@@ -17,7 +17,7 @@ from pydantic import Field, model_validator
 from daq.bench.bench_file import Bench
 from daq.plans.plan_table import PlanTable, Pose
 from daq.plans.steps import BEHIND_GLASS, CLEAR
-from tracer.config import Table
+from ground.config import Table
 
 
 class StackTable(Table):

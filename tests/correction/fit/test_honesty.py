@@ -13,9 +13,9 @@ from correction.fit.prediction import expect
 from correction.fit.solver import Corners
 from correction.fit.unknowns import Bench, bench_of
 from correction.target import Chessboard
+from ground.errors import MapFileError
 from sim.demo_scenes import at_size, named_scene
 from tests.correction.fit.benches import fitted
-from tracer.errors import MapFileError
 from tracer.fit_section import FitCameraTable, FitSphereTable, FitTable
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene

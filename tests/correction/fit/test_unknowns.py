@@ -12,8 +12,8 @@ from correction.fit.errors import ViewsMissing
 from correction.fit.light import back_from_light, in_light, index_in_light
 from correction.fit.solver import Corners, residuals
 from correction.fit.unknowns import bench_of, left_jacobian
+from ground.errors import ConfigError
 from sim.demo_scenes import at_size, named_scene
-from tracer.errors import ConfigError
 from tracer.fit_section import (
     FitCameraTable,
     FitLightTable,

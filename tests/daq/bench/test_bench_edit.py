@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from daq.bench.bench_edit import changed, difference, replace_file, with_values
 from daq.errors import RunUsageError
-from tracer.errors import ConfigError
+from ground.errors import ConfigError
 
 AFTER = {"scene_at_mm": "scene"}
 FLOW = """# the bench of room 7

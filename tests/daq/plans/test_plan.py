@@ -13,8 +13,8 @@ from daq.errors import PlanError
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
 from daq.plans.steps import Step, frame_count, route, steps_hash
+from ground.errors import ConfigError
 from tests.daq.small_bench import SHIFT, TARGET, load, write_bench
-from tracer.errors import ConfigError
 
 ONE_SHIFT = "experiment: shift\nviews: [glass]\ndisplacements: [{}]\n"
 

@@ -10,9 +10,9 @@ from daq.plans.plan import load_plan
 from daq.plans.way_out import forecast_from_home, way_out
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
+from ground.errors import ConfigError
 from stages.errors import Obstructed
 from tests.daq.small_bench import FILES_CAMERA, files_bench, write_bench, write_frames
-from tracer.errors import ConfigError
 
 PLAN = "experiment: shift\nviews: [glass]\ndisplacements: [{along: [1.0, 0.0, 0.0], mm: 0.5}]\n"
 HOMED_AT_MM = {

@@ -8,8 +8,8 @@ import pytest
 from correction.fit.map_sigma import MapSigma
 from correction.frame_file import write_frame
 from daq.cli import main
+from ground.map_file import load_arrays
 from tests.correction.fit.benches import SQUARE_MM, bench
-from tracer.map_file import load_arrays
 from tracer.scene_file import dump_scene, load_scene
 
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.errors import MapFileError
-from tracer.whole_file import whole_file
+from ground.errors import MapFileError
+from ground.whole_file import whole_file
 
 LAYOUT = 1
 HEADER_BYTES = 1_000_000

@@ -8,7 +8,7 @@ Every kernel of every package is compiled through ``kernel``:
   ``tracer.kernels.chain``) is compiled another way inside its caller than by itself, and the process that compiles
   would use the one, later ones the other: such functions are `kernel_inlined`, and exist once.
 * ``error_model="numpy"``: 0/0 is NaN, never an exception inside a loop.
-* ``nogil=True``: the row scheduler (tracer.rows) runs kernels on all cores from ordinary threads.
+* ``nogil=True``: the row scheduler (ground.rows) runs kernels on all cores from ordinary threads.
 * ``cache=True`` with a cache folder whose name is the digest of all kernel files.  Numba's own cache key
   is the content of the *defining* file only; after an edit in a callee's file it silently returns
   numbers of the old code.  A new digest is a new folder, so that cannot happen.
@@ -29,14 +29,16 @@ from numba.extending import intrinsic, overload
 from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
+PACKAGES = ("tracer", "correction", "daq")  # that have kernels
 Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _digest(root: Path) -> str:
-    """Digest of all kernel sources below `root`, those of bodies included, and of the numba version."""
+    """Digest of our kernel sources below `root`, those of bodies included, and of the version of numba."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in sorted([*root.glob("*/kernels/*.py"), *root.glob("tracer/bodies/*.py")]):
+    sources = [path for package in PACKAGES for path in (root / package).glob("**/kernels/*.py")]
+    for path in sorted([*sources, *root.glob("tracer/bodies/*.py"), Path(__file__)]):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 
@@ -44,7 +46,7 @@ def _digest(root: Path) -> str:
 def _cache_dir() -> Path:
     """Folder for compiled kernels: below RTPIV_CACHE, else the user's cache folder."""
     base = os.environ.get("RTPIV_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "rtpiv" / _digest(Path(__file__).resolve().parents[2])
+    return Path(base) / "rtpiv" / _digest(Path(__file__).resolve().parents[1])
 
 
 numba.config.CACHE_DIR = str(_cache_dir())  # type: ignore[attr-defined]

@@ -22,7 +22,7 @@ from typing import Annotated, Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from tracer.errors import ConfigError, Problem
+from ground.errors import ConfigError, Problem
 
 MAX_BYTES = 1_000_000
 MAX_ALIASES = 16

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tracer.rows import LEAST_ROWS, run_parts, run_rows
+from ground.rows import LEAST_ROWS, run_parts, run_rows
 
 
 @pytest.mark.parametrize("rows", [0, 1, 7, 16, 17, 100, 2016])

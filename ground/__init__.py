@@ -1,0 +1,10 @@
+"""The ground floor: what is neither optics nor hardware, and what every other package stands on.
+
+    config      YAML files read strictly, every problem with its line
+    whole_file  files that are whole or not there
+    map_file    arrays in a file, nothing trusted
+    rows        a kernel over the rows of an image, on all cores
+    jit         the only place where numba options are chosen
+
+Nothing here knows a scene, a camera or a stage; what only one package needs lives there.
+"""

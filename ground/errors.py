@@ -1,0 +1,39 @@
+"""Errors of files that any package reads; the command line prints them as one sentence and exits with code 2.
+
+GroundError
++-- ConfigError      a YAML file cannot be read as what it should be (file, line, every problem at once)
++-- MapFileError     a stored map is damaged, of an unknown layout, or not a map at all
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+class GroundError(Exception):
+    """Root of everything the ground floor raises on purpose."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong in a file: 1-based line (0 = the file as a whole) and what to do about it."""
+
+    line: int
+    text: str
+
+
+class ConfigError(GroundError):
+    """A configuration file is wrong; `problems` lists everything found, in file order."""
+
+    def __init__(self, path: Path | str, problems: list[Problem]) -> None:
+        self.path = Path(path)
+        self.problems = sorted(problems, key=lambda problem: problem.line)
+        super().__init__(
+            "\n".join(
+                f"{self.path}:{problem.line}: {problem.text}" if problem.line else f"{self.path}: {problem.text}"
+                for problem in self.problems
+            )
+        )
+
+
+class MapFileError(GroundError):
+    """A map file cannot be read; trace the scene again."""
