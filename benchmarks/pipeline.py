@@ -25,10 +25,10 @@ from daq.example_files import examples
 from daq.plans.plan import load_plan
 from daq.runner.progress import Progress
 from daq.runner.session import Request, begin, carry_out
-from sim.demo_scenes import named_scene
-from sim.patterns import printed_particles
-from sim.renderer import render
-from sim.sensor import Sensor
+from sim.demo.scenes import named_scene
+from sim.prints.patterns import printed_particles
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 
 SETTINGS = """camera:
   backend: {backend}

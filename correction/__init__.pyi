@@ -1,3 +1,4 @@
+from .board.chessboard import Chessboard as Chessboard
 from .correction_map import CorrectionMap as CorrectionMap
 from .correction_map import build_correction_map as build_correction_map
 from .corrector import Corrector as Corrector
@@ -7,4 +8,3 @@ from .evaluate.piv import evaluate_pair as evaluate_pair
 from .fit.measurement import TargetFrame as TargetFrame
 from .fit.scene_fit import fit_scene as fit_scene
 from .frame_file import read_frame as read_frame
-from .target.chessboard import Chessboard as Chessboard

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from correction.errors import MapUsageError
 from correction.grid import PlaneGrid, grid_of
-from correction.inversion import Inversion
+from correction.inversion.invert import Inversion
 from correction.node_status import NodeStatus
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from correction.correction_map import CorrectionMap
 from correction.dewarp import Dewarp
 from correction.errors import FrameError
-from correction.footprints import Views, lay_footprints
-from correction.kernels.correct import CHUNK, WEIGHTS, correct_rows
-from correction.kernels.lanes import TAPS, WIDE
-from correction.kernels.store import to_offset_uint16
 from correction.node_status import NodeStatus
-from correction.resample import Method, checked_frame, filter_tiles, tile_grid
+from correction.resample.footprints import Views, lay_footprints
+from correction.resample.kernels.correct import CHUNK, WEIGHTS, correct_rows
+from correction.resample.kernels.lanes import TAPS, WIDE
+from correction.resample.kernels.store import to_offset_uint16
+from correction.resample.sample import Method, checked_frame, filter_tiles, tile_grid
 from ground.rows import run_rows
 
 UINT16_OFFSET = 1024  # room for the negative lobes beside bright particles: clipping them shifts centroids

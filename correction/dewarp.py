@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
+from correction.board import Chessboard
+from correction.board.board_search import track_board
+from correction.board.lattice_corners import BoardDetection
 from correction.errors import DewarpError, FrameError
-from correction.target import Chessboard
-from correction.target.board_search import track_board
-from correction.target.lattice_corners import BoardDetection
 from tracer.camera import Camera
 
 ORDERS = (2, 3, 4, 5)
@@ -202,7 +202,7 @@ def fit_dewarp(
     FrameError
         Not a frame, or not of the camera's size.
     TargetNotFound
-        See `correction.target.board_search`.
+        See `correction.board.board_search`.
     DewarpError
         The corners do not determine the polynomial or cover too little of the frame.
     """

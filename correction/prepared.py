@@ -19,7 +19,7 @@ from pathlib import Path
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp
-from correction.resample import Method
+from correction.resample.sample import Method
 from ground.errors import GroundError
 from tracer.errors import TracerError
 from tracer.ray_map import RayMap, build_ray_map

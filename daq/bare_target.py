@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+from correction.board import Chessboard
 from correction.dewarp import Dewarp, fit_dewarp
 from correction.errors import CorrectionError
-from correction.target import Chessboard
 from daq.runs.acquired import read_acquired
 from tracer.camera import Camera
 

@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from correction.board import Chessboard
 from correction.evaluate.target_error import TargetError
 from correction.fit.map_sigma import MapSigma
 from correction.fit.measurement import TargetFrame
@@ -15,7 +16,6 @@ from correction.fit.result import SceneFit
 from correction.fit.table2 import Sense1, aligned, computed_against_acquired, corrected_against_grid
 from correction.fit.unknowns import unit_of
 from correction.fit.weakness import Weakness, weaknesses
-from correction.target import Chessboard
 from daq.pictures.calibration import Panel
 
 

@@ -1,2 +1,2 @@
-from .demo_frames import FrameSet as FrameSet
-from .demo_frames import make_frames as make_frames
+from .demo.frames import FrameSet as FrameSet
+from .demo.frames import make_frames as make_frames

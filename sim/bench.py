@@ -16,7 +16,7 @@ behind a GenTL producer; if the bench file's backend is `aravis`, it is a GigE V
       axes:                         # what the workshop built; the firmware's zero is its low switch
         rail_z: {lead_mm: 5.0, steps_per_rev: 1600, travel_mm: 300.0, backlash_um: 50.0, lead_error_um: 1.0}
       firmware: {portal: {"23": 0}} # Grbl's $23: home towards the high switches
-      prints_truth: true            # optional: a corner of every frame says what it shows; see sim.frame_truth
+      prints_truth: true            # optional: a corner of every frame says what it shows; see frame_truth.py
       ring: frames/                 # optional: replay .npy frames instead of rendering
       faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.faults
 """
@@ -42,11 +42,11 @@ from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
 from sim.camera.remote import FrameServer
 from sim.clock import ScaledClock, VirtualClock
-from sim.demo_scenes import misaligned
-from sim.frame_truth import WIDTH_PX, FrameTruth, height_px, with_truth
-from sim.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
-from sim.renderer import render_irradiance
-from sim.sensor import Sensor
+from sim.demo.scenes import misaligned
+from sim.prints.frame_truth import WIDTH_PX, FrameTruth, height_px, with_truth
+from sim.prints.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
+from sim.renderer.render import render_irradiance
+from sim.renderer.sensor import Sensor
 from sim.stages import ScrewTable, SimulatedStages
 from stages.config import Name
 from tracer.bodies import shifted_by

@@ -18,10 +18,10 @@ from pydantic import Field
 from ground.config import Table
 from sim.emulators import emulator_class
 from sim.emulators.device import Clock
+from sim.emulators.faults import FaultSchedule
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
-from sim.faults_serial import FaultSchedule
 from sim.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.config import Positive, StagesTable

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from correction.evaluate.deform import DeformedPair
+from correction.evaluate.kernels.fft import BLOCK, PAIRS, correlate_pairs
+from correction.evaluate.kernels.windows import cut_windows, find_peaks, multiply_conjugate
 from correction.evaluate.windows import WindowGrid
-from correction.kernels.piv_fft import BLOCK, PAIRS, correlate_pairs
-from correction.kernels.piv_windows import cut_windows, find_peaks, multiply_conjugate
 from ground.rows import run_rows
 
 CHUNK_BYTES = 1 << 18  # windows worked on at once: what a second-level cache holds beside their spectra

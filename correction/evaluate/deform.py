@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.evaluate.kernels.deform import deform_rows
 from correction.evaluate.windows import WindowGrid, around, interpolated
-from correction.kernels.piv_deform import deform_rows
 from ground.rows import run_rows
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from correction.errors import FrameError
-from correction.resample import checked_frame
+from correction.resample.sample import checked_frame
 
 BINS = 256
 DETECTION = 5.0  # noise standard deviations above the background

@@ -29,7 +29,7 @@ from correction.evaluate.outliers import filled, outliers, smoothed
 from correction.evaluate.uncertainty import correlation_statistics, pass_gain
 from correction.evaluate.vector_field import VectorField, VectorFlag
 from correction.evaluate.windows import WindowGrid, interpolated, window_grid
-from correction.resample import checked_frame, prefilter
+from correction.resample.sample import checked_frame, prefilter
 
 NO_TEXTURE = 1e-3  # of the frame's standard deviation; less in a window is rounding
 

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board import Chessboard
+from correction.board.corners import refine_corners
 from correction.corrector import Corrector
-from correction.target import Chessboard
-from correction.target.corners import refine_corners
 
 # A magnified view comes out so sharp that an edge along a pixel row leaves no pixel to measure it by; a
 # symmetric blur moves nothing and gives the edge a width again.

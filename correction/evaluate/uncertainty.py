@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from correction.evaluate.correlate import CHUNK_BYTES, least_valid
 from correction.evaluate.deform import DeformedPair
+from correction.evaluate.kernels.statistics import REACH, window_sigma
+from correction.evaluate.kernels.windows import cut_windows
 from correction.evaluate.windows import WindowGrid
-from correction.kernels.piv_statistics import REACH, window_sigma
-from correction.kernels.piv_windows import cut_windows
 from ground.rows import run_rows
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board import Chessboard
+from correction.board.saddles import Saddles
 from correction.fit.solver import Corners, Residuals, free_rates, landed
 from correction.fit.unknowns import Bench
-from correction.target import Chessboard
-from correction.target.saddles import Saddles
 from tracer.branches import DIRECT
 from tracer.sensitivity import SPHERE, Landings
 

@@ -14,11 +14,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board import Chessboard
 from correction.fit.candidates import Candidates, distances, paired_residuals
 from correction.fit.measurement import MeasuredFrame
 from correction.fit.solver import Corners, landed
 from correction.fit.unknowns import Bench
-from correction.target import Chessboard
 from tracer.branches import branch_of
 from tracer.sensitivity import SPHERE
 

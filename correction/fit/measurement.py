@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board import Chessboard
+from correction.board.board_search import track_board
+from correction.board.corners import CornerFit
 from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
 from correction.fit.solver import Corners
-from correction.target import Chessboard
-from correction.target.board_search import track_board
-from correction.target.corners import CornerFit
 from tracer.branches import text_of
 from tracer.camera import Camera
 from tracer.scene import Scene

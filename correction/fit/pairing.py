@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board import Chessboard
 from correction.fit.candidates import Candidates, paired_residuals
 from correction.fit.contact import pushed_apart
 from correction.fit.solver import Residuals, Solution, minimise
 from correction.fit.unknowns import Bench
-from correction.target import Chessboard
 from tracer.sensitivity import SPHERE
 
 KNEES_PX = (12.0, 4.0, 1.0)  # of the loss, in corrected pixels, from rough to fine

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board import Chessboard
+from correction.board.corners import LEAST_PX, CornerFit, half_widths_px, refine_corners
 from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
-from correction.target import Chessboard
-from correction.target.corners import LEAST_PX, CornerFit, half_widths_px, refine_corners
 from tracer.branches import Numbers
 from tracer.camera import Vector3
 from tracer.ray_map import build_ray_map

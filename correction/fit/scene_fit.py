@@ -15,6 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from correction.board import Chessboard
+from correction.board.board_search import SATURATED
+from correction.board.corners import saturated_fraction
+from correction.board.saddles import find_saddles
 from correction.errors import FrameError
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.board_pose import in_words, turn_of_bench, turned
@@ -28,10 +32,6 @@ from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, FitStep, SceneFit, check
 from correction.fit.solver import Solution
 from correction.fit.unknowns import Bench, bench_of
-from correction.target import Chessboard
-from correction.target.board_search import SATURATED
-from correction.target.corners import saturated_fraction
-from correction.target.saddles import find_saddles
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from correction.board import Chessboard
 from correction.evaluate.target_error import TargetError, target_error
 from correction.fit.prediction import expect
 from correction.fit.result import FittedCorners, SceneFit
 from correction.prepared import prepare
-from correction.target import Chessboard
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
 

@@ -30,7 +30,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from correction.target import Chessboard
+from correction.board import Chessboard
 from daq.cameras.camera import Setting
 from ground.config import Document, Table, load_yaml, validate
 from ground.errors import ConfigError, Problem

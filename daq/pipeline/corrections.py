@@ -18,7 +18,7 @@ from correction.dewarp import Dewarp
 from correction.frame_file import write_frame
 from correction.node_status import MEANING
 from correction.prepared import PreparedCorrection, prepare
-from correction.resample import Method
+from correction.resample.sample import Method
 from daq.errors import DiskError
 from daq.pipeline.priority import step_back
 from daq.plans.steps import CLEAR, Step

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from correction.resample import Method
+from correction.resample.sample import Method
 from daq.bare_target import dewarp_of
 from daq.bench.bench_file import Bench, load_bench
 from daq.bench.opened import OpenBench, open_bench

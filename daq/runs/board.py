@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from correction.board import Chessboard
 from correction.errors import BoardError
-from correction.target import Chessboard
 from daq.runs.acquired import run_of
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import is_run

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from correction.resample import Method
+from correction.resample.sample import Method
 from daq.bench.bench_file import Bench, Vector, load_bench
 from daq.bench.opened import idle_stage
 from daq.cameras import require_libraries

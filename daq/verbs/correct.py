@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from correction.board import Chessboard
 from correction.corrector import UINT16_OFFSET, Corrector, to_uint16
 from correction.dewarp import Dewarp
 from correction.errors import FrameError
@@ -15,8 +16,7 @@ from correction.evaluate.target_error import TargetError, target_error
 from correction.frame_file import write_frame
 from correction.node_status import MEANING, NodeStatus
 from correction.prepared import prepare
-from correction.resample import Method
-from correction.target import Chessboard
+from correction.resample.sample import Method
 from daq.bare_target import dewarp_of
 from daq.pictures.overview import draw_overview
 from daq.pictures.seen import seen

@@ -5,8 +5,8 @@ from collections import deque
 from collections.abc import Callable
 
 from sim.emulators.device import Clock, Emulator, Said
+from sim.emulators.faults import FaultSchedule
 from sim.emulators.hooks import Hooks
-from sim.faults_serial import FaultSchedule
 
 LATENCY_S = 0.001  # a converter's and a controller's own time
 BYTE_S = 1e-4  # about 115200 baud

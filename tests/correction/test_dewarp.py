@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import tifffile
 
+from correction.board import Chessboard
 from correction.dewarp import Dewarp, coverage, fit_dewarp, fit_dewarp_pairs, powers
 from correction.errors import DewarpError, FrameError
-from correction.target import Chessboard
 from tests.correction.frame_truth import FRAMES, true_projection
 from tests.correction.synthetic_board import photographed, soft_board
 from tracer.camera import Camera, look_at, thin_lens_distance_mm

@@ -12,7 +12,7 @@ import random
 import threading
 from typing import Any
 
-from sim.faults_serial import Fault
+from sim.emulators.faults import Fault
 from stages.errors import StageError
 from stages.protocols import grbl
 from tests.safety.bench import AXES, FuzzBench

@@ -2,10 +2,10 @@
 
 import pytest
 
-import sim.frame_truth as frame_truth
+import sim.prints.frame_truth as frame_truth
 from daq.cli import DONE, main
 from daq.runs.run_folder import frame_entries
-from sim.frame_truth import NoTruth, misfiled
+from sim.prints.frame_truth import NoTruth, misfiled
 from tests.daq.small_bench import SHIFT, write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")

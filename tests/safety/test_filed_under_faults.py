@@ -8,7 +8,7 @@ import pytest
 
 from daq.cli import DONE, main
 from daq.runs.run_folder import RunFolder, frame_entries
-from sim.frame_truth import misfiled
+from sim.prints.frame_truth import misfiled
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "daq"))
 from small_bench import write_bench

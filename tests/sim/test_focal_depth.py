@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.demo_scenes import named_scene
-from sim.patterns import Chessboard
-from sim.renderer import Aperture, render_irradiance
+from sim.demo.scenes import named_scene
+from sim.prints.patterns import Chessboard
+from sim.renderer.render import Aperture, render_irradiance
 
 VIEW_PX = 33
 LENS = Aperture(60.0, 2.8, 500.0)  # focused 500 mm ahead, wherever the camera stands

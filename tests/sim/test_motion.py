@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.clock import ScaledClock, VirtualClock
-from sim.faults_serial import Fault, FaultSchedule
+from sim.emulators.faults import Fault, FaultSchedule
 from sim.motion import Mechanics, Motor
 
 FREE = Mechanics(

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from sim.clock import VirtualClock
+from sim.emulators.faults import FaultSchedule
 from sim.emulators.line import Line
-from sim.faults_serial import FaultSchedule
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.drivers import DRIVERS

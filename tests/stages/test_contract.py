@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from sim.faults_serial import KINDS, Fault, FaultSchedule
+from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from stages.controller import Channel, Controller
 from stages.drivers import driver_class
 from stages.errors import (

@@ -8,7 +8,7 @@ import random
 
 import pytest
 
-from sim.faults_serial import Fault, FaultSchedule
+from sim.emulators.faults import Fault, FaultSchedule
 from stages.drivers import DRIVERS
 from stages.errors import NoReply, ProtocolViolation, StageError
 

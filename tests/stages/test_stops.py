@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from sim.clock import VirtualClock
-from sim.faults_serial import Fault
+from sim.emulators.faults import Fault
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.errors import MotionStopped, Obstructed, StageError

@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.evaluate.piv import evaluate_pair
 from correction.fit.prediction import expect, measure
-from correction.target import Chessboard
-from sim.demo_scenes import at_size, named_scene
-from sim.patterns import Chessboard as Print
-from sim.renderer import render
-from sim.sensor import Sensor
+from sim.demo.scenes import at_size, named_scene
+from sim.prints.patterns import Chessboard as Print
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 from tracer.ray_map import build_ray_map
 from tracer.sensitivity import TargetPose, landings
 from tracer.trace import trace

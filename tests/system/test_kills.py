@@ -23,7 +23,7 @@ from daq.plans.plan import load_plan
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
-from sim.frame_truth import misfiled
+from sim.prints.frame_truth import misfiled
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")

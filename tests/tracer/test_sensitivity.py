@@ -10,7 +10,7 @@ from mpmath import mpf
 from scipy.spatial.transform import Rotation
 
 from benchmarks.reference import dot, follow_pixel
-from sim.demo_scenes import named_scene
+from sim.demo.scenes import named_scene
 from tracer.bodies import Core
 from tracer.camera import Lens
 from tracer.cells import world_of

@@ -15,10 +15,10 @@ from correction.corrector import Corrector
 from correction.evaluate.piv import PivSettings, evaluate_pair
 from correction.evaluate.preprocess import min_max_normalised, without_background
 from correction.evaluate.regions import Region, regions_of
-from sim.demo_scenes import at_size, named_scene
-from sim.patterns import printed_particles
-from sim.renderer import render_irradiance
-from sim.sensor import Sensor
+from sim.demo.scenes import at_size, named_scene
+from sim.prints.patterns import printed_particles
+from sim.renderer.render import render_irradiance
+from sim.renderer.sensor import Sensor
 from tracer.ray_map import build_ray_map
 
 SIDE_PX = 448  # the middle of a sensor of 1008 px: the balls and 6 mm around

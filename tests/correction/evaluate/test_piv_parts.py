@@ -6,11 +6,15 @@ from scipy import ndimage
 
 from correction.evaluate.correlate import correlation_planes, workspace
 from correction.evaluate.deform import deform_pair
+from correction.evaluate.kernels import deform as piv_deform
+from correction.evaluate.kernels import fft as piv_fft
+from correction.evaluate.kernels import median as piv_median
+from correction.evaluate.kernels import statistics as piv_statistics
+from correction.evaluate.kernels import windows as piv_windows
 from correction.evaluate.outliers import filled, outliers, smoothed
 from correction.evaluate.uncertainty import pass_gain
 from correction.evaluate.windows import interpolated, window_grid
-from correction.kernels import piv_deform, piv_fft, piv_median, piv_statistics, piv_windows
-from correction.resample import prefilter, sample
+from correction.resample.sample import prefilter, sample
 
 
 def windows(n, size, seed=0):

@@ -8,9 +8,9 @@ from correction.corrector import Corrector
 from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import regions_of
 from correction.frame_file import read_frame
-from sim.patterns import Image
-from sim.renderer import render
-from sim.sensor import Sensor
+from sim.prints.patterns import Image
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 from tests.supplied import ROOT
 from tracer.ray_map import build_ray_map
 from tracer.scene_file import load_scene

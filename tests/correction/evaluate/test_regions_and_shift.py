@@ -10,8 +10,8 @@ from correction.evaluate.piv import PivSettings, evaluate_pair
 from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.shift import evaluate_shift, shift_errors
 from correction.evaluate.velocity_route import velocity_route
-from sim.patterns import printed_particles
-from sim.renderer import render_irradiance
+from sim.prints.patterns import printed_particles
+from sim.renderer.render import render_irradiance
 from tests.correction.small_scenes import small_scene
 from tracer.errors import StaleMap
 from tracer.ray_map import build_ray_map

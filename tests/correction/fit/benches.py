@@ -5,18 +5,18 @@ from functools import cache
 
 import numpy as np
 
+from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.fit.map_sigma import sigma_at
 from correction.fit.measurement import TargetFrame
 from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.grid import PlaneGrid, grid_of
-from correction.target import Chessboard
-from sim.demo_scenes import BARREL_35MM, at_size, misaligned, named_scene
-from sim.patterns import Chessboard as Print
-from sim.patterns import Pose, placed
-from sim.renderer import render
-from sim.sensor import Sensor
+from sim.demo.scenes import BARREL_35MM, at_size, misaligned, named_scene
+from sim.prints.patterns import Chessboard as Print
+from sim.prints.patterns import Pose, placed
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.trace import trace

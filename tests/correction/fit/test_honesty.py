@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.fit.adjustment import Adjustment
 from correction.fit.map_sigma import MapSigma, map_sigma, sigma_at
@@ -12,9 +13,8 @@ from correction.fit.measurement import MeasuredFrame, whitening
 from correction.fit.prediction import expect
 from correction.fit.solver import Corners
 from correction.fit.unknowns import Bench, bench_of
-from correction.target import Chessboard
 from ground.errors import MapFileError
-from sim.demo_scenes import at_size, named_scene
+from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.benches import fitted
 from tracer.fit_section import FitCameraTable, FitSphereTable, FitTable
 from tracer.ray_map import build_ray_map

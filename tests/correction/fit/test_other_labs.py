@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.fit.errors import FitFailed
 from correction.fit.measurement import TargetFrame
 from correction.fit.prediction import in_target_frame
 from correction.fit.scene_fit import fit_scene
-from correction.target import Chessboard
-from sim.demo_scenes import at_size, misaligned, named_scene
-from sim.patterns import Chessboard as Print
-from sim.patterns import Pose
-from sim.renderer import render_irradiance
-from sim.sensor import Sensor
+from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.prints.patterns import Chessboard as Print
+from sim.prints.patterns import Pose
+from sim.renderer.render import render_irradiance
+from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tracer.bodies import Rod
 from tracer.fit_section import FitLightTable, FitTable

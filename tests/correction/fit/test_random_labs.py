@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.fit.errors import GlassNotSeen
 from correction.fit.measurement import TargetFrame
 from correction.fit.scene_fit import fit_scene
-from correction.target import Chessboard
-from sim.demo_scenes import at_size, misaligned, named_scene
-from sim.patterns import Chessboard as Print
-from sim.renderer import render
-from sim.sensor import Sensor
+from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.prints.patterns import Chessboard as Print
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tracer.bodies import Sphere
 from tracer.camera import thin_lens_distance_mm

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.evaluate.target_error import target_error
@@ -12,7 +13,6 @@ from correction.fit.map_sigma import sigma_at
 from correction.fit.scene_fit import fit_scene
 from correction.fit.weakness import weaknesses
 from correction.grid import grid_of
-from correction.target import Chessboard
 from tests.correction.fit.benches import BOARD, bench, fitted, map_error_px, photograph
 from tracer.bodies import Core
 from tracer.media import ConstantMedium

@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.evaluate.target_error import target_error
@@ -19,7 +20,6 @@ from correction.fit.prediction import expect, measure
 from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.grid import grid_of
-from correction.target import Chessboard
 from tests.correction.fit.benches import map_error_px
 from tests.correction.fit.ray_offset import OFFSET, shown_mm
 from tests.supplied import Supplied, supplied

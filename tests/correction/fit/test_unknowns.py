@@ -13,7 +13,7 @@ from correction.fit.light import back_from_light, in_light, index_in_light
 from correction.fit.solver import Corners, residuals
 from correction.fit.unknowns import bench_of, left_jacobian
 from ground.errors import ConfigError
-from sim.demo_scenes import at_size, named_scene
+from sim.demo.scenes import at_size, named_scene
 from tracer.fit_section import (
     FitCameraTable,
     FitLightTable,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.errors import BoardError
-from correction.target import Chessboard
 from daq.errors import RunDamaged
 from daq.runs.board import board_of
 from daq.runs.journal import Journal

@@ -3,7 +3,7 @@
 import pytest
 
 from daq.verbs.correct import correct
-from sim.demo_frames import make_frames
+from sim.demo.frames import make_frames
 
 
 @pytest.mark.slow

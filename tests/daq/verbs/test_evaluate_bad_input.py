@@ -9,9 +9,9 @@ import tifffile
 
 from daq.cli import DONE, USAGE, main
 from ground.map_file import save_arrays
-from sim.patterns import printed_particles
-from sim.renderer import render
-from sim.sensor import Sensor
+from sim.prints.patterns import printed_particles
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 from tests.correction.small_scenes import small_scene
 from tracer.scene_file import dump_scene, load_scene
 

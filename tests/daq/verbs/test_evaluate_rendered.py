@@ -5,7 +5,7 @@ import pytest
 
 from daq.cli import DONE, main
 from daq.verbs.evaluate import evaluate
-from sim.demo_frames import make_frames
+from sim.demo.frames import make_frames
 
 
 @pytest.mark.slow

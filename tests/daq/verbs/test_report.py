@@ -16,9 +16,9 @@ from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import scene_file
 from daq.runs.whole_text import write_record
 from daq.verbs.evaluate import evaluate
-from sim.patterns import Chessboard, printed_particles
-from sim.renderer import render
-from sim.sensor import Sensor
+from sim.prints.patterns import Chessboard, printed_particles
+from sim.renderer.render import render
+from sim.renderer.sensor import Sensor
 from tests.correction.small_scenes import small_scene
 from tests.daq.report.browser import measured
 from tests.daq.small_run import about_run, keep_frame, keep_step, planned

@@ -1,0 +1,1 @@
+"""Compiled fit of a corner's grey values; numba and numpy only."""

@@ -1,0 +1,1 @@
+"""Compiled loops over interrogation windows; numba and numpy only."""

@@ -1,0 +1,164 @@
+"""Inversion of a ray map: the arrays of a correction map, filled view by view.
+
+See ``correction.correction_map`` for what is sought and ``docs/adr/0002-inverse-by-sheets.md`` for why it is
+sought this way.  The direct view comes first, in closed form; then every sheet, those with few events first.
+
+Skipped, with the same result: a view through e spheres weighs at most 1/(1 + e), because the transmittance and
+the share of the magnification that counts are at most 1.  A node whose last layer already weighs as much cannot
+take it, so it is not solved: what is seen directly is not sought through glass unless several views are wanted.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.grid import PlaneGrid
+from correction.inversion.kernels.direct import direct_rows
+from correction.inversion.kernels.inverse import join_weights
+from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS
+from correction.inversion.kernels.views import solve_nodes
+from correction.inversion.sheets import Sheet, Sheets, Starts
+from ground.rows import run_parts, run_rows
+from tracer.branches import chain_trip, event_numbers, key_of
+from tracer.cells import world_of
+from tracer.kernels.camera import CENTRE_U, FOCAL
+from tracer.kernels.chain import BALL
+from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
+from tracer.ray_map import RayMap
+from tracer.scene import Scene
+from tracer.trace import pack_camera
+
+NO_BALLS = np.empty((0, BALL))
+
+
+class Inversion:
+    """The arrays of a correction map while it grows, sheet by sheet."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        ray_map: RayMap,
+        grid: PlaneGrid,
+        layers: int,
+        limits: tuple[float, float],
+        out: Mapping[str, NDArray[Any]] | None,
+        skip: bool,
+    ) -> None:
+        height, width = grid.shape
+        self.scene, self.ray_map, self.grid = scene, ray_map, grid
+        self.skip = skip
+        self.size = scene.camera.sensor_px
+        self.tables = (pack_camera(scene.camera), world_of(scene))
+        self.events = event_numbers(scene)
+        self.lockstep = fits_lockstep(scene)
+        self.balls = pack_chain(scene) if self.lockstep else NO_BALLS
+        self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
+        self.limits = np.array([*limits, *self.size], dtype=np.float64)
+        lead, kind = (layers, height, width), ray_map.branch.dtype
+        if out is None or out["pixel"].shape != (*lead, 2) or out["branch"].dtype != kind:
+            out = {
+                "status": np.empty((height, width), np.uint8),
+                "pixel": np.empty((*lead, 2)),
+                "jacobian": np.empty((*lead, 4), np.float32),
+                "weight": np.empty(lead, np.float32),
+                "transmittance": np.empty(lead, np.float32),
+                "branch": np.empty(lead, kind),
+            }
+        self.arrays = out
+        self.longest_mm = 2.0 * grid.pitch_mm / limits[0]
+        self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
+        self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
+
+    @property
+    def maps(self) -> tuple[NDArray[Any], ...]:
+        """The arrays in the order in which kernels take them."""
+        return tuple(self.arrays.values())
+
+    def direct(self) -> None:
+        """Project the nodes that are seen without glass, and write every other node for the first time."""
+        height, width = self.grid.shape
+        place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
+        lens_free = self.scene.camera.lens.is_ideal
+        size = np.array(self.size, dtype=np.float64)
+        maps: tuple[NDArray[Any], ...] = (
+            self.status,
+            self.pixel.reshape(len(self.pixel), height, 2 * width),
+            self.jacobian.reshape(len(self.pixel), height, 4 * width),
+            *self.maps[3:],
+        )
+
+        def work(first: int, last: int) -> None:
+            x, y = np.arange(width, dtype=np.float64), np.empty(width)
+            x = (x - place[CENTRE_U]) / place[FOCAL]
+            spans, hidden = np.empty((2 * len(discs) + 1, 2), np.int64), np.empty(width, np.uint8)
+            scratch = (x, y, spans, *block_scratch(), hidden, np.empty((6, width)))
+            direct_rows(
+                place,
+                self.tables,
+                discs,
+                self.lockstep,
+                lens_free,
+                self.grid_numbers,
+                size,
+                first,
+                last,
+                *scratch,
+                maps,
+            )
+
+        run_rows(work, height)
+
+    def _node_camera(self) -> NDArray[np.float64]:
+        """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
+        x, y, z = self.scene.camera.position_mm
+        (x0, y0), pitch = self.grid.origin_mm, self.grid.pitch_mm
+        straight = [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0]
+        return np.array([x, y, z, *straight, z / pitch, (x - x0) / pitch, (y0 - y) / pitch, *[0.0] * 5])
+
+    def glass(self) -> None:
+        """Cut the sensor into sheets and solve each that is worth it."""
+        sheets = Sheets(self.ray_map, self.grid, self.tables, self.longest_mm)
+        for sheet in sheets:
+            enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
+            self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
+
+    def _solve(self, sheet: Sheet, parts: Iterator[Starts]) -> None:
+        """Solve the nodes of one sheet and keep the best views."""
+        sequence = np.array([self.events[name] for name in self.ray_map.branches[sheet.branch]], np.int64)
+        key = key_of(sequence)
+        trip = chain_trip(self.scene, sequence) if self.lockstep else -1
+        solid = bool((sequence < len(self.tables[1].spheres)).all())
+        balls, maps = self.balls, self.maps
+
+        def work(part: Starts) -> None:
+            scratch = (
+                np.empty(NEWTON_NUMBERS),
+                np.empty(GROUP, np.int64),
+                np.empty((2, GROUP)),
+                np.empty((len(balls), 2), np.int64),
+                np.empty(len(balls), np.int64),
+                *block_scratch(),
+            )
+            solve_nodes(
+                self.tables,
+                self.grid_numbers,
+                balls,
+                sequence,
+                trip,
+                solid,
+                key,
+                sheet.branch,
+                sheet.sign,
+                self.limits,
+                *part,
+                *scratch,
+                maps,
+            )
+
+        run_parts(work, parts)
+
+    def join(self) -> None:
+        """Normalise the weights of each node."""
+        run_rows(lambda first, last: join_weights(first, last, self.weight), self.grid.shape[0])

@@ -1,0 +1,1 @@
+"""Compiled search for the views of a node; numba and numpy only."""

@@ -1,0 +1,281 @@
+"""The direct view: nodes that are seen past all glass, projected in closed form, row by row.
+
+The grid arrives as (x0, y0, pitch): node (row, column) is (x0 + column pitch, y0 - row pitch).  Jacobians
+are d pixel / d node, four numbers: du/dcolumn, du/drow, dv/dcolumn, dv/drow.
+"""
+
+import math
+
+import numpy as np
+
+from correction.inversion.kernels.inverse import Tables
+from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
+from ground.jit import Array, kernel, unowned
+from tracer.kernels.branches import NOTHING
+from tracer.kernels.camera import undistorted
+from tracer.kernels.chain import (
+    LANES,
+    PICK,
+    STEP,
+    begin_block,
+    clear_picks,
+    glass_span,
+    insert_span,
+    look,
+    place_row,
+)
+from tracer.kernels.world import next_body, stops
+
+MAX_STEPS = 25
+SETTLED_PX = 1e-10
+EDGE_PX = 1e-9  # beside the outermost pixel centre and still on it
+FREE, BEHIND_GLASS, BEHIND_BODY = 0, 1, 2
+X, Y, XA, XB, YB, WANTED_X, WANTED_Y = (k * STEP for k in range(7))  # columns of a block
+
+
+@kernel
+def hide_nodes(
+    row: int,
+    place: Array,
+    tables: Tables,
+    discs: Array,
+    lockstep: bool,
+    x: Array,
+    y: Array,
+    spans: Array,
+    rays: Array,
+    trips: Array,
+    hidden: Array,
+) -> None:
+    """Note in hidden (w,) uint8 what hides the nodes of a row from the pinhole: FREE, BEHIND_GLASS, ...
+
+    ``place`` is a camera whose pixels are the nodes: it stands in the pinhole and looks straight down, so that
+    a sphere's shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.  Only nodes in
+    shadows are asked for.  ``discs`` (N, BALL), of which centre and R^2 count, in the order of the sphere table.
+    """
+    camera, world = tables
+    width, bodies = x.shape[0], discs.shape[0]
+    place_row(row, True, place, x, y)
+    count = 0
+    joined = spans[bodies:]
+    for k in range(bodies):
+        low, high = glass_span(x, y, True, place, discs, k)
+        if low < high:
+            count = insert_span(joined, count, low, high)
+    if len(world.others) > 0:
+        joined[0, 0], joined[0, 1] = 0, width
+        count = 1
+    for i in range(width):
+        hidden[i] = FREE
+    for j in range(count):
+        low = joined[j, 0]
+        while low < joined[j, 1]:
+            high = min(low + LANES, joined[j, 1])
+            if lockstep:
+                begin_block(x[low:high], y[low:high], place, rays, trips)
+                clear_picks(high - low, rays, trips)
+                for k in range(bodies):
+                    look(k, discs, high - low, rays, trips)
+                for i in range(high - low):
+                    hidden[low + i] = BEHIND_GLASS if trips[PICK + i] >= 0 else FREE
+            else:
+                for i in range(low, high):
+                    dx, dy = x[i], -y[i]
+                    unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
+                    dx, dy, dz = dx * unit, dy * unit, -unit
+                    body = next_body(camera[0], camera[1], camera[2], dx, dy, dz, NOTHING, world)
+                    if body != NOTHING:
+                        opaque = stops(camera[0], camera[1], camera[2], dx, dy, dz, body, world)
+                        hidden[i] = BEHIND_BODY if opaque else BEHIND_GLASS
+            low = high
+
+
+@kernel
+def direct_rows(
+    place: Array,
+    tables: Tables,
+    discs: Array,
+    lockstep: bool,
+    flat: bool,
+    grid: Array,
+    size: Array,
+    first: int,
+    last: int,
+    x: Array,
+    y: Array,
+    spans: Array,
+    rays: Array,
+    trips: Array,
+    hidden: Array,
+    lens: Array,
+    maps: tuple[Array, ...],
+) -> None:
+    """See the nodes of rows first..last-1 without glass: the first layer of all maps.
+
+    Nodes behind a body are left to the glass with the status they keep if no glass shows them.  ``maps`` as in
+    `keep_view`, but pixel (K, h, 2 w) and Jacobian (K, h, 4 w) with their numbers in turn; further layers are
+    cleared.  ``size`` (2,) sensor width and height; ``lens`` (6, w) is scratch.  Others see `hide_nodes`.
+    """
+    status, pixel, jacobian, weight, transmittance, branch = maps
+    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
+    transmittance, branch, lens = unowned(transmittance), unowned(branch), unowned(lens)
+    x, y, spans, rays, trips = unowned(x), unowned(y), unowned(spans), unowned(rays), unowned(trips)
+    camera = tables[0]
+    nan, nan32, none = math.nan, np.float32(math.nan), np.float32(0.0)
+    for row in range(first, last):
+        hide_nodes(row, place, tables, discs, lockstep, x, y, spans, rays, trips, hidden)
+        wy = grid[1] - row * grid[2] - camera[1]
+        if not flat:
+            acquire_row(wy, grid, camera, rays, lens)
+        place_pixels(wy, flat, grid, size, camera, lens, hidden, pixel[0, row], status[row])
+        place_jacobians(wy, grid, camera, pixel[0, row], jacobian[0, row])
+        if not flat:
+            bend_jacobians(lens, jacobian[0, row])
+        place_weights(pixel[0, row], jacobian[0, row], weight[0, row], transmittance[0, row])
+        branch[0, row, :] = 0
+        for layer in range(1, pixel.shape[0]):
+            pixel[layer, row, :] = nan
+            jacobian[layer, row, :] = nan32
+            weight[layer, row, :] = none
+            transmittance[layer, row, :] = none
+            branch[layer, row, :] = 0
+
+
+@kernel
+def place_pixels(
+    wy: float,
+    flat: bool,
+    grid: Array,
+    size: Array,
+    camera: Array,
+    lens: Array,
+    hidden: Array,
+    pixel: Array,
+    status: Array,
+) -> None:
+    """Pixels (2 w,) and status (w,) of a row of nodes that lies wy from the pinhole.
+
+    This and the next ones are loops of their own because each touches few arrays: the compiler vectorises only
+    what it can prove disjoint by a handful of tests.
+    """
+    px, pz, x0, pitch, right, bottom = camera[0], camera[2], grid[0], grid[2], size[0] - 1.0, size[1] - 1.0
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11, focal, u0, v0 = camera[9], camera[10], camera[11], camera[12], camera[13], camera[14]
+    lens_u, lens_v = lens[0], lens[1]
+    for i in range(status.shape[0]):
+        wx = x0 + i * pitch - px
+        cz = c9 * wx + c10 * wy - c11 * pz
+        inverse = 1.0 / cz
+        u = u0 + focal * ((c3 * wx + c4 * wy - c5 * pz) * inverse)
+        v = v0 + focal * ((c6 * wx + c7 * wy - c8 * pz) * inverse)
+        bent_u, bent_v = lens_u[i], lens_v[i]
+        u, v = u if flat else bent_u, v if flat else bent_v
+        # Without lens terms the outermost nodes ARE the outermost pixels: rounding must not lose them.
+        near_u, near_v = min(max(u, 0.0), right), min(max(v, 0.0), bottom)
+        inside = (cz > 0.0) & (abs(u - near_u) <= EDGE_PX) & (abs(v - near_v) <= EDGE_PX)
+        free = hidden[i] == FREE
+        code = BLOCKED if hidden[i] == BEHIND_BODY else RIM
+        code = RECOVERED if free else code
+        status[i] = code if inside else OUT_OF_FRAME
+        pixel[2 * i] = near_u if inside & free else math.nan
+        pixel[2 * i + 1] = near_v if inside & free else math.nan
+
+
+@kernel
+def place_jacobians(wy: float, grid: Array, camera: Array, pixel: Array, jacobian: Array) -> None:
+    """Jacobians (4 w,) of the ideal camera for a row of nodes; NaN where there is no pixel."""
+    px, pz, x0, pitch, focal = camera[0], camera[2], grid[0], grid[2], camera[12]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11 = camera[9], camera[10], camera[11]
+    for i in range(pixel.shape[0] // 2):
+        wx = x0 + i * pitch - px
+        inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
+        a, b = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+        step = focal * pitch * inverse
+        step = step if pixel[2 * i] == pixel[2 * i] else math.nan
+        jacobian[4 * i], jacobian[4 * i + 1] = np.float32((c3 - a * c9) * step), np.float32((a * c10 - c4) * step)
+        jacobian[4 * i + 2] = np.float32((c6 - b * c9) * step)
+        jacobian[4 * i + 3] = np.float32((b * c10 - c7) * step)
+
+
+@kernel
+def bend_jacobians(lens: Array, jacobian: Array) -> None:
+    """Multiply the lens's derivatives into the Jacobians (4 w,) of a row, in place."""
+    ua, ub, va, vb = lens[2], lens[3], lens[4], lens[5]
+    for i in range(lens.shape[1]):
+        uc, ur, vc, vr = jacobian[4 * i], jacobian[4 * i + 1], jacobian[4 * i + 2], jacobian[4 * i + 3]
+        a, b, c, d = ua[i], ub[i], va[i], vb[i]
+        jacobian[4 * i], jacobian[4 * i + 1] = np.float32(a * uc + b * vc), np.float32(a * ur + b * vr)
+        jacobian[4 * i + 2], jacobian[4 * i + 3] = np.float32(c * uc + d * vc), np.float32(c * ur + d * vr)
+
+
+@kernel
+def place_weights(pixel: Array, jacobian: Array, weight: Array, transmittance: Array) -> None:
+    """Weights and transmittances (w,) of a row seen directly; 0 where there is no pixel."""
+    none, one = np.float32(0.0), np.float32(1.0)
+    for i in range(weight.shape[0]):
+        area = abs(jacobian[4 * i] * jacobian[4 * i + 3] - jacobian[4 * i + 1] * jacobian[4 * i + 2])
+        worth = min(one, area)
+        seen = pixel[2 * i] == pixel[2 * i]
+        weight[i] = worth if seen else none
+        transmittance[i] = one if seen else none
+
+
+@kernel
+def acquire_block(first: int, count: int, wy: float, grid: Array, camera: Array, b: Array) -> None:
+    """Acquired image coordinates and their derivatives by ideal ones, for one block; see `acquire_row`."""
+    px, pz, x0, pitch = camera[0], camera[2], grid[0], grid[2]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11 = camera[9], camera[10], camera[11]
+    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    settled = SETTLED_PX / camera[12]
+    for i in range(count):
+        wx = x0 + (first + i) * pitch - px
+        inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
+        b[X + i], b[Y + i] = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+        b[WANTED_X + i], b[WANTED_Y + i], b[XA + i] = b[X + i], b[Y + i], math.inf
+    for _ in range(MAX_STEPS):
+        moving = 0
+        for i in range(count):
+            x, y = b[X + i], b[Y + i]
+            a, e, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
+            xx = radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+            xy = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
+            yy = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+            r = 1.0 / (xx * yy - xy * xy)
+            a, e = b[WANTED_X + i] - a, b[WANTED_Y + i] - e
+            dx, dy = (yy * a - xy * e) * r, (xx * e - xy * a) * r
+            goes = b[XA + i] == math.inf
+            done = abs(dx) + abs(dy) < settled
+            new_x, new_y, xa, xb, yb = x + dx, y + dy, yy * r, -xy * r, xx * r
+            xa = xa if done else math.inf
+            b[X + i], b[Y + i] = new_x if goes else x, new_y if goes else y
+            b[XA + i] = xa if goes else b[XA + i]
+            b[XB + i], b[YB + i] = xb if goes else b[XB + i], yb if goes else b[YB + i]
+            moving += goes & (not done)
+        if moving == 0:
+            break
+
+
+@kernel
+def acquire_row(wy: float, grid: Array, camera: Array, block: Array, lens: Array) -> None:
+    """Acquired pixels of the nodes of a row that lies wy from the pinhole: Newton on the lens terms.
+
+    ``lens`` (6, w) receives u, v and the derivatives of acquired by ideal pixels (du/da, du/db, dv/da, dv/db);
+    NaN where the lens formula does not settle.  A node that has settled stays while others go on.  ``block`` is
+    scratch (RAY_NUMBERS,).
+    """
+    focal, u0, v0 = camera[12], camera[13], camera[14]
+    width = lens.shape[1]
+    for low in range(0, width, LANES):
+        count = min(LANES, width - low)
+        acquire_block(low, count, wy, grid, camera, block)
+        for i in range(count):
+            lens[0, low + i] = u0 + focal * block[X + i] if block[XA + i] < math.inf else math.nan
+            lens[1, low + i] = v0 + focal * block[Y + i]
+        for i in range(count):
+            lens[2, low + i] = block[XA + i]
+            lens[3, low + i] = block[XB + i]
+        for i in range(count):
+            lens[4, low + i] = block[XB + i]
+            lens[5, low + i] = block[YB + i]

@@ -1,0 +1,170 @@
+"""Newton on traced rays for a block of nodes at once, along ONE known sequence of spheres.
+
+On a sheet every ray takes the same sequence, so nothing has to be looked for while iterating: the block goes
+through the turns of the sequence, derivatives and all, in loops without a branch.  What leaves the sheet (no hit:
+NaN; wrong sign of the determinant; a long step; no convergence) is left to the careful one-by-one Newton of
+``inverse``; what converged still has to be verified (``views``).
+
+A node has converged when a step is so small that derivatives and transmittance, which are those of the place
+before it, are right behind it to what float32 holds; how small that is comes with its start.  The step is still
+taken and leaves about its square.  The node then stays frozen while its neighbours go on, so that its bits do not
+depend on them.
+
+Columns of the block, STEP apart in one array (see ``tracer.kernels.chain``): pixel u, v; node x, y; position and
+direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobian d plane / d pixel.
+"""
+
+import math
+
+from ground.jit import Array, kernel, kernel_inlined
+from tracer.kernels.camera import undistorted, unit_tangent
+from tracer.kernels.sphere import foot, foot_tangent, turned, turned_tangent
+
+GROUP = 64  # nodes of a block: 27 columns of them fit the first-level cache
+STEP = GROUP + 8
+U, V, X, Y, PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(10))
+FX, FY, FZ, UX, UY, UZ, GX, GY, GZ, VX, VY, VZ = (k * STEP for k in range(10, 22))
+LIGHT, KEPT, XU, XV, YU, YV, WORTH, WITHIN = (k * STEP for k in range(22, 30))
+NEWTON_NUMBERS = 30 * STEP
+VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the careful way
+MOVING, CONVERGED, FAILED = 0, 1, 2
+
+foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
+turned_inlined = kernel_inlined(turned.py_func)  # type: ignore[attr-defined]
+foot_tangent_inlined = kernel_inlined(foot_tangent.py_func)  # type: ignore[attr-defined]
+turned_tangent_inlined = kernel_inlined(turned_tangent.py_func)  # type: ignore[attr-defined]
+unit_tangent_inlined = kernel_inlined(unit_tangent.py_func)  # type: ignore[attr-defined]
+
+
+@kernel
+def aim(count: int, camera: Array, b: Array) -> None:
+    """Rays of the pixels u, v with their derivatives."""
+    ox, oy, oz = camera[0], camera[1], camera[2]
+    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
+    c9, c10, c11, scale, u0, v0 = camera[9], camera[10], camera[11], 1.0 / camera[12], camera[13], camera[14]
+    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    for i in range(count):
+        x, y = (b[U + i] - u0) * scale, (b[V + i] - v0) * scale
+        a, e, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
+        xx = (radial + 2.0 * x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x) * scale
+        xy = (2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y) * scale
+        yy = (radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x) * scale
+        unit = 1.0 / math.sqrt(a * a + e * e + 1.0)
+        dx, dy, dz = (c3 * a + c6 * e + c9) * unit, (c4 * a + c7 * e + c10) * unit, (c5 * a + c8 * e + c11) * unit
+        ux, uy, uz = unit_tangent_inlined(
+            dx, dy, dz, unit, c3 * xx + c6 * xy, c4 * xx + c7 * xy, c5 * xx + c8 * xy
+        )
+        vx, vy, vz = unit_tangent_inlined(
+            dx, dy, dz, unit, c3 * xy + c6 * yy, c4 * xy + c7 * yy, c5 * xy + c8 * yy
+        )
+        b[PX + i], b[PY + i], b[PZ + i], b[DX + i], b[DY + i], b[DZ + i] = ox, oy, oz, dx, dy, dz
+        b[UX + i], b[UY + i], b[UZ + i], b[VX + i], b[VY + i], b[VZ + i] = ux, uy, uz, vx, vy, vz
+        b[FX + i], b[FY + i], b[FZ + i], b[GX + i], b[GY + i], b[GZ + i] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        b[LIGHT + i] = 1.0
+
+
+@kernel_inlined
+def turn_of(
+    b2: float, r2: float, ir2: float, ir: float, n: float, nu: float, gk: float, kt: float
+) -> tuple[float, float, float, float, float]:
+    """Cos delta, q, their derivatives by b^2, and the transmittance of one surface; see ``tracer.kernels.sphere``.
+
+    One division serves for all: the reciprocals of cos i, cos t, cos t + cos i/n and n cos i + cos t are products
+    of three of them times the reciprocal of all four.
+    """
+    chi = b2 * ir2
+    c, t = math.sqrt((r2 - b2) * ir2), math.sqrt(max(1.0 - b2 * kt, 0.0))
+    den, other = t + c * nu, n * c + t
+    ct, do = c * t, den * other
+    r = 1.0 / (ct * do)
+    inv_den, inv_other = r * ct * other, r * ct * den
+    c_rate, t_rate = -0.5 * ir2 * (r * t * do), -0.5 * kt * (r * c * do)
+    g = gk * inv_den
+    g_rate = -g * inv_den * (t_rate + nu * c_rate)
+    both = ct + chi * nu
+    both_rate = c_rate * t + c * t_rate + ir2 * nu
+    cosine, cosine_rate = 1.0 - 2.0 * chi * g * g, -2.0 * g * (ir2 * g + 2.0 * chi * g_rate)
+    q, q_rate = 2.0 * g * both * ir, 2.0 * ir * (g_rate * both + g * both_rate)
+    passed = 2.0 * n * ct * (nu * nu * inv_den * inv_den + inv_other * inv_other)
+    return cosine, q, cosine_rate, q_rate, passed
+
+
+@kernel
+def cross(count: int, cx: float, cy: float, cz: float, radius: float, n: float, b: Array) -> None:
+    """All rays through one sphere; NaN where a ray misses it or meets it behind."""
+    r2, nu = radius * radius, 1.0 / n
+    ir2, ir, kt, gk = 1.0 / r2, 1.0 / radius, 1.0 / (n * n * r2), (n - 1.0) * (n + 1.0) / (n * n)
+    for i in range(count):
+        dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
+        wx, wy, wz = b[PX + i] - cx, b[PY + i] - cy, b[PZ + i] - cz
+        m, ax, ay, az = foot_inlined(wx, wy, wz, dx, dy, dz)
+        b2 = ax * ax + ay * ay + az * az
+        m = m if (m > 0.0) & (b2 < r2) & (b2 * kt < 1.0) else math.nan
+        ux, uy, uz, vx, vy, vz = b[UX + i], b[UY + i], b[UZ + i], b[VX + i], b[VY + i], b[VZ + i]
+        fx, fy, fz = foot_tangent_inlined(wx, wy, wz, dx, dy, dz, m, b[FX + i], b[FY + i], b[FZ + i], ux, uy, uz)
+        gx, gy, gz = foot_tangent_inlined(wx, wy, wz, dx, dy, dz, m, b[GX + i], b[GY + i], b[GZ + i], vx, vy, vz)
+        cosine, q, cosine_1, q_1, surface = turn_of(b2, r2, ir2, ir, n, nu, gk, kt)
+        b[LIGHT + i] = b[LIGHT + i] * surface * surface
+        rate = 2.0 * (ax * fx + ay * fy + az * fz)
+        c_rate, q_rate = cosine_1 * rate, q_1 * rate
+        fx, fy, fz, ux, uy, uz = turned_tangent_inlined(
+            ax, ay, az, dx, dy, dz, b2, cosine, q, fx, fy, fz, ux, uy, uz, rate, c_rate, q_rate
+        )
+        rate = 2.0 * (ax * gx + ay * gy + az * gz)
+        c_rate, q_rate = cosine_1 * rate, q_1 * rate
+        gx, gy, gz, vx, vy, vz = turned_tangent_inlined(
+            ax, ay, az, dx, dy, dz, b2, cosine, q, gx, gy, gz, vx, vy, vz, rate, c_rate, q_rate
+        )
+        ax, ay, az, dx, dy, dz = turned_inlined(ax, ay, az, dx, dy, dz, b2, cosine, q)
+        b[PX + i], b[PY + i], b[PZ + i] = cx + ax, cy + ay, cz + az
+        b[DX + i], b[DY + i], b[DZ + i] = dx, dy, dz
+        b[FX + i], b[FY + i], b[FZ + i], b[UX + i], b[UY + i], b[UZ + i] = fx, fy, fz, ux, uy, uz
+        b[GX + i], b[GY + i], b[GZ + i], b[VX + i], b[VY + i], b[VZ + i] = gx, gy, gz, vx, vy, vz
+
+
+@kernel
+def step_pixels(count: int, sign: float, b: Array, state: Array) -> int:
+    """Move u, v by one Newton step towards the nodes; state (LANES,) int64; how many still move."""
+    moving = 0
+    for i in range(count):
+        dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
+        inverse = -1.0 / dz
+        t = b[PZ + i] * inverse
+        tu, tv = (b[FZ + i] + t * b[UZ + i]) * inverse, (b[GZ + i] + t * b[VZ + i]) * inverse
+        xu, xv = b[FX + i] + tu * dx + t * b[UX + i], b[GX + i] + tv * dx + t * b[VX + i]
+        yu, yv = b[FY + i] + tu * dy + t * b[UY + i], b[GY + i] + tv * dy + t * b[VY + i]
+        ex, ey = b[X + i] - b[PX + i] - t * dx, b[Y + i] - b[PY + i] - t * dy
+        det = xu * yv - xv * yu
+        inverse = 1.0 / det
+        du, dv = (yv * ex - xv * ey) * inverse, (xu * ey - yu * ex) * inverse
+        size = max(abs(du), abs(dv))
+        good = (det * sign > 0.0) & (dz < 0.0) & (abs(du) <= 2.0) & (abs(dv) <= 2.0)  # NaN is not good
+        goes = (state[i] == MOVING) & good
+        settled = goes & (size <= b[WITHIN + i])
+        b[U + i] = b[U + i] + du if goes else b[U + i]
+        b[V + i] = b[V + i] + dv if goes else b[V + i]
+        b[KEPT + i] = b[LIGHT + i] if goes else b[KEPT + i]
+        b[XU + i], b[XV + i] = xu if goes else b[XU + i], xv if goes else b[XV + i]
+        b[YU + i], b[YV + i] = yu if goes else b[YU + i], yv if goes else b[YV + i]
+        ended = CONVERGED if settled else MOVING
+        ended = ended if good else FAILED
+        ended = ended if state[i] == MOVING else state[i]
+        state[i] = ended
+        moving += ended == MOVING
+    return moving
+
+
+@kernel
+def solve_block(
+    count: int, camera: Array, spheres: Array, sequence: Array, sign: float, b: Array, state: Array
+) -> None:
+    """Newton for the nodes x, y from the pixels u, v through the spheres of `sequence` (E,), in this order."""
+    for i in range(count):
+        state[i] = MOVING
+    for _ in range(VECTOR_STEPS):
+        aim(count, camera, b)
+        for e in range(sequence.shape[0]):
+            k = sequence[e]
+            cross(count, spheres[k, 0], spheres[k, 1], spheres[k, 2], spheres[k, 3], spheres[k, 4], b)
+        if step_pixels(count, sign, b, state) == 0:
+            break

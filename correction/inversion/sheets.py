@@ -1,0 +1,148 @@
+"""The sheets of a ray map, and the starts of the nodes that each may show.
+
+What is held of the whole sensor and of all nodes is one byte each (``kernels.sheets``: flags; who has
+taken a node); starts are made some thousand at a time, so that a map needs little more memory than its arrays.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.grid import PlaneGrid
+from correction.inversion.kernels.inverse import Tables
+from correction.inversion.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
+from correction.inversion.kernels.starts import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
+from ground.rows import run_rows
+from tracer.ray_map import RayMap
+
+Starts = tuple[NDArray[np.float64], NDArray[np.int32]]  # (N, 4) and (N, 2), see `scatter_sheet`
+LAST_STAMP = np.iinfo(np.uint8).max
+
+
+class Sheet(NamedTuple):
+    """A connected part of a branch in which the determinant keeps its sign."""
+
+    branch: int
+    sign: float
+    events: int
+    runs: NDArray[np.int64]
+
+
+class Sheets:
+    """The sheets of a ray map.
+
+    Parameters
+    ----------
+    ray_map : RayMap
+        The ray map.
+    grid : PlaneGrid
+        The nodes.
+    tables : tuple of array and World
+        Camera and bodies as kernels take them.
+    longest_mm : float
+        Largest singular value of d plane / d pixel of a pixel that is worth a start.
+    """
+
+    def __init__(self, ray_map: RayMap, grid: PlaneGrid, tables: Tables, longest_mm: float) -> None:
+        height, width = ray_map.status.shape
+        self.tables, self.grid_numbers = tables, np.array([*grid.origin_mm, grid.pitch_mm])
+        self.plane, self.branch = ray_map.plane_mm.reshape(height, 2 * width), ray_map.branch
+        self.events = np.array([len(names) for names in ray_map.branches])
+        self.flags, self.taken, self.stamp = np.empty((height, width), np.uint8), np.zeros(grid.shape, np.uint8), 0
+        # A pixel's largest square, two wide, is sqrt(8) of its longest side across.
+        across = math.sqrt(8.0) * longest_mm / grid.pitch_mm
+        self.room = ENOUGH_NODES + min(math.prod(grid.shape), (int(across) + 3) ** 2)
+        self.spare: list[Starts] = []
+        counts, box = np.empty(height, np.int64), np.array(grid.shape[::-1]) - 1.0
+
+        def flag(first: int, last: int) -> None:
+            numbers = self.grid_numbers, box, longest_mm
+            flag_rows(tables, *numbers, first, last, self.plane, self.branch, ray_map.status, self.flags, counts)
+
+        run_rows(flag, height)
+        self.begin = np.concatenate(([0], np.cumsum(counts)))
+        self.runs = np.empty((int(self.begin[-1]), RUN), np.int64)
+
+        def cut(first: int, last: int) -> None:
+            ends, edges = np.empty(width, np.int64), np.empty(width, np.uint8)
+            list_runs(self.flags, self.branch, first, last, self.begin, ends, self.runs)
+            flag_edges(self.flags, self.branch, first, last, self.begin, edges)
+
+        run_rows(cut, height)
+
+    def __iter__(self) -> Iterator[Sheet]:
+        """Sheets worth a start, those with few events first."""
+        runs = self.runs
+        parent, useful = np.empty(len(runs), np.int64), np.zeros(len(runs), np.int64)
+        join_runs(self.begin, runs, parent)
+        count_useful(self.flags, runs, parent, useful)
+        order = np.argsort(parent, kind="stable")
+        heads = np.nonzero(useful)[0]
+        firsts = np.searchsorted(parent[order], heads)
+        lasts = np.searchsorted(parent[order], heads, side="right")
+        events = self.events[runs[heads, 3] >> 1]
+        # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
+        for k in np.lexsort((heads, runs[heads, 3], events)).tolist():
+            code = int(runs[heads[k], 3])
+            sign = -1.0 if code & 1 else 1.0
+            yield Sheet(code >> 1, sign, int(events[k]), runs[order[firsts[k] : lasts[k]]])
+
+    def starts(self, sheet: Sheet, weight: NDArray[np.float32], enough: np.float32) -> Iterator[Starts]:
+        """Starts of a sheet and their nodes, but for nodes whose weight (h, w) is `enough`."""
+        if self.stamp == LAST_STAMP:
+            self.taken[...], self.stamp = 0, 0
+        self.stamp += 1
+        cursor = np.zeros(3, np.int64)
+        scratch = np.empty(LANES, np.int64), np.empty(MEASURES)
+        tiles: list[Starts] = []
+        edges: list[Starts] = []
+        while cursor[0] < DONE:
+            starts, nodes = self.spare.pop() if self.spare else self._room()
+            tiled, found = scatter_sheet(
+                self.plane,
+                self.branch,
+                self.flags,
+                sheet.runs,
+                self.tables,
+                self.grid_numbers,
+                weight,
+                enough,
+                self.stamp,
+                self.taken,
+                cursor,
+                *scratch,
+                starts,
+                nodes,
+            )
+            if found == 0:
+                self.spare.append((starts, nodes))
+            elif cursor[0] == TILING:
+                yield starts[:found], nodes[:found]
+            else:
+                tiles.append((starts[:tiled], nodes[:tiled]))
+                edges.append((starts[tiled:found], nodes[tiled:found]))
+        if tiles:
+            starts, nodes = _joined([*tiles, _nearest(*_joined(edges))])
+            for low in range(0, len(starts), ENOUGH_NODES):
+                yield starts[low : low + ENOUGH_NODES], nodes[low : low + ENOUGH_NODES]
+
+    def _room(self) -> Starts:
+        """Fresh memory for what one call of `scatter_sheet` gives."""
+        return np.empty((self.room, 4)), np.empty((self.room, 2), np.int32)
+
+
+def _joined(parts: list[Starts]) -> Starts:
+    """All parts in one."""
+    return np.concatenate([starts for starts, _ in parts]), np.concatenate([nodes for _, nodes in parts])
+
+
+def _nearest(starts: NDArray[np.float64], nodes: NDArray[np.int32]) -> Starts:
+    """Of the starts of each node the one from the nearest pixel."""
+    number = nodes[:, 0].astype(np.int64) << 32 | nodes[:, 1]
+    order = np.lexsort((starts[:, 2], number))
+    number = number[order]
+    first = order[np.append(True, number[1:] != number[:-1])[: len(order)]]
+    return starts[first], nodes[first]

@@ -1,1 +1,0 @@
-"""Compiled inner loops of the correction and of its evaluation; numba and numpy only."""

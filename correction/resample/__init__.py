@@ -1,0 +1,1 @@
+"""The one resampler of the house: frames at any position between their pixels, with splines or bilinearly."""

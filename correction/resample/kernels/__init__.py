@@ -1,0 +1,1 @@
+"""Compiled sampling of frames between their pixels; numba and numpy only."""

@@ -1,0 +1,75 @@
+"""The loops of the patterns over millions of points of the sheet."""
+
+import numpy as np
+
+from sim.renderer.rays import Float32, Int64
+from sim.renderer.surfaces import Float64, compiled
+
+
+@compiled
+def chessboard(
+    points: Float64, square: float, disc_radius: float, discs: Float64, dark: float, bright: float, out: Float32
+) -> None:
+    """Reflectance of the chessboard at points (N, 2) [mm]; discs in the squares (M, 2) named."""
+    for index in range(points.shape[0]):
+        i, j = np.floor(points[index, 0] / square), np.floor(points[index, 1] / square)
+        odd = (i + j) - 2.0 * np.floor(0.5 * (i + j)) == 1.0
+        for k in range(discs.shape[0]):
+            if i == discs[k, 0] and j == discs[k, 1]:
+                x, y = points[index, 0] - (i + 0.5) * square, points[index, 1] - (j + 0.5) * square
+                if x * x + y * y < disc_radius * disc_radius:
+                    odd = not odd
+        out[index] = bright if odd else dark
+
+
+@compiled
+def particles(
+    points: Float64,
+    places: Float64,
+    peaks: Float64,
+    starts: Int64,
+    corner: Float64,
+    cell: float,
+    sigma: float,
+    background: float,
+    out: Float32,
+) -> None:
+    """Reflectance of Gaussian particles at points (N, 2) [mm].
+
+    `places` (M, 2) and `peaks` (M,) are sorted by cell (row-major, edge `cell`, from `corner`); `starts`
+    (rows, columns + 1) is the first particle of each cell, so three cells of a row are one run.  A particle
+    reaches as far as one cell.
+    """
+    rows, columns = starts.shape[0], starts.shape[1] - 1
+    fade = -0.5 / (sigma * sigma)
+    for index in range(points.shape[0]):
+        x, y = points[index, 0], points[index, 1]
+        fx, fy = np.floor((x - corner[0]) / cell), np.floor((y - corner[1]) / cell)
+        total = background
+        if -1.0 <= fx <= columns and -1.0 <= fy <= rows:
+            column, row = int(fx), int(fy)
+            for r in range(max(row - 1, 0), min(row + 2, rows)):
+                for k in range(starts[r, max(column - 1, 0)], starts[r, max(min(column + 2, columns), 0)]):
+                    a, b = x - places[k, 0], y - places[k, 1]
+                    r2 = a * a + b * b
+                    if r2 < cell * cell:
+                        total += peaks[k] * np.exp(fade * r2)
+        out[index] = min(total, 1.0)
+
+
+@compiled
+def printed_image(points: Float64, image: Float32, pixel: float, outside: float, out: Float32) -> None:
+    """Bilinear value of an image printed with `pixel` mm a pixel, centred on the origin, row 0 at the top."""
+    rows, columns = image.shape
+    for index in range(points.shape[0]):
+        u = points[index, 0] / pixel + 0.5 * (columns - 1)
+        v = 0.5 * (rows - 1) - points[index, 1] / pixel
+        if not (0.0 <= u <= columns - 1 and 0.0 <= v <= rows - 1):
+            out[index] = outside
+            continue
+        column, row = min(int(u), max(columns - 2, 0)), min(int(v), max(rows - 2, 0))
+        right, below = min(column + 1, columns - 1), min(row + 1, rows - 1)
+        a, b = u - column, v - row
+        upper = (1.0 - a) * image[row, column] + a * image[row, right]
+        lower = (1.0 - a) * image[below, column] + a * image[below, right]
+        out[index] = (1.0 - b) * upper + b * lower

@@ -1,0 +1,1 @@
+"""What the simulated camera sees: an independent ray tracer, and the noise of its sensor."""

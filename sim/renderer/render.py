@@ -1,0 +1,221 @@
+"""An independent renderer: the eye of the simulated camera, against which every correction is judged.
+
+It shares the scene's nouns with the tracer and none of its arithmetic (see `sim.renderer.rays`).
+
+Each pixel is the mean of n x n rays.  Where glass compresses the view, so that a pixel sees more than
+`CROWDED` times the width it would see without glass, or where only part of its rays arrive (rims,
+silhouettes), it is traced again with 2n x 2n.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.rows import run_rows
+from sim.prints.patterns import Pattern
+from sim.renderer.rays import trace_pixels, weighted_mean
+from sim.renderer.sensor import Sensor
+from sim.renderer.surfaces import SOLID
+from tracer.bodies import Body, Rod, Sphere
+from tracer.errors import SceneError
+from tracer.scene import CONTACT_TOL_MM, Scene
+
+BLOCK_ROWS = 4
+CROWDED = 2.5
+
+
+@dataclass(frozen=True)
+class Aperture:
+    """A thin lens in place of the pinhole: its pupil has the diameter f / f_number.
+
+    Parameters
+    ----------
+    f_mm : float
+        Focal length.
+    f_number : float
+        Aperture.
+    focus_mm : float
+        Distance pinhole to the plane in focus, along the optical axis.
+    """
+
+    f_mm: float
+    f_number: float
+    focus_mm: float
+
+    def __post_init__(self) -> None:
+        if min(self.f_mm, self.f_number, self.focus_mm) <= 0.0:
+            raise SceneError("f_mm, f_number and focus_mm of an aperture must be positive")
+
+    @property
+    def pupil_radius_mm(self) -> float:
+        """Radius of the pupil."""
+        return 0.5 * self.f_mm / self.f_number
+
+
+@dataclass(frozen=True)
+class _Tables:
+    """A scene as the compiled loops want it."""
+
+    camera: NDArray[np.float64]
+    spheres: NDArray[np.float64]
+    rods: NDArray[np.float64]
+    bounds: NDArray[np.float64]
+    plane: NDArray[np.float64]
+    px_mm: float  # width a pixel sees on the sheet without glass
+
+
+def render(
+    scene: Scene,
+    pattern: Pattern,
+    sensor: Sensor,
+    *,
+    samples: int = 4,
+    seed: int = 0,
+    illumination: float = 1.0,
+    aperture: Aperture | None = None,
+) -> NDArray[np.uint16]:
+    """Take one frame.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and bodies.
+    pattern : Pattern
+        What hangs at its pose.
+    sensor : Sensor
+        Blur, gain, noise and depth.
+    samples : int
+        A pixel is integrated by samples x samples rays, twice as many each way where the view is compressed.
+    seed : int
+        Of the pixels' sample patterns and of the noise; two frames of one scene need two seeds.
+    illumination : float
+        Factor on the light.
+    aperture : Aperture, optional
+        A finite pupil; give `samples` 8 or more with it.
+
+    Returns
+    -------
+    ndarray
+        Counts, uint16 (H, W).
+
+    Raises
+    ------
+    SceneError
+        A body crosses the pattern's plane.
+    """
+    light = render_irradiance(scene, pattern, samples=samples, seed=seed, aperture=aperture)
+    return sensor.expose(light, seed=seed, illumination=illumination)
+
+
+def render_irradiance(
+    scene: Scene, pattern: Pattern, *, samples: int = 4, seed: int = 0, aperture: Aperture | None = None
+) -> NDArray[np.float32]:
+    """Return the light on each pixel, float32 (H, W): 1 = white sheet without glass; see `render`."""
+    if samples < 1:
+        raise SceneError("samples must be at least 1")
+    tables = _tables(scene, pattern, aperture)
+    height, width = scene.camera.shape
+    out = np.empty((height, width), np.float32)
+
+    def block(first: int, last: int) -> None:
+        rows, columns = np.mgrid[first:last, 0:width]
+        pixels = np.column_stack((rows.ravel(), columns.ravel()))
+        light, spread = _sample(tables, pattern, pixels, samples, seed)
+        again = np.flatnonzero(spread > CROWDED * tables.px_mm)
+        for part in np.array_split(again, 1 + len(again) // 4096):
+            light[part] = _sample(tables, pattern, pixels[part], 2 * samples, seed)[0]
+        out[first:last] = light.reshape(last - first, width)
+
+    run_rows(block, height, BLOCK_ROWS)
+    return out
+
+
+def _sample(
+    tables: _Tables, pattern: Pattern, pixels: NDArray[np.int64], n: int, seed: int
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Light (N,) and spread of the seen points (N,) [mm] of pixels (N, 2), by n x n rays each."""
+    count = len(pixels)
+    points = np.empty((count, n * n, 2))
+    transmittance = np.empty((count, n * n), np.float32)
+    spread, light = np.empty(count), np.empty(count, np.float32)
+    t, order = tables, _pupil_order(n)
+    world = (t.camera, t.spheres, t.rods, t.bounds, t.plane)
+    trace_pixels(pixels, n, seed, *world, order, points, transmittance, spread)
+    values = pattern.reflectance(points.reshape(-1, 2)).reshape(count, n * n)
+    weighted_mean(values, transmittance, light)
+    return light, spread
+
+
+@cache
+def _pupil_order(n: int) -> NDArray[np.int64]:
+    """Fixed shuffle that pairs the n*n places in a pixel with the n*n places in the pupil."""
+    return np.random.default_rng(n).permutation(n * n)
+
+
+def _tables(scene: Scene, pattern: Pattern, aperture: Aperture | None) -> _Tables:
+    """Translate scene, pose and aperture into arrays."""
+    camera, lens = scene.camera, scene.camera.lens
+    plane = pattern.pose.axes()
+    bodies = [body for body in scene.bodies if _in_front(body, plane)]
+    spheres, rods = Sphere.among(bodies), Rod.among(bodies)
+    if unknown := [body for body in bodies if body not in (*spheres, *rods)]:
+        raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
+    pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
+    pose = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
+    return _Tables(
+        camera=np.array([*pose, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
+        spheres=_balls(scene, spheres),
+        rods=_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
+        bounds=_rows([[*s.centre_mm, s.radius_mm] for s in spheres] + [_ball(r) for r in rods], 4),
+        plane=plane,
+        px_mm=float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3])) / camera.focal_px,
+    )
+
+
+def _balls(scene: Scene, spheres: Sequence[Sphere]) -> NDArray[np.float64]:
+    """Rows of the spheres, filled up with zeros to the one with the most cores."""
+    air = scene.ambient.n(scene.wavelength_nm)
+    rows = [
+        [*s.centre_mm, s.radius_mm, *_glass(scene, s)]
+        + [number for core in s.cores for number in (core.radius_mm, core.medium.n(scene.wavelength_nm) / air)]
+        for s in spheres
+    ]
+    width = max(map(len, rows), default=SOLID)
+    return _rows([row + [0.0] * (width - len(row)) for row in rows], width)
+
+
+def _rows(values: list[list[float]], width: int) -> NDArray[np.float64]:
+    return np.array(values, dtype=np.float64).reshape(-1, width)
+
+
+def _glass(scene: Scene, sphere: Sphere) -> tuple[float, float]:
+    """Index against the room, and 1 if opaque."""
+    if sphere.medium is None:
+        return 1.0, 1.0
+    return sphere.medium.n(scene.wavelength_nm) / scene.ambient.n(scene.wavelength_nm), 0.0
+
+
+def _ball(rod: Rod) -> list[float]:
+    """Centre and radius of the ball around a rod."""
+    start, end = np.array(rod.start_mm), np.array(rod.end_mm)
+    return [*(0.5 * (start + end)).tolist(), 0.5 * float(np.linalg.norm(end - start)) + rod.radius_mm]
+
+
+def _in_front(body: Body, plane: NDArray[np.float64]) -> bool:
+    """True if a body lies before the sheet, False if behind it.
+
+    Raises
+    ------
+    SceneError
+        The sheet cuts the body.
+    """
+    *ends, radius_mm = body.capsule
+    heights = [float((np.array(end) - plane[0]) @ plane[3]) for end in ends]
+    if min(heights) - radius_mm >= -CONTACT_TOL_MM:
+        return True
+    if max(heights) + radius_mm <= CONTACT_TOL_MM:
+        return False
+    raise SceneError(f"the target cuts through body {body.name!r}; move the target back or the body away")
