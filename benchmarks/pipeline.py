@@ -19,12 +19,12 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.processor_time import ProcessorTime
-from daq.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.plans.plan import load_plan
+from daq.acquisition.runner.progress import Progress
+from daq.acquisition.runner.session import Request, begin, carry_out
 from daq.errors import DaqError
 from daq.example_files import examples
-from daq.plans.plan import load_plan
-from daq.runner.progress import Progress
-from daq.runner.session import Request, begin, carry_out
 from sim.demo.scenes import named_scene
 from sim.prints.patterns import printed_particles
 from sim.renderer.render import render

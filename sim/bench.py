@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from daq.bench.bench_file import Bench, CameraSection
+from daq.acquisition.bench.bench_file import Bench, CameraSection
 from ground.config import Document, Table, validate
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan

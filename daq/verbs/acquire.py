@@ -9,20 +9,20 @@ from rich.console import Console
 from rich.table import Table
 
 from correction.resample.sample import Method
-from daq.bench.bench_file import Bench, Vector, load_bench
-from daq.bench.opened import idle_stage
-from daq.cameras import require_libraries
+from daq.acquisition.bench.bench_file import Bench, Vector, load_bench
+from daq.acquisition.bench.opened import idle_stage
+from daq.acquisition.cameras import require_libraries
+from daq.acquisition.pipeline.lanes import LIVE_QUEUE
+from daq.acquisition.plans.forecast import Forecast, forecast
+from daq.acquisition.plans.plan import Plan, load_plan
+from daq.acquisition.plans.way_out import forecast_from_home
+from daq.acquisition.runner.session import Request, begin, carry_out, check_disk
+from daq.acquisition.runner.watch import watch
+from daq.acquisition.runs.displacement import FILE as MOVED
+from daq.acquisition.runs.displacement import Moved, read_displacements
+from daq.acquisition.runs.gaps import gap_sentence
+from daq.acquisition.runs.run_folder import RunFolder
 from daq.errors import BadBalance, FrameDoubt, PlanError
-from daq.pipeline.lanes import LIVE_QUEUE
-from daq.plans.forecast import Forecast, forecast
-from daq.plans.plan import Plan, load_plan
-from daq.plans.way_out import forecast_from_home
-from daq.runner.session import Request, begin, carry_out, check_disk
-from daq.runner.watch import watch
-from daq.runs.displacement import FILE as MOVED
-from daq.runs.displacement import Moved, read_displacements
-from daq.runs.gaps import gap_sentence
-from daq.runs.run_folder import RunFolder
 from daq.terminal import console, error_console
 from stages.identities import confusable
 

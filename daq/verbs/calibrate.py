@@ -11,13 +11,13 @@ from correction.fit.measurement import TargetFrame
 from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.frame_file import FRAME_ENDINGS
-from daq.calibration import calibration_of
-from daq.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
-from daq.runs.acquired import read_acquired
-from daq.runs.board import board_of
-from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import TargetView, is_run, load_kept, target_views
-from daq.runs.whole_text import write_json, write_text
+from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.run_folder import RunFolder
+from daq.acquisition.runs.run_views import TargetView, is_run, load_kept, target_views
+from daq.acquisition.runs.whole_text import write_json, write_text
+from daq.analysis.calibration import calibration_of
+from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
 from daq.terminal import console, error_console
 from tracer.fit_section import FitTable
 from tracer.scene import Scene

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.bench.bench_file import load_bench
-from daq.bench.opened import open_camera
-from daq.runner.exposures import Exposures
-from daq.runs.raw_frame import checksum, write_raw
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.opened import open_camera
+from daq.acquisition.runner.exposures import Exposures
+from daq.acquisition.runs.raw_frame import checksum, write_raw
 from daq.terminal import console
 
 

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
+from daq.acquisition.runs.run_check import RunCheck, check_run
 from daq.errors import RunDamaged
-from daq.runs.run_check import RunCheck, check_run
 from daq.terminal import console, progress
 
 

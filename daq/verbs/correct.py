@@ -17,12 +17,12 @@ from correction.frame_file import write_frame
 from correction.node_status import MEANING, NodeStatus
 from correction.prepared import prepare
 from correction.resample.sample import Method
-from daq.bare_target import dewarp_of
-from daq.pictures.overview import draw_overview
-from daq.pictures.seen import seen
-from daq.runs.acquired import read_acquired
-from daq.runs.board import board_of
-from daq.runs.whole_text import write_json
+from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.bare_target import dewarp_of
+from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.whole_text import write_json
+from daq.analysis.pictures.overview import draw_overview
+from daq.analysis.pictures.seen import seen
 from daq.terminal import console, progress
 from tracer.scene import Scene
 from tracer.scene_file import load_scene

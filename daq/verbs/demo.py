@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from daq.bench.bench_file import load_bench
-from daq.cameras import require_libraries
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.cameras import require_libraries
+from daq.acquisition.runs.run_views import target_views
 from daq.example_files import examples
-from daq.runs.run_views import target_views
 from daq.terminal import console
 from daq.verbs.acquire import acquire
 from daq.verbs.calibrate import calibrate

@@ -11,10 +11,10 @@ from pathlib import Path
 from rich.table import Table
 from serial.tools import list_ports
 
-from daq.bench.bench_file import Bench, load_bench
-from daq.cameras import LIBRARIES
+from daq.acquisition.bench.bench_file import Bench, load_bench
+from daq.acquisition.cameras import LIBRARIES
+from daq.acquisition.runs.run_folder import versions
 from daq.example_files import examples
-from daq.runs.run_folder import versions
 from daq.terminal import console
 from stages.identities import confusable
 

@@ -4,8 +4,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from daq.bench.bench_file import Bench, load_bench
-from daq.bench.opened import start_simulation
+from daq.acquisition.bench.bench_file import Bench, load_bench
+from daq.acquisition.bench.opened import start_simulation
 from daq.terminal import console
 
 

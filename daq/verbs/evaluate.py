@@ -12,16 +12,16 @@ from correction.errors import PairError
 from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
 from correction.fit.scene_sigma import SceneSigma
 from correction.prepared import PreparedCorrections
-from daq.bare_target import dewarp_of
-from daq.evaluation import Evaluation, Route, Task, evaluate_task
-from daq.report.page import Page
-from daq.report.pair import pair_chapters, pair_tiles
-from daq.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
-from daq.runs.acquired import read_acquired
-from daq.runs.board import board_of
-from daq.runs.pairs import FramePair, RunPairs, pairs_of
-from daq.runs.run_views import is_run, scene_file
-from daq.runs.whole_text import write_json
+from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.bare_target import dewarp_of
+from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.pairs import FramePair, RunPairs, pairs_of
+from daq.acquisition.runs.run_views import is_run, scene_file
+from daq.acquisition.runs.whole_text import write_json
+from daq.analysis.evaluation import Evaluation, Route, Task, evaluate_task
+from daq.analysis.report.page import Page
+from daq.analysis.report.pair import pair_chapters, pair_tiles
+from daq.analysis.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
 from daq.terminal import console
 from ground.errors import GroundError
 from tracer.errors import TracerError

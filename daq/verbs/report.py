@@ -6,18 +6,18 @@ import numpy as np
 
 from correction.evaluate.target_error import target_error
 from correction.prepared import prepare
-from daq.bare_target import dewarp_of
+from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.bare_target import dewarp_of
+from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.displacement import FILE as MOVED
+from daq.acquisition.runs.run_folder import RunFolder
+from daq.acquisition.runs.run_views import first_view, scene_file
+from daq.analysis.evaluation import Evaluation, Route
+from daq.analysis.pictures.before_after import before_after
+from daq.analysis.report.page import Page
+from daq.analysis.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
+from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
 from daq.errors import ResumeRefused
-from daq.evaluation import Evaluation, Route
-from daq.pictures.before_after import before_after
-from daq.report.page import Page
-from daq.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
-from daq.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
-from daq.runs.acquired import read_acquired
-from daq.runs.board import board_of
-from daq.runs.displacement import FILE as MOVED
-from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import first_view, scene_file
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate
 from tracer.scene import Scene

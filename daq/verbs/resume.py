@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from daq.runner.session import reopen
+from daq.acquisition.runner.session import reopen
 from daq.terminal import console, progress_if_long
 from daq.verbs.acquire import run_and_report
 

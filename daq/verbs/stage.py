@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rich.table import Table
 
-from daq.bench.bench_session import BenchSession, open_session
+from daq.acquisition.bench.bench_session import BenchSession, open_session
 from daq.errors import RunUsageError
 from daq.terminal import console, error_console
 

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from daq.bench.bench_session import BenchSession
+from daq.acquisition.bench.bench_session import BenchSession
 from daq.errors import DaqError, RunUsageError
 from daq.terminal import console, error_console
 from daq.verbs.stage import numbers, where_table

@@ -8,10 +8,10 @@ from rich.table import Table
 
 from correction.correction_map import build_correction_map
 from correction.node_status import MEANING, NodeStatus
-from daq.pictures.curve import draw_curve
-from daq.pictures.drawing import scene_figure
-from daq.pictures.markers import markers
-from daq.pictures.seen import seen
+from daq.analysis.pictures.curve import draw_curve
+from daq.analysis.pictures.drawing import scene_figure
+from daq.analysis.pictures.markers import markers
+from daq.analysis.pictures.seen import seen
 from daq.terminal import console
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view

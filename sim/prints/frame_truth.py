@@ -20,8 +20,8 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.runs.raw_frame import read_raw
-from daq.runs.run_folder import RunFolder, frame_entries
+from daq.acquisition.runs.raw_frame import read_raw
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 
 WIDTH_PX = 32
 MOVING = 1 << 16

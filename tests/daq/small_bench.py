@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import tifffile
 
-from daq.bench.bench_file import load_bench
-from daq.bench.opened import OpenBench, guard_of, start_simulation
-from daq.cameras.files import FilesCamera
-from daq.plans.plan import load_plan
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.opened import OpenBench, guard_of, start_simulation
+from daq.acquisition.cameras.files import FilesCamera
+from daq.acquisition.plans.plan import load_plan
 from stages.stage import Stage
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

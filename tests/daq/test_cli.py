@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from daq import cameras
+from daq.acquisition import cameras
 from daq.cli import DEVICE, USAGE, main
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from pydantic import TypeAdapter
 
-from daq.bench.bench_file import BenchTable
-from daq.plans.experiments import EXPERIMENTS, plan_table
-from daq.runs.displacement import Moved
-from daq.runs.done_file import DoneFile
-from daq.runs.journal_lines import Line
-from daq.runs.run_file import RunFile
+from daq.acquisition.bench.bench_file import BenchTable
+from daq.acquisition.plans.experiments import EXPERIMENTS, plan_table
+from daq.acquisition.runs.displacement import Moved
+from daq.acquisition.runs.done_file import DoneFile
+from daq.acquisition.runs.journal_lines import Line
+from daq.acquisition.runs.run_file import RunFile
 from ground.config import load_yaml, validate
 from sim.bench import SimulationTable
 from tracer.scene_file import load_scene

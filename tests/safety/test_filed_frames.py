@@ -3,8 +3,8 @@
 import pytest
 
 import sim.prints.frame_truth as frame_truth
+from daq.acquisition.runs.run_folder import frame_entries
 from daq.cli import DONE, main
-from daq.runs.run_folder import frame_entries
 from sim.prints.frame_truth import NoTruth, misfiled
 from tests.daq.small_bench import SHIFT, write_bench
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.cli import DONE, main
-from daq.runs.run_folder import RunFolder, frame_entries
 from sim.prints.frame_truth import misfiled
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "daq"))

@@ -7,7 +7,7 @@ import sys
 import time
 from contextlib import contextmanager
 
-from daq.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_file import load_bench
 from sim.bench import SimulationTable
 from sim.clock import ScaledClock
 from sim.stages import SimulatedStages

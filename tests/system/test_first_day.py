@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from daq.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_file import load_bench
 from daq.cli import DONE
 from tests.system.served import HASTE, served_bench
 

@@ -17,12 +17,12 @@ from pathlib import Path
 
 import pytest
 
-from daq.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.plans.plan import load_plan
+from daq.acquisition.runs.raw_frame import read_raw
+from daq.acquisition.runs.run_check import check_run
+from daq.acquisition.runs.run_folder import RunFolder, finished_steps, frame_entries
 from daq.cli import DEVICE, INTERRUPTED
-from daq.plans.plan import load_plan
-from daq.runs.raw_frame import read_raw
-from daq.runs.run_check import check_run
-from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
 from sim.prints.frame_truth import misfiled
 from tests.daq.small_bench import write_bench
 

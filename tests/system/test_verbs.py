@@ -10,8 +10,8 @@ import time
 import pytest
 import serial
 
+from daq.acquisition.runs.run_folder import RunFolder, finished_steps
 from daq.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
-from daq.runs.run_folder import RunFolder, finished_steps
 from tests.daq.small_bench import FILES_CAMERA, write_bench, write_frames
 
 PLAN = "experiment: shift\nviews: [glass]\ndisplacements: [{along: [1.0, 0.0, 0.0], mm: 20.0}]\nrepeats: 3\n"

@@ -24,7 +24,7 @@ def test_every_file_that_is_used_and_nothing_else(wheel):
         there = {str(path.relative_to(ROOT)) for path in (ROOT / package).rglob("*.py")}
         assert there <= names
     assert {f"{package}/__init__.pyi" for package in PACKAGES if package != "benchmarks"} <= names
-    assert "daq/report/page.css" in names
+    assert "daq/analysis/report/page.css" in names
     shown = {path.relative_to(ROOT / "examples") for path in (ROOT / "examples").rglob("*.*")}
     assert {f"daq/examples/{path}" for path in shown if "__pycache__" not in path.parts} <= names
     allowed = {*PACKAGES, next(name for name in names if name.endswith("/RECORD")).partition("/")[0]}

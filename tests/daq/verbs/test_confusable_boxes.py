@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from daq.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_file import load_bench
 from daq.cli import DONE, main
 from tests.daq.small_bench import FILES_CAMERA, write_bench, write_frames
 

@@ -8,19 +8,19 @@ import pytest
 
 from correction import prepared
 from correction.grid import grid_of
+from daq.acquisition.runs.conservation import Ledger
+from daq.acquisition.runs.displacement import Displacement, write_displacements
+from daq.acquisition.runs.journal import Journal
+from daq.acquisition.runs.run_folder import RunFolder
+from daq.acquisition.runs.run_views import scene_file
+from daq.acquisition.runs.whole_text import write_record
 from daq.cli import DONE, USAGE, main
-from daq.runs.conservation import Ledger
-from daq.runs.displacement import Displacement, write_displacements
-from daq.runs.journal import Journal
-from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import scene_file
-from daq.runs.whole_text import write_record
 from daq.verbs.evaluate import evaluate
 from sim.prints.patterns import Chessboard, printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.small_scenes import small_scene
-from tests.daq.report.browser import measured
+from tests.daq.analysis.report.browser import measured
 from tests.daq.small_run import about_run, keep_frame, keep_step, planned
 from tracer.scene_file import dump_scene
 

@@ -1,0 +1,100 @@
+"""What a plan will do, said before anything moves: moves, travel, time, disk, and what is not allowed.
+
+Limits and keep-out are judged by the same code that will judge the real moves (`Stage.check`), on the same
+route, so a plan that passes here is refused later only if the start is another one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from daq.acquisition.bench.bench_file import Bench, trigger_is_software
+from daq.acquisition.cameras.camera import Setting
+from daq.acquisition.plans.steps import Step, frame_count, route
+from stages.errors import StageUsageError
+from stages.stage import Stage
+
+FRAME_OVERHEAD_S = 0.05  # trigger, readout, hand-over
+STEP_OVERHEAD_S = 0.1  # reading the positions back, fsync of the journal
+FILE_OVERHEAD_BYTES = 4096
+DEFAULT_RATE_HZ = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A step that must not be made."""
+
+    step: int
+    tag: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """The sum of a plan.
+
+    Parameters
+    ----------
+    frames : int
+        Frames to be written.
+    travel_mm : mapping
+        Way of each axis, approach included.
+    duration_s : float
+        Estimate from speeds, accelerations, settling, exposures.
+    raw_bytes, corrected_bytes : int
+        Estimate of the files.
+    violations : tuple of Violation
+        What is not allowed; empty if the plan may be carried out.
+    """
+
+    frames: int
+    travel_mm: Mapping[str, float]
+    duration_s: float
+    raw_bytes: int
+    corrected_bytes: int
+    violations: tuple[Violation, ...]
+
+
+def forecast(
+    bench: Bench, stage: Stage, steps: Sequence[Step], start_mm: Mapping[str, float] | None = None
+) -> Forecast:
+    """Go through a list of steps without sending anything.
+
+    Parameters
+    ----------
+    bench : Bench
+        The bench.
+    stage : Stage
+        Its stage, open or not.
+    steps : sequence of Step
+        What is to be done.
+    start_mm : mapping, optional
+        Where the axes are; default is the place at which the scene file holds.
+    """
+    here = dict(bench.home_mm if start_mm is None else start_mm)
+    travel = dict.fromkeys(here, 0.0)
+    duration_s, violations = 0.0, []
+    for step in steps:
+        for move in route(bench, here, step.targets_mm):
+            try:
+                stage.check(here, move)
+            except StageUsageError as error:
+                violations.append(Violation(step.index, step.tag, str(error)))
+            for piece in stage.way(here, move):
+                travel[piece.axis] += abs(piece.end_mm - piece.start_mm)
+            duration_s += stage.duration_s(here, move)
+            here |= move
+        duration_s += step.settle_s + STEP_OVERHEAD_S + step.frames * _frame_s(bench.table.camera.settings)
+    frames, frame_bytes = frame_count(steps), _frame_bytes(bench)
+    on_plane = sum(step.frames for step in steps if step.on_plane)
+    return Forecast(frames, travel, duration_s, frames * frame_bytes, on_plane * frame_bytes, tuple(violations))
+
+
+def _frame_s(settings: Mapping[str, Setting]) -> float:
+    if trigger_is_software(settings):
+        return FRAME_OVERHEAD_S + float(settings.get("ExposureTime", 1000.0)) * 1e-6
+    return 1.0 / float(settings.get("AcquisitionFrameRate", DEFAULT_RATE_HZ))
+
+
+def _frame_bytes(bench: Bench) -> int:
+    width, height = bench.scene.camera.sensor_px
+    return 2 * width * height + FILE_OVERHEAD_BYTES  # frames are stored unpacked, 16 bit a pixel

@@ -1,0 +1,136 @@
+"""Which frames of a run form pairs, as the run itself says: moved by a measured way, or a time apart.
+
+A shift run has steps that are displaced from a reference step: its pairs are the first frames of both, with the
+displacement that the stages measured.  A stream has groups, frames that belong together: its pairs are neighbours
+within a group, with the time between their exposures on the camera's clock.
+
+One lost frame would swap first and second exposure for the rest of a stream if frames were paired in the order of
+arrival.  A run numbers the frames of a stream by their ids and goes on with whole groups, so the number says the
+place within the group; a frame whose partner is missing is in no pair, and is counted.  Ids cannot tell that the
+camera was armed between the two exposures of a pair; time stamps can.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from correction.errors import PairError
+from daq.acquisition.bench.bench_file import Vector
+from daq.acquisition.runs.displacement import read_displacements
+from daq.acquisition.runs.journal import Entry
+from daq.acquisition.runs.run_file import PlannedStep
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
+from daq.errors import ResumeRefused
+
+SWAPPED = 2.0  # times the gap to the next pair, and a pair is none; frames in regular order have 1
+
+
+@dataclass(frozen=True)
+class FramePair:
+    """Two frames between which something has moved.
+
+    Parameters
+    ----------
+    tag : str
+        Names the pair within its run.
+    glass : bool
+        Taken through the glass, or bare.
+    frames : (Path, Path)
+        Before and after.
+    commanded_mm, measured_mm : (float, float, float), optional
+        Displacement of the target in the world, as planned and as the stages reported it; None if it did not move.
+    dt_s : float, optional
+        From the first exposure to the second; None if nobody measured it.
+    """
+
+    tag: str
+    glass: bool
+    frames: tuple[Path, Path]
+    commanded_mm: Vector | None = None
+    measured_mm: Vector | None = None
+    dt_s: float | None = None
+
+
+@dataclass(frozen=True)
+class RunPairs:
+    """Pairs of a run in the order of the plan, and the numbers of frames that lost their partner."""
+
+    pairs: tuple[FramePair, ...]
+    alone: tuple[int, ...]
+
+
+def pairs_of(path: Path) -> RunPairs:
+    """Return the pairs of a run.
+
+    Raises
+    ------
+    ResumeRefused
+        The folder is no run, or a run that is not far enough.
+    RunDamaged
+        What it says is not what was written.
+    PairError
+        No frames of this run belong together, or their time stamps contradict it.
+    """
+    folder = RunFolder.open(path)
+    steps, entries = folder.about["steps"], frame_entries(folder.entries())
+    moved = any(step["reference"] is not None for step in steps)
+    if not moved and all(step.get("group", 1) == 1 for step in steps):
+        raise PairError(f"{path}: no frames of this run form pairs; give a shift run, or a stream with a group")
+    pairs = list(_moved(folder, steps, entries)) if moved else []
+    alone: list[int] = []
+    for step in steps:
+        pairs += _timed(folder, step, entries, alone)
+    if not pairs:
+        raise ResumeRefused(f"{path}: no pair is complete; resume the run first")
+    return RunPairs(tuple(pairs), tuple(alone))
+
+
+def _moved(folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, Entry]) -> Iterator[FramePair]:
+    views = {step["tag"]: step["view"] for step in steps}
+    for entry in read_displacements(folder):
+        first, second = (entries.get(number) for number in entry["frames"])
+        if first is None or second is None:
+            continue
+        yield FramePair(
+            entry["tag"],
+            views[entry["tag"]] == "glass",
+            (folder.inside(first["file"]), folder.inside(second["file"])),
+            entry["commanded_mm"],
+            entry["measured_mm"],
+        )
+
+
+def _timed(
+    folder: RunFolder, step: PlannedStep, entries: Mapping[int, Entry], alone: list[int]
+) -> list[FramePair]:
+    """Pairs of one step; adds to `alone` the frames that are in none."""
+    first, group = step["first_frame"], step.get("group", 1)
+    present = [number for number in range(first, first + step["frames"]) if number in entries]
+    to_next_ns = {
+        one: entries[two]["timestamp_ns"] - entries[one]["timestamp_ns"]
+        for one, two in pairwise(present)
+        if two == one + 1 and entries[two]["sequence"] == entries[one]["sequence"] + 1
+    }
+    last_of = {number: number + group - 1 - (number - first) % group for number in to_next_ns}
+    starts = [number for number, last in last_of.items() if number != last]
+    for one in starts:
+        if to_next_ns[one] < 0:
+            raise PairError(
+                f"{folder.path}: frame {one + 1} was exposed before frame {one}, by the camera's clock"
+            )
+    swapped = [n for n in starts if to_next_ns[n] > SWAPPED * to_next_ns.get(last_of[n], math.inf)]
+    if 2 * len(swapped) > len(starts):
+        raise PairError(
+            f"{folder.path}: the frames of most pairs lie farther apart than the next pair, such as "
+            f"{swapped[0]} and {swapped[0] + 1}: the first frame of the stream was not the first of a pair"
+        )
+    found = []
+    for one in starts:
+        dt_s = to_next_ns[one] * 1e-9 or None  # 0: the camera has no clock
+        files = (folder.inside(entries[one]["file"]), folder.inside(entries[one + 1]["file"]))
+        found.append(FramePair(f"{step['tag']}_{one:06d}", step["view"] == "glass", files, dt_s=dt_s))
+    if group > 1:
+        alone += sorted(set(present).difference(*[(one, one + 1) for one in starts]))
+    return found

@@ -1,0 +1,51 @@
+"""Texts of a run and of the verbs: whole or not there, on the disk before anybody is told, name included."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from daq.acquisition.runs.seal import sealed
+from daq.errors import DiskError
+from ground.whole_file import whole_file
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text: temporary name, fsync, rename, fsync of the folder.
+
+    Raises
+    ------
+    DiskError
+        It cannot be written.
+    """
+    try:
+        with whole_file(path) as stream:
+            stream.write(text.encode())
+        sync_folder(path.parent)
+    except OSError as error:
+        raise DiskError(f"{path}: {why(error)}; make room, then try again") from error
+
+
+def write_json(path: Path, tree: Any) -> None:  # noqa: ANN401 - anything JSON can hold
+    """Write plain data as `write_text` does."""
+    write_text(path, json.dumps(tree, indent=1))
+
+
+def write_record(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a record of a run, with its seal, as `write_text` does."""
+    write_text(path, sealed(json.dumps(tree, indent=1, allow_nan=False).encode()).decode() + "\n")
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def why(error: OSError) -> str:
+    """Reason of a failed write; arrays that the disk took only a part of come without one."""
+    return error.strerror or f"the disk is full, it took only a part ({error})"

@@ -1,0 +1,169 @@
+"""What is said about a calibration: its numbers, Table 2 before and after, what the frames left open."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from correction.board import Chessboard
+from correction.evaluate.target_error import TargetError
+from correction.fit.map_sigma import MapSigma
+from correction.fit.measurement import TargetFrame
+from correction.fit.result import SceneFit
+from correction.fit.table2 import Sense1, aligned, computed_against_acquired, corrected_against_grid
+from correction.fit.unknowns import unit_of
+from correction.fit.weakness import Weakness, weaknesses
+from daq.analysis.pictures.calibration import Panel
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A fit with all that was found out about it.
+
+    Parameters
+    ----------
+    fit : SceneFit
+    sigma : MapSigma
+        Of its map.
+    senses : dict
+        Scene name -> computer-generated minus acquired, by region.
+    grids : dict
+        Scene name -> corrected frame against the regular grid.
+    panels : list
+        The first sense, to be drawn.
+    weak : list of Weakness
+        What the frames left open.
+    seconds : float
+        The fit took.
+    """
+
+    fit: SceneFit
+    sigma: MapSigma
+    senses: dict[str, list[Sense1]]
+    grids: dict[str, TargetError]
+    panels: list[Panel]
+    weak: list[Weakness]
+    seconds: float
+
+    @property
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """Free numbers in the units of files (mm, deg, px): value, sigma, sigma before, how far it moved."""
+        fit, found = self.fit, dict[str, dict[str, Any]]()
+        rows = zip(fit.names, fit.values, fit.sigmas, fit.bench.sigma, fit.x, strict=True)
+        for name, value, sigma, prior, x in rows:
+            unit, factor = unit_of(name)
+            found[name] = {
+                "unit": unit,
+                "value": float(value) * factor,
+                "sigma": float(sigma) * factor,
+                "prior_sigma": float(prior) * factor,
+                "moved": float(x * prior) * factor,
+            }
+        return found
+
+    @property
+    def percentiles(self) -> dict[str, dict[str, float]]:
+        """Median and largest standard deviation of the map per region, worse axis."""
+        worst = self.sigma.sigma_px.max(axis=-1)
+        regions = {"seen directly": ~self.sigma.behind_glass, "behind glass": self.sigma.behind_glass}
+        return {
+            name: {"median": float(np.median(values)), "largest": float(values.max())}
+            for name, region in regions.items()
+            if len(values := worst[region & np.isfinite(worst)])
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything a later reader needs, JSON-able."""
+        fit, corners = self.fit, self.fit.corners
+        return {
+            "scene_hash": fit.measured_scene.content_hash(),
+            "nominal_hash": fit.bench.scene.content_hash(),
+            "wavelength_nm": fit.scene.wavelength_nm,
+            "frames": list(fit.frames),
+            "seconds": round(self.seconds, 2),
+            "numbers": self.numbers,
+            "rms_px": {
+                name: corners.rms_px(behind).tolist()
+                for name, behind in (("seen directly", False), ("behind glass", True))
+                if np.any(corners.inlier & (corners.behind == behind))
+            },
+            "visible_behind_glass": fit.expected_behind,
+            "used_behind_glass": fit.paired_behind,
+            "outliers": int(np.count_nonzero(~corners.inlier)),
+            "refused": fit.refused,
+            "overlap_removed_mm": fit.pushed_mm,
+            "map_sigma_px": self.percentiles,
+            "weak": [weakness.sentence for weakness in self.weak],
+            "table2_computed_minus_acquired_px": {
+                name: [
+                    {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(r).items()}
+                    for r in regions
+                ]
+                for name, regions in self.senses.items()
+            },
+            "table2_corrected_minus_grid_px": {name: error.to_dict() for name, error in self.grids.items()},
+            "history": [str(step) for step in fit.history],
+        }
+
+    def show(self, screen: Console) -> None:
+        """Say what was found."""
+        screen.print(self._number_table())
+        screen.print(self._error_table())
+        for region, values in self.percentiles.items():
+            screen.print(
+                f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.3f} px"
+            )
+        fit = self.fit
+        if fit.expected_behind:
+            count = int(np.count_nonzero(~fit.corners.inlier))
+            screen.print(
+                f"{fit.paired_behind} of {fit.expected_behind} visible corners behind glass used; {count} outliers"
+                f" of {len(fit.corners.inlier)} corners rejected"
+            )
+        for weakness in self.weak:
+            screen.print(f"weak: {weakness.sentence}")
+
+    def _number_table(self) -> Table:
+        table = Table(title=f"fitted scene {self.fit.measured_scene.content_hash()}; the rest was held fixed")
+        for name in ("free number", "fitted", "sigma", "moved", "prior sigma"):
+            table.add_column(name, justify="left" if name == "free number" else "right")
+        for name, row in self.numbers.items():
+            digits = int(np.clip(1 - np.floor(np.log10(max(row["sigma"], 1e-9))), 0, 9))  # two of the sigma
+            unit = f" [{row['unit']}]" if row["unit"] else ""
+            fitted, known, moved = (f"{row[part]:.{digits}f}" for part in ("value", "sigma", "moved"))
+            table.add_row(f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}")
+        return table
+
+    def _error_table(self) -> Table:
+        table = Table(title="position error of target points [px] (Table 2)")
+        for name in ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest"):
+            table.add_column(name, justify="left" if name in ("sense", "scene", "region") else "right")
+        for name, regions in self.senses.items():
+            for r in regions:
+                bias, rms = (f"{p[0]:+.3f}, {p[1]:+.3f}" for p in (r.bias_px, r.rms_px))
+                rms = rms.replace("+", "")
+                row = (r.region, str(r.corners), bias, rms, f"{r.largest_px:.2f}")
+                table.add_row("computed - acquired", name, *row)
+        for name, error in self.grids.items():
+            for figures in error.rows():
+                table.add_row("corrected - grid", name, *figures)
+        return table
+
+
+def calibration_of(
+    fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], board: Chessboard, seconds: float
+) -> Calibration:
+    """Compare nominal and fitted glass in both senses of Table 2, on the frame through glass at z = 0."""
+    senses: dict[str, list[Sense1]] = {}
+    grids: dict[str, TargetError] = {}
+    panels: list[Panel] = []
+    for frame in [frame for frame in frames if frame.glass and frame.height_mm == 0.0][:1]:
+        number = fit.frames.index(frame.name)
+        for name, scene in (("nominal glass", aligned(fit)), ("fitted", fit.scene)):
+            senses[name], pixel, error = computed_against_acquired(scene, fit.corners, number, board)
+            grids[name] = corrected_against_grid(scene, frame.image, board)
+            panels.append((f"{name}, computer-generated minus acquired", pixel, error))
+    return Calibration(fit, sigma, senses, grids, panels, weaknesses(fit), seconds)

@@ -1,0 +1,155 @@
+"""One pair from frames to figures: correct, correlate, carry the map's uncertainty along, compare with truth."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.corrector import Corrector
+from correction.errors import FrameError
+from correction.evaluate.piv import evaluate_pair
+from correction.evaluate.regions import Regions, regions_of
+from correction.evaluate.routes import Routes, compare_routes, joined
+from correction.evaluate.shift import ShiftResult, evaluate_shift
+from correction.evaluate.vector_field import VectorField
+from correction.evaluate.vector_map_sigma import VectorMapSigma, vector_map_sigma
+from correction.evaluate.velocity_route import PlaneVectors, velocity_route
+from correction.fit.scene_sigma import SceneSigma
+from correction.grid import PlaneGrid
+from correction.prepared import PreparedCorrection
+from daq.acquisition.runs.acquired import read_acquired
+from daq.analysis.pictures.before_after import BeforeAfter, before_after
+from tracer.scene import Scene
+
+Route = Literal["image", "compare", "best"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One pair to evaluate.
+
+    Parameters
+    ----------
+    name : str
+        What the pair is called.
+    frames : (Path, Path)
+        Frame A and frame B as acquired.
+    scene : Scene
+        What the camera looked through.
+    out : Path
+        Folder of its results.
+    shift_mm : (float, float) or None
+        True displacement, x right, y UP; None if it is not known, or not one number for all particles.
+    commanded_mm : (float, float) or None
+        What was asked of the stage that moved them.
+    dt_s : float or None
+        Time between the frames, which makes velocities of displacements; None if it is not known.
+    note : str
+        What a reader must know.
+    """
+
+    name: str
+    frames: tuple[Path, Path]
+    scene: Scene
+    out: Path
+    shift_mm: tuple[float, float] | None = None
+    commanded_mm: tuple[float, float] | None = None
+    dt_s: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Result of one pair: vectors, figures and small pictures; no frame, no map.
+
+    Parameters
+    ----------
+    task : Task
+        What was asked.
+    grid : PlaneGrid
+        Nodes of the corrected frames.
+    seen : BeforeAfter
+        Frame A as acquired and corrected.
+    field : VectorField
+        Vectors on the corrected image, of the image route unless the better routes were asked for.
+    regions : Regions
+        Where each belongs.
+    shift : ShiftResult or None
+        Errors, if the true displacement is known.
+    map_sigma : VectorMapSigma or None
+        What the fitted scene is unsure of, if its fit lies beside it.
+    no_map_sigma : str
+        Why `map_sigma` is None.
+    traced : PlaneVectors or None
+        Vectors of the velocity route, if asked for.
+    routes : Routes or None
+        Both routes against each other.
+    by_velocity : (ny, nx) bool or None
+        Vectors of `field` that come from the velocity route.
+    """
+
+    task: Task
+    grid: PlaneGrid
+    seen: BeforeAfter
+    field: VectorField
+    regions: Regions
+    shift: ShiftResult | None
+    map_sigma: VectorMapSigma | None
+    no_map_sigma: str
+    traced: PlaneVectors | None
+    routes: Routes | None
+    by_velocity: NDArray[np.bool_] | None
+
+
+def evaluate_task(
+    task: Task, prepared: PreparedCorrection, sigma: SceneSigma | str, stage_um: float, route: Route
+) -> Evaluation:
+    """Evaluate one pair.
+
+    Parameters
+    ----------
+    task : Task
+        The pair.
+    prepared : PreparedCorrection
+        Of the task's scene.
+    sigma : SceneSigma or str
+        Uncertainty of the fitted scene, or why there is none.
+    stage_um : float
+        Standard error of the stage.
+    route : {"image", "compare", "best"}
+        Image route alone; the velocity route beside it; or each where it is better.
+    """
+    scene = task.scene
+    frame_a, frame_b = (read_acquired(path, scene.camera.shape) for path in task.frames)
+    corrector = prepared.corrector
+    grid = corrector.map.grid
+    corrected_a, corrected_b = (
+        _corrected(corrector, *named) for named in zip(task.frames, (frame_a, frame_b), strict=True)
+    )
+    field = evaluate_pair(corrected_a, corrected_b, corrector.recovered)
+    regions = regions_of(field, corrector.map, scene)
+    truth = None
+    if task.shift_mm is not None:
+        truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
+    traced = routes = by_velocity = None
+    if route != "image":
+        traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map)
+        routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
+        if route == "best":
+            field, by_velocity = joined(field, regions, traced, corrector.map, routes)
+    stage_px = stage_um * 1e-3 * grid.px_per_mm
+    result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
+    why = sigma if isinstance(sigma, str) else ""
+    unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
+    seen = before_after(frame_a, corrected_a, corrector)
+    return Evaluation(task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity)
+
+
+def _corrected(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Correct a frame; what is wrong with it is said with its name."""
+    try:
+        return corrector(frame)
+    except FrameError as error:
+        raise FrameError(f"{path}: {error}") from None

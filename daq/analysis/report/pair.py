@@ -1,0 +1,185 @@
+"""The chapters of one evaluated pair: pictures, vectors, errors, uncertainty, both routes, images."""
+
+import numpy as np
+
+from correction.evaluate.shift import shift_errors
+from daq.analysis.evaluation import Evaluation
+from daq.analysis.pictures.before_after import BeforeAfter
+from daq.analysis.pictures.drawing import scene_figure
+from daq.analysis.report.figures import (
+    colour_limit,
+    error_histogram,
+    grey_histogram,
+    radius_figure,
+    vector_figure,
+)
+from daq.analysis.report.page import Page
+from daq.analysis.report.tables import (
+    BUDGET_HEAD,
+    IMAGE_HEAD,
+    ROUTE_HEAD,
+    SHIFT_HEAD,
+    SIGMA_HEAD,
+    budget_rows,
+    image_rows,
+    mask_rows,
+    region_masks,
+    route_rows,
+    shift_rows,
+    sigma_rows,
+)
+from tracer.scene import Scene
+
+
+def pair_tiles(evaluation: Evaluation) -> list[tuple[str, str, str]]:
+    """The figures that matter most: value, name, what it is measured against."""
+    field, result = evaluation.field, evaluation.shift
+    tiles = [
+        (f"{field.counts['valid']}", "valid vectors", f"of {field.flags.size} nodes"),
+        (f"{100 * evaluation.seen.recovered:.1f} %", "of the plane recovered", "share of the corrected frame"),
+    ]
+    if result is not None:
+        for name, found in list(result.regions.items())[:2]:
+            std, bias = max(found.std_px), max(np.abs(found.bias_px))
+            tiles.append((f"{std:.4f} px", f"scatter, {name}", f"bias {bias:.4f} px, worse axis"))
+    return tiles
+
+
+def slider_chapter(page: Page, seen: BeforeAfter, what: str) -> None:
+    """Acquired | corrected | mask, and what the mask says."""
+    page.heading("Acquired, corrected, recovered")
+    page.slider(seen.layers, f"{what} Drag to compare. Mask: {seen.legend}.")
+    page.table(("nodes of the corrected frame", "share"), mask_rows(seen.shares))
+
+
+def pair_chapters(page: Page, evaluation: Evaluation) -> None:
+    """Add the chapters of a pair."""
+    if evaluation.field.doubt:
+        page.warning(evaluation.field.doubt + ".")
+    slider_chapter(page, evaluation.seen, "Frame A of the pair.")
+    _vectors(page, evaluation)
+    if evaluation.shift is not None:
+        _errors(page, evaluation)
+    _uncertainty(page, evaluation)
+    if evaluation.routes is not None:
+        _routes(page, evaluation)
+    _images(page, evaluation)
+    scene_chapter(page, evaluation.task.scene)
+
+
+def scene_chapter(page: Page, scene: Scene) -> None:
+    """What stood before the camera."""
+    page.heading("Scene")
+    caption = "Seen along y. Orange rays pass through glass, grey ones beside it; the plane is the black line."
+    page.figure("scene", scene_figure(scene), caption)
+    rows = [
+        (s.name, ", ".join(f"{c:.4f}" for c in s.centre_mm), f"{s.radius_mm:.4f}",
+         "opaque" if s.medium is None else ", ".join(
+             [f"{s.medium.n(scene.wavelength_nm):.5f}"]
+             + [f"{c.medium.n(scene.wavelength_nm):.5f} within {c.radius_mm:.4f} mm" for c in s.cores]))
+        for s in scene.spheres
+    ]  # fmt: skip
+    if rows:
+        page.table(("sphere", "centre x, y, z [mm]", "radius [mm]", f"n at {scene.wavelength_nm:g} nm"), rows)
+
+
+def _vectors(page: Page, evaluation: Evaluation) -> None:
+    field, grid, scene = evaluation.field, evaluation.grid, evaluation.task.scene
+    page.heading("Displacement")
+    sigma = np.hypot(field.sigma_u_px, field.sigma_v_px)
+    if evaluation.shift is None:
+        colour, label, limit = np.hypot(field.u_px, field.v_px), "displacement [px]", None
+        said = "Every second vector, its length in colour."
+    else:
+        colour, label = np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1), "true error [px]"
+        limit = max(colour_limit(colour), colour_limit(sigma))
+        said = "Every second vector; the background is its distance from the known shift."
+    page.figure("vectors", vector_figure(field, grid, scene, colour, label, limit), said, dense=True)
+    if np.isfinite(sigma).any():
+        page.figure(
+            "uncertainty",
+            vector_figure(field, grid, scene, sigma, "estimated sigma [px]", limit),
+            "The same vectors before the uncertainty that the evaluation itself estimates, without any truth.",
+            dense=True,
+        )
+    if evaluation.task.dt_s is not None:
+        per_px = grid.pitch_mm / evaluation.task.dt_s
+        page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
+                    ("1 px of displacement is", f"{per_px:.6g} mm/s")])  # fmt: skip
+    page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
+    rule = (
+        f"Windows of {field.window_px} px, {field.step_px} px apart. A window is masked if less than 30 % of its "
+        "pixels are recovered in both frames; replaced vectors are interpolated and count nowhere as measured."
+    )
+    page.text(rule + (f" NaN pixels inside the mask, left out: {field.nan_pixels}." if field.nan_pixels else ""))
+
+
+def _errors(page: Page, evaluation: Evaluation) -> None:
+    result = evaluation.shift
+    assert result is not None
+    page.heading("Errors against the known shift")
+    page.table(SHIFT_HEAD, shift_rows(result), "Errors of the vectors [px of the corrected frame], v down")
+    scale = evaluation.grid.px_per_mm
+    shift_mm = (result.shift_px[0] / scale, -result.shift_px[1] / scale)
+    facts = [("known shift x, y", f"{shift_mm[0]:+.4f}, {shift_mm[1]:+.4f} mm")]
+    facts.append(("in corrected pixels", f"{np.hypot(*result.shift_px):.4f} px"))
+    if evaluation.task.commanded_mm is not None:
+        facts.insert(0, ("commanded x, y", "{:+.4f}, {:+.4f} mm".format(*evaluation.task.commanded_mm)))
+    direct = result.regions.get("seen directly")
+    if direct is not None:
+        found = [(b + s) / scale for b, s in zip(direct.bias_px, result.shift_px, strict=True)]
+        facts.append(("found beside the glass", f"{found[0]:+.4f}, {-found[1]:+.4f} mm"))
+    page.facts(facts)
+    page.table(BUDGET_HEAD, budget_rows(evaluation), "Budget of the comparison, behind the glass")
+    field = evaluation.field
+    errors = shift_errors(field, result.shift_px)
+    spread = {name: errors[where] for name, where in region_masks(evaluation).items()}
+    page.figure("errors", error_histogram(spread), "Errors of both components by region.")
+    if result.rings and evaluation.routes is None:
+        page.figure("radius", radius_figure(result.rings, {}), "Behind the glass, by radius on the plane.")
+
+
+def _uncertainty(page: Page, evaluation: Evaluation) -> None:
+    page.heading("Uncertainty")
+    caption = (
+        "Root mean square of the standard uncertainty of a component [px of the corrected frame]; share of the "
+        "errors within it, the common error of the stage taken off"
+    )
+    page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
+    if evaluation.map_sigma is None:
+        page.text(f"What the map itself is unsure of is not known: {evaluation.no_map_sigma}.")
+        return
+    page.text(
+        "Random: correlation statistics of each vector. Map: the covariance of the scene fit, carried through the "
+        "traced rays. A position can be off by more than a displacement, because what both ends of a vector share "
+        "cancels; the map's share is the same in every pair and does not average out."
+    )
+
+
+def _routes(page: Page, evaluation: Evaluation) -> None:
+    routes = evaluation.routes
+    assert routes is not None
+    page.heading("Image route and velocity route")
+    unit = "rms error [px]" if routes.known else "rms of its own sigma [px]"
+    page.text(
+        "Image route: correct the frames, then correlate. Velocity route: correlate the raw frames, then trace "
+        "both ends of every vector through the glass."
+    )
+    page.table(ROUTE_HEAD, route_rows(routes), f"Behind glass by radius, {unit}")
+    if evaluation.by_velocity is not None:
+        page.text(f"{int(evaluation.by_velocity.sum())} vectors of the field are of the velocity route.")
+    if routes.known and routes.image:
+        page.figure("radius", radius_figure(routes.image, routes.velocity), "Behind the glass, by radius.")
+
+
+def image_table(page: Page, seen: BeforeAfter) -> None:
+    """Figures of merit, acquired against corrected."""
+    what = f"Figures of merit of the frame; saturated at {seen.full_scale:.0f}"
+    page.table(IMAGE_HEAD, image_rows(seen.figures), what)
+
+
+def _images(page: Page, evaluation: Evaluation) -> None:
+    page.heading("Images")
+    image_table(page, evaluation.seen)
+    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in evaluation.seen.figures.items()}
+    page.figure("intensity", grey_histogram(counts), "Intensity of frame A.")

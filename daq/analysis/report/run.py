@@ -1,0 +1,98 @@
+"""The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
+
+from correction.evaluate.regions import MIDDLE
+from daq.acquisition.runs.conservation import Ledger
+from daq.acquisition.runs.displacement import FILE as MOVED
+from daq.acquisition.runs.displacement import read_displacements
+from daq.acquisition.runs.done_file import read_done
+from daq.acquisition.runs.run_folder import RunFolder
+from daq.analysis.evaluation import Evaluation
+from daq.analysis.report.page import Page
+
+PAIRS_HEAD = (
+    "pair",
+    "valid vectors",
+    "known shift x, y [mm]",
+    "std beside, behind [px]",
+    "bias beside, behind [px]",
+)
+SHOWN_PAIRS = 60
+SHOWN_STEPS = 60
+MIDDLE_NAME = f"behind glass, r < {MIDDLE} R"
+
+
+def pairs_chapter(page: Page, found: list[Evaluation]) -> None:
+    """Every pair of a run in one line; the pages of the single pairs lie in folders of their names."""
+    page.heading("Pairs of this run")
+    rows: list[tuple[str, ...]] = []
+    for evaluation in found[:SHOWN_PAIRS]:
+        result, task = evaluation.shift, evaluation.task
+        cells = ["-", "-", "-"]
+        if result is not None and task.shift_mm is not None:
+            regions = [result.regions.get(name) for name in ("seen directly", MIDDLE_NAME)]
+            cells = ["{:+.4f}, {:+.4f}".format(*task.shift_mm)]
+            cells.append(", ".join("-" if r is None else f"{max(r.std_px):.4f}" for r in regions))
+            cells.append(", ".join("-" if r is None else f"{max(map(abs, r.bias_px)):.4f}" for r in regions))
+        rows.append((task.name, str(evaluation.field.counts["valid"]), *cells))
+    more = f"; {len(found) - SHOWN_PAIRS} more are in their folders" if len(found) > SHOWN_PAIRS else ""
+    page.table(PAIRS_HEAD, rows, f"Worse axis of each; behind glass up to r = {MIDDLE} R{more}")
+    for evaluation in found:
+        if evaluation.task.note:
+            page.text(f"{evaluation.task.name}: {evaluation.task.note}")
+
+
+def books_chapter(page: Page, folder: RunFolder) -> None:
+    """What became of every frame."""
+    page.heading("Every frame accounted for")
+    done = read_done(folder)
+    if done is None:
+        page.text("The run is not finished: resume it, or what follows is a part of the plan.")
+        return
+    books = Ledger.from_dict(done["conservation"])
+    page.text(books.sentence() + ("." if books.imbalance == 0 else f", out by {books.imbalance}."))
+    counts = [(name, str(count)) for name, count in books.to_dict().items()]
+    page.table(("frames", "count"), counts)
+    rows: list[tuple[str, ...]] = []
+    for flow in done["flow"]:
+        latency = flow["latency_ms"]
+        times = ("-", "-") if latency is None else (f"{latency['p50']:.0f}", f"{latency['p99']:.0f}")
+        rows.append((str(len(rows) + 1), str(flow["corrected_live"]), str(flow["skipped_live"]), *times))
+    if rows:
+        page.table(("session", "corrected live", "corrected after", "latency p50 [ms]", "p99 [ms]"), rows)
+
+
+def moved_chapter(page: Page, folder: RunFolder) -> None:
+    """What the stages were told, what they reported, and (simulated bench only) what they did."""
+    if not (folder.path / MOVED).is_file():
+        return
+    moved = read_displacements(folder)
+    page.heading("What the stages did")
+    rows = [
+        (entry["tag"], *("-" if way is None else ", ".join(f"{c:+.4f}" for c in way)
+                         for way in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])))
+        for entry in moved[:SHOWN_PAIRS]
+    ]  # fmt: skip
+    head = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
+    page.table(head, rows, "Displacement of the target. Errors above are against the measured one.")
+
+
+def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: list[tuple[str, str]]) -> None:
+    """Which files, scenes and versions made these figures."""
+    about = folder.about
+    page.heading("Provenance")
+    hashes = [(f"hash of the {name}", str(value)) for name, value in about["hashes"].items() if value]
+    facts = [("run", folder.path.name), ("plan", str(about["name"])), *rows]
+    facts += [("hash of the scene used here", scene_hash), *hashes]
+    facts += [(name, str(version)) for name, version in about["versions"].items()]
+    page.facts(facts)
+    steps = about["steps"]
+    page.table(
+        ("step", "tag", "view", "first frame", "frames"),
+        [
+            (str(s["index"]), str(s["tag"]), str(s["view"]), str(s["first_frame"]), str(s["frames"]))
+            for s in steps[:SHOWN_STEPS]
+        ],
+        f"Steps of the plan{f', the first {SHOWN_STEPS} of {len(steps)}' if len(steps) > SHOWN_STEPS else ''}",
+    )
+    for name in ("plan", "bench", "scene"):
+        page.folded(f"{name}.yaml as it was when the run began", str(about[name]))

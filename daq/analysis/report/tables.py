@@ -1,0 +1,141 @@
+"""Figures of an evaluation as rows of text, for the page and for the terminal."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.evaluate.image_figures import ImageFigures
+from correction.evaluate.regions import MIDDLE, Region
+from correction.evaluate.routes import Routes
+from correction.evaluate.shift import ShiftResult, shift_errors
+from correction.node_status import MEANING, NodeStatus
+from daq.analysis.evaluation import Evaluation
+
+SHIFT_HEAD = ("region", "vectors", "bias u, v", "std u, v", "estimated sigma u, v")
+SIGMA_HEAD = (
+    "region",
+    "vectors",
+    "random",
+    "map: displacement",
+    "map: position",
+    "errors within 1 sigma",
+)
+ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
+IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
+BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
+
+Row = tuple[str, ...]
+
+
+def mask_rows(shares: Mapping[NodeStatus, float]) -> list[Row]:
+    """Rows of what became of the nodes."""
+    return [(MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
+
+
+def shift_rows(result: ShiftResult) -> list[Row]:
+    """Rows under SHIFT_HEAD."""
+    return [
+        (name, str(found.count), _signed(found.bias_px), _pair(found.std_px), _pair(found.sigma_px))
+        for name, found in result.regions.items()
+    ]
+
+
+def sigma_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under SIGMA_HEAD: rms of each share of the uncertainty over u and v, and what it covers.
+
+    An error is within 1 sigma of random and map together; the common error of the stage is taken off first.
+    """
+    field, joined = evaluation.field, evaluation.map_sigma
+    random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
+    nothing = np.full_like(random, np.nan)
+    place, way = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
+    total = np.hypot(random, np.nan_to_num(way))
+    errors = nothing
+    if evaluation.shift is not None:
+        errors = shift_errors(field, evaluation.shift.shift_px)
+        errors = errors - np.nanmedian(errors.reshape(-1, 2), axis=0)  # what the stage missed is the same for all
+    rows: list[Row] = []
+    for name, where in region_masks(evaluation).items():
+        if not where.any():
+            continue
+        known = where[..., None] & np.isfinite(errors) & np.isfinite(total)
+        inside = f"{100 * np.mean(np.abs(errors[known]) < total[known]):.0f} %" if known.any() else "-"
+        rows.append(
+            (name, str(int(where.sum())), _rms(random[where]), _rms(way[where]), _rms(place[where]), inside)
+        )
+    return rows
+
+
+def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:
+    """Measured vectors (ny, nx) by region."""
+    field, regions = evaluation.field, evaluation.regions
+    glass = regions.region == Region.GLASS
+    chosen = {
+        "seen directly": regions.region == Region.DIRECT,
+        f"behind glass, r < {MIDDLE} R": regions.middle,
+        f"behind glass, r > {MIDDLE} R": glass & ~regions.middle,
+        "across a rim": regions.region == Region.RIM,
+    }
+    return {name: where & field.valid for name, where in chosen.items() if (where & field.valid).any()}
+
+
+def route_rows(routes: Routes) -> list[Row]:
+    """Rows under ROUTE_HEAD: rms error of each route, or its own sigma where no error is known."""
+    rows: list[Row] = []
+    for name, one, two, better in routes.rows():
+        cells = [
+            (str(s.count), f"{s.rms_px if routes.known else np.sqrt(np.mean(np.square(s.sigma_px))):.4f}")
+            if s is not None and s.count
+            else ("0", "-")
+            for s in (one, two)
+        ]
+        rows.append((name, *cells[0], *cells[1], better))
+    return rows
+
+
+def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
+    """Rows under IMAGE_HEAD."""
+    return [
+        (
+            name,
+            f"{f.particles_per_px:.4f}",
+            f"{f.diameter_u_px:.2f}, {f.diameter_v_px:.2f}",
+            f"{f.signal_to_noise:.1f}",
+            f"{100 * f.saturated:.3f} %",
+            str(f.nan_pixels),
+        )
+        for name, f in figures.items()
+    ]
+
+
+def budget_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under BUDGET_HEAD: what the comparison with the true shift can be off by, behind the glass."""
+    result = evaluation.shift
+    assert result is not None
+    where = region_masks(evaluation).get(f"behind glass, r < {MIDDLE} R")
+    if where is None:
+        where = evaluation.field.valid
+    field = evaluation.field
+    random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]
+    rows: list[Row] = [
+        ("correlation of one vector: scatter", _rms(random)),
+        ("stage, two positions: a common bias of all vectors", f"{np.sqrt(2.0) * result.stage_px:.4f}"),
+    ]
+    if evaluation.map_sigma is not None:
+        way = evaluation.map_sigma.displacement_px[where]
+        rows.insert(1, ("fitted map, displacement: smooth over the plane, the same in every pair", _rms(way)))
+    return rows
+
+
+def _pair(values: tuple[float, float]) -> str:
+    return f"{values[0]:.4f}, {values[1]:.4f}"
+
+
+def _signed(values: tuple[float, float]) -> str:
+    return f"{values[0]:+.4f}, {values[1]:+.4f}"
+
+
+def _rms(values: NDArray[np.float64]) -> str:
+    known = values[np.isfinite(values)]
+    return f"{np.sqrt(np.mean(known**2)):.4f}" if len(known) else "-"

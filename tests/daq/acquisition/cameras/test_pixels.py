@@ -1,0 +1,90 @@
+"""Unpacking against bits picked one at a time from Python integers, compiled and interpreted."""
+
+import numpy as np
+import pytest
+
+from daq.acquisition.cameras.formats import BY_CODE, FORMATS, pixel_format
+from daq.acquisition.cameras.kernels import unpack as kernels
+from daq.acquisition.cameras.pixels import unpack
+from daq.errors import FrameError
+
+WIDTHS = [1, 2, 3, 7, 8, 31]
+
+
+def pixel_by_definition(name, data, width, row, col, row_bytes):
+    """One pixel by the words of the standard; `row_bytes` None means that rows follow without a gap."""
+    if name in ("Mono12p", "Mono12Packed"):
+        base, index = (0, row * width + col) if row_bytes is None else (row * row_bytes, col)
+        if name == "Mono12p":
+            stream = int.from_bytes(data[base:], "little")
+            return (stream >> (12 * index)) & 0xFFF
+        group = data[base + 3 * (index // 2) : base + 3 * (index // 2) + 3].ljust(3, b"\0")
+        high, nibble = (group[0], group[1] & 15) if index % 2 == 0 else (group[2], group[1] >> 4)
+        return high * 16 + nibble
+    per_pixel = 1 if name == "Mono8" else 2
+    start = row * (row_bytes or width * per_pixel) + col * per_pixel
+    value = int.from_bytes(data[start : start + per_pixel], "little")
+    return value % {"Mono8": 256, "Mono10": 1024, "Mono12": 4096, "Mono16": 65536}[name]
+
+
+@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("padding", [None, 0, 3])
+def test_every_bit_lands_where_the_standard_says(name, width, padding):
+    form = FORMATS[name]
+    height = 5
+    row_bytes = None if padding is None else -(-width * form.wire_bits // 8) + padding
+    size = -(-width * height * form.wire_bits // 8) if row_bytes is None else row_bytes * height
+    data = np.random.default_rng(width).integers(0, 256, size, dtype=np.uint8)
+    if padding is None and size == -(-width * form.wire_bits // 8) * height:
+        row_bytes = size // height  # both layouts are the same bytes
+    out = np.zeros(width * height + 4, np.uint16)
+    image = unpack(data, form, width, height, padding or 0, out)
+    for row in range(height):
+        for col in range(width):
+            assert image[row, col] == pixel_by_definition(name, data.tobytes(), width, row, col, row_bytes)
+    assert not out[width * height :].any()
+
+
+def test_interpreted_kernels_equal_compiled_ones():
+    data = np.random.default_rng(1).integers(0, 256, 4096, dtype=np.uint8)
+    cases = [
+        (kernels.unpack_8, (9 * 8,)),
+        (kernels.unpack_16, (9 * 16, 0x3FF)),
+        (kernels.unpack_12p, (9 * 12,)),
+        (kernels.unpack_12packed, (9 * 12,)),
+    ]
+    for kernel, arguments in cases:
+        compiled, interpreted = np.zeros((6, 9), np.uint16), np.zeros((6, 9), np.uint16)
+        kernel(data, *arguments, compiled)
+        kernel.py_func(data, *arguments, interpreted)
+        np.testing.assert_array_equal(compiled, interpreted)
+
+
+def test_published_example_of_mono12p():
+    # Pixel values 0x123 and 0xABC as a little-endian bit stream: 23 C1 AB.
+    image = unpack(np.array([0x23, 0xC1, 0xAB], np.uint8), FORMATS["Mono12p"], 2, 1, 0, np.zeros(2, np.uint16))
+    assert image.tolist() == [[0x123, 0xABC]]
+    # The same two pixels in GigE Vision order: high bytes outside, low nibbles in the middle.
+    image = unpack(
+        np.array([0x12, 0xC3, 0xAB], np.uint8), FORMATS["Mono12Packed"], 2, 1, 0, np.zeros(2, np.uint16)
+    )
+    assert image.tolist() == [[0x123, 0xABC]]
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "padding", "size", "room"),
+    [(8, 8, 0, 95, 64), (8, 8, 1, 100, 64), (8, 8, 0, 96, 63), (0, 8, 0, 96, 64), (8, -1, 0, 96, 64),
+     (1 << 31, 1 << 31, 0, 96, 64), (8, 8, -4, 96, 64)],
+)  # fmt: skip
+def test_sizes_that_contradict_the_data_are_refused(width, height, padding, size, room):
+    with pytest.raises(FrameError):
+        unpack(np.zeros(size, np.uint8), FORMATS["Mono12p"], width, height, padding, np.zeros(room, np.uint16))
+
+
+def test_unknown_format_names_the_cure():
+    with pytest.raises(FrameError, match="Mono12p"):
+        pixel_format("BayerRG8")
+    with pytest.raises(FrameError, match="0x1080009"):
+        pixel_format(0x01080009)
+    assert BY_CODE[0x010C0047].name == "Mono12p"
