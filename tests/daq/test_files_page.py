@@ -13,7 +13,7 @@ from daq.acquisition.runs.done_file import DoneFile
 from daq.acquisition.runs.journal_lines import Line
 from daq.acquisition.runs.run_file import RunFile
 from ground.config import load_yaml, validate
-from sim.bench import SimulationTable
+from sim.bench_table import SimulationTable
 from tracer.scene_file import load_scene
 from tracer.scene_tables import SceneTable
 

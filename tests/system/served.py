@@ -8,7 +8,7 @@ import time
 from contextlib import contextmanager
 
 from daq.acquisition.bench.bench_file import load_bench
-from sim.bench import SimulationTable
+from sim.bench_table import SimulationTable
 from sim.clock import ScaledClock
 from sim.stages import SimulatedStages
 from tests.daq.small_bench import FILES_CAMERA, write_bench

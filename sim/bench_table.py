@@ -1,0 +1,106 @@
+"""The `simulation` section of a bench file.
+
+simulation:
+bench: "sim.bench:SimulatedBench"
+seed: 7                       # of misalignment, prints and noise
+transport: memory             # sim:// in this process, time runs as fast as it can; or pty: device files
+speed: 20.0                   # of the world's clock on ptys
+is_misaligned: true
+samples: 4                    # rays across a pixel
+axes:                         # what the workshop built; the firmware's zero is its low switch
+rail_z: {lead_mm: 5.0, steps_per_rev: 1600, travel_mm: 300.0, backlash_um: 50.0, lead_error_um: 1.0}
+firmware: {portal: {"23": 0}} # Grbl's $23: home towards the high switches
+prints_truth: true            # optional: a corner of every frame says what it shows; see frame_truth.py
+ring: frames/                 # optional: replay .npy frames instead of rendering
+faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.faults
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from daq.acquisition.bench.bench_file import Bench
+from ground.config import Document, Table, validate
+from sim.camera.faults import FaultPlan
+from sim.prints.frame_truth import WIDTH_PX, height_px
+from sim.stages import ScrewTable
+from stages.config import Name
+from tracer.errors import SceneError
+
+
+class FaultsTable(Table):
+    """Scheduled faults of the camera, by frame number since the world began."""
+
+    incomplete: list[int] = Field(default_factory=list)
+    dropped: list[int] = Field(default_factory=list)
+    late_s: dict[str, float] = Field(default_factory=dict)
+    lost_at: int | None = None
+    back_after_s: float | None = None
+    reset_at: int | None = None
+
+
+class SimulationTable(Table):
+    """The `simulation` section of a bench file."""
+
+    bench: str
+    seed: Annotated[int, Field(ge=0, le=2**31)] = 7
+    transport: Literal["memory", "pty"] = "memory"
+    speed: Annotated[float, Field(gt=0.0, le=1000.0)] = 20.0
+    is_misaligned: bool = True
+    samples: Annotated[int, Field(ge=1, le=16)] = 4
+    row_time_us: Annotated[float, Field(ge=0.0, le=1000.0)] = 5.0
+    axes: dict[Name, ScrewTable]
+    firmware: dict[Name, dict[str, float]] = Field(default_factory=dict)  # Grbl's $ settings, by controller
+    prints_truth: bool = False
+    ring: str | None = None
+    faults: FaultsTable = FaultsTable()
+
+
+def simulation_of(bench: Bench) -> SimulationTable:
+    """Read and check the section of a bench file.
+
+    Raises
+    ------
+    ConfigError, SceneError
+        The section is wrong.
+    """
+    lines = {place[1:]: line for place, line in bench.document.lines.items() if place[:1] == ("simulation",)}
+    table = validate(Document(bench.path, dict(bench.table.simulation or {}), lines), SimulationTable)
+    missing = [name for name in bench.table.stages.axes if name not in table.axes]
+    if missing:
+        raise SceneError(f"{bench.path}: simulation.axes does not describe {', '.join(missing)}")
+    if table.prints_truth and table.ring is not None:
+        raise SceneError(f"{bench.path}: simulation: frames of a ring cannot print their truth; leave one out")
+    width, height = bench.scene.camera.sensor_px
+    rows = height_px(len(bench.table.stages.axes))
+    if table.prints_truth and (width < WIDTH_PX or height < rows):
+        raise SceneError(
+            f"{bench.path}: simulation.prints_truth needs a sensor of {WIDTH_PX} x {rows} px at least"
+        )
+    return table
+
+
+def settings_by_number(settings: Mapping[str, float]) -> dict[int, float]:
+    """Return settings of a firmware that numbers them."""
+    return {int(number): value for number, value in settings.items()}
+
+
+def fault_plan(table: FaultsTable, exposures_before: int) -> FaultPlan:
+    """Faults in the camera's own count, which begins with this process; what lies behind is over."""
+
+    def here(number: int) -> int:
+        return number - exposures_before
+
+    def one(number: int | None) -> int | None:
+        return None if number is None or here(number) < 0 else here(number)
+
+    late: dict[str, Any] = {str(here(int(number))): late_s for number, late_s in table.late_s.items()}
+    return FaultPlan(
+        incomplete=tuple(here(number) for number in table.incomplete if here(number) >= 0),
+        dropped=tuple(here(number) for number in table.dropped if here(number) >= 0),
+        late_s=late,
+        lost_at=one(table.lost_at),
+        back_after_s=table.back_after_s,
+        reset_at=one(table.reset_at),
+    )

@@ -1,0 +1,114 @@
+"""The world of a simulated bench: where everything really is, and what the sensor would see of it.
+
+The world knows three elements: camera, glass, target.  Motors carry them, with play, lead error and whole steps,
+so an element stands where its screw has really brought it, not where a controller says.  Pictures are rendered at
+these TRUE places, with a camera, glass and aim that are all a little off the scene file (`misaligned`, by the
+seed): what a bench does to an experimenter.  The target's plane is z = 0 of the scene.
+"""
+
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.bench.bench_file import Bench
+from sim.bench_table import SimulationTable
+from sim.demo.scenes import misaligned
+from sim.prints.frame_truth import FrameTruth, with_truth
+from sim.prints.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
+from sim.renderer.render import render_irradiance
+from sim.renderer.sensor import Sensor
+from sim.stages import SimulatedStages
+from tracer.bodies import shifted_by
+from tracer.scene import Scene
+
+PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
+KEPT_VIEWS = 4
+
+
+class World:
+    """Where everything really is, and what a sensor would see of it; a `FrameSource`.
+
+    Parameters
+    ----------
+    bench : Bench
+        Nominal scene, and which axis carries what.
+    table : SimulationTable
+        Seed and screws.
+    stages : SimulatedStages
+        Every axis.
+    shows : str
+        What hangs on the target's stage.
+    exposures_before : int
+        Exposures made before this process began.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        table: SimulationTable,
+        stages: SimulatedStages,
+        shows: str,
+        exposures_before: int,
+    ) -> None:
+        self._bench = bench
+        self._table = table
+        self._stages = stages
+        self._exposures = exposures_before
+        self.scene = misaligned(bench.scene, table.seed) if table.is_misaligned else bench.scene
+        self._print = _print_of(bench, table.seed, shows)
+        self._sensor = Sensor()
+        self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
+        self._lock = threading.Lock()
+
+    def true_mm(self) -> dict[str, float]:
+        """Where every axis really is, in its own coordinate."""
+        return {name: self._stages.true_mm(name) for name in self._bench.table.stages.axes}
+
+    def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
+        """One exposure of the world as it stands (H, W) uint16."""
+        with self._lock:
+            true_mm = self.true_mm()
+            light = self._light(true_mm)
+            number, self._exposures = self._exposures, self._exposures + 1
+            image = self._sensor.expose(light, seed=self._table.seed * 1_000_003 + number)
+            if not self._table.prints_truth:
+                return image
+            truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving)
+            return with_truth(image, truth, self._sensor.bits)
+
+    def _light(self, true_mm: Mapping[str, float]) -> NDArray[np.float32]:
+        key = tuple(true_mm.values())
+        if key not in self._views:
+            while len(self._views) >= KEPT_VIEWS:
+                self._views.pop(next(iter(self._views)))
+            scene, pattern = self._arranged(true_mm)
+            self._views[key] = render_irradiance(
+                scene, pattern, samples=self._table.samples, seed=self._table.seed
+            )
+        return self._views[key]
+
+    def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Chessboard | ParticleSheet]:
+        """Scene and print at the true places of their carriages."""
+        ways = {"camera": np.zeros(3), "glass": np.zeros(3), "target": np.zeros(3)}
+        for name, axis in self._bench.table.stages.axes.items():
+            ways[axis.carries]["xyz".index(axis.along)] += true_mm[name] - self._bench.home_mm[name]
+        camera = self.scene.camera
+        x, y, z = (float(c) for c in np.add(camera.position_mm, ways["camera"]))
+        bodies = tuple(body.moved(shifted_by(ways["glass"])) for body in self.scene.bodies)
+        scene = replace(self.scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
+        pose = Pose().moved(*(float(way) for way in ways["target"]))
+        if isinstance(self._print, Chessboard):
+            return scene, placed(self._print, pose)
+        return scene, placed(self._print, pose)
+
+
+def _print_of(bench: Bench, seed: int, shows: str) -> Chessboard | ParticleSheet:
+    if shows == "chessboard":
+        return Chessboard(bench.table.target.square_mm, bench.table.target.disc_mm)
+    camera = bench.scene.camera
+    px_per_mm = camera.focal_px / float(np.linalg.norm(camera.position_mm))
+    width_mm, height_mm = (PRINT_MARGIN * side / px_per_mm for side in camera.sensor_px)
+    return printed_particles((width_mm, height_mm), px_per_mm, seed=seed)
