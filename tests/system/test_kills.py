@@ -2,8 +2,7 @@
 
 Afterwards nothing that was acknowledged may be missing, nothing may be there twice, a stream must have kept what
 it had, and every frame must show the stop that it is filed under: the simulated camera prints its true positions
-into
-each.  RTPIV_KILLS says how many kills in all (default 200).
+into each.  RTPIV_KILLS says how many kills in all (default 200).
 """
 
 import os
@@ -31,8 +30,9 @@ pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtp
 KILLS = int(os.environ.get("RTPIV_KILLS", "200"))
 VICTIMS = ("runner", "camera", "bench")
 PLANS = {
-    "target": "experiment: target\nclear: {z_mm: [0.0, -2.0, -4.0]}\nglass: {z_mm: [0.0, -1.0]}\nframes: 3\n",
-    "shift": "experiment: shift\nviews: [glass]\ndisplacements: [{along: [1, 0, 0], mm: 0.5}]\nrepeats: 40\n",
+    "target": "experiment: target\nclear: {z_mm: [0.0, -1.0, -2.0, -3.0, -4.0]}\n"
+    "glass: {z_mm: [0.0, -0.5, -1.0]}\nframes: 40\n",
+    "shift": "experiment: shift\nviews: [glass]\ndisplacements: [{along: [1, 0, 0], mm: 0.5}]\nrepeats: 120\n",
     "stream": "experiment: stream\nview: glass\nframes: 600\n",
 }
 COMMON = "PixelFormat: Mono12p, ExposureTime: 500.0, "
@@ -110,7 +110,7 @@ class Campaign:
     def wait_for_frames(self):
         """Let the session come to life, so that kills do not all meet a starting interpreter."""
         before = self.kept[-1][0] if self.kept else 0
-        want = before + self.rng.choice((0, 1, 2, 5))
+        want = before + self.rng.choice((0, 1, 2, 5, 20, 60))
         end_s = time.monotonic() + PATIENCE_S
         while self.runner.poll() is None and time.monotonic() < end_s:
             run = self.run
