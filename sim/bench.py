@@ -6,11 +6,16 @@ the loopback.  `bench_table` says what can be chosen, `world` what is true.
 
 import shutil
 import tempfile
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import cast
 
-from daq.acquisition.bench.bench_file import Bench, CameraSection
+from daq.acquisition.bench.bench_file import CAMERA, STAGES, Bench, CameraSection, Device
+from daq.acquisition.bench.kinds import kind_of
+from ground.config import Table
+from ground.errors import ConfigError, Problem
 from sim.bench_table import SimulationTable, fault_plan, settings_by_number, simulation_of
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
@@ -19,6 +24,7 @@ from sim.camera.remote import FrameServer
 from sim.clock import ScaledClock, VirtualClock
 from sim.stages import SimulatedStages
 from sim.world import World
+from stages.config import StagesTable
 from tracer.errors import SceneError
 from tracer.scene_file import dump_scene
 
@@ -56,9 +62,12 @@ class SimulatedBench:
             self.lines, self.witness = stages.lines, stages.witness
             if bench.table.keep_out is not None:
                 stages.witness.look_at(bench.scene, bench.table.keep_out, bench.table.stages, bench.home_mm)
-            self.stages = self._stack.enter_context(stages.serve() if pty else stages.put_up())
+            served = self._stack.enter_context(stages.serve() if pty else stages.put_up())
             self.world = World(bench, table, stages, shows, exposures_before)
-            self.camera = self._camera(bench, table, exposures_before)
+            camera = self._camera(bench, table, exposures_before)
+            self.sections: dict[str, Table] = {STAGES: _any_box(served), CAMERA: camera}
+            for name, device in bench.more.items():
+                self.sections[name] = self._stack.enter_context(self._more(bench, name, device))
         except BaseException:
             self._stack.close()
             raise
@@ -75,6 +84,16 @@ class SimulatedBench:
         """Take everything down."""
         self.witness.judge()
         self._stack.close()
+
+    def _more(self, bench: Bench, name: str, device: Device) -> AbstractContextManager[Table]:
+        """Put a device of another kind up by what that kind names as its simulator."""
+        module, _, function = (kind_of(device.kind).simulator or "").partition(":")
+        if not function:
+            line = bench.document.line(("devices", name))
+            text = f"devices.{name}: the simulated bench has no more devices of kind {device.kind!r}"
+            raise ConfigError(bench.path, [Problem(line, text)])
+        put_up = getattr(import_module(module), function)
+        return cast("AbstractContextManager[Table]", put_up(device.section, self.world, self.clock))
 
     def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int) -> CameraSection:
         folder = Path(tempfile.mkdtemp(prefix="rtpiv-"))
@@ -97,6 +116,12 @@ class SimulatedBench:
         return _section_with(
             bench, "harvesters", cti=str(write_producer(folder / "bench.cti", [config])), serial=SERIAL
         )
+
+
+def _any_box(stages: StagesTable) -> StagesTable:
+    """Return the same stages with any box accepted: simulated ones have other serial numbers than yours."""
+    controllers = {name: table.model_copy(update={"identity": None}) for name, table in stages.controllers.items()}
+    return stages.model_copy(update={"controllers": controllers})
 
 
 def _section_with(bench: Bench, backend: str, **options: str) -> CameraSection:

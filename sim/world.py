@@ -6,6 +6,7 @@ these TRUE places, with a camera, glass and aim that are all a little off the sc
 seed): what a bench does to an experimenter.  The target's plane is z = 0 of the scene.
 """
 
+import secrets
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from daq.acquisition.bench.bench_file import Bench
 from sim.bench_table import SimulationTable
 from sim.demo.scenes import misaligned
-from sim.prints.frame_truth import FrameTruth, with_truth
+from sim.prints.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.prints.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
@@ -61,6 +62,7 @@ class World:
         self._print = _print_of(bench, table.seed, shows)
         self._sensor = Sensor()
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
+        self._number = secrets.randbelow(WORLDS)
         self._lock = threading.Lock()
 
     def true_mm(self) -> dict[str, float]:
@@ -76,7 +78,7 @@ class World:
             image = self._sensor.expose(light, seed=self._table.seed * 1_000_003 + number)
             if not self._table.prints_truth:
                 return image
-            truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving)
+            truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
             return with_truth(image, truth, self._sensor.bits)
 
     def _light(self, true_mm: Mapping[str, float]) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from correction.resample.sample import Method
 from daq.acquisition.bench.bench_file import Bench, Vector, load_bench
-from daq.acquisition.bench.opened import idle_stage
+from daq.acquisition.bench.kinds.stage import idle_stage
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.forecast import Forecast, forecast

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.opened import open_camera
+from daq.acquisition.bench.bench_file import CAMERA, load_bench
+from daq.acquisition.bench.opened import open_bench
 from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runs.raw_frame import checksum, write_raw
 from daq.terminal import console
@@ -38,10 +38,10 @@ def camera(
         The camera is not there, or gives no frame.
     """
     screen = console()
-    with open_camera(load_bench(bench), simulate) as (opened, section):
-        info = opened.info
+    with open_bench(load_bench(bench), simulate, only={CAMERA}) as hardware:
+        info = hardware.camera.info
         screen.print(f"{info.vendor} {info.model}, serial {info.serial}, {info.backend} at {info.address}")
-        exposures = Exposures(opened, section)
+        exposures = Exposures(hardware.camera, hardware.camera_section)
         settings = exposures.set_up()
         if action == "list":
             for name in sorted(settings):

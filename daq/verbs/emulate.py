@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from daq.acquisition.bench.bench_file import Bench, load_bench
+from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.bench.opened import start_simulation
 from daq.terminal import console
 
@@ -22,13 +23,12 @@ def emulate(bench: Path, shows: str = "chessboard", for_s: float | None = None) 
         End by itself after this time.
     """
     screen = console()
-    simulation = start_simulation(_in_real_time(load_bench(bench)), shows)
+    loaded = _in_real_time(load_bench(bench))
+    simulation = start_simulation(loaded, shows)
     try:
-        for name, controller in simulation.stages.controllers.items():
-            screen.print(f"controller {name}: {controller.driver} on {controller.port}")
-        options = simulation.camera.options
-        camera = f"GenTL producer {options['cti']}" if "cti" in options else f"GigE Vision at {options['address']}"
-        screen.print(f"camera: {camera}", soft_wrap=True)
+        for name, device in loaded.devices.items():
+            for place in kind_of(device.kind).places(simulation.sections[name]):
+                screen.print(place, soft_wrap=True)
         screen.print("Ctrl-C ends it")
         end_s = None if for_s is None else time.monotonic() + for_s
         while end_s is None or time.monotonic() < end_s:

@@ -8,8 +8,8 @@ it REALLY shows, whoever filed it.
 
 The block is `WIDTH_PX` wide. Its first row is a comb, bright and dark in turn: what lies halfway between the two
 is the threshold for the rest, whatever gain and offset have made of them. Then come, 32 bits a row and the
-highest first: the number of axes and a flag (moving), trigger, exposure, one row an axis (whole um, two's
-complement), and the CRC-32 of all that.
+highest first: the number of axes, a flag (moving) and which world it is, trigger, exposure, one row an axis
+(whole um, two's complement), and the CRC-32 of all that.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +25,7 @@ from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 
 WIDTH_PX = 32
 MOVING = 1 << 16
+WORLD_AT, WORLDS = 17, 1 << 15  # place and number of worlds that can be told apart
 FILED_WITHIN_MM = 0.15  # measured positions may be off by play, lead error and the edge of the reference
 _WORD = np.dtype(">u4")
 
@@ -45,12 +46,15 @@ class FrameTruth:
         Where every axis really was, to a um.
     is_moving : bool
         Whether any of them moved.
+    world : int
+        Which world it is, 0..WORLDS - 1: one that is put up again may count an exposure that another has counted.
     """
 
     trigger: int
     exposure: int
     true_mm: Mapping[str, float]
     is_moving: bool
+    world: int = 0
 
 
 def height_px(axes: int) -> int:
@@ -70,7 +74,8 @@ def with_truth(image: NDArray[np.uint16], truth: FrameTruth, bits: int) -> NDArr
     if image.shape[0] < rows or image.shape[1] < WIDTH_PX:
         raise ValueError(f"prints_truth needs a sensor of at least {WIDTH_PX} x {rows} px")
     places_um = [round(at_mm * 1000.0) & 0xFFFFFFFF for at_mm in truth.true_mm.values()]
-    words = [len(places_um) | (MOVING if truth.is_moving else 0), truth.trigger, truth.exposure, *places_um]
+    first = len(places_um) | (MOVING if truth.is_moving else 0) | truth.world << WORLD_AT
+    words = [first, truth.trigger, truth.exposure, *places_um]
     body = np.array(words, _WORD).tobytes()
     body += np.array([crc32(body)], _WORD).tobytes()
     block = np.unpackbits(np.frombuffer(body, np.uint8)).reshape(rows - 1, WIDTH_PX)
@@ -110,7 +115,8 @@ def truth_of(pixels: NDArray[np.uint16], axes: Sequence[str]) -> FrameTruth:
     if count != len(axes):
         raise NoTruth(f"the frame tells of {count} axes, not of {len(axes)}")
     places_mm = [(word - (word >> 31 << 32)) / 1000.0 for word in words[3:end]]
-    return FrameTruth(words[1], words[2], dict(zip(axes, places_mm, strict=True)), bool(words[0] & MOVING))
+    true_mm = dict(zip(axes, places_mm, strict=True))
+    return FrameTruth(words[1], words[2], true_mm, bool(words[0] & MOVING), words[0] >> WORLD_AT)
 
 
 @dataclass(frozen=True)
@@ -136,7 +142,7 @@ def misfiled(run: Path | str, within_mm: float = FILED_WITHIN_MM) -> list[Misfil
     """
     folder = RunFolder(Path(run))
     found: list[Misfiled] = []
-    first_with: dict[int, int] = {}
+    first_with: dict[tuple[int, int], int] = {}
     for number, entry in sorted(frame_entries(folder.entries()).items()):
         measured_mm: dict[str, float] = entry["measured_mm"]
         pixels, _ = read_raw(folder.path / entry["file"], entry["crc32"])
@@ -148,7 +154,8 @@ def misfiled(run: Path | str, within_mm: float = FILED_WITHIN_MM) -> list[Misfil
                 found.append(Misfiled(number, text))
         if truth.is_moving:
             found.append(Misfiled(number, "something moved while it was exposed"))
-        if truth.exposure in first_with:
-            found.append(Misfiled(number, f"it is the same exposure as frame {first_with[truth.exposure]}"))
-        first_with.setdefault(truth.exposure, number)
+        exposure = (truth.world, truth.exposure)
+        if exposure in first_with:
+            found.append(Misfiled(number, f"it is the same exposure as frame {first_with[exposure]}"))
+        first_with.setdefault(exposure, number)
     return found

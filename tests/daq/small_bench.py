@@ -8,7 +8,8 @@ import numpy as np
 import tifffile
 
 from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.opened import OpenBench, guard_of, start_simulation
+from daq.acquisition.bench.kinds.stage import guard_of
+from daq.acquisition.bench.opened import OpenBench, start_simulation
 from daq.acquisition.cameras.files import FilesCamera
 from daq.acquisition.plans.plan import load_plan
 from stages.stage import Stage
@@ -72,12 +73,12 @@ def files_bench(bench, frames, camera_class=FilesCamera, home=True):
     """Open the simulated stage over byte protocols, and a folder as the camera: no process, no waiting."""
     simulation = start_simulation(bench, "particles")
     try:
-        with Stage.open(simulation.stages, simulation.clock, guard_of(bench)) as stage:
+        with Stage.open(simulation.sections["stages"], simulation.clock, guard_of(bench)) as stage:
             if home:
                 stage.home()
             camera = camera_class(frames)
             camera.open()
-            section = bench.table.camera
-            yield OpenBench(bench, stage, camera, section, simulation.clock, simulation)
+            devices, sections = {"stages": stage, "camera": camera}, {"camera": bench.table.camera}
+            yield OpenBench(bench, devices, sections, simulation.clock, simulation)
     finally:
         simulation.close()

@@ -21,8 +21,8 @@ def main(bench_path: str, folder: str, shows: str, speed: str, exposures_before:
     section = {**(bench.table.simulation or {}), "transport": "pty", "speed": float(speed)}
     bench = replace(bench, table=bench.table.model_copy(update={"simulation": section}))
     simulation = start_simulation(bench, shows, int(exposures_before))
-    places = {name: table.port for name, table in simulation.stages.controllers.items()}
-    places["camera.cti"] = str(simulation.camera.options["cti"])
+    places = {name: table.port for name, table in simulation.sections["stages"].controllers.items()}
+    places["camera.cti"] = str(simulation.sections["camera"].options["cti"])
     for name, place in places.items():
         link = Path(folder) / name
         link.unlink(missing_ok=True)

@@ -12,6 +12,7 @@
       options: {cti: /opt/vendor/gentl.cti, serial: "1234"}
       settings: {PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerMode: "On", TriggerSource: Software}
       timeout_s: 5.0
+    devices: {...}                       # any more, each with its `kind` and what that needs
     target: {square_mm: 2.5, disc_mm: 1.0}
     keep_out: {...}                      # see stages.keep_out; without it nothing but limits is judged
     simulation: {bench: "sim.bench:SimulatedBench", ...}   # what --simulate puts in place of the hardware
@@ -24,14 +25,16 @@ function of the axis positions.
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
 from correction.board import Chessboard
+from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.cameras.camera import Setting
+from daq.errors import RunUsageError
 from ground.config import Document, Table, load_yaml, validate
 from ground.errors import ConfigError, Problem
 from stages.config import AxisTable, Name, Positive, StagesTable
@@ -40,6 +43,7 @@ from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
 CAMERA, GLASS, TARGET = "camera", "glass", "target"
+STAGES = "stages"  # beside CAMERA a device that every bench has
 ELEMENTS = (CAMERA, GLASS, TARGET)
 DIRECTIONS = "xyz"
 
@@ -86,6 +90,7 @@ class BenchTable(Table):
     stages: StagesTable
     glass: GlassSection | None = None
     camera: CameraSection
+    devices: dict[Name, dict[str, Any]] = Field(default_factory=dict)
     target: TargetSection = TargetSection()
     keep_out: KeepOutTable | None = None
     simulation: dict[str, Any] | None = None
@@ -102,6 +107,8 @@ class BenchTable(Table):
                     problems.append(f"{key} names an unknown axis {name!r}")
                 elif key.startswith("glass") and self.stages.axes[name].carries != GLASS:
                     problems.append(f"{key}: axis {name!r} does not carry the glass")
+        for name in {STAGES, CAMERA} & set(self.devices):
+            problems.append(f"devices.{name}: that device has a section of its own; give this one another name")
         for name, axis in self.stages.axes.items():
             if axis.carries not in ELEMENTS:
                 problems.append(f"axis {name} carries {axis.carries!r}; known are {', '.join(ELEMENTS)}")
@@ -135,6 +142,14 @@ class BenchTable(Table):
 
 
 @dataclass(frozen=True)
+class Device:
+    """One device of a bench file: of which kind it is, and its section."""
+
+    kind: str
+    section: Table
+
+
+@dataclass(frozen=True)
 class Bench:
     """A bench as its file describes it; nothing is open.
 
@@ -148,12 +163,21 @@ class Bench:
         Its contents, checked.
     scene : Scene
         The scene it names.
+    more : mapping
+        Devices besides stages and camera.
     """
 
     path: Path
     document: Document
     table: BenchTable
     scene: Scene
+    more: Mapping[str, Device] = field(default_factory=dict)
+
+    @property
+    def devices(self) -> dict[str, Device]:
+        """Every device by name, in the order in which they are opened."""
+        known = {STAGES: Device("stage", self.table.stages), CAMERA: Device("camera", self.table.camera)}
+        return {**known, **self.more}
 
     @property
     def home_mm(self) -> dict[str, float]:
@@ -171,6 +195,8 @@ class Bench:
         for controller in tree["stages"]["controllers"].values():
             controller.pop("port")
             controller.pop("identity", None)
+        for device in tree.get("devices", {}).values():
+            device.pop("port", None)
         del tree["scene"]  # its content is hashed by the scene itself
         return digest(tree)
 
@@ -200,7 +226,22 @@ def load_bench(path: Path | str) -> Bench:
         raise ConfigError(
             document.path, [Problem(document.line(("stages",)), "axes carry the glass, so say glass.out_mm")]
         )
-    return Bench(document.path.resolve(), document, table, scene)
+    more = {name: _device(document, name, section) for name, section in table.devices.items()}
+    return Bench(document.path.resolve(), document, table, scene, more)
+
+
+def _device(document: Document, name: str, section: Mapping[str, Any]) -> Device:
+    """Check the section of a device by what its kind says."""
+    place = ("devices", name)
+    if not isinstance(section.get("kind"), str):
+        raise ConfigError(document.path, [Problem(document.line(place), f"{'.'.join(place)}: say its kind")])
+    try:
+        model = kind_of(section["kind"]).section
+    except RunUsageError as error:
+        raise ConfigError(document.path, [Problem(document.line((*place, "kind")), str(error))]) from None
+    own = {key: value for key, value in section.items() if key != "kind"}
+    lines = {at[2:]: line for at, line in document.lines.items() if at[:2] == place}
+    return Device(section["kind"], validate(Document(document.path, own, lines), model))
 
 
 def trigger_is_software(settings: Mapping[str, Setting]) -> bool:

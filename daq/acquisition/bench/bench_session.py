@@ -22,11 +22,11 @@ from types import TracebackType
 from typing import Self
 
 from daq.acquisition.bench.bench_edit import Place, Value, changed, difference, replace_file
-from daq.acquisition.bench.bench_file import Bench, load_bench
-from daq.acquisition.bench.opened import guard_of, known_positions, simulated_or_real
+from daq.acquisition.bench.bench_file import STAGES, Bench, load_bench
+from daq.acquisition.bench.kinds.stage import guard_of
+from daq.acquisition.bench.opened import known_positions, open_bench
 from daq.errors import RunUsageError
 from stages.axis import Arrival
-from stages.stage import Stage
 
 DECIMALS = 4  # of a position that a person reads or a file keeps: a tenth of a micrometre
 
@@ -52,8 +52,8 @@ class BenchSession:
         self.simulated = simulate
         self._stack = ExitStack()
         try:
-            stages, _, clock, self.simulation = self._stack.enter_context(simulated_or_real(bench, simulate))
-            self.stage = self._stack.enter_context(Stage.open(stages, clock, guard_of(bench)))
+            opened = self._stack.enter_context(open_bench(bench, simulate, only={STAGES}))
+            self.stage, self.simulation = opened.stage, opened.simulation
         except BaseException:
             self._stack.close()
             raise

@@ -1,38 +1,32 @@
-"""A bench that is open: stage, camera and clock, closed in reverse order whatever happens.
+"""A bench that is open: devices by name, opened in the order of the file, closed in reverse whatever happens.
 
 With ``simulate`` the file's `simulation` section names, as "package.module:Class", what stands behind ports and
-camera instead of hardware.  The drivers, the camera backend and everything above them stay the same, and never
-know.
+addresses instead of hardware: it puts another section in place of each device's own.  The drivers, the camera
+backend and everything above them stay the same, and never know.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol, cast
 
-from daq.acquisition.bench.bench_file import Bench, CameraSection
-from daq.acquisition.cameras import make_camera
+from daq.acquisition.bench.bench_file import CAMERA, STAGES, Bench, CameraSection
+from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.cameras.camera import Camera
 from daq.errors import PlanError
+from ground.config import Table
 from ground.errors import ConfigError, Problem
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.config import StagesTable
-from stages.keep_out import Carrier, Element, KeepOut
-from stages.stage import Guard, Stage
+from stages.stage import Stage
 
 
 class Simulation(Protocol):
     """What stands in for the hardware."""
 
     @property
-    def stages(self) -> StagesTable:
-        """The stages section, with the simulated ports."""
-        ...
-
-    @property
-    def camera(self) -> CameraSection:
-        """The camera section, with the simulated camera."""
+    def sections(self) -> Mapping[str, Table]:
+        """Section of every device by name, with simulated ports and addresses."""
         ...
 
     @property
@@ -61,12 +55,10 @@ class OpenBench:
     ----------
     bench : Bench
         What the file says.
-    stage : Stage
-        Every axis; connected.
-    camera : Camera
-        Open, not configured.
-    camera_section : CameraSection
-        How it is to be configured.
+    devices : mapping
+        Every device that was opened, by name, as its kind gives it.
+    sections : mapping
+        What each was opened with.
     clock : Clock
         Clock of motions.
     simulation : Simulation or None
@@ -74,11 +66,25 @@ class OpenBench:
     """
 
     bench: Bench
-    stage: Stage
-    camera: Camera
-    camera_section: CameraSection
+    devices: Mapping[str, object]
+    sections: Mapping[str, Table]
     clock: Clock
     simulation: Simulation | None
+
+    @property
+    def stage(self) -> Stage:
+        """Every axis; connected."""
+        return cast("Stage", self.devices[STAGES])
+
+    @property
+    def camera(self) -> Camera:
+        """Open, not configured."""
+        return cast("Camera", self.devices[CAMERA])
+
+    @property
+    def camera_section(self) -> CameraSection:
+        """How the camera is to be configured."""
+        return cast("CameraSection", self.sections[CAMERA])
 
 
 def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: int = 0) -> Simulation:
@@ -112,55 +118,39 @@ def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: 
     return cast("Simulation", make(bench, shows=shows, exposures_before=exposures_before))
 
 
-def guard_of(bench: Bench) -> Guard | None:
-    """What judges every way before it is driven; None if the bench file asks for limits only.
-
-    Raises
-    ------
-    StageUsageError
-        The file allows contact with a body that is not in the scene.
-    """
-    if bench.table.keep_out is None:
-        return None
-    home = bench.home_mm
-    carriers = {
-        name: Carrier(cast("Element", axis.carries), axis.along, home[name])
-        for name, axis in bench.table.stages.axes.items()
-    }
-    return KeepOut(bench.scene, carriers, bench.table.keep_out)
-
-
-def idle_stage(bench: Bench) -> Stage:
-    """Return the stage with closed ports, to ask what it would do."""
-    return Stage(bench.table.stages, SYSTEM_CLOCK, guard_of(bench))
-
-
 @contextmanager
 def simulated_or_real(
     bench: Bench, simulate: bool, shows: str = "chessboard", exposures_before: int = 0
-) -> Iterator[tuple[StagesTable, CameraSection, Clock, Simulation | None]]:
+) -> Iterator[tuple[Mapping[str, Table], Clock, Simulation | None]]:
     """Yield what to open: the sections of the file, or those of its simulation, which ends with the block."""
     if not simulate:
-        yield bench.table.stages, bench.table.camera, SYSTEM_CLOCK, None
+        yield {name: device.section for name, device in bench.devices.items()}, SYSTEM_CLOCK, None
         return
     simulation = start_simulation(bench, shows, exposures_before)
     try:
-        yield _any_box(simulation.stages), simulation.camera, simulation.clock, simulation
+        yield simulation.sections, simulation.clock, simulation
     finally:
         simulation.close()
 
 
-def _any_box(stages: StagesTable) -> StagesTable:
-    """Return the same stages with any box accepted: simulated ones have other serial numbers than yours."""
-    controllers = {name: table.model_copy(update={"identity": None}) for name, table in stages.controllers.items()}
-    return stages.model_copy(update={"controllers": controllers})
-
-
 @contextmanager
 def open_bench(
-    bench: Bench, simulate: bool = False, shows: str = "chessboard", exposures_before: int = 0
+    bench: Bench,
+    simulate: bool = False,
+    shows: str = "chessboard",
+    exposures_before: int = 0,
+    only: Collection[str] = (),
 ) -> Iterator[OpenBench]:
-    """Open stage and camera; nothing moves.
+    """Open the devices of a bench; nothing moves and nothing is switched on.
+
+    Parameters
+    ----------
+    bench : Bench
+        What the file says.
+    simulate, shows, exposures_before
+        As for `start_simulation`.
+    only : collection of str
+        Names of the devices that are needed; all if none is named.
 
     Raises
     ------
@@ -169,34 +159,13 @@ def open_bench(
     """
     with ExitStack() as stack:
         opened = simulated_or_real(bench, simulate, shows, exposures_before)
-        stages, section, clock, simulation = stack.enter_context(opened)
-        stage = stack.enter_context(Stage.open(stages, clock, guard_of(bench)))
-        camera = make_camera(section.backend, **section.options)
-        stack.callback(camera.close)
-        camera.open()
-        yield OpenBench(bench, stage, camera, section, clock, simulation)
-
-
-@contextmanager
-def open_stage(bench: Bench, simulate: bool = False) -> Iterator[Stage]:
-    """Open the stage alone."""
-    with (
-        simulated_or_real(bench, simulate) as (stages, _, clock, _),
-        Stage.open(stages, clock, guard_of(bench)) as it,
-    ):
-        yield it
-
-
-@contextmanager
-def open_camera(bench: Bench, simulate: bool = False) -> Iterator[tuple[Camera, CameraSection]]:
-    """Open the camera alone."""
-    with simulated_or_real(bench, simulate) as (_, section, _, _):
-        camera = make_camera(section.backend, **section.options)
-        try:
-            camera.open()
-            yield camera, section
-        finally:
-            camera.close()
+        sections, clock, simulation = stack.enter_context(opened)
+        wanted = {name: device for name, device in bench.devices.items() if not only or name in only}
+        devices = {
+            name: stack.enter_context(kind_of(device.kind).open(sections[name], bench, clock))
+            for name, device in wanted.items()
+        }
+        yield OpenBench(bench, devices, sections, clock, simulation)
 
 
 def known_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.camera.packing import FORMATS, to_format_bits
-from sim.prints.frame_truth import FrameTruth, NoTruth, truth_of, with_truth
+from sim.prints.frame_truth import WORLDS, FrameTruth, NoTruth, truth_of, with_truth
 
 AXES = ["rail_z", "glass_x", "target_y"]
 TRUTH = FrameTruth(7, 4_000_000_001, {"rail_z": -194.9995, "glass_x": 0.0, "target_y": 1700.123}, True)
@@ -22,6 +22,7 @@ def expected(truth):
         truth.exposure,
         {axis: round(at_mm, 3) for axis, at_mm in truth.true_mm.items()},
         truth.is_moving,
+        truth.world,
     )
 
 
@@ -87,6 +88,7 @@ def test_every_draw_comes_back():
     rng = random.Random(1)
     for _ in range(200):
         places_mm = {f"a{index}": rng.uniform(-2000, 2000) for index in range(rng.randint(1, 12))}
-        truth = FrameTruth(rng.getrandbits(32), rng.getrandbits(32), places_mm, rng.random() < 0.5)
+        numbers = rng.getrandbits(32), rng.getrandbits(32)
+        truth = FrameTruth(*numbers, places_mm, rng.random() < 0.5, rng.randrange(WORLDS))
         read = truth_of(with_truth(picture(rng.randrange(9), 10), truth, 10), list(places_mm))
         assert read == expected(truth)

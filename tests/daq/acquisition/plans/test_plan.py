@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.acquisition.bench.bench_file import digest, load_bench
-from daq.acquisition.bench.opened import idle_stage
+from daq.acquisition.bench.kinds.stage import idle_stage
 from daq.acquisition.plans.forecast import forecast
 from daq.acquisition.plans.plan import load_plan
 from daq.acquisition.plans.steps import Step, frame_count, route, steps_hash

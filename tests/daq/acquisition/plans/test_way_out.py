@@ -4,7 +4,7 @@ import pytest
 
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_session import BenchSession
-from daq.acquisition.bench.opened import idle_stage
+from daq.acquisition.bench.kinds.stage import idle_stage
 from daq.acquisition.plans.plan import load_plan
 from daq.acquisition.plans.way_out import forecast_from_home, way_out
 from daq.acquisition.runner.runner import Runner

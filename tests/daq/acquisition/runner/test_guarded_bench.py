@@ -3,7 +3,8 @@
 import pytest
 
 from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.opened import idle_stage, open_bench, open_stage
+from daq.acquisition.bench.kinds.stage import idle_stage
+from daq.acquisition.bench.opened import open_bench
 from daq.acquisition.plans.forecast import forecast
 from daq.acquisition.plans.plan import load_plan
 from daq.acquisition.runner.arrival import go_to
@@ -25,11 +26,11 @@ def at_scene(hardware):
     go_to(hardware, hardware.bench.home_mm, {})
 
 
-@pytest.mark.parametrize("opener", [open_stage, open_bench])
-def test_whoever_opens_a_bench_gets_a_guard(bench_and_plan, mocker, opener):
-    mocker.patch("daq.acquisition.bench.opened.make_camera")
-    with opener(bench_and_plan[0], True) as found:
-        assert getattr(found, "stage", found).guard is not None
+@pytest.mark.parametrize("only", [(), ("stages",)])
+def test_whoever_opens_a_bench_gets_a_guard(bench_and_plan, mocker, only):
+    mocker.patch("daq.acquisition.bench.kinds.camera.make_camera")
+    with open_bench(bench_and_plan[0], True, only=only) as found:
+        assert found.stage.guard is not None
 
 
 def test_contact_is_legal_and_nothing_beyond_it(bench_and_plan, tmp_path):

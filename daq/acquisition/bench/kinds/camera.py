@@ -1,0 +1,32 @@
+"""A camera behind one of the backends."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from daq.acquisition.bench.bench_file import Bench, CameraSection
+from daq.acquisition.cameras import make_camera
+from daq.acquisition.cameras.camera import Camera
+from stages.clock import Clock
+
+
+class CameraKind:
+    """The section `camera`."""
+
+    section = CameraSection
+    simulator = None  # the world has eyes in one place
+
+    @contextmanager
+    def open(self, section: CameraSection, bench: Bench, clock: Clock) -> Iterator[Camera]:
+        """Open it, not yet configured."""
+        camera = make_camera(section.backend, **section.options)
+        try:
+            camera.open()
+            yield camera
+        finally:
+            camera.close()
+
+    def places(self, section: CameraSection) -> Iterator[str]:
+        """Producer or address."""
+        options = section.options
+        where = f"GenTL producer {options['cti']}" if "cti" in options else f"GigE Vision at {options['address']}"
+        yield f"camera: {where}"

@@ -1,0 +1,50 @@
+"""The stage: every axis of every controller, guarded by keep-out."""
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from typing import cast
+
+from daq.acquisition.bench.bench_file import Bench
+from stages.clock import SYSTEM_CLOCK, Clock
+from stages.config import StagesTable
+from stages.keep_out import Carrier, Element, KeepOut
+from stages.stage import Guard, Stage
+
+
+class StageKind:
+    """The section `stages`."""
+
+    section = StagesTable
+    simulator = None  # the world carries things on its own axes
+
+    def open(self, section: StagesTable, bench: Bench, clock: Clock) -> AbstractContextManager[Stage]:
+        """Connect every controller; leaving stops what moves."""
+        return Stage.open(section, clock, guard_of(bench))
+
+    def places(self, section: StagesTable) -> Iterator[str]:
+        """Ports of the controllers."""
+        for name, controller in section.controllers.items():
+            yield f"controller {name}: {controller.driver} on {controller.port}"
+
+
+def guard_of(bench: Bench) -> Guard | None:
+    """What judges every way before it is driven; None if the bench file asks for limits only.
+
+    Raises
+    ------
+    StageUsageError
+        The file allows contact with a body that is not in the scene.
+    """
+    if bench.table.keep_out is None:
+        return None
+    home = bench.home_mm
+    carriers = {
+        name: Carrier(cast("Element", axis.carries), axis.along, home[name])
+        for name, axis in bench.table.stages.axes.items()
+    }
+    return KeepOut(bench.scene, carriers, bench.table.keep_out)
+
+
+def idle_stage(bench: Bench) -> Stage:
+    """Return the stage with closed ports, to ask what it would do."""
+    return Stage(bench.table.stages, SYSTEM_CLOCK, guard_of(bench))
