@@ -80,7 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("--disc-mm", type=_positive, help="its discs; a run knows it (default 1.0)")
     evaluate.add_argument("--shift-mm", type=_finite, nargs=2, metavar=("X", "Y"), help="true shift, y up")
     evaluate.add_argument(
-        "--stage-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
+        "--stage-sigma-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
     )
     _route_option(evaluate, "image")
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
@@ -92,7 +92,7 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     report.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     report.add_argument(
-        "--stage-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
+        "--stage-sigma-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
     )
     _route_option(report, "compare")
 

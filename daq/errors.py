@@ -9,13 +9,14 @@
         +-- SettingsChanged    the camera: it forgot settings (power dip, reset); configure it again
         +-- CameraTimeout      no frame came in time; the camera is alive
         +-- CameraLost         the cable or the camera: no answer; open it again
-        +-- FrameError         the camera delivered something that cannot be the frame it announced
+        +-- BadFrame           the camera delivered something that cannot be the frame it announced
             +-- FrameIncomplete    pixels of a frame were lost on the way; trigger again
             +-- OtherFormat        frames are not what the camera says it was set to; retaking does not help
     +-- RunError           what has to do with plans and runs
         +-- RunUsageError      the caller (also a ValueError); nothing has moved, nothing was written
         |   +-- PlanError          a plan that this bench cannot or must not carry out
         |   +-- ResumeRefused      a run that must not be continued with this plan, bench or scene
+        |   +-- RunUnsuitable      no run, one that another process works on, or one without what is asked of it
         +-- DiskError          the disk: full, too slow, not writable; the run can be resumed
         |   +-- RunDamaged         what lies on the disk is not what a run wrote there; the message names it
         +-- FramesLost         frames were exposed and are gone; the message says where; the run can be resumed
@@ -63,15 +64,15 @@ class CameraLost(CameraError):  # noqa: N818
     """The camera no longer answers; check cable and power, then open it again."""
 
 
-class FrameError(CameraError):
+class BadFrame(CameraError):  # noqa: N818
     """A frame's size, format or layout contradicts its data; it is not used."""
 
 
-class FrameIncomplete(FrameError):  # noqa: N818
+class FrameIncomplete(BadFrame):
     """Pixels of a frame were lost on the way; it is counted and not used."""
 
 
-class OtherFormat(FrameError):  # noqa: N818
+class OtherFormat(BadFrame):
     """The camera sends another pixel format or size than it reads back; the message names both."""
 
 
@@ -89,6 +90,10 @@ class PlanError(RunUsageError):
 
 class ResumeRefused(RunUsageError):  # noqa: N818
     """The run cannot be continued as asked: another plan, bench or scene, or nothing left to do."""
+
+
+class RunUnsuitable(RunUsageError):  # noqa: N818 - says what it is
+    """A folder is no run, belongs to another process, or does not hold what is asked of it."""
 
 
 class DiskError(RunError):

@@ -94,14 +94,14 @@ class World:
 
     def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Chessboard | ParticleSheet]:
         """Scene and print at the true places of their carriages."""
-        ways = {"camera": np.zeros(3), "glass": np.zeros(3), "target": np.zeros(3)}
+        offsets = {"camera": np.zeros(3), "glass": np.zeros(3), "target": np.zeros(3)}
         for name, axis in self._bench.table.stages.axes.items():
-            ways[axis.carries]["xyz".index(axis.along)] += true_mm[name] - self._bench.home_mm[name]
+            offsets[axis.carries]["xyz".index(axis.along)] += true_mm[name] - self._bench.home_mm[name]
         camera = self.scene.camera
-        x, y, z = (float(c) for c in np.add(camera.position_mm, ways["camera"]))
-        bodies = tuple(body.moved(shifted_by(ways["glass"])) for body in self.scene.bodies)
+        x, y, z = (float(c) for c in np.add(camera.position_mm, offsets["camera"]))
+        bodies = tuple(body.moved(shifted_by(offsets["glass"])) for body in self.scene.bodies)
         scene = replace(self.scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
-        pose = Pose().moved(*(float(way) for way in ways["target"]))
+        pose = Pose().moved(*(float(c) for c in offsets["target"]))
         if isinstance(self._print, Chessboard):
             return scene, placed(self._print, pose)
         return scene, placed(self._print, pose)

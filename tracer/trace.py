@@ -103,14 +103,14 @@ def trace_from(scene: Scene, origins_mm: ArrayLike, directions: ArrayLike) -> Tr
     directions = np.asarray(directions, dtype=np.float64)
     shape = directions.shape[:-1]
     starts = np.ascontiguousarray(np.broadcast_to(np.asarray(origins_mm, dtype=np.float64), directions.shape))
-    starts, ways = starts.reshape(-1, 3), np.ascontiguousarray(directions).reshape(-1, 3)
-    rays = np.zeros(len(ways), RAY)
+    starts, rays_along = starts.reshape(-1, 3), np.ascontiguousarray(directions).reshape(-1, 3)
+    rays = np.zeros(len(rays_along), RAY)
     world = world_of(scene)
 
     def work(first: int, last: int) -> None:
-        trace_rays(starts, ways, world, first, last, rays)
+        trace_rays(starts, rays_along, world, first, last, rays)
 
     run_rows(work, len(rays), block=16384)
     rays["path_mm"] *= scene.n_ambient
     keys, firsts = np.unique(rays["key"], return_index=True)
-    return TraceResult(rays.reshape(shape), name_keys(scene, starts[firsts], ways[firsts], keys))
+    return TraceResult(rays.reshape(shape), name_keys(scene, starts[firsts], rays_along[firsts], keys))

@@ -2,7 +2,7 @@
 
 Corners weigh by their own sigma, times one factor for each region (direct, behind glass) that makes the
 median residual agree with it: behind glass ghosts and curved edges add errors that no single window shows.
-Corners beyond OUTLIER sigmas are put aside and reported; those beyond KNEE lose their say gradually.  The
+Corners beyond OUTLIER sigmas are put aside and reported; those beyond KNEE weigh less and less.  The
 covariance is (N + 1)^-1 in units of the prior's sigmas, N the normal matrix of the corners used.
 """
 
@@ -16,13 +16,13 @@ from correction.fit.contact import largest_overlap_mm, pushed_apart
 from correction.fit.measurement import MeasuredFrame, whitening
 from correction.fit.result import FitStep, FittedCorners, SceneFit
 from correction.fit.solver import Corners, Residuals, Solution, minimise, normal_equations, residuals
-from correction.fit.unknowns import Bench
+from correction.fit.unknowns import Unknowns
 from tracer.scene import Scene
 from tracer.sensitivity import SPHERE
 
-KNEE = 3.0  # sigmas at which a corner begins to lose its say
-OUTLIER = 5.0  # sigmas at which it has none
-FULL_SAY = 1e6
+KNEE = 3.0  # sigmas beyond which a corner weighs less and less
+OUTLIER = 5.0  # sigmas beyond which it weighs nothing
+FULL_WEIGHT = 1e6
 ENOUGH = 20  # corners from which a region's sigma can be judged
 
 
@@ -32,15 +32,15 @@ class Adjustment:
     def __init__(self) -> None:
         self.scales = {False: 1.0, True: 1.0}
 
-    def solve(self, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> Solution:
+    def solve(self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> Solution:
         """Fit measured corners; then again with the sigmas that their residuals ask for."""
         for _ in range(2):
             data = [self.weighted(frame) for frame in frames]
 
             def evaluate(at: NDArray[np.float64], data: list[Corners] = data) -> list[Residuals]:
-                return [residuals(bench, at, corners) for corners in data]
+                return [residuals(unknowns, at, corners) for corners in data]
 
-            solution = minimise(bench, evaluate, x, knee=KNEE)
+            solution = minimise(unknowns, evaluate, x, knee=KNEE)
             x = solution.x
             self.rescale(frames, evaluate(x))
         return solution
@@ -60,27 +60,29 @@ class Adjustment:
                 self.scales[region] *= float(np.sqrt(np.median(chosen) / (2.0 * np.log(2.0))))
 
     def reprojection(
-        self, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
+        self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
     ) -> NDArray[np.float64]:
         """Residuals (N, 2) in raw px."""
         eye = [replace(f.corners, whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
-        return np.concatenate([residuals(bench, x, corners).value for corners in eye])
+        return np.concatenate([residuals(unknowns, x, corners).value for corners in eye])
 
-    def step(self, name: str, bench: Bench, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> FitStep:
+    def step(
+        self, name: str, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
+    ) -> FitStep:
         """Say how well frames are fitted: rms per axis of the corners within the outlier limit."""
-        off = np.linalg.norm(self.reprojection(bench, x, frames), axis=1)
+        off = np.linalg.norm(self.reprojection(unknowns, x, frames), axis=1)
         near = off[off < OUTLIER * float(np.nanmedian(off))]
         per_axis = float(np.sqrt(np.mean(near**2) / 2.0))
         return FitStep(name, len(off), per_axis, f"{len(off) - len(near)} beyond {OUTLIER:g} sigma")
 
-    def inliers(self, bench: Bench, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:
+    def inliers(self, unknowns: Unknowns, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:
         """Corners within OUTLIER sigmas."""
-        value = residuals(bench, x, self.weighted(frame)).value
+        value = residuals(unknowns, x, self.weighted(frame)).value
         return np.asarray(np.linalg.norm(value, axis=1) < OUTLIER)  # False for NaN
 
     def corners(
         self,
-        bench: Bench,
+        unknowns: Unknowns,
         x: NDArray[np.float64],
         measured: Sequence[MeasuredFrame],
         kept: Sequence[NDArray[np.bool_]],
@@ -90,15 +92,15 @@ class Adjustment:
             np.concatenate([np.full(len(frame), number) for number, frame in enumerate(measured)]),
             np.concatenate([frame.index for frame in measured]),
             np.concatenate([frame.corners.pixel for frame in measured]),
-            self.reprojection(bench, x, measured),
-            np.concatenate([frame.way for frame in measured]),
+            self.reprojection(unknowns, x, measured),
+            np.concatenate([frame.branch_name for frame in measured]),
             np.concatenate(list(kept)),
             np.concatenate([frame.rim_px for frame in measured]),
         )
 
     def estimate(
         self,
-        bench: Bench,
+        unknowns: Unknowns,
         full: NDArray[np.float64],
         measured: Sequence[MeasuredFrame],
         history: Sequence[FitStep],
@@ -107,7 +109,7 @@ class Adjustment:
 
         Parameters
         ----------
-        bench : Bench
+        unknowns : Unknowns
             What is free.
         full : (F,) float64
             Start.
@@ -116,18 +118,18 @@ class Adjustment:
         history : sequence of FitStep
             What happened before.
         """
-        solution = self.solve(bench, bench.free(full), measured)
-        kept = [self.inliers(bench, solution.x, frame) for frame in measured]
+        solution = self.solve(unknowns, unknowns.free(full), measured)
+        kept = [self.inliers(unknowns, solution.x, frame) for frame in measured]
         used = [frame.taken(which) for frame, which in zip(measured, kept, strict=True)]
-        solution = self.solve(bench, solution.x, used)
+        solution = self.solve(unknowns, solution.x, used)
         # The loss halves the say of honest corners at the edge of it; their information counts in full.
-        parts = [residuals(bench, solution.x, self.weighted(frame)) for frame in used]
-        _, _, normal = normal_equations(bench, solution.x, parts, FULL_SAY)
-        scene, pushed = legal_scene(bench, bench.full(solution.x))
-        corners = self.corners(bench, solution.x, measured, kept)
+        parts = [residuals(unknowns, solution.x, self.weighted(frame)) for frame in used]
+        _, _, normal = normal_equations(unknowns, solution.x, parts, FULL_WEIGHT)
+        scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
+        corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(
             scene,
-            bench,
+            unknowns,
             solution.x,
             np.asarray(np.linalg.inv(normal + np.eye(len(solution.x))), dtype=np.float64),
             normal,
@@ -137,17 +139,17 @@ class Adjustment:
             _summed([frame.refused for frame in measured]),
             pushed,
             scene,
-            (*history, self.step("all together", bench, solution.x, used)),
+            (*history, self.step("all together", unknowns, solution.x, used)),
         )
 
 
-def legal_scene(bench: Bench, full: NDArray[np.float64]) -> tuple[Scene, float]:
+def legal_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:
     """Return the scene of a full vector with overlaps pushed apart, and the largest overlap [mm]."""
-    spheres = bench.spheres(full)
+    spheres = unknowns.spheres(full)
     overlap = largest_overlap_mm(spheres)
     moved = np.array(full)
-    moved[bench.glass].reshape(-1, len(SPHERE))[:, :3] = pushed_apart(spheres)[:, :3]
-    return bench.moved(moved), overlap
+    moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed_apart(spheres)[:, :3]
+    return unknowns.moved(moved), overlap
 
 
 def _summed(counts: Sequence[dict[str, int]]) -> dict[str, int]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from correction.board import Chessboard
 from correction.board.saddles import Saddles
 from correction.fit.solver import Corners, Residuals, free_rates, landed
-from correction.fit.unknowns import Bench
+from correction.fit.unknowns import Unknowns
 from tracer.branches import DIRECT
 from tracer.sensitivity import SPHERE, Landings
 
@@ -28,7 +28,7 @@ class Candidates:
 
     Parameters
     ----------
-    height : int
+    height_number : int
         Number of the target's height.
     pixel : (N, 2) float64
         u, v.
@@ -40,7 +40,7 @@ class Candidates:
         On the lattice as it would be seen without glass.
     """
 
-    height: int
+    height_number: int
     pixel: NDArray[np.float64]
     bright: NDArray[np.float64]
     inside: NDArray[np.bool_]
@@ -49,15 +49,15 @@ class Candidates:
     def take(self, chosen: NDArray[np.bool_]) -> "Candidates":
         """Return the candidates where `chosen`."""
         pixel, bright = self.pixel[chosen], self.bright[chosen]
-        return Candidates(self.height, pixel, bright, self.inside[chosen], self.bare[chosen])
+        return Candidates(self.height_number, pixel, bright, self.inside[chosen], self.bare[chosen])
 
 
 def candidates_of(
     saddles: Saddles,
     least: float,
-    bench: Bench,
+    unknowns: Unknowns,
     full: NDArray[np.float64],
-    height: int,
+    height_number: int,
     board: Chessboard,
 ) -> Candidates:
     """Choose the saddles that may be seen through glass.
@@ -66,16 +66,19 @@ def candidates_of(
     glass say nothing about it.
     """
     bright = saddles.edges.sum(axis=1)
-    everything = Corners(height, False, saddles.position_px, np.zeros((len(saddles), 2)), 1.0)
-    rays = landed(bench, full, everything)
+    everything = Corners(height_number, False, saddles.position_px, np.zeros((len(saddles), 2)), 1.0)
+    rays = landed(unknowns, full, everything)
     node = nearest_nodes(rays.point_mm, rays.pixel_rate, bright, board)
     bare = np.linalg.norm(rays.point_mm - node, axis=1) < 0.1 * board.square_mm
     wide = np.array(full)
-    wide[bench.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
-    inside = landed(bench, wide, Corners(height, True, everything.pixel, everything.node_mm, 1.0)).key != DIRECT
+    wide[unknowns.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
+    inside = (
+        landed(unknowns, wide, Corners(height_number, True, everything.pixel, everything.node_mm, 1.0)).key
+        != DIRECT
+    )
     inside &= saddles.strength > least
     chosen = inside | (~bare & (saddles.strength > least))
-    return Candidates(height, saddles.position_px[chosen], bright[chosen], inside[chosen], bare[chosen])
+    return Candidates(height_number, saddles.position_px[chosen], bright[chosen], inside[chosen], bare[chosen])
 
 
 def nearest_nodes(
@@ -94,24 +97,24 @@ def nearest_nodes(
 
 
 def paired_residuals(
-    bench: Bench, x: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
+    unknowns: Unknowns, x: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
 ) -> Residuals:
     """Distance of each candidate to its nearest corner, in corrected or raw pixels, whichever are coarser.
 
     Near a rim a ray turns wildly with every number of the scene, and would dominate: there the distance is
     measured in raw pixels, and where the view is squeezed too much it is not asked at all.
     """
-    full = bench.full(x)
-    off, scale, rays, corners = distances(bench, full, candidates, board, pitch_mm)
-    return Residuals(off, free_rates(bench, full, corners, rays) / scale[:, :, None])
+    full = unknowns.full(x)
+    off, scale, rays, corners = distances(unknowns, full, candidates, board, pitch_mm)
+    return Residuals(off, free_rates(unknowns, full, corners, rays) / scale[:, :, None])
 
 
 def distances(
-    bench: Bench, full: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
+    unknowns: Unknowns, full: NDArray[np.float64], candidates: Candidates, board: Chessboard, pitch_mm: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], Landings, Corners]:
     """Distances (N, 2) to the nearest corners [px], mm a px (N, 1), and the rays they come from."""
-    corners = Corners(candidates.height, True, candidates.pixel, np.zeros_like(candidates.pixel), 1.0)
-    rays = landed(bench, full, corners)
+    corners = Corners(candidates.height_number, True, candidates.pixel, np.zeros_like(candidates.pixel), 1.0)
+    rays = landed(unknowns, full, corners)
     off = rays.point_mm - nearest_nodes(rays.point_mm, rays.pixel_rate, candidates.bright, board)
     spread = np.sqrt((rays.pixel_rate**2).sum(axis=(1, 2)))  # of a pixel, on the plane
     scale = np.maximum(spread, pitch_mm)[:, None]

@@ -20,11 +20,11 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
     ``covariance`` (P, P) in the units of the names, ``scene_root`` (Q, P) (see `SceneSigma`), ``corner_frame``
     (N,), ``corner_index`` (N, 2), ``corner_px``, ``residual_px`` (N, 2), ``behind``, ``inlier`` (N,).
     """
-    unit, corners = fit.bench.sigma, fit.corners
+    unit, corners = fit.unknowns.sigma, fit.corners
     header = {
         "names": list(fit.names),
         "scene_hash": fit.measured_scene.content_hash(),
-        "nominal_hash": fit.bench.scene.content_hash(),
+        "nominal_hash": fit.unknowns.scene.content_hash(),
         "frames": list(fit.frames),
         "history": [str(step) for step in fit.history],
     }

@@ -46,13 +46,13 @@ def back_from_light(fitted: Scene, nominal: Scene, light: FitLightTable | None) 
     return _moved(fitted, nominal, light, -1.0)
 
 
-def _moved(scene: Scene, nominal: Scene, light: FitLightTable | None, way: float) -> Scene:
+def _moved(scene: Scene, nominal: Scene, light: FitLightTable | None, sign: float) -> Scene:
     """Move every glass by the difference that the nominal glass of the same body shows."""
     if light is None:
         return scene
     bodies = []
     for body, before in zip(scene.bodies, nominal.bodies, strict=True):
-        changes = [way * _change(was, body.name, nominal, light) for _, was in before.media]
+        changes = [sign * _change(was, body.name, nominal, light) for _, was in before.media]
         media = [shifted_medium(own, change) for (_, own), change in zip(body.media, changes, strict=True)]
         bodies.append(body.with_media(media))
     return scene.with_bodies(bodies)

@@ -18,7 +18,7 @@ from correction.board import Chessboard
 from correction.fit.candidates import Candidates, distances, paired_residuals
 from correction.fit.measurement import MeasuredFrame
 from correction.fit.solver import Corners, landed
-from correction.fit.unknowns import Bench
+from correction.fit.unknowns import Unknowns
 from tracer.branches import branch_of
 from tracer.sensitivity import SPHERE
 
@@ -32,23 +32,25 @@ SAME_MM = 0.05
 TRIES = 6  # places that are measured
 
 
-def lost_spheres(bench: Bench, frames: Sequence[MeasuredFrame], kept: Sequence[NDArray[np.bool_]]) -> list[int]:
+def lost_spheres(
+    unknowns: Unknowns, frames: Sequence[MeasuredFrame], kept: Sequence[NDArray[np.bool_]]
+) -> list[int]:
     """Numbers of the spheres that the scene shows corners through, and the frames do not."""
     lost = []
-    for number, sphere in enumerate(bench.scene.spheres):
+    for number, sphere in enumerate(unknowns.scene.spheres):
         expected = found = 0
         for frame, good in zip(frames, kept, strict=True):
-            for way, count in frame.expected.items():
-                if sphere.is_on(branch_of(way)):
+            for branch_name, count in frame.expected.items():
+                if sphere.is_on(branch_of(branch_name)):
                     expected += count
-                    found += int(np.count_nonzero(good & (frame.way == way)))
+                    found += int(np.count_nonzero(good & (frame.branch_name == branch_name)))
         if expected and found < FOUND * expected:
             lost.append(number)
     return lost
 
 
 def likely_places(
-    bench: Bench,
+    unknowns: Unknowns,
     full: NDArray[np.float64],
     frames: Sequence[Candidates],
     board: Chessboard,
@@ -59,7 +61,7 @@ def likely_places(
 
     Parameters
     ----------
-    bench : Bench
+    unknowns : Unknowns
         With the centres of the spheres free.
     full : (F,) float64
         Everything else is taken from here, and is trusted.
@@ -71,11 +73,11 @@ def likely_places(
     number : int
         Of the sphere.
     """
-    name = bench.scene.spheres[number].name
-    row = bench.glass.start + number * len(SPHERE)
+    name = unknowns.scene.spheres[number].name
+    row = unknowns.glass.start + number * len(SPHERE)
     believed = np.array(full)
-    believed[row : row + 3] = bench.start[row : row + 3]
-    alone = bench.only([f"{name}.{axis}" for axis in "xyz"]).around(believed)
+    believed[row : row + 3] = unknowns.start[row : row + 3]
+    alone = unknowns.only([f"{name}.{axis}" for axis in "xyz"]).around(believed)
     if not alone.names:
         return []
     reach = REACH * alone.sigma
@@ -100,26 +102,26 @@ def likely_places(
     return places
 
 
-def _crosses(bench: Bench, full: NDArray[np.float64], frame: Candidates, number: int) -> NDArray[np.bool_]:
+def _crosses(unknowns: Unknowns, full: NDArray[np.float64], frame: Candidates, number: int) -> NDArray[np.bool_]:
     """Candidates (N,) whose ray goes through a sphere."""
-    rays = landed(bench, full, Corners(frame.height, True, frame.pixel, np.zeros_like(frame.pixel), 1.0))
+    rays = landed(unknowns, full, Corners(frame.height_number, True, frame.pixel, np.zeros_like(frame.pixel), 1.0))
     rate = rays.columns([f"{number}.x", f"{number}.y"])
     return np.asarray(rays.recovered & np.any(rate != 0.0, axis=(1, 2)))
 
 
 def _on_corners(
-    bench: Bench, full: NDArray[np.float64], frames: Sequence[Candidates], board: Chessboard, pitch_mm: float
+    unknowns: Unknowns, full: NDArray[np.float64], frames: Sequence[Candidates], board: Chessboard, pitch_mm: float
 ) -> int:
     """How many candidates lie on a corner that the bare lattice does not explain."""
     count = 0
     for frame in frames:
-        off, *_ = distances(bench, full, frame, board, pitch_mm)
+        off, *_ = distances(unknowns, full, frame, board, pitch_mm)
         count += int(np.count_nonzero((np.hypot(*off.T) < SHARP_PX) & ~frame.bare))  # False for NaN
     return count
 
 
 def _step(
-    bench: Bench,
+    unknowns: Unknowns,
     x: NDArray[np.float64],
     frames: Sequence[Candidates],
     board: Chessboard,
@@ -129,7 +131,7 @@ def _step(
     """Gauss-Newton step with Cauchy weights; rays that land nowhere have no say."""
     normal, slope = np.eye(len(x)), x.copy()
     for frame in frames:
-        part = paired_residuals(bench, x, frame, board, pitch_mm)
+        part = paired_residuals(unknowns, x, frame, board, pitch_mm)
         square = (part.value**2).sum(axis=1)
         seen = np.isfinite(square) & ~frame.bare
         rate = part.rate[seen] / np.sqrt(1.0 + square[seen] / knee**2)[:, None, None]

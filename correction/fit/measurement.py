@@ -54,14 +54,14 @@ class MeasuredFrame:
         For the solver.
     index : (N, 2) int64
         Corner of the board.
-    way : (N,) str
+    branch_name : (N,) str
         Spheres crossed, joined by " > "; empty for the direct view.
     rim_px : (N,) float64
         Distance to the border of the branch; infinite on the bare target.
     sigma_px : (N, 2) float64
         Standard deviation from the window.
     expected : dict
-        Way -> corners behind glass that the scene shows.
+        Name of a branch -> corners behind glass that the scene shows.
     refused : dict
         Reason -> corners that could not be measured.
     """
@@ -69,7 +69,7 @@ class MeasuredFrame:
     name: str
     corners: Corners
     index: NDArray[np.int64]
-    way: NDArray[np.str_]
+    branch_name: NDArray[np.str_]
     rim_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
     expected: dict[str, int]
@@ -81,7 +81,7 @@ class MeasuredFrame:
     @property
     def behind(self) -> NDArray[np.bool_]:
         """Corners seen through glass (N,)."""
-        return np.asarray(self.way != "")
+        return np.asarray(self.branch_name != "")
 
     def taken(self, which: NDArray[np.bool_]) -> "MeasuredFrame":
         """Return the frame with the chosen corners only."""
@@ -89,7 +89,7 @@ class MeasuredFrame:
             self,
             corners=self.corners.take(which),
             index=self.index[which],
-            way=self.way[which],
+            branch_name=self.branch_name[which],
             rim_px=self.rim_px[which],
             sigma_px=self.sigma_px[which],
         )
@@ -101,7 +101,7 @@ def whitening(sigma_px: NDArray[np.float64], scale: NDArray[np.float64] | float 
     return np.asarray(np.eye(2) / spread[:, :, None])
 
 
-def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height: int) -> MeasuredFrame:
+def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_number: int) -> MeasuredFrame:
     """Find the board without glass, with the help of a camera that may be rough.
 
     Raises
@@ -118,34 +118,38 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height: in
     except TargetNotFound as error:
         raise TargetNotFound(f"{frame.name}: {error}") from None
     count = len(found)
-    corners = Corners(height, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
-    way, rim = np.full(count, ""), np.full(count, np.inf)
-    return MeasuredFrame(frame.name, corners, found.index, way, rim, found.sigma_px, {}, dict(found.refused))
+    corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
+    branch_name, rim = np.full(count, ""), np.full(count, np.inf)
+    return MeasuredFrame(
+        frame.name, corners, found.index, branch_name, rim, found.sigma_px, {}, dict(found.refused)
+    )
 
 
 def glass_frame(
-    frame: TargetFrame, board: Chessboard, scene: Scene, pose: TargetPose, height: int, only_behind: bool
+    frame: TargetFrame, board: Chessboard, scene: Scene, pose: TargetPose, height_number: int, only_behind: bool
 ) -> MeasuredFrame:
     """Measure the corners that a scene predicts in a frame with glass."""
     expected = expect(scene, pose, board)
     if only_behind:
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
-    return _measured(frame.name, board, expected, fit, height)
+    return _measured(frame.name, board, expected, fit, height_number)
 
 
-def _measured(name: str, board: Chessboard, expected: Expected, fit: CornerFit, height: int) -> MeasuredFrame:
-    ways = np.array([text_of(names) for names in expected.branches])[expected.branch]
-    names, counts = np.unique(ways[ways != ""], return_counts=True)
+def _measured(
+    name: str, board: Chessboard, expected: Expected, fit: CornerFit, height_number: int
+) -> MeasuredFrame:
+    branch_names = np.array([text_of(names) for names in expected.branches])[expected.branch]
+    names, counts = np.unique(branch_names[branch_names != ""], return_counts=True)
     valid = fit.valid
     node = board.corner_mm(expected.index[valid])
-    corners = Corners(height, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]))
+    corners = Corners(height_number, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]))
     reasons = {reason: count for reason, count in fit.counts().items() if reason != "OK"}
     return MeasuredFrame(
         name,
         corners,
         expected.index[valid],
-        ways[valid],
+        branch_names[valid],
         expected.rim_px[valid],
         fit.sigma_px[valid],
         dict(zip(names.tolist(), counts.tolist(), strict=True)),

@@ -17,7 +17,7 @@ from correction.board import Chessboard
 from correction.fit.candidates import Candidates, paired_residuals
 from correction.fit.contact import pushed_apart
 from correction.fit.solver import Residuals, Solution, minimise
-from correction.fit.unknowns import Bench
+from correction.fit.unknowns import Unknowns
 from tracer.sensitivity import SPHERE
 
 KNEES_PX = (12.0, 4.0, 1.0)  # of the loss, in corrected pixels, from rough to fine
@@ -55,7 +55,7 @@ class Start:
 
 
 def pair_from(
-    bench: Bench,
+    unknowns: Unknowns,
     x: NDArray[np.float64],
     frames: Sequence[Candidates],
     board: Chessboard,
@@ -65,10 +65,10 @@ def pair_from(
     """Minimise the distance to the nearest corners from one start."""
 
     def evaluate(at: NDArray[np.float64]) -> list[Residuals]:
-        return [paired_residuals(bench, at, frame, board, pitch_mm) for frame in frames]
+        return [paired_residuals(unknowns, at, frame, board, pitch_mm) for frame in frames]
 
     for knee in knees_px:
-        solution = minimise(bench, evaluate, x, knee=knee, steps=25, tolerance=1e-2)
+        solution = minimise(unknowns, evaluate, x, knee=knee, steps=25, tolerance=1e-2)
         x = solution.x
     square = np.concatenate([(part.value**2).sum(axis=1) for part in evaluate(x)])
     square = square[np.isfinite(square) & ~np.concatenate([frame.bare for frame in frames])]
@@ -76,32 +76,32 @@ def pair_from(
     return Start(solution, len(near), len(square), float(np.sqrt(near.mean())) if len(near) else float("nan"))
 
 
-def group_starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
+def group_starts(unknowns: Unknowns, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
     """Full vectors to start from: as given, then the glass as one, moved by half a square along each axis."""
     moves = [np.zeros(3), *(0.5 * sign * np.eye(3)[axis] for axis in range(3) for sign in (1.0, -1.0))]
-    everything = np.ones(len(bench.scene.spheres), bool)
-    return [moved(bench, full, board.square_mm * np.where(everything[:, None], move, 0.0)) for move in moves]
+    everything = np.ones(len(unknowns.scene.spheres), bool)
+    return [moved(unknowns, full, board.square_mm * np.where(everything[:, None], move, 0.0)) for move in moves]
 
 
-def random_starts(bench: Bench, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
+def random_starts(unknowns: Unknowns, full: NDArray[np.float64], board: Chessboard) -> list[NDArray[np.float64]]:
     """Full vectors with every sphere moved by up to 0.4 squares (fixed seed: same frames, same fit)."""
     rng = np.random.default_rng(0)
-    count = len(bench.scene.spheres)
+    count = len(unknowns.scene.spheres)
     moves = rng.uniform(-0.4, 0.4, (RANDOM_STARTS, count, 3))
-    return [moved(bench, full, board.square_mm * move) for move in moves]
+    return [moved(unknowns, full, board.square_mm * move) for move in moves]
 
 
-def moved(bench: Bench, full: NDArray[np.float64], by_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(unknowns: Unknowns, full: NDArray[np.float64], by_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the full vector with the spheres moved by (N, 3), then pushed apart."""
     found = np.array(full)
-    rows = found[bench.glass].reshape(-1, len(SPHERE))
+    rows = found[unknowns.glass].reshape(-1, len(SPHERE))
     rows[:, :3] += by_mm
     rows[:, :4] = pushed_apart(np.c_[rows, np.zeros(len(rows))])[:, :4]
     return found
 
 
 def pair(
-    bench: Bench,
+    unknowns: Unknowns,
     full: NDArray[np.float64],
     frames: Sequence[Candidates],
     board: Chessboard,
@@ -111,7 +111,7 @@ def pair(
 
     Parameters
     ----------
-    bench : Bench
+    unknowns : Unknowns
         With the glass free.
     full : (F,) float64
         Full vector to start around.
@@ -127,26 +127,26 @@ def pair(
         return max(tried, key=lambda one: one.inliers)
 
     def explained() -> bool:
-        alike = sum(_same(bench, best(), other) for other in tried)
+        alike = sum(_same(unknowns, best(), other) for other in tried)
         return best().share >= (TWICE if alike > 1 else ENOUGH)
 
     def attempt(start: NDArray[np.float64]) -> None:
-        tried.append(pair_from(bench, bench.free(start), frames, board, pitch_mm))
+        tried.append(pair_from(unknowns, unknowns.free(start), frames, board, pitch_mm))
 
-    for start in group_starts(bench, full, board):
+    for start in group_starts(unknowns, full, board):
         attempt(start)
         if explained():
             return sorted(tried, key=lambda one: -one.inliers)
     if best().share < TWICE:
-        for start in random_starts(bench, full, board):
+        for start in random_starts(unknowns, full, board):
             attempt(start)
             if explained():
                 break
     return sorted(tried, key=lambda one: -one.inliers)
 
 
-def _same(bench: Bench, one: Start, other: Start) -> bool:
+def _same(unknowns: Unknowns, one: Start, other: Start) -> bool:
     """Whether two starts ended with the spheres at the same places, seen from the camera."""
-    sideways = [name.endswith((".x", ".y")) for name in bench.names]
-    off = np.abs(bench.sigma * (one.solution.x - other.solution.x))[sideways]
+    sideways = [name.endswith((".x", ".y")) for name in unknowns.names]
+    off = np.abs(unknowns.sigma * (one.solution.x - other.solution.x))[sideways]
     return bool(off.max(initial=0.0) < SAME_MM)

@@ -199,9 +199,9 @@ def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:
     """Raster whose nodes are the lattice corners around the bare view, with corner (0, 0) in its middle."""
     width, height = scene.camera.sensor_px
     border = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
-    ways = scene.camera.directions(border)
+    rays = scene.camera.directions(border)
     x, y, z = scene.camera.position_mm
-    reach = np.abs(np.array([x, y]) - z * ways[:, :2] / ways[:, 2:]).max()
+    reach = np.abs(np.array([x, y]) - z * rays[:, :2] / rays[:, 2:]).max()
     half = int(np.ceil(WIDER * reach / board.square_mm))
     a = board.square_mm
     return PlaneGrid((-half * a, half * a), a, (2 * half + 1, 2 * half + 1))

@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.errors import FitFailed
-from correction.fit.unknowns import Bench
+from correction.fit.unknowns import Unknowns
 from tracer.branches import branch_of
 from tracer.scene import Scene
 
 RMS_LIMIT_PX = 0.3  # a right fit leaves 0.02-0.07, a wrong one at least several times this
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
-WAY_LIMIT = 0.5  # the same of one way through the glass, if the scene shows at least so many corners on it
-WAY_CORNERS = 5
+BRANCH_LIMIT = 0.5  # the same of one branch, if the scene shows at least so many corners on it
+BRANCH_CORNERS = 5
 OVERLAP_LIMIT_MM = 0.02
 PRIOR_LIMIT = 5.0  # sigmas
 
@@ -58,7 +58,7 @@ class FittedCorners:
         Corner of the board.
     pixel, residual_px : (N, 2) float64
         Where it was measured, and measured minus fitted, in raw px.
-    way : (N,) str
+    branch_name : (N,) str
         Spheres crossed, joined by " > "; empty for the direct view.
     inlier : (N,) bool
         Used by the fit.
@@ -70,14 +70,14 @@ class FittedCorners:
     index: NDArray[np.int64]
     pixel: NDArray[np.float64]
     residual_px: NDArray[np.float64]
-    way: NDArray[np.str_]
+    branch_name: NDArray[np.str_]
     inlier: NDArray[np.bool_]
     rim_px: NDArray[np.float64]
 
     @property
     def behind(self) -> NDArray[np.bool_]:
         """Corners seen through glass (N,)."""
-        return np.asarray(self.way != "")
+        return np.asarray(self.branch_name != "")
 
     def rms_px(self, behind: bool) -> NDArray[np.float64]:
         """Root mean square residual per axis (2,) of the inliers of a region."""
@@ -93,7 +93,7 @@ class SceneFit:
     ----------
     scene : Scene
         The fitted scene.
-    bench : Bench
+    unknowns : Unknowns
         What was free, around the nominal scene.
     x : (P,) float64
         The free vector in units of the prior's sigmas.
@@ -118,7 +118,7 @@ class SceneFit:
     """
 
     scene: Scene
-    bench: Bench
+    unknowns: Unknowns
     x: NDArray[np.float64]
     covariance: NDArray[np.float64]
     normal: NDArray[np.float64]
@@ -133,19 +133,19 @@ class SceneFit:
     @property
     def names(self) -> tuple[str, ...]:
         """Free numbers."""
-        return self.bench.names
+        return self.unknowns.names
 
     @property
     def values(self) -> NDArray[np.float64]:
         """Fitted values (P,) in the units of their names: mm, rad, px."""
-        full = self.bench.full(self.x)
-        first = np.argmax(self.bench.columns != 0.0, axis=0)
+        full = self.unknowns.full(self.x)
+        first = np.argmax(self.unknowns.columns != 0.0, axis=0)
         return np.asarray(full[first])
 
     @property
     def sigmas(self) -> NDArray[np.float64]:
         """Standard deviations (P,) of `values`."""
-        return np.asarray(self.bench.sigma * np.sqrt(np.diag(self.covariance)))
+        return np.asarray(self.unknowns.sigma * np.sqrt(np.diag(self.covariance)))
 
     @property
     def expected_behind(self) -> int:
@@ -157,9 +157,9 @@ class SceneFit:
         """Those measured and used."""
         return int(np.count_nonzero(self.corners.behind & self.corners.inlier))
 
-    def paired(self, way: str) -> int:
-        """Corners measured and used on one way through the glass."""
-        return int(np.count_nonzero(self.corners.inlier & (self.corners.way == way)))
+    def paired(self, branch_name: str) -> int:
+        """Corners measured and used that are seen through one branch."""
+        return int(np.count_nonzero(self.corners.inlier & (self.corners.branch_name == branch_name)))
 
     @property
     def share(self) -> float:
@@ -185,16 +185,18 @@ def check(fit: SceneFit) -> None:
             raise FitFailed("rms behind glass [px]", rms, RMS_LIMIT_PX, cure)
         if fit.share < SHARE_LIMIT:
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
-        for way, count in fit.expected.items():
-            share = fit.paired(way) / count
-            if count >= WAY_CORNERS and share < WAY_LIMIT:
-                text = f"the corners seen through {way} are not where it would show them; start its centre nearer"
-                raise FitFailed(f"share of corners paired through {way}", share, WAY_LIMIT, f"{text}, and {cure}")
-        for sphere in fit.bench.scene.spheres:
-            ways = [way for way in fit.expected if sphere.is_on(branch_of(way))]
-            count = sum(fit.expected[way] for way in ways)
+        for branch_name, count in fit.expected.items():
+            share = fit.paired(branch_name) / count
+            if count >= BRANCH_CORNERS and share < BRANCH_LIMIT:
+                text = f"corners through {branch_name} are not where it would show them; start its centre nearer"
+                raise FitFailed(
+                    f"share of corners paired through {branch_name}", share, BRANCH_LIMIT, f"{text}, and {cure}"
+                )
+        for sphere in fit.unknowns.scene.spheres:
+            branch_names = [branch_name for branch_name in fit.expected if sphere.is_on(branch_of(branch_name))]
+            count = sum(fit.expected[branch_name] for branch_name in branch_names)
             held = not any(name.startswith(f"{sphere.name}.") for name in fit.names)
-            if count and not held and not any(fit.paired(way) for way in ways):
+            if count and not held and not any(fit.paired(branch_name) for branch_name in branch_names):
                 text = f"none of the {count} corners seen through {sphere.name} is where it would show them"
                 cure = "start its centre nearer, use smaller squares, or hold it fixed in the fit section"
                 raise FitFailed(f"corners paired through {sphere.name}", 0.0, 1.0, f"{text}; {cure}")

@@ -31,7 +31,7 @@ from correction.fit.pairing import pair
 from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, FitStep, SceneFit, check
 from correction.fit.solver import Solution
-from correction.fit.unknowns import Bench, bench_of
+from correction.fit.unknowns import Unknowns, unknowns_of
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 
@@ -82,7 +82,7 @@ def fit_scene(
     work.camera()
     if work.glass_frames:
         work.glass()
-    fit = work.fits.estimate(work.bench, work.full, [*work.bare, *work.behind], work.history)
+    fit = work.fits.estimate(work.unknowns, work.full, [*work.bare, *work.behind], work.history)
     say(str(fit.history[-1]))
     check(fit)
     return replace(fit, measured_scene=back_from_light(fit.scene, nominal, priors.light))
@@ -109,8 +109,8 @@ class _Fit:
         self.board, self.say, self.history = board, say, list[FitStep]()
         self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames]
         self.focal_free = len({f.height_mm for f in self.bare_frames}) >= 3
-        self.bench = bench_of(nominal, self.heights, priors, self.focal_free)
-        self.full = self.bench.start
+        self.unknowns = unknowns_of(nominal, self.heights, priors, self.focal_free)
+        self.full = self.unknowns.start
         self.bare: list[MeasuredFrame] = []
         self.behind: list[MeasuredFrame] = []
         self.fits = Adjustment()
@@ -120,44 +120,44 @@ class _Fit:
         self.history.append(step)
         self.say(str(step))
 
-    def height(self, frame: TargetFrame) -> int:
+    def height_number(self, frame: TargetFrame) -> int:
         """Number of a frame's height."""
-        return int(np.argmin(np.abs(np.array(self.bench.heights_mm) - frame.height_mm)))
+        return int(np.argmin(np.abs(np.array(self.unknowns.heights_mm) - frame.height_mm)))
 
     def camera(self) -> None:
         """Stage 1."""
-        bench, solution = self.fit_camera(self.bare_frames[:1])
+        unknowns, solution = self.fit_camera(self.bare_frames[:1])
         if _pull(solution) > PRIOR_LIMIT:
-            bench, solution = self.follow_board(bench, solution)
+            unknowns, solution = self.follow_board(unknowns, solution)
         if len(self.bare_frames) > 1:
-            bench, solution = self.fit_camera(self.bare_frames[1:])
-        rms = float(np.sqrt(np.mean(self.fits.reprojection(bench, solution.x, self.bare) ** 2)))
-        self.check_camera(rms, _pull(solution), bench, solution)
+            unknowns, solution = self.fit_camera(self.bare_frames[1:])
+        rms = float(np.sqrt(np.mean(self.fits.reprojection(unknowns, solution.x, self.bare) ** 2)))
+        self.check_camera(rms, _pull(solution), unknowns, solution)
 
-    def fit_camera(self, frames: Sequence[TargetFrame]) -> tuple[Bench, Solution]:
+    def fit_camera(self, frames: Sequence[TargetFrame]) -> tuple[Unknowns, Solution]:
         """Find the bare target in more frames, one by one, and fit the camera to all there are."""
-        bench = self.bench.only(("camera.", "target"))
+        unknowns = self.unknowns.only(("camera.", "target"))
         for frame in frames:
-            self.bare.append(bare_frame(frame, self.board, bench.camera(self.full), self.height(frame)))
-            solution = self.fits.solve(bench, bench.free(self.full), self.bare)
-            self.full = bench.full(solution.x)
-            self.note(self.fits.step(f"camera on {frame.name}", bench, solution.x, self.bare[-1:]))
-        return bench, solution
+            self.bare.append(bare_frame(frame, self.board, unknowns.camera(self.full), self.height_number(frame)))
+            solution = self.fits.solve(unknowns, unknowns.free(self.full), self.bare)
+            self.full = unknowns.full(solution.x)
+            self.note(self.fits.step(f"camera on {frame.name}", unknowns, solution.x, self.bare[-1:]))
+        return unknowns, solution
 
-    def follow_board(self, bench: Bench, solution: Solution) -> tuple[Bench, Solution]:
+    def follow_board(self, unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, Solution]:
         """Turn the nominal bench as the board shows it turned, if that explains the camera."""
-        turn = turn_of_bench(self.nominal.camera, bench.camera(self.full), self.priors.camera)
+        turn = turn_of_bench(self.nominal.camera, unknowns.camera(self.full), self.priors.camera)
         travel = (float(turn[0, 2]), float(turn[1, 2]), float(turn[2, 2]))
-        followed = bench_of(turned(self.nominal, turn), self.heights, self.priors, self.focal_free, travel)
+        followed = unknowns_of(turned(self.nominal, turn), self.heights, self.priors, self.focal_free, travel)
         other = followed.only(("camera.", "target"))
         again = self.fits.solve(other, np.zeros(len(other.names)), self.bare)
         if _pull(again) > PRIOR_LIMIT:
-            return bench, solution
-        self.bench, self.full = followed, other.full(again.x)
+            return unknowns, solution
+        self.unknowns, self.full = followed, other.full(again.x)
         self.note(FitStep(in_words(turn)))
         return other, again
 
-    def check_camera(self, rms_px: float, pull: float, bench: Bench, solution: Solution) -> None:
+    def check_camera(self, rms_px: float, pull: float, unknowns: Unknowns, solution: Solution) -> None:
         """Refuse a camera that does not fit the bare target."""
         if not rms_px <= RMS_LIMIT_PX:
             raise FitFailed(
@@ -168,7 +168,7 @@ class _Fit:
                 " more lens terms in the fit section, or check that the board is flat",
             )
         if pull > PRIOR_LIMIT:
-            name = bench.names[int(np.argmax(np.abs(solution.x)))]
+            name = unknowns.names[int(np.argmax(np.abs(solution.x)))]
             raise FitFailed(
                 "camera prior",
                 pull,
@@ -179,35 +179,35 @@ class _Fit:
 
     def glass(self) -> None:
         """Stage 2."""
-        prefixes = [f"{sphere.name}." for sphere in self.bench.scene.spheres] + ["glass "]
-        bench = self.bench.around(self.full).only(prefixes)
-        coarse = bench.only([f"{s.name}.{part}" for s in bench.scene.spheres for part in "xyz"] + ["glass "])
+        prefixes = [f"{sphere.name}." for sphere in self.unknowns.scene.spheres] + ["glass "]
+        unknowns = self.unknowns.around(self.full).only(prefixes)
+        coarse = unknowns.only([f"{s.name}.{part}" for s in unknowns.scene.spheres for part in "xyz"] + ["glass "])
         candidates = self.candidates(coarse)
         self.pair(coarse, candidates)
-        self.fit_glass(bench, "pass 1", only_behind=True)
+        self.fit_glass(unknowns, "pass 1", only_behind=True)
         for number in self.lost():
-            self.find_lost(bench, coarse, candidates, number)
-        self.fit_glass(bench, "pass 2", only_behind=False)
+            self.find_lost(unknowns, coarse, candidates, number)
+        self.fit_glass(unknowns, "pass 2", only_behind=False)
 
-    def fit_glass(self, bench: Bench, name: str, only_behind: bool) -> None:
+    def fit_glass(self, unknowns: Unknowns, name: str, only_behind: bool) -> None:
         """Measure the corners where the scene shows them, and fit the glass to them."""
         self.measure_glass(only_behind)
         behind = [_behind(frame) for frame in self.behind]
-        solution = self.fits.solve(bench, bench.free(self.full), behind)
-        self.full = bench.full(solution.x)
-        self.note(self.fits.step(f"glass, {name}", bench, solution.x, behind))
+        solution = self.fits.solve(unknowns, unknowns.free(self.full), behind)
+        self.full = unknowns.full(solution.x)
+        self.note(self.fits.step(f"glass, {name}", unknowns, solution.x, behind))
 
-    def candidates(self, coarse: Bench) -> Candidates:
+    def candidates(self, coarse: Unknowns) -> Candidates:
         """Saddles of the first frame with glass that may be seen through it."""
         frame = self.glass_frames[0]
         saddles = find_saddles(frame.image)
         usual = float(np.median(find_saddles(self.bare_frames[0].image).strength))
         least = WEAKEST * usual
-        found = candidates_of(saddles, least, coarse, self.full, self.height(frame), self.board)
+        found = candidates_of(saddles, least, coarse, self.full, self.height_number(frame), self.board)
         self.check_glass(frame, found)
         return found
 
-    def pair(self, coarse: Bench, candidates: Candidates) -> None:
+    def pair(self, coarse: Unknowns, candidates: Candidates) -> None:
         """Find out which corner each saddle shows."""
         found = pair(coarse, self.full, [candidates], self.board, self.pitch_mm)
         best = found[0]
@@ -218,16 +218,16 @@ class _Fit:
 
     def lost(self) -> list[int]:
         """Numbers of the spheres through which the frames do not show what the scene says."""
-        x = self.bench.free(self.full)
-        kept = [self.fits.inliers(self.bench, x, frame) for frame in self.behind]
-        return lost_spheres(self.bench, self.behind, kept)
+        x = self.unknowns.free(self.full)
+        kept = [self.fits.inliers(self.unknowns, x, frame) for frame in self.behind]
+        return lost_spheres(self.unknowns, self.behind, kept)
 
-    def find_lost(self, bench: Bench, coarse: Bench, candidates: Candidates, number: int) -> None:
+    def find_lost(self, unknowns: Unknowns, coarse: Unknowns, candidates: Candidates, number: int) -> None:
         """Try a lost sphere in other places until the corners seen through it are where the scene says."""
-        name, before = self.bench.scene.spheres[number].name, self.full
+        name, before = self.unknowns.scene.spheres[number].name, self.full
         for place in likely_places(coarse, before, [candidates], self.board, self.pitch_mm, number):
             self.full = place
-            self.fit_glass(bench, f"{name} elsewhere", only_behind=True)
+            self.fit_glass(unknowns, f"{name} elsewhere", only_behind=True)
             if number not in self.lost():
                 return
         self.full = before
@@ -235,7 +235,7 @@ class _Fit:
     @property
     def pitch_mm(self) -> float:
         """A corrected pixel on the plane."""
-        camera = self.bench.camera(self.full)
+        camera = self.unknowns.camera(self.full)
         return camera.position_mm[2] / camera.focal_px
 
     def check_glass(self, frame: TargetFrame, candidates: Candidates) -> None:
@@ -255,21 +255,21 @@ class _Fit:
 
     def measure_glass(self, only_behind: bool) -> None:
         """Predict and measure the corners of all frames with glass."""
-        scene, _ = legal_scene(self.bench, self.full)
+        scene, _ = legal_scene(self.unknowns, self.full)
         self.behind = [
             glass_frame(
                 frame,
                 self.board,
                 scene,
-                self.bench.pose(self.full, self.height(frame)),
-                self.height(frame),
+                self.unknowns.pose(self.full, self.height_number(frame)),
+                self.height_number(frame),
                 only_behind,
             )
             for frame in self.glass_frames
         ]
         if not any(_behind(frame).index.size for frame in self.behind):
-            height = self.height(self.glass_frames[0])
-            width = square_behind_px(scene, self.bench.pose(self.full, height), self.board)
+            height_number = self.height_number(self.glass_frames[0])
+            width = square_behind_px(scene, self.unknowns.pose(self.full, height_number), self.board)
             if width < LEAST_SQUARE_PX:
                 raise GlassNotSeen(
                     f"squares look {width:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"

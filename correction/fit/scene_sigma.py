@@ -50,8 +50,8 @@ class SceneSigma(SceneBound):
     @classmethod
     def of(cls, fit: SceneFit) -> "SceneSigma":
         """Uncertainty of the scene of a fit."""
-        bench, full = fit.bench, fit.bench.full(fit.x)
-        turned = bench.columns[: bench.glass.stop].copy()
+        unknowns, full = fit.unknowns, fit.unknowns.full(fit.x)
+        turned = unknowns.columns[: unknowns.glass.stop].copy()
         turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
         return cls(fit.measured_scene.content_hash(), turned @ np.linalg.cholesky(fit.covariance))
 

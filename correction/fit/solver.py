@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.contact import WALL_MM, walls
-from correction.fit.unknowns import Bench, left_jacobian
+from correction.fit.unknowns import Unknowns, left_jacobian
 from tracer.cells import world_from
 from tracer.kernels.sphere import SOLID
 from tracer.sensitivity import CAMERA, Landings, landings_through
@@ -37,7 +37,7 @@ class Corners:
 
     Parameters
     ----------
-    height : int
+    height_number : int
         Number of the target's height in the bench.
     glass : bool
         Whether the glass stood before the camera.
@@ -49,7 +49,7 @@ class Corners:
         W; a number means: residuals on the plane, in units of that many mm.
     """
 
-    height: int
+    height_number: int
     glass: bool
     pixel: NDArray[np.float64]
     node_mm: NDArray[np.float64]
@@ -97,33 +97,35 @@ class Solution:
     steps: int
 
 
-def landed(bench: Bench, full: NDArray[np.float64], corners: Corners) -> Landings:
+def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners) -> Landings:
     """Landing points of the corners' pixels on their target."""
-    spheres = bench.spheres(full) if corners.glass else np.zeros((0, SOLID))
-    world = world_from(spheres, bench.scene.other_tables() if corners.glass else ())
-    pose = bench.pose(full, corners.height)
-    return landings_through(bench.camera(full), world, corners.pixel, pose, bench.scene.n_ambient)
+    spheres = unknowns.spheres(full) if corners.glass else np.zeros((0, SOLID))
+    world = world_from(spheres, unknowns.scene.other_tables() if corners.glass else ())
+    pose = unknowns.pose(full, corners.height_number)
+    return landings_through(unknowns.camera(full), world, corners.pixel, pose, unknowns.scene.n_ambient)
 
 
-def free_rates(bench: Bench, full: NDArray[np.float64], corners: Corners, rays: Landings) -> NDArray[np.float64]:
+def free_rates(
+    unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, rays: Landings
+) -> NDArray[np.float64]:
     """Derivatives (N, 2, P) [mm per sigma] of the landing points by the free vector."""
-    rate, a = rays.rate, bench.columns
-    camera, place = len(CAMERA), bench.place(corners.height)
+    rate, a = rays.rate, unknowns.columns
+    camera, place = len(CAMERA), unknowns.place(corners.height_number)
     turn = rate[:, :, 3:6] @ left_jacobian(full[3:6])
     total = rate[:, :, :3] @ a[:3] + turn @ a[3:6] + rate[:, :, 6:camera] @ a[6:camera]
     pose = rate[:, :, -6:]
     total += pose[:, :, :3] @ a[place][:3] + pose[:, :, 3:] @ left_jacobian(full[place][3:]) @ a[place][3:]
     if corners.glass:
-        total += rate[:, :, camera:-6] @ a[bench.glass]
+        total += rate[:, :, camera:-6] @ a[unknowns.glass]
     return np.asarray(total)
 
 
-def residuals(bench: Bench, x: NDArray[np.float64], corners: Corners) -> Residuals:
+def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> Residuals:
     """Residuals of corners at the free vector x."""
-    full = bench.full(x)
-    rays = landed(bench, full, corners)
+    full = unknowns.full(x)
+    rays = landed(unknowns, full, corners)
     off = rays.point_mm - corners.node_mm
-    rate = free_rates(bench, full, corners, rays)
+    rate = free_rates(unknowns, full, corners, rays)
     if isinstance(corners.whiten, float):
         return Residuals(off / corners.whiten, rate / corners.whiten)
     j = rays.pixel_rate
@@ -137,7 +139,7 @@ Evaluate = Callable[[NDArray[np.float64]], list[Residuals]]
 
 
 def normal_equations(
-    bench: Bench, x: NDArray[np.float64], parts: Sequence[Residuals], knee: float
+    unknowns: Unknowns, x: NDArray[np.float64], parts: Sequence[Residuals], knee: float
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
     """Cost with walls, gradient (P,) of data and priors, normal matrix (P, P) of data alone."""
     free = len(x)
@@ -151,14 +153,14 @@ def normal_equations(
         flat = (part.rate[seen] * root[:, None, None]).reshape(-1, free)
         gradient += flat.T @ (part.value[seen] * root[:, None]).ravel()
         normal += flat.T @ flat
-    depth, _ = _walls(bench, x)
+    depth, _ = _walls(unknowns, x)
     return cost + float(np.sum(np.maximum(depth, 0.0) ** 2)), gradient, normal
 
 
-def _walls(bench: Bench, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P)."""
-    depth, rate = walls(bench.spheres(bench.full(x)))
-    columns = bench.columns[bench.glass]
+    depth, rate = walls(unknowns.spheres(unknowns.full(x)))
+    columns = unknowns.columns[unknowns.glass]
     return depth / WALL_MM, rate.reshape(len(depth), len(columns)) @ columns / WALL_MM
 
 
@@ -188,7 +190,7 @@ def _step(
 
 
 def minimise(
-    bench: Bench,
+    unknowns: Unknowns,
     evaluate: Evaluate,
     x: NDArray[np.float64],
     *,
@@ -200,7 +202,7 @@ def minimise(
 
     Parameters
     ----------
-    bench : Bench
+    unknowns : Unknowns
         What is free.
     evaluate : callable
         x -> residuals of every frame.
@@ -214,13 +216,13 @@ def minimise(
         A step below this many posterior sigmas in every number is negligible.
     """
     x = np.array(x, dtype=np.float64)
-    cost, gradient, normal = normal_equations(bench, x, evaluate(x), knee)
+    cost, gradient, normal = normal_equations(unknowns, x, evaluate(x), knee)
     damping = 1e-4
     for count in range(steps):
-        step, decrement = _step(gradient, normal, damping, *_walls(bench, x))
+        step, decrement = _step(gradient, normal, damping, *_walls(unknowns, x))
         if decrement <= tolerance**2:
             return Solution(x, cost, normal, True, count)
-        trial = normal_equations(bench, x + step, evaluate(x + step), knee)
+        trial = normal_equations(unknowns, x + step, evaluate(x + step), knee)
         if trial[0] <= cost:
             small = cost - trial[0] <= 1e-9 * cost and decrement <= 1e-6 * cost
             x = x + step

@@ -28,7 +28,7 @@ FARTHEST_PX = 60.0  # a corner predicted farther away than this counts as not pr
 
 
 @dataclass(frozen=True)
-class Sense1:
+class RegionErrors:
     """Computer-generated minus acquired, one region.
 
     Parameters
@@ -51,17 +51,17 @@ class Sense1:
 
 def aligned(fit: SceneFit) -> Scene:
     """Return the nominal glass before the fitted camera."""
-    return fit.bench.scene.with_camera(fit.scene.camera)
+    return fit.unknowns.scene.with_camera(fit.scene.camera)
 
 
 def computed_against_acquired(
     scene: Scene, corners: FittedCorners, frame: int, board: Chessboard
-) -> tuple[list[Sense1], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[list[RegionErrors], NDArray[np.float64], NDArray[np.float64]]:
     """Sense 1 for one frame at z = 0.
 
     Returns
     -------
-    regions : list of Sense1
+    regions : list of RegionErrors
     pixel, error_px : (N, 2) float64
         Acquired pixels and computer-generated minus acquired.
     """
@@ -93,6 +93,6 @@ def corrected_against_grid(scene: Scene, image: NDArray[Any], board: Chessboard)
     return target_error(corrector(image), corrector, board)
 
 
-def _figures(region: str, error: NDArray[np.float64]) -> Sense1:
+def _figures(region: str, error: NDArray[np.float64]) -> RegionErrors:
     largest = float(np.linalg.norm(error, axis=1).max())
-    return Sense1(region, len(error), error.mean(axis=0), np.sqrt((error**2).mean(axis=0)), largest)
+    return RegionErrors(region, len(error), error.mean(axis=0), np.sqrt((error**2).mean(axis=0)), largest)

@@ -35,8 +35,8 @@ SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one p
 
 
 @dataclass(frozen=True)
-class Bench:
-    """The numbers of a bench around its nominal scene.
+class Unknowns:
+    """The numbers that a fit may move, around those of a nominal scene.
 
     Parameters
     ----------
@@ -66,9 +66,9 @@ class Bench:
         """Place of the spheres' numbers in the full vector."""
         return slice(len(CAMERA), len(CAMERA) + len(SPHERE) * len(self.scene.spheres))
 
-    def place(self, height: int) -> slice:
+    def place(self, height_number: int) -> slice:
         """Place of a height's pose in the full vector."""
-        first = self.glass.stop + len(TARGET) * height
+        first = self.glass.stop + len(TARGET) * height_number
         return slice(first, first + len(TARGET))
 
     @property
@@ -85,13 +85,13 @@ class Bench:
         size = (self.columns**2).sum(axis=0)
         return np.asarray((full - self.start) @ self.columns / size)
 
-    def only(self, prefixes: Sequence[str]) -> "Bench":
-        """Return the same bench with only those numbers free whose name begins with one of `prefixes`."""
+    def only(self, prefixes: Sequence[str]) -> "Unknowns":
+        """Return the same unknowns with only those numbers free whose name begins with one of `prefixes`."""
         kept = [i for i, name in enumerate(self.names) if name.startswith(tuple(prefixes))]
         return replace(self, names=tuple(self.names[i] for i in kept), columns=self.columns[:, kept])
 
-    def around(self, full: NDArray[np.float64]) -> "Bench":
-        """Return the same bench with another centre for its fixed numbers and priors."""
+    def around(self, full: NDArray[np.float64]) -> "Unknowns":
+        """Return the same unknowns with another centre for its fixed numbers and priors."""
         return replace(self, start=full)
 
     def camera(self, full: NDArray[np.float64]) -> Camera:
@@ -115,9 +115,9 @@ class Bench:
         table[:, 4] /= self.scene.n_ambient
         return table
 
-    def pose(self, full: NDArray[np.float64], height: int) -> TargetPose:
+    def pose(self, full: NDArray[np.float64], height_number: int) -> TargetPose:
         """Return the target's pose at one of the heights."""
-        x, y, z, *turn = full[self.place(height)].tolist()
+        x, y, z, *turn = full[self.place(height_number)].tolist()
         return TargetPose((x, y, z), _rows(Rotation.from_rotvec(turn).as_matrix().T))
 
     def moved(self, full: NDArray[np.float64]) -> Scene:
@@ -143,13 +143,13 @@ class Bench:
         return table
 
 
-def bench_of(
+def unknowns_of(
     scene: Scene,
     heights_mm: Sequence[float],
     priors: FitTable,
     focal_free: bool = False,
     travel: Vector3 = (0.0, 0.0, 1.0),
-) -> Bench:
+) -> Unknowns:
     """Number everything and decide what is free.
 
     Parameters
@@ -210,7 +210,7 @@ def bench_of(
             columns.append(column)
             names.append(name)
     matrix = np.stack(columns, axis=1) if columns else np.zeros((len(start.names), 0))
-    return Bench(scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix)
+    return Unknowns(scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix)
 
 
 def unit_of(name: str) -> tuple[str, float]:

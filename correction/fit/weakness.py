@@ -42,7 +42,7 @@ class Weakness:
 def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
     found = []
-    lost = {name for sphere in fit.bench.scene.spheres for name in _unseen(fit, sphere)}
+    lost = {name for sphere in fit.unknowns.scene.spheres for name in _unseen(fit, sphere)}
     for name in sorted({name.split(".")[0] for name in lost}):
         text = f"no corner is seen through {name}: its place is what the scene file says"
         found.append(Weakness(tuple(n for n in fit.names if n in lost), f"{text}; smaller squares may show some"))
@@ -66,7 +66,7 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
 
 def _unseen(fit: SceneFit, sphere: Sphere) -> tuple[str, ...]:
     """Free numbers of a sphere through which the fitted scene shows no corner."""
-    if any(sphere.is_on(branch_of(way)) for way in fit.expected):
+    if any(sphere.is_on(branch_of(branch_name)) for branch_name in fit.expected):
         return ()
     return tuple(name for name in fit.names if name.startswith(f"{sphere.name}."))
 

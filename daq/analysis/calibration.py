@@ -13,7 +13,7 @@ from correction.evaluate.target_error import TargetError
 from correction.fit.map_sigma import MapSigma
 from correction.fit.measurement import TargetFrame
 from correction.fit.result import SceneFit
-from correction.fit.table2 import Sense1, aligned, computed_against_acquired, corrected_against_grid
+from correction.fit.table2 import RegionErrors, aligned, computed_against_acquired, corrected_against_grid
 from correction.fit.unknowns import unit_of
 from correction.fit.weakness import Weakness, weaknesses
 from daq.analysis.pictures.calibration import Panel
@@ -42,7 +42,7 @@ class Calibration:
 
     fit: SceneFit
     sigma: MapSigma
-    senses: dict[str, list[Sense1]]
+    senses: dict[str, list[RegionErrors]]
     grids: dict[str, TargetError]
     panels: list[Panel]
     weak: list[Weakness]
@@ -52,7 +52,7 @@ class Calibration:
     def numbers(self) -> dict[str, dict[str, Any]]:
         """Free numbers in the units of files (mm, deg, px): value, sigma, sigma before, how far it moved."""
         fit, found = self.fit, dict[str, dict[str, Any]]()
-        rows = zip(fit.names, fit.values, fit.sigmas, fit.bench.sigma, fit.x, strict=True)
+        rows = zip(fit.names, fit.values, fit.sigmas, fit.unknowns.sigma, fit.x, strict=True)
         for name, value, sigma, prior, x in rows:
             unit, factor = unit_of(name)
             found[name] = {
@@ -80,7 +80,7 @@ class Calibration:
         fit, corners = self.fit, self.fit.corners
         return {
             "scene_hash": fit.measured_scene.content_hash(),
-            "nominal_hash": fit.bench.scene.content_hash(),
+            "nominal_hash": fit.unknowns.scene.content_hash(),
             "wavelength_nm": fit.scene.wavelength_nm,
             "frames": list(fit.frames),
             "seconds": round(self.seconds, 2),
@@ -157,7 +157,7 @@ def calibration_of(
     fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], board: Chessboard, seconds: float
 ) -> Calibration:
     """Compare nominal and fitted glass in both senses of Table 2, on the frame through glass at z = 0."""
-    senses: dict[str, list[Sense1]] = {}
+    senses: dict[str, list[RegionErrors]] = {}
     grids: dict[str, TargetError] = {}
     panels: list[Panel] = []
     for frame in [frame for frame in frames if frame.glass and frame.height_mm == 0.0][:1]:

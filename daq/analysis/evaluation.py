@@ -104,7 +104,7 @@ class Evaluation:
 
 
 def evaluate_task(
-    task: Task, prepared: PreparedCorrection, sigma: SceneSigma | str, stage_um: float, route: Route
+    task: Task, prepared: PreparedCorrection, sigma: SceneSigma | str, stage_sigma_um: float, route: Route
 ) -> Evaluation:
     """Evaluate one pair.
 
@@ -116,7 +116,7 @@ def evaluate_task(
         Of the task's scene.
     sigma : SceneSigma or str
         Uncertainty of the fitted scene, or why there is none.
-    stage_um : float
+    stage_sigma_um : float
         Standard error of the stage.
     route : {"image", "compare", "best"}
         Image route alone; the velocity route beside it; or each where it is better.
@@ -139,7 +139,7 @@ def evaluate_task(
         routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
         if route == "best":
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)
-    stage_px = stage_um * 1e-3 * grid.px_per_mm
+    stage_px = stage_sigma_um * 1e-3 * grid.px_per_mm
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)

@@ -41,7 +41,7 @@ def evaluate(
     square_mm: float | None = None,
     disc_mm: float | None = None,
     shift_mm: tuple[float, float] | None = None,
-    stage_um: float = 10.0,
+    stage_sigma_um: float = 10.0,
     route: Route = "image",
     vtk: bool = False,
 ) -> list[Evaluation]:
@@ -62,7 +62,7 @@ def evaluate(
     shift_mm : (float, float), optional
         True displacement of the particles, x to the right and y UP: errors are stated against it.  For a run
         the displacement measured by the stages is taken.
-    stage_um : float
+    stage_sigma_um : float
         Standard error of the stage that moved the sheet, for the error budget.
     route : {"image", "compare", "best"}
         Correct, then correlate; also carry raw vectors through the glass and compare; or take in each region the
@@ -77,7 +77,7 @@ def evaluate(
 
     Raises
     ------
-    ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, ResumeRefused, RunDamaged
+    ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
         What the file, the frames, the target or the run make impossible, in one sentence.
     """
     screen = console()
@@ -104,7 +104,7 @@ def evaluate(
         read_acquired(path, fitted.camera.shape)  # a damaged one is found now, not after an hour
     corrections, found = PreparedCorrections(), []
     for task in tasks:
-        evaluation = evaluate_task(task, corrections.of(task.scene, dewarp), sigma, stage_um, route)
+        evaluation = evaluate_task(task, corrections.of(task.scene, dewarp), sigma, stage_sigma_um, route)
         _write(evaluation, vtk)
         _print(screen, evaluation)
         found.append(evaluation)

@@ -17,7 +17,7 @@ from daq.analysis.pictures.before_after import before_after
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
 from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
-from daq.errors import ResumeRefused
+from daq.errors import RunUnsuitable
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate
 from tracer.scene import Scene
@@ -32,7 +32,7 @@ def report(
     scene: Path | None = None,
     target_clear: Path | None = None,
     dewarp_order: int = 2,
-    stage_um: float = 10.0,
+    stage_sigma_um: float = 10.0,
     route: Route = "compare",
 ) -> Path:
     """Evaluate a run and write its page.
@@ -48,7 +48,7 @@ def report(
         scene.yaml, best a fitted one; default the one that the run was corrected with, else the bench's.
     target_clear, dewarp_order
         As for `correct`.
-    stage_um, route
+    stage_sigma_um, route
         As for `evaluate`.
 
     Returns
@@ -58,7 +58,7 @@ def report(
 
     Raises
     ------
-    ResumeRefused
+    RunUnsuitable
         The folder is no run, or holds no frame yet.
     ConfigError, FrameError, PairError, TargetNotFound, DewarpError
         As for `evaluate`.
@@ -72,7 +72,9 @@ def report(
     page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}")
     if (run / MOVED).is_file():
         chosen = route if target_clear is None else "image"
-        found = evaluate([run], out, scene, target_clear, dewarp_order, stage_um=stage_um, route=chosen)
+        found = evaluate(
+            [run], out, scene, target_clear, dewarp_order, stage_sigma_um=stage_sigma_um, route=chosen
+        )
         shown = _most_telling(found)
         page.tiles(pair_tiles(shown))
         pairs_chapter(page, found)
@@ -101,7 +103,7 @@ def _single_frame(
     """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
     view = first_view(folder)
     if view is None:
-        raise ResumeRefused(f"{folder.path}: holds no frame yet; resume the run first")
+        raise RunUnsuitable(f"{folder.path}: holds no frame yet; resume the run first")
     board = board_of([folder.path])
     dewarp = dewarp_of(target_clear, scene.camera, board, dewarp_order)
     through = scene if view.glass else scene.with_bodies(())

@@ -32,12 +32,12 @@ from daq.acquisition.cameras.ring import FrameRing
 from daq.acquisition.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.acquisition.cameras.waiting import PROBE_MIN_S, wait_for_frame
 from daq.errors import (
+    BadFrame,
     CameraBusy,
     CameraError,
     CameraLost,
     CameraTimeout,
     CameraUsageError,
-    FrameError,
     FrameIncomplete,
 )
 
@@ -157,7 +157,7 @@ class AravisCamera:
             size = int(nodes.get("PayloadSize"))
             pixels = int(nodes.get("Width")) * int(nodes.get("Height"))
             if not 0 < size <= MAX_PAYLOAD_BYTES or not 0 < pixels <= MAX_PAYLOAD_BYTES:
-                raise FrameError(f"the camera announces frames of {size} bytes and {pixels} px")
+                raise BadFrame(f"the camera announces frames of {size} bytes and {pixels} px")
             self._exposure_us = exposure_us(nodes)
             self._packets_per_frame = _packets_per_frame(nodes, size)
             self._counts_triggers = count_missed_triggers(nodes)
@@ -285,7 +285,7 @@ class AravisCamera:
             return self._unpack(buffer, frame_id, sequence, received_ns)
         except FrameIncomplete:
             raise
-        except FrameError:
+        except BadFrame:
             self._unused += 1
             raise
         finally:
@@ -324,7 +324,7 @@ class AravisCamera:
         form = pixel_format(int(call("arv_buffer_get_image_pixel_format", buffer)))
         width, height = (int(call(f"arv_buffer_get_image_{side}", buffer)) for side in ("width", "height"))
         if not data or size.value > MAX_PAYLOAD_BYTES:
-            raise FrameError(f"a frame of {size.value} bytes is refused")
+            raise BadFrame(f"a frame of {size.value} bytes is refused")
         raw = np.ctypeslib.as_array((ctypes.c_uint8 * size.value).from_address(data))
         slot = self._free[0]
         pixels = unpack(raw, form, width, height, padding.value, self._ring.slot(slot))

@@ -12,7 +12,7 @@ from genicam import gentl
 from numpy.typing import NDArray
 
 from daq.acquisition.cameras.formats import PixelFormat, pixel_format
-from daq.errors import FrameError
+from daq.errors import BadFrame
 
 BIG_ENDIAN = 2  # PIXELENDIANNESS_BIG
 
@@ -45,13 +45,13 @@ def image_of(buffer: Any) -> BufferFacts:  # noqa: ANN401 - genicam has no types
 
     Raises
     ------
-    FrameError
+    BadFrame
         It does not tell format and size of one image, or in a form that is not supported.
     """
     code, width, height = (_told(buffer, name) for name in ("pixel_format", "width", "height"))
     if code is None or width is None or height is None:
         kind = _told(buffer, "payload_type")
-        raise FrameError(
+        raise BadFrame(
             f"the camera sends frames that are no single image (payload type {kind}); switch off chunk data, "
             "GenDC and multi-part frames (ChunkModeActive, GenDCStreamingMode)"
         )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from daq.acquisition.cameras.camera import CameraInfo, Counters, Setting
 from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.cameras.ids import IdTracker
-from daq.errors import CameraLost, CameraSetupError, CameraTimeout, CameraUsageError, FrameError, SettingRefused
+from daq.errors import BadFrame, CameraLost, CameraSetupError, CameraTimeout, CameraUsageError, SettingRefused
 
 CHOICES = {
     "TriggerMode": ("Off", "On"),
@@ -193,9 +193,9 @@ class FilesCamera:
         except FileNotFoundError as error:
             raise CameraLost(f"{path} is gone; the folder changed while it was shown") from error
         except (OSError, ValueError, IndexError) as error:
-            raise FrameError(f"{path} is not a readable TIFF: {error}") from error
+            raise BadFrame(f"{path} is not a readable TIFF: {error}") from error
         if image.ndim != 2 or image.dtype not in (np.dtype("u1"), np.dtype("u2")):
-            raise FrameError(f"{path} is {image.shape} {image.dtype}; a frame is (H, W) of 8 or 16 bit")
+            raise BadFrame(f"{path} is {image.shape} {image.dtype}; a frame is (H, W) of 8 or 16 bit")
         return np.asarray(image, dtype=np.uint16)
 
     def _check(self, name: str, value: Setting) -> None:

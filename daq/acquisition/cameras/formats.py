@@ -6,7 +6,7 @@ Source: EMVA, GenICam Pixel Format Naming Convention 2.4, and its list of values
 
 from dataclasses import dataclass
 
-from daq.errors import FrameError
+from daq.errors import BadFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +38,11 @@ def pixel_format(name_or_code: str | int) -> PixelFormat:
 
     Raises
     ------
-    FrameError
+    BadFrame
         If this format cannot be unpacked; set PixelFormat to one of `FORMATS`.
     """
     found = FORMATS.get(name_or_code) if isinstance(name_or_code, str) else BY_CODE.get(name_or_code)
     if found is None:
         shown = name_or_code if isinstance(name_or_code, str) else hex(name_or_code)
-        raise FrameError(
-            f"pixel format {shown} cannot be unpacked; set PixelFormat to one of {', '.join(FORMATS)}"
-        )
+        raise BadFrame(f"pixel format {shown} cannot be unpacked; set PixelFormat to one of {', '.join(FORMATS)}")
     return found

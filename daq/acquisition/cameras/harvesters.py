@@ -24,7 +24,7 @@ from daq.acquisition.cameras.ids import IdTracker
 from daq.acquisition.cameras.ring import FrameRing
 from daq.acquisition.cameras.waiting import wait_for_frame
 from daq.acquisition.cameras.wire import Message, raise_error, receive, send
-from daq.errors import CameraError, CameraLost, CameraSetupError, CameraUsageError, FrameError, FrameIncomplete
+from daq.errors import BadFrame, CameraError, CameraLost, CameraSetupError, CameraUsageError, FrameIncomplete
 
 OPEN_S = 30.0  # a new Python process, numba, a producer that looks for cameras
 CALL_S = 5.0
@@ -208,7 +208,7 @@ class HarvestersCamera:
         sequence = self._ids.note(int(message["id"]))
         if "bad_frame" in message:
             self._unused += 1
-            raise FrameError(str(message["bad_frame"]))
+            raise BadFrame(str(message["bad_frame"]))
         assert self._ring is not None
         slot = int(message["frame"])
         height, width = int(message["height"]), int(message["width"])

@@ -29,7 +29,7 @@ from daq.acquisition.cameras.quiet import without_complaints
 from daq.acquisition.cameras.ring import FrameRing
 from daq.acquisition.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
 from daq.acquisition.cameras.wire import Message, pack_error, receive, send
-from daq.errors import CameraBusy, CameraError, CameraLost, CameraSetupError, FrameError
+from daq.errors import BadFrame, CameraBusy, CameraError, CameraLost, CameraSetupError
 
 FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
 LOOK_S = 0.001  # the same where no frame is expected
@@ -239,7 +239,7 @@ class Worker:
             pixels = self._unpack(image.payload, *size, self._ring.slot(slot))
             message = {"frame": slot, "height": pixels.shape[0], "width": pixels.shape[1]}
             message["format"] = image.form.name
-        except FrameError as error:
+        except BadFrame as error:
             self._free.append(slot)
             message = {"bad_frame": str(error)}
         underrun = self._underrun()

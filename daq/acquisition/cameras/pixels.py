@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from daq.acquisition.cameras.formats import FORMATS, PixelFormat
 from daq.acquisition.cameras.kernels.unpack import unpack_8, unpack_12p, unpack_12packed, unpack_16
-from daq.errors import FrameError
+from daq.errors import BadFrame
 
 MAX_SIDE_PX = 1 << 16
 
@@ -56,15 +56,15 @@ def unpack(
 
     Raises
     ------
-    FrameError
+    BadFrame
         If the payload or `out` is too small for the announced size.
     """
     if not (0 < width <= MAX_SIDE_PX and 0 < height <= MAX_SIDE_PX and 0 <= padding_bytes <= MAX_SIDE_PX):
-        raise FrameError(f"a frame of {width} x {height} px with {padding_bytes} bytes of padding is refused")
+        raise BadFrame(f"a frame of {width} x {height} px with {padding_bytes} bytes of padding is refused")
     pitch = row_pitch_bits(form, width, height, padding_bytes, raw.size)
     needed_bytes = -(-((height - 1) * pitch + width * form.wire_bits) // 8)
     if raw.size < needed_bytes or out.size < width * height:
-        raise FrameError(
+        raise BadFrame(
             f"a {form.name} frame of {width} x {height} px needs {needed_bytes} bytes and came with {raw.size} "
             f"(room for {out.size} px); check PayloadSize and the pixel format"
         )

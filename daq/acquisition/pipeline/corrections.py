@@ -19,7 +19,7 @@ from correction.frame_file import write_frame
 from correction.node_status import MEANING
 from correction.prepared import PreparedCorrection, prepare
 from correction.resample.sample import Method
-from daq.acquisition.pipeline.priority import step_back
+from daq.acquisition.pipeline.priority import lower_priority
 from daq.acquisition.plans.steps import CLEAR, Step
 from daq.acquisition.runs.whole_text import why
 from daq.errors import DiskError
@@ -57,7 +57,7 @@ class Corrections:
         wanted = dict.fromkeys(views)
 
         def build() -> None:
-            step_back()
+            lower_priority()
             for view in wanted:
                 self._view(view)
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.flow import Flow
-from daq.acquisition.pipeline.priority import step_back
+from daq.acquisition.pipeline.priority import lower_priority
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.raw_frame import checksum, write_raw
@@ -266,7 +266,7 @@ class Pipeline:
 
     def _live_lane(self) -> None:
         assert self._corrections is not None
-        step_back()
+        lower_priority()
         try:
             while True:
                 with self._live_wake:
@@ -296,7 +296,7 @@ class Pipeline:
 
     def _store_lane(self) -> None:
         assert self._corrections is not None
-        step_back()
+        lower_priority()
         failed = False
         while (item := self._store.get()) is not None:
             if failed:

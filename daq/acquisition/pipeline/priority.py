@@ -6,7 +6,7 @@ import threading
 NICENESS = 5
 
 
-def step_back() -> None:
+def lower_priority() -> None:
     """Lower the priority of the calling thread, where the system can do that for a thread (Linux)."""
     if hasattr(os, "setpriority") and os.path.exists("/proc/self/task"):  # noqa: PTH110 - not a file to open
         try:

@@ -28,11 +28,11 @@ from daq.acquisition.runner.streaming import stream
 from daq.acquisition.runner.trigger_match import UNCONFIRMED, TriggerMatch
 from daq.acquisition.runs.conservation import Bookkeeper, Ledger
 from daq.errors import (
+    BadFrame,
     CameraError,
     CameraLost,
     CameraTimeout,
     FrameDoubt,
-    FrameError,
     OtherFormat,
     SettingsChanged,
 )
@@ -235,7 +235,7 @@ class Exposures:
         ------
         CameraTimeout
             None came by then, and the camera answers.
-        FrameError
+        BadFrame
             One came that cannot be used.
         """
         while True:
@@ -281,7 +281,7 @@ class Exposures:
         while True:
             try:
                 frame = self.camera.poll(0.0)
-            except FrameError:  # counted by the camera
+            except BadFrame:  # counted by the camera
                 continue
             if frame is None:
                 return found

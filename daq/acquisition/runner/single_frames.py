@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.runner.clock_trial import PAUSES_S, explain
 from daq.acquisition.runner.trigger_match import Place, Shot
-from daq.errors import CameraError, CameraTimeout, FrameError, FrameIncomplete, FramesLost, OtherFormat
+from daq.errors import BadFrame, CameraError, CameraTimeout, FrameIncomplete, FramesLost, OtherFormat
 
 if TYPE_CHECKING:
     from daq.acquisition.runner.exposures import Exposures
@@ -75,7 +75,7 @@ def _one(taken_by: "Exposures") -> Frame:
             failed -= _settle(taken_by)
         except OtherFormat:
             raise
-        except FrameError as error:
+        except BadFrame as error:
             why = error
             match.came_unusable()
             taken_by.verify()
@@ -97,7 +97,7 @@ def _waiting(taken_by: "Exposures") -> Iterator[Shot]:
         shot = Shot(taken_by.camera.trigger(), before_ns, time.monotonic_ns())
         match.sent(shot)
         yield shot
-    except FrameError:
+    except BadFrame:
         raise
     except StampsUnclear:  # a frame came, and perhaps it was ours
         counts.timeouts += 1

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.runner.trigger_match import Shot
 from daq.acquisition.runs.conservation import Ledger
-from daq.errors import CameraTimeout, FrameError, FramesLost, OtherFormat
+from daq.errors import BadFrame, CameraTimeout, FramesLost, OtherFormat
 
 if TYPE_CHECKING:
     from daq.acquisition.runner.exposures import Exposures
@@ -48,7 +48,7 @@ def stream(taken_by: "Exposures", places: range, may_lose: int) -> Generator[tup
                 frame = taken_by.wait_until(deadline_s)
             except OtherFormat:
                 raise
-            except FrameError:  # its place stays empty
+            except BadFrame:  # its place stays empty
                 continue
             except CameraTimeout as error:
                 dried_up = error

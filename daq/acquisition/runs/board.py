@@ -24,7 +24,7 @@ def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: flo
     ------
     BoardError
         Somebody says another thing than a run, or two runs differ.
-    ResumeRefused, RunDamaged
+    RunUnsuitable, RunDamaged
         A run cannot be read.
     """
     runs = {found.path: found for path in paths if (found := RunFolder(path) if is_run(path) else run_of(path))}

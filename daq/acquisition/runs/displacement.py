@@ -28,7 +28,7 @@ from daq.acquisition.runs.run_file import SEALED_FROM
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.seal import sealed
 from daq.acquisition.runs.whole_text import write_text
-from daq.errors import ResumeRefused, RunDamaged
+from daq.errors import RunDamaged, RunUnsuitable
 
 FILE = "displacements.json"
 
@@ -111,14 +111,14 @@ def read_displacements(folder: RunFolder) -> list[Moved]:
 
     Raises
     ------
-    ResumeRefused
+    RunUnsuitable
         There is none: no shift run, or one that is not finished.
     RunDamaged
         An entry is not what was written, or is not what the plan leads to.
     """
     path = folder.path / FILE
     if not path.is_file():
-        raise ResumeRefused(f"{folder.path}: holds no displacements; evaluate a finished shift run")
+        raise RunUnsuitable(f"{folder.path}: holds no displacements; evaluate a finished shift run")
     about = folder.about
     found = _sealed_entries(path) if about["layout"] >= SEALED_FROM else read_record(_LIST, path, sealed=False)
     steps = about["steps"]

@@ -34,7 +34,7 @@ from daq.acquisition.runs.journal_lines import LINE
 from daq.acquisition.runs.journal_lines import Entry as Entry  # what readers of a journal hold in their hands
 from daq.acquisition.runs.records import CURE, parsed
 from daq.acquisition.runs.seal import sealed
-from daq.errors import DiskError, ResumeRefused, RunDamaged
+from daq.errors import DiskError, RunDamaged, RunUnsuitable
 
 try:
     from fcntl import LOCK_EX, LOCK_NB, flock
@@ -99,7 +99,7 @@ class Journal:
 
     Raises
     ------
-    ResumeRefused
+    RunUnsuitable
         Another process works on this run.
     """
 
@@ -115,7 +115,7 @@ class Journal:
             self._whole_bytes = path.stat().st_size
         except BlockingIOError as error:
             self._file.close()
-            raise ResumeRefused(f"{path.parent}: another process works on this run; let it finish") from error
+            raise RunUnsuitable(f"{path.parent}: another process works on this run; let it finish") from error
         except OSError as error:
             raise DiskError(f"{path}: {error.strerror}; check the disk") from error
 

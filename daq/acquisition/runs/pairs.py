@@ -22,7 +22,7 @@ from daq.acquisition.runs.displacement import read_displacements
 from daq.acquisition.runs.journal import Entry
 from daq.acquisition.runs.run_file import PlannedStep
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
-from daq.errors import ResumeRefused
+from daq.errors import RunUnsuitable
 
 SWAPPED = 2.0  # times the gap to the next pair, and a pair is none; frames in regular order have 1
 
@@ -66,7 +66,7 @@ def pairs_of(path: Path) -> RunPairs:
 
     Raises
     ------
-    ResumeRefused
+    RunUnsuitable
         The folder is no run, or a run that is not far enough.
     RunDamaged
         What it says is not what was written.
@@ -83,7 +83,7 @@ def pairs_of(path: Path) -> RunPairs:
     for step in steps:
         pairs += _timed(folder, step, entries, alone)
     if not pairs:
-        raise ResumeRefused(f"{path}: no pair is complete; resume the run first")
+        raise RunUnsuitable(f"{path}: no pair is complete; resume the run first")
     return RunPairs(tuple(pairs), tuple(alone))
 
 

@@ -12,7 +12,7 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from daq.acquisition.runs.records import CURE, STRICT, Count, Tag, Text, read_record
-from daq.errors import ResumeRefused, RunDamaged
+from daq.errors import RunDamaged, RunUnsuitable
 
 FILE = "run.json"
 LAYOUT = 2
@@ -86,14 +86,14 @@ def read_run_file(folder: Path) -> RunFile:
 
     Raises
     ------
-    ResumeRefused
+    RunUnsuitable
         There is none, or it is of an unknown layout.
     RunDamaged
         It is not what was written.
     """
     path = folder / FILE
     if not path.is_file():
-        raise ResumeRefused(f"{folder}: is no run folder (it has no {FILE})")
+        raise RunUnsuitable(f"{folder}: is no run folder (it has no {FILE})")
     return read_record(RUN_FILE, path, sealed=_layout(path) >= SEALED_FROM)
 
 
@@ -105,7 +105,7 @@ def _layout(path: Path) -> int:
         return LAYOUT  # what is wrong with it is said by the one who reads it in full
     layout = tree.get("layout") if isinstance(tree, dict) else None
     if isinstance(layout, int) and layout not in LAYOUTS:
-        raise ResumeRefused(f"{path}: has layout {layout}, known are {LAYOUTS}; read it with a newer version")
+        raise RunUnsuitable(f"{path}: has layout {layout}, known are {LAYOUTS}; read it with a newer version")
     if layout not in LAYOUTS:
         raise RunDamaged(f"{path}: does not say which layout the run has; {CURE}")
     return int(layout)

@@ -27,7 +27,7 @@ from daq.acquisition.runs.journal_lines import Entry
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
 from daq.acquisition.runs.whole_text import sync_folder, write_record
-from daq.errors import DiskError, ResumeRefused, RunDamaged
+from daq.errors import DiskError, RunDamaged, RunUnsuitable
 
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 
@@ -89,7 +89,7 @@ class RunFolder:
 
         Raises
         ------
-        ResumeRefused
+        RunUnsuitable
             It is no run folder, or of an unknown layout.
         RunDamaged
             run.json is not what was written.
@@ -102,7 +102,7 @@ class RunFolder:
 
     @property
     def about(self) -> RunFile:
-        """Contents of run.json, checked; ResumeRefused or RunDamaged as for `open`."""
+        """Contents of run.json, checked; RunUnsuitable or RunDamaged as for `open`."""
         return read_run_file(self.path)
 
     @property
@@ -149,12 +149,12 @@ class RunFolder:
 
         Raises
         ------
-        ResumeRefused
+        RunUnsuitable
             It leads out of the run folder.
         """
         path = (self.path / name).resolve()
         if not path.is_relative_to(self.path.resolve()):
-            raise ResumeRefused(f"{self.path}: names {name!r}, which lies outside the run; refuse to touch it")
+            raise RunUnsuitable(f"{self.path}: names {name!r}, which lies outside the run; refuse to touch it")
         return path
 
 

@@ -97,7 +97,7 @@ def target_views(path: Path) -> list[TargetView]:
 
     Raises
     ------
-    ResumeRefused
+    RunUnsuitable
         The folder is no run.
     RunDamaged
         What it says is not what was written.

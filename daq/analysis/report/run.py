@@ -68,8 +68,8 @@ def moved_chapter(page: Page, folder: RunFolder) -> None:
     moved = read_displacements(folder)
     page.heading("What the stages did")
     rows = [
-        (entry["tag"], *("-" if way is None else ", ".join(f"{c:+.4f}" for c in way)
-                         for way in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])))
+        (entry["tag"], *("-" if moved_mm is None else ", ".join(f"{c:+.4f}" for c in moved_mm)
+                         for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])))
         for entry in moved[:SHOWN_PAIRS]
     ]  # fmt: skip
     head = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")

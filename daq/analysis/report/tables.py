@@ -49,8 +49,8 @@ def sigma_rows(evaluation: Evaluation) -> list[Row]:
     field, joined = evaluation.field, evaluation.map_sigma
     random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
     nothing = np.full_like(random, np.nan)
-    place, way = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
-    total = np.hypot(random, np.nan_to_num(way))
+    place, moved = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
+    total = np.hypot(random, np.nan_to_num(moved))
     errors = nothing
     if evaluation.shift is not None:
         errors = shift_errors(field, evaluation.shift.shift_px)
@@ -62,7 +62,7 @@ def sigma_rows(evaluation: Evaluation) -> list[Row]:
         known = where[..., None] & np.isfinite(errors) & np.isfinite(total)
         inside = f"{100 * np.mean(np.abs(errors[known]) < total[known]):.0f} %" if known.any() else "-"
         rows.append(
-            (name, str(int(where.sum())), _rms(random[where]), _rms(way[where]), _rms(place[where]), inside)
+            (name, str(int(where.sum())), _rms(random[where]), _rms(moved[where]), _rms(place[where]), inside)
         )
     return rows
 
@@ -123,8 +123,8 @@ def budget_rows(evaluation: Evaluation) -> list[Row]:
         ("stage, two positions: a common bias of all vectors", f"{np.sqrt(2.0) * result.stage_px:.4f}"),
     ]
     if evaluation.map_sigma is not None:
-        way = evaluation.map_sigma.displacement_px[where]
-        rows.insert(1, ("fitted map, displacement: smooth over the plane, the same in every pair", _rms(way)))
+        moved = evaluation.map_sigma.displacement_px[where]
+        rows.insert(1, ("fitted map, displacement: smooth over the plane, the same in every pair", _rms(moved)))
     return rows
 
 

@@ -8,7 +8,7 @@ import pytest
 from correction.correction_map import build_correction_map
 from correction.evaluate.vector_map_sigma import vector_map_sigma
 from correction.fit.scene_sigma import SceneSigma
-from correction.fit.unknowns import bench_of
+from correction.fit.unknowns import unknowns_of
 from tests.correction.evaluate.vectors import uniform_field
 from tests.correction.small_scenes import small_scene
 from tracer.errors import StaleMap
@@ -31,7 +31,7 @@ def known():
     scene = small_scene("tilted_pair", 252)
     low, high = scene.spheres
     scene = scene.with_bodies([replace(low, centre_mm=(-12.0, 8.0, 26.0)), high])
-    bench = bench_of(scene, [0.0], PRIORS)
+    bench = unknowns_of(scene, [0.0], PRIORS)
     rng = np.random.default_rng(4)
     mix = np.eye(len(bench.names)) + 0.2 * rng.normal(size=(len(bench.names),) * 2)
     columns = bench.columns[: bench.glass.stop]  # the nominal rotation vector is 0, its left Jacobian 1

@@ -28,7 +28,7 @@ FINE = {"pyramid_500": 2.5, "tilted": 2.5}  # so little is seen through some sph
 
 
 @dataclass(frozen=True)
-class Bench:
+class Unknowns:
     """A nominal scene, the true one, and frames of the target."""
 
     nominal: Scene
@@ -38,7 +38,7 @@ class Bench:
 
 
 @cache
-def bench(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tuple[float, ...] = ()) -> Bench:
+def bench(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tuple[float, ...] = ()) -> Unknowns:
     """Photograph the target at z = 0 and at further heights."""
     nominal = at_size(named_scene(name), SIZE_PX)
     truth = misaligned(nominal, seed, barrel=BARREL_35MM if name == "one_sphere_250" else 0.0)
@@ -48,7 +48,7 @@ def bench(name: str, seed: int, bare_mm: tuple[float, ...] = (), glass_mm: tuple
         scene = truth if glass else truth.with_bodies(())
         for height in heights:
             frames.append(photograph(scene, glass, height, 100 * seed + len(frames), square))
-    return Bench(nominal, truth, tuple(frames), Chessboard(square, 0.4 * square))
+    return Unknowns(nominal, truth, tuple(frames), Chessboard(square, 0.4 * square))
 
 
 def photograph(

@@ -12,7 +12,7 @@ from correction.fit.map_sigma import MapSigma, map_sigma, sigma_at
 from correction.fit.measurement import MeasuredFrame, whitening
 from correction.fit.prediction import expect
 from correction.fit.solver import Corners
-from correction.fit.unknowns import Bench, bench_of
+from correction.fit.unknowns import Unknowns, unknowns_of
 from ground.errors import MapFileError
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.benches import fitted
@@ -42,7 +42,7 @@ def seen(scene: Scene, glass: bool, rng: np.random.Generator) -> MeasuredFrame:
     return MeasuredFrame("drawn", corners, shown.index, way, shown.rim_px, sigma, {}, {})
 
 
-def drawn(bench: Bench, rng: np.random.Generator) -> Scene:
+def drawn(bench: Unknowns, rng: np.random.Generator) -> Scene:
     return bench.moved(bench.full(np.clip(rng.normal(size=len(bench.names)), -2.5, 2.5)))
 
 
@@ -52,7 +52,7 @@ def test_two_thirds_of_true_map_errors_lie_within_one_sigma():
     scene = at_size(named_scene("pair_off_axis"), 700)
     low, high = scene.spheres  # clear of the plane and of each other, so that no draw is impossible
     low, high = replace(low, centre_mm=(-14.0, 9.0, 23.0)), replace(high, centre_mm=(20.0, -12.0, 70.0))
-    bench = bench_of(scene.with_bodies([low, high]), [0.0], PRIORS)
+    bench = unknowns_of(scene.with_bodies([low, high]), [0.0], PRIORS)
     rng = np.random.default_rng(42)
     ratios: dict[bool, list[np.ndarray]] = {False: [], True: []}
     for _ in range(200):
@@ -96,7 +96,7 @@ def test_sigma_is_the_spread_of_landing_points_under_the_covariance():
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(fit.covariance)
     landing = [
-        trace(fit.bench.moved(fit.bench.full(fit.x + root @ rng.normal(size=len(fit.x)))), pixels).plane_mm
+        trace(fit.unknowns.moved(fit.unknowns.full(fit.x + root @ rng.normal(size=len(fit.x)))), pixels).plane_mm
         for _ in range(150)
     ]
     np.testing.assert_allclose(np.std(landing, axis=0), predicted, rtol=0.25)

@@ -11,7 +11,7 @@ from correction.fit.contact import pushed_apart, walls
 from correction.fit.errors import ViewsMissing
 from correction.fit.light import back_from_light, in_light, index_in_light
 from correction.fit.solver import Corners, residuals
-from correction.fit.unknowns import bench_of, left_jacobian
+from correction.fit.unknowns import left_jacobian, unknowns_of
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.fit_section import (
@@ -33,7 +33,7 @@ ALL = FitTable(
 
 def test_every_derivative_agrees_with_differences():
     scene = at_size(named_scene("pyramid_500"), 700)
-    bench = bench_of(scene, [0.0, -10.0], ALL)
+    bench = unknowns_of(scene, [0.0, -10.0], ALL)
     u, v = np.meshgrid(np.linspace(150, 550, 9), np.linspace(160, 545, 9))
     pixel = np.stack((u.ravel(), v.ravel()), axis=-1)
     x = np.random.default_rng(0).normal(size=len(bench.names)) * 0.2
@@ -51,9 +51,9 @@ def test_every_derivative_agrees_with_differences():
 
 
 def test_spheres_of_one_glass_share_n_and_others_do_not():
-    same = bench_of(named_scene("two_spheres_500"), [0.0], FitTable())
+    same = unknowns_of(named_scene("two_spheres_500"), [0.0], FitTable())
     assert [name for name in same.names if name.endswith(".n")] == ["glass sphere1+sphere2.n"]
-    different = bench_of(named_scene("pair_off_axis"), [0.0], FitTable())
+    different = unknowns_of(named_scene("pair_off_axis"), [0.0], FitTable())
     assert [name for name in different.names if name.endswith(".n")] == ["glass sphere1.n", "glass sphere2.n"]
     x = np.zeros(len(same.names))
     x[-1] = 1.0
@@ -68,7 +68,7 @@ def test_zero_sigma_holds_a_number_and_a_name_overrides_the_rest():
         named={"sphere2": FitNamedTable(radius_mm=0.0, centre_mm=0.0)},
         n=0.0,
     )
-    names = bench_of(named_scene("two_spheres_500"), [0.0], priors).names
+    names = unknowns_of(named_scene("two_spheres_500"), [0.0], priors).names
     assert names == (
         *(f"camera.{part}" for part in ("x", "y", "z", "rx", "ry", "rz")),
         *(f"sphere1.{part}" for part in ("x", "y", "z", "radius")),
@@ -77,13 +77,13 @@ def test_zero_sigma_holds_a_number_and_a_name_overrides_the_rest():
 
 def test_focal_length_is_free_only_with_a_stack_or_on_request():
     scene = named_scene("two_spheres_500")
-    assert "camera.focal_px" not in bench_of(scene, [0.0], FitTable()).names
-    assert "camera.focal_px" in bench_of(scene, [0.0, -10.0, 10.0], FitTable(), focal_free=True).names
-    assert "camera.focal_px" in bench_of(scene, [0.0], FitTable(camera=FitCameraTable(focal_px=3.0))).names
+    assert "camera.focal_px" not in unknowns_of(scene, [0.0], FitTable()).names
+    assert "camera.focal_px" in unknowns_of(scene, [0.0, -10.0, 10.0], FitTable(), focal_free=True).names
+    assert "camera.focal_px" in unknowns_of(scene, [0.0], FitTable(camera=FitCameraTable(focal_px=3.0))).names
 
 
 def test_free_undoes_full():
-    bench = bench_of(named_scene("three_spheres_500"), [0.0, 10.0], ALL)
+    bench = unknowns_of(named_scene("three_spheres_500"), [0.0, 10.0], ALL)
     x = np.random.default_rng(1).normal(size=len(bench.names))
     np.testing.assert_allclose(bench.free(bench.full(x)), x, atol=1e-9)
 
@@ -102,7 +102,7 @@ def test_left_jacobian_is_what_a_small_turn_after_the_rotation_sees(turn):
 
 def test_overlaps_are_pushed_apart_exactly_and_no_further():
     scene = named_scene("two_spheres_500")
-    bench = bench_of(scene, [0.0], FitTable())
+    bench = unknowns_of(scene, [0.0], FitTable())
     full = np.array(bench.start)
     full[bench.glass].reshape(-1, 5)[1, 2] -= 0.004
     full[bench.glass].reshape(-1, 5)[0, 2] -= 0.002
@@ -124,7 +124,7 @@ def test_a_fitted_index_moves_to_another_wavelength_with_the_dispersion_of_its_g
     scene = named_scene("one_sphere_500")
     sphere = replace(scene.spheres[0], medium=MEDIA["N-BK7"])
     scene = replace(scene.with_bodies([sphere]), wavelength_nm=590.0)
-    bench = bench_of(scene, [0.0], FitTable())
+    bench = unknowns_of(scene, [0.0], FitTable())
     x = np.zeros(len(bench.names))
     x[bench.names.index("glass N-BK7.n")] = 0.3  # 0.3 of 0.005
     fitted = bench.moved(bench.full(x))

@@ -6,7 +6,7 @@ import tifffile
 
 from daq.acquisition.cameras import make_camera
 from daq.acquisition.cameras.camera import Camera
-from daq.errors import CameraSetupError, CameraTimeout, CameraUsageError, FrameError, SettingRefused
+from daq.errors import BadFrame, CameraSetupError, CameraTimeout, CameraUsageError, SettingRefused
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def test_misuse_and_damage_have_their_own_errors(folder):
         camera.next_frame(0.01)
     (folder / "000007.tif").write_bytes(b"no tiff at all")
     camera.trigger()
-    with pytest.raises(FrameError):
+    with pytest.raises(BadFrame):
         camera.next_frame(0.1)
 
 

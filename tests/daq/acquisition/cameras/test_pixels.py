@@ -6,7 +6,7 @@ import pytest
 from daq.acquisition.cameras.formats import BY_CODE, FORMATS, pixel_format
 from daq.acquisition.cameras.kernels import unpack as kernels
 from daq.acquisition.cameras.pixels import unpack
-from daq.errors import FrameError
+from daq.errors import BadFrame
 
 WIDTHS = [1, 2, 3, 7, 8, 31]
 
@@ -78,13 +78,13 @@ def test_published_example_of_mono12p():
      (1 << 31, 1 << 31, 0, 96, 64), (8, 8, -4, 96, 64)],
 )  # fmt: skip
 def test_sizes_that_contradict_the_data_are_refused(width, height, padding, size, room):
-    with pytest.raises(FrameError):
+    with pytest.raises(BadFrame):
         unpack(np.zeros(size, np.uint8), FORMATS["Mono12p"], width, height, padding, np.zeros(room, np.uint16))
 
 
 def test_unknown_format_names_the_cure():
-    with pytest.raises(FrameError, match="Mono12p"):
+    with pytest.raises(BadFrame, match="Mono12p"):
         pixel_format("BayerRG8")
-    with pytest.raises(FrameError, match="0x1080009"):
+    with pytest.raises(BadFrame, match="0x1080009"):
         pixel_format(0x01080009)
     assert BY_CODE[0x010C0047].name == "Mono12p"

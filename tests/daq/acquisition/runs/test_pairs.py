@@ -8,7 +8,7 @@ from daq.acquisition.runs.displacement import Displacement, write_displacements
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_folder import RunFolder
-from daq.errors import ResumeRefused
+from daq.errors import RunUnsuitable
 from tests.daq.small_run import about_run, keep_frame, planned
 
 PIXELS = np.full((4, 4), 7, np.uint16)
@@ -84,7 +84,7 @@ def test_a_shift_run_says_what_was_measured(tmp_path):
     for number, tag in enumerate("abc"):
         keep_frame(folder, journal, number, PIXELS, step=number, tag=tag)
     journal.close()
-    with pytest.raises(ResumeRefused, match="holds no displacements"):
+    with pytest.raises(RunUnsuitable, match="holds no displacements"):
         pairs_of(folder.path)
     way, real = (1.0, 0.0, 0.0), (1.001, 0.0, 0.0)
     write_displacements(
@@ -99,7 +99,7 @@ def test_a_shift_run_says_what_was_measured(tmp_path):
 
 @pytest.mark.parametrize(("group", "numbers", "error", "words"), [
     (1, range(4), PairError, "no frames of this run form pairs"),
-    (2, [0, 3], ResumeRefused, "no pair is complete"),
+    (2, [0, 3], RunUnsuitable, "no pair is complete"),
 ])  # fmt: skip
 def test_what_has_no_pairs_is_one_sentence(tmp_path, group, numbers, error, words):
     with pytest.raises(error, match=words):

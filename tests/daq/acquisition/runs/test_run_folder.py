@@ -12,7 +12,7 @@ from daq.acquisition.runs import raw_frame
 from daq.acquisition.runs.journal import Journal, read_journal
 from daq.acquisition.runs.raw_frame import checksum, read_raw, write_raw
 from daq.acquisition.runs.run_folder import RunFolder, finished_steps, frame_entries
-from daq.errors import DiskError, ResumeRefused, RunDamaged
+from daq.errors import DiskError, RunDamaged, RunUnsuitable
 
 
 def test_torn_last_line_is_ignored_and_cut_off(tmp_path):
@@ -54,7 +54,7 @@ def test_a_line_of_which_a_full_disk_took_a_part_never_stands_before_another(tmp
 
 def test_two_processes_never_work_on_one_run(tmp_path):
     journal = Journal(tmp_path / "steps.jsonl")
-    with pytest.raises(ResumeRefused, match="another process works on this run"):
+    with pytest.raises(RunUnsuitable, match="another process works on this run"):
         Journal(tmp_path / "steps.jsonl")
     journal.close()
     Journal(tmp_path / "steps.jsonl").close()
@@ -145,13 +145,13 @@ def test_run_json_is_there_before_anything_else(tmp_path):
 @pytest.mark.parametrize("name", ["../../etc/passwd", "/etc/passwd", "frames/../../x"])
 def test_names_from_a_journal_stay_inside(tmp_path, name):
     folder = RunFolder.create(tmp_path, "p", {})
-    with pytest.raises(ResumeRefused, match="outside the run"):
+    with pytest.raises(RunUnsuitable, match="outside the run"):
         folder.inside(name)
 
 
 def test_no_run_folder_no_resume(tmp_path):
-    with pytest.raises(ResumeRefused, match="is no run folder"):
+    with pytest.raises(RunUnsuitable, match="is no run folder"):
         RunFolder.open(tmp_path)
     (tmp_path / "run.json").write_text('{"layout": 99}')
-    with pytest.raises(ResumeRefused, match=r"layout 99, known are \(1, 2\)"):
+    with pytest.raises(RunUnsuitable, match=r"layout 99, known are \(1, 2\)"):
         RunFolder.open(tmp_path)
