@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from daq.acquisition.bench.bench_file import CAMERA, STAGES, Bench, CameraSection, Device
+from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
 from daq.acquisition.bench.kinds import kind_of
 from ground.config import Table
 from ground.errors import ConfigError, Problem

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from daq.acquisition.bench.bench_file import Bench
+from daq.acquisition.bench.bench_table import Bench
 from ground.config import Document, Table, validate
 from sim.camera.faults import FaultPlan
 from sim.prints.frame_truth import WIDTH_PX, height_px

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.bench.bench_file import Bench
+from daq.acquisition.bench.bench_table import Bench
 from sim.bench_table import SimulationTable
 from sim.demo.scenes import misaligned
 from sim.prints.frame_truth import WORLDS, FrameTruth, with_truth

@@ -212,7 +212,19 @@ class Axis:
         return self.move_to(self.position_mm + distance_mm)
 
     def carry_out(self, target_mm: float, token: int) -> Arrival:
-        """Do what `move_to` says for whoever holds the turn and has a token; for `stages.stage`."""
+        """Do what `move_to` says for whoever holds the turn and has a token; for `stages.stage`.
+
+        Raises
+        ------
+        NotReferenced, DeviceLost, Obstructed
+            The axis must be homed or opened first, or its way is not free.
+        MotionStopped, LimitHit, AxisStalled
+            What ended the motion; the first of them also for a token that is no longer good.
+        NoReply, ProtocolViolation
+            The answer to the last attempt was lost or damaged.
+        NotInPosition
+            The axis rests outside its tolerance after the last attempt.
+        """
         self._latch.check(token)
         self._require(MAY_MOVE)
         self.controller.token = token
@@ -248,6 +260,10 @@ class Axis:
         ------
         MotionStopped, LimitHit, AxisStalled, DeviceLost, NoReply
             The reference was not found.
+        DeviceError
+            The reference run ended without a reference; home it again.
+        StageUsageError
+            The axis moves already, or homing is switched off at its controller.
         """
         token = self._latch.begin()
         with self._turn.taken():

@@ -187,11 +187,37 @@ class Controller(Link):
 
     @abstractmethod
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Begin an absolute move; return once the controller has taken it."""
+        """Begin an absolute move; return once the controller has taken it.
+
+        Raises
+        ------
+        MotionStopped
+            A halt or a stop came since the motion was begun, or the controller is held.
+        NotReferenced, LimitHit, AxisStalled
+            The controller has restarted, or an older fault stands; home the channel.
+        OutOfRange, CommandRejected
+            The controller cannot count that far, or refuses the move.
+        StageUsageError
+            Another of its motions has not ended.
+        DeviceLost, NoReply, ProtocolViolation
+            The port is gone, or no answer came that makes sense.
+        """
 
     @abstractmethod
     def start_home(self, channel: str) -> None:
-        """Begin to look for the reference of a channel."""
+        """Begin to look for the reference of a channel.
+
+        Raises
+        ------
+        MotionStopped
+            A halt or a stop came since the motion was begun.
+        StageUsageError
+            Homing is switched off on the controller, or another of its motions has not ended.
+        CommandRejected, DeviceError
+            The controller refuses, or cannot be brought out of a fault.
+        DeviceLost, NoReply, ProtocolViolation
+            The port is gone, or no answer came that makes sense.
+        """
 
     @abstractmethod
     def moving(self, channel: str) -> bool:
@@ -201,11 +227,27 @@ class Controller(Link):
         ------
         LimitHit, AxisStalled, MotionStopped
             How the motion ended.
+        NotReferenced
+            The controller has restarted meanwhile; home it.
+        CommandRejected, DeviceError
+            The controller ended the motion for another reason, which the message names.
+        DeviceLost, NoReply, ProtocolViolation
+            The port is gone, or no answer came that makes sense.
         """
 
     @abstractmethod
     def position_mm(self, channel: str) -> float:
-        """Position of a channel at rest, in the controller's own coordinate."""
+        """Position of a channel at rest, in the controller's own coordinate.
+
+        Raises
+        ------
+        StageUsageError
+            The channel moves; wait until it rests.
+        NotReferenced, DeviceError
+            The controller has restarted, or an alarm came; home it.
+        DeviceLost, NoReply, ProtocolViolation
+            The port is gone, no answer came, or the readings do not agree.
+        """
 
     @abstractmethod
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:

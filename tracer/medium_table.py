@@ -44,7 +44,13 @@ class MediumTable(Table):
         return self
 
     def medium(self, name: str) -> Medium:
-        """Return the medium described."""
+        """Return the medium described.
+
+        Raises
+        ------
+        SceneError
+            The base is no glass of the catalogue, nor air; the message lists what is known.
+        """
         if self.n is not None:
             return ConstantMedium(float(self.n), name)
         if self.sellmeier is not None:

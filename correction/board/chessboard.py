@@ -82,6 +82,11 @@ class Chessboard(Board):
         outline_mm : (M, 2) float
             Vertices in order, M >= 3; or two opposite corners of an upright box, M = 2.
 
+        Raises
+        ------
+        BoardError
+            The outline has fewer than two points, one that is not finite, or another shape.
+
         Notes
         -----
         Even-odd rule; a corner exactly on the outline may fall on either side.

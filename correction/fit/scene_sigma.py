@@ -79,6 +79,11 @@ class SceneSigma(SceneBound):
             The fitted scene, or the same without its bodies: then only the camera counts.
         pixels : (N, 2) float64
             Acquired pixels.
+
+        Raises
+        ------
+        StaleMap
+            The scene has another number of spheres than the fitted one, and is not without any.
         """
         asked = np.isfinite(pixels).all(axis=1)
         rate = landings(scene, pixels[asked]).rate[:, :, : -len(TARGET)]

@@ -9,7 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from correction.resample.sample import Method
-from daq.acquisition.bench.bench_file import Bench, Vector, load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import Bench, Vector
 from daq.acquisition.bench.kinds.stage import idle_stage
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE

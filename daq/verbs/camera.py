@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.acquisition.bench.bench_file import CAMERA, load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import CAMERA
 from daq.acquisition.bench.opened import open_bench
 from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runs.raw_frame import checksum, write_raw

@@ -11,7 +11,8 @@ from pathlib import Path
 from rich.table import Table
 from serial.tools import list_ports
 
-from daq.acquisition.bench.bench_file import Bench, load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.cameras import LIBRARIES
 from daq.acquisition.runs.run_folder import versions
 from daq.example_files import examples

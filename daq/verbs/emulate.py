@@ -4,7 +4,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from daq.acquisition.bench.bench_file import Bench, load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.bench.opened import start_simulation
 from daq.terminal import console

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from daq.acquisition.bench.bench_session import BenchSession
 from daq.errors import DaqError, RunUsageError
 from daq.terminal import console, error_console
-from daq.verbs.stage import numbers, where_table
+from daq.verbs.stage_words import numbers, where_table
 from ground.errors import GroundError
 from stages.errors import StageError
 from tracer.errors import TracerError

@@ -86,7 +86,15 @@ class RingSource:
 
 
 def load_source(dotted: str, arguments: Mapping[str, Any]) -> FrameSource:
-    """Make the source that a configuration names as "package.module:factory"."""
+    """Make the source that a configuration names as "package.module:factory".
+
+    Raises
+    ------
+    ValueError
+        The name has no colon.
+    ImportError, AttributeError
+        There is no such module, or no such factory in it.
+    """
     module_name, colon, name = dotted.partition(":")
     if not colon:
         raise ValueError(f"frame source {dotted!r} must be written as package.module:factory")

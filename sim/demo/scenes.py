@@ -107,6 +107,11 @@ def misaligned(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
         The same seed gives the same errors.
     barrel : float
         Barrel distortion of the true lens: k1 in units of the half sensor width.
+
+    Raises
+    ------
+    SceneError
+        The bodies stand so close to each other or to the plane that no errors fit in; move them apart.
     """
     rng = np.random.default_rng(seed)
     bodies = scene.bodies

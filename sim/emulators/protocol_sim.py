@@ -23,7 +23,13 @@ class SimSerial(serial.SerialBase):
     _rest = b""
 
     def open(self) -> None:
-        """Claim the line."""
+        """Claim the line.
+
+        Raises
+        ------
+        serial.SerialException
+            There is no line of that name, it is unplugged, or it is open elsewhere.
+        """
         name = str(self.port).removeprefix("sim://")
         line = LINES.get(name)
         if line is None:

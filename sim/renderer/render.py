@@ -113,7 +113,13 @@ def render(
 def render_irradiance(
     scene: Scene, pattern: Pattern, *, samples: int = 4, seed: int = 0, aperture: Aperture | None = None
 ) -> NDArray[np.float32]:
-    """Return the light on each pixel, float32 (H, W): 1 = white sheet without glass; see `render`."""
+    """Return the light on each pixel, float32 (H, W): 1 = white sheet without glass; see `render`.
+
+    Raises
+    ------
+    SceneError
+        `samples` is below 1, a body crosses the pattern's plane, or is neither sphere nor rod.
+    """
     if samples < 1:
         raise SceneError("samples must be at least 1")
     tables = _tables(scene, pattern, aperture)

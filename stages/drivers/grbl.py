@@ -86,7 +86,7 @@ class GrblController(Controller):
             raise
 
     def start_home(self, channel: str) -> None:
-        """Begin to home every axis; the answer comes at the end."""
+        """Begin to home every axis; the answer comes at the end. StageUsageError if homing is switched off."""
         with self._lock:
             if self._settings[HOMING_ENABLED] == 0:
                 raise StageUsageError(f"{self.name}: homing is switched off; set $22=1 on the board")
@@ -102,7 +102,11 @@ class GrblController(Controller):
                 self.port.write(grbl.Line("$H").to_bytes())
 
     def moving(self, channel: str) -> bool:
-        """Ask for a report, or look for the end of homing."""
+        """Ask for a report, or look for the end of homing.
+
+        MotionStopped also if a person has stopped it at the board; DeviceError if the board is neither idle nor
+        moving nor held.
+        """
         with self._lock:
             if self._homing:
                 return self._homing_goes_on()
@@ -129,7 +133,7 @@ class GrblController(Controller):
             return False
 
     def position_mm(self, channel: str) -> float:
-        """Machine position, that two answers agree on."""
+        """Machine position, that two answers agree on; StageUsageError if the board moves."""
         index = AXES.index(channel)
 
         def ask() -> tuple[float, bool]:
@@ -183,7 +187,7 @@ class GrblController(Controller):
         return found.pop() if len(found) == 1 else None
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Raise if the board's own settings differ from the bench file's."""
+        """StageUsageError if the board is set slower than the bench file says, or to another acceleration."""
         index = AXES.index(channel)
         fastest_mm_s = self._settings[RATE + index] / 60
         if speed_mm_s > fastest_mm_s * 1.001:

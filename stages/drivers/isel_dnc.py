@@ -50,7 +50,10 @@ class IselController(Controller):
     _ramp: int | None
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Begin an absolute move, sent as the difference to where the axis is."""
+        """Begin an absolute move, sent as the difference to where the axis is.
+
+        OutOfRange if the target has more than 24 bit of steps, NotReferenced if the controller has restarted.
+        """
         scale, index = self._scale(channel), AXES.index(channel)
         steps = round(target_mm * scale)
         if abs(steps) >= dnc.STEPS_LIMIT:
@@ -105,7 +108,7 @@ class IselController(Controller):
             return self._steps()[AXES.index(channel)] / self._scale(channel)
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Raise if the speed is outside 30..10000 steps/s or the ramp outside 1..4000 Hz/ms."""
+        """StageUsageError if the speed is outside 30..10000 steps/s or the ramp above 4000 Hz/ms."""
         scale = self._scale(channel)
         if not dnc.SLOWEST <= round(speed_mm_s * scale) <= dnc.FASTEST:
             low, high = dnc.SLOWEST / scale, dnc.FASTEST / scale
@@ -151,7 +154,10 @@ class IselController(Controller):
         self._initialised = True
 
     def known_mm(self, channel: str) -> float:
-        """Steps / scale; the answer itself says that there was no restart."""
+        """Steps / scale; the answer itself says that there was no restart.
+
+        NotReferenced if there was one, or the axis was never homed.
+        """
         position_mm = self.position_mm(channel)
         if not self.referenced(channel):
             raise NotReferenced(f"{self.name} channel {channel} is not referenced; home it")

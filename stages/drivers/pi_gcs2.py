@@ -64,7 +64,7 @@ class PiController(Controller):
         )  # not every firmware answers ERR? meanwhile
 
     def moving(self, channel: str) -> bool:
-        """Ask by byte 5, twice if the answer is no; then ask for errors."""
+        """Ask by byte 5, twice if the answer is no; then for errors, of which 10 is MotionStopped."""
         if self._repeated(lambda: self._moves(channel)) or self._repeated(lambda: self._moves(channel)):
             return True
         homing = channel in self._homing
@@ -82,7 +82,10 @@ class PiController(Controller):
         return False
 
     def position_mm(self, channel: str) -> float:
-        """Position in mm of an axis that rests, read until two readings agree within the noise of an encoder."""
+        """Position in mm of an axis that rests, read until two readings agree within the noise of an encoder.
+
+        StageUsageError if the axis moves.
+        """
 
         def ask() -> float:
             if self._moves(channel):  # by a joystick or another program: two readings may agree by chance

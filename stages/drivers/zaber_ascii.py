@@ -60,7 +60,7 @@ class ZaberController(Controller):
     _homing: set[str]
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Begin an absolute move."""
+        """Begin an absolute move; NotReferenced if the device has restarted, which is then stopped at once."""
         steps = round(target_mm * self._scale(channel))
         speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
         if self._profile.get(channel) != (speed, acceleration):
@@ -83,7 +83,11 @@ class ZaberController(Controller):
         self._homing.add(channel)
 
     def moving(self, channel: str) -> bool:
-        """Ask once; an empty command only brings the state."""
+        """Ask once; an empty command only brings the state.
+
+        A flag says what ended the motion: AxisStalled for any that begins with F, LimitHit for WL, MotionStopped
+        for NI and NC.
+        """
         reply = self._repeated(lambda: self._tell(channel, ""))
         where = f"{self.name} channel {channel}"
         if reply.flag.startswith("F"):
@@ -121,7 +125,7 @@ class ZaberController(Controller):
             return position_mm
 
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Raise if a value does not fit the setting it goes to."""
+        """StageUsageError if a value does not fit the setting it goes to."""
         speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
         if not (1 <= speed <= LARGEST_SETTING and 1 <= acceleration <= 32767):
             raise StageUsageError(

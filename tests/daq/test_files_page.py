@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from pydantic import TypeAdapter
 
-from daq.acquisition.bench.bench_file import BenchTable
+from daq.acquisition.bench.bench_table import BenchTable
 from daq.acquisition.plans.experiments import EXPERIMENTS, plan_table
 from daq.acquisition.runs.displacement import Moved
 from daq.acquisition.runs.done_file import DoneFile

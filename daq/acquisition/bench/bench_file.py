@@ -22,193 +22,16 @@ Which axis moves which element, and along which world direction, is said by the 
 function of the axis positions.
 """
 
-import hashlib
-import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field, model_validator
-
-from correction.board import Chessboard
+from daq.acquisition.bench.bench_table import GLASS, Bench, BenchTable, Device
 from daq.acquisition.bench.kinds import kind_of
-from daq.acquisition.cameras.camera import Setting
 from daq.errors import RunUsageError
-from ground.config import Document, Table, load_yaml, validate
+from ground.config import Document, load_yaml, validate
 from ground.errors import ConfigError, Problem
-from stages.config import AxisTable, Name, Positive, StagesTable
-from stages.keep_out import KeepOutTable
-from tracer.scene import Scene
 from tracer.scene_file import load_scene
-
-CAMERA, GLASS, TARGET = "camera", "glass", "target"
-STAGES = "stages"  # beside CAMERA a device that every bench has
-ELEMENTS = (CAMERA, GLASS, TARGET)
-DIRECTIONS = "xyz"
-
-Vector = tuple[float, float, float]
-
-
-class CameraSection(Table):
-    """Which camera, and how it is set."""
-
-    backend: str
-    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    settings: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    buffers: Annotated[int, Field(ge=2, le=1000)] = 24
-    timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0
-    retakes: Annotated[int, Field(ge=0, le=100)] = 3  # of a software-triggered frame that did not arrive whole
-    back_within_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 20.0  # patience with a camera that was lost
-
-
-class GlassSection(Table):
-    """Where the glass goes when the plane is to be seen without it."""
-
-    out_mm: dict[Name, float]
-    retract_mm: dict[Name, float] = Field(default_factory=dict)
-
-
-class TargetSection(Table):
-    """The board that hangs on the target's stage."""
-
-    square_mm: Positive = 2.5
-    disc_mm: Positive = 1.0
-
-    @property
-    def board(self) -> Chessboard:
-        """The board; BoardError if nobody can print it."""
-        return Chessboard(self.square_mm, self.disc_mm)
-
-
-class BenchTable(Table):
-    """A whole bench file."""
-
-    name: Name
-    scene: Annotated[str, Field(min_length=1)]
-    scene_at_mm: dict[Name, float] = Field(default_factory=dict)
-    stages: StagesTable
-    glass: GlassSection | None = None
-    camera: CameraSection
-    devices: dict[Name, dict[str, Any]] = Field(default_factory=dict)
-    target: TargetSection = TargetSection()
-    keep_out: KeepOutTable | None = None
-    simulation: dict[str, Any] | None = None
-
-    @model_validator(mode="after")
-    def _fits_together(self) -> "BenchTable":
-        problems = []
-        places = {"scene_at_mm": self.scene_at_mm}
-        if self.glass is not None:
-            places |= {"glass.out_mm": self.glass.out_mm, "glass.retract_mm": self.glass.retract_mm}
-        for key, named in places.items():
-            for name in named:
-                if name not in self.stages.axes:
-                    problems.append(f"{key} names an unknown axis {name!r}")
-                elif key.startswith("glass") and self.stages.axes[name].carries != GLASS:
-                    problems.append(f"{key}: axis {name!r} does not carry the glass")
-        for name in {STAGES, CAMERA} & set(self.devices):
-            problems.append(f"devices.{name}: that device has a section of its own; give this one another name")
-        for name, axis in self.stages.axes.items():
-            if axis.carries not in ELEMENTS:
-                problems.append(f"axis {name} carries {axis.carries!r}; known are {', '.join(ELEMENTS)}")
-        if problems:
-            raise ValueError("; ".join(problems))
-        return self
-
-    @property
-    def home_mm(self) -> dict[str, float]:
-        """Position of every axis at which the scene file holds."""
-        return {name: self.scene_at_mm.get(name, 0.0) for name in self.stages.axes}
-
-    def offset_mm(self, element: str, positions_mm: Mapping[str, float]) -> Vector:
-        """World displacement of an element from its place in the scene file.
-
-        Parameters
-        ----------
-        element : str
-            camera, glass or target.
-        positions_mm : mapping
-            Position of every axis.
-        """
-        home, offset = self.home_mm, dict.fromkeys(DIRECTIONS, 0.0)
-        for name, axis in self.axes_of(element).items():
-            offset[axis.along] += positions_mm[name] - home[name]
-        return (offset["x"], offset["y"], offset["z"])
-
-    def axes_of(self, element: str) -> dict[str, AxisTable]:
-        """Axes that carry an element."""
-        return {name: axis for name, axis in self.stages.axes.items() if axis.carries == element}
-
-
-@dataclass(frozen=True)
-class Device:
-    """One device of a bench file: of which kind it is, and its section."""
-
-    kind: str
-    section: Table
-
-
-@dataclass(frozen=True)
-class Bench:
-    """A bench as its file describes it; nothing is open.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    document : Document
-        Its contents with line numbers.
-    table : BenchTable
-        Its contents, checked.
-    scene : Scene
-        The scene it names.
-    more : mapping
-        Devices besides stages and camera.
-    """
-
-    path: Path
-    document: Document
-    table: BenchTable
-    scene: Scene
-    more: Mapping[str, Device] = field(default_factory=dict)
-
-    @property
-    def devices(self) -> dict[str, Device]:
-        """Every device by name, in the order in which they are opened."""
-        known = {STAGES: Device("stage", self.table.stages), CAMERA: Device("camera", self.table.camera)}
-        return {**known, **self.more}
-
-    @property
-    def home_mm(self) -> dict[str, float]:
-        """Position of every axis at which the scene file holds."""
-        return self.table.home_mm
-
-    @property
-    def has_glass(self) -> bool:
-        """Whether bodies stand before the plane."""
-        return bool(self.scene.bodies)
-
-    def content_hash(self) -> str:
-        """Hex digest (16 characters) of all that the file says, but for ports and boxes, which may be replaced."""
-        tree = self.table.model_dump(exclude_unset=True)  # a newer version may know more keys
-        for controller in tree["stages"]["controllers"].values():
-            controller.pop("port")
-            controller.pop("identity", None)
-        for device in tree.get("devices", {}).values():
-            device.pop("port", None)
-        del tree["scene"]  # its content is hashed by the scene itself
-        return digest(tree)
-
-    def with_scene(self, scene: Scene) -> "Bench":
-        """Return the same bench with a scene that is known better, such as a fitted one."""
-        return replace(self, scene=scene)
-
-
-def digest(tree: Any) -> str:  # noqa: ANN401 - anything JSON can hold
-    """Hex digest (16 characters) of plain data, independent of the order of keys."""
-    text = json.dumps(tree, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def load_bench(path: Path | str) -> Bench:
@@ -242,8 +65,3 @@ def _device(document: Document, name: str, section: Mapping[str, Any]) -> Device
     own = {key: value for key, value in section.items() if key != "kind"}
     lines = {at[2:]: line for at, line in document.lines.items() if at[:2] == place}
     return Device(section["kind"], validate(Document(document.path, own, lines), model))
-
-
-def trigger_is_software(settings: Mapping[str, Setting]) -> bool:
-    """Whether every frame is asked for by us; otherwise frames come by themselves while the camera is armed."""
-    return settings.get("TriggerMode") == "On" and settings.get("TriggerSource") == "Software"

@@ -22,7 +22,8 @@ from types import TracebackType
 from typing import Self
 
 from daq.acquisition.bench.bench_edit import Place, Value, changed, difference, replace_file
-from daq.acquisition.bench.bench_file import STAGES, Bench, load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import STAGES, Bench
 from daq.acquisition.bench.kinds.stage import guard_of
 from daq.acquisition.bench.opened import known_positions, open_bench
 from daq.errors import RunUsageError
@@ -116,8 +117,10 @@ class BenchSession:
 
         Raises
         ------
+        RunUsageError
+            There is no controller of that name; the message lists those there are.
         StageError
-            One is still not there, or there is none of that name.
+            One is still not there, or is another than the bench file says.
         """
         unknown = set(controllers) - set(self.stage.controllers)
         if unknown:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Protocol, cast
 
-from daq.acquisition.bench.bench_file import CAMERA, STAGES, Bench, CameraSection
+from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
 from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.cameras.camera import Camera
 from daq.errors import PlanError

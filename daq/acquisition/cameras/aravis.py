@@ -82,7 +82,7 @@ class AravisCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """Vendor, model, serial number."""
+        """Vendor, model, serial number; CameraUsageError before `open`."""
         if self._info is None:
             raise CameraUsageError("the camera is closed; open it first")
         return self._info
@@ -95,7 +95,11 @@ class AravisCamera:
         return self._last
 
     def open(self) -> None:
-        """Take control of the camera at this address."""
+        """Take control of the camera at this address.
+
+        CameraBusy if another process controls it, CameraLost if it does not answer or cannot be reached,
+        CameraUsageError if it is open already.
+        """
         if self._device:
             raise CameraUsageError("the camera is open already; close it first")
         functions()
@@ -122,7 +126,10 @@ class AravisCamera:
             raise
 
     def configure(self, settings: Mapping[str, Setting]) -> dict[str, Setting]:
-        """Set SFNC features in a safe order; returns what the camera reads back."""
+        """Set SFNC features in a safe order; returns what the camera reads back.
+
+        CameraUsageError if it is armed.
+        """
         nodes = self._open_nodes()
         if self._stream:
             raise CameraUsageError("the camera is armed; disarm it first")
@@ -148,7 +155,10 @@ class AravisCamera:
         return values
 
     def arm(self, buffers: int = 24) -> None:
-        """Allocate `buffers` frames, twice (raw and unpacked), and start the acquisition."""
+        """Allocate `buffers` frames, twice (raw and unpacked), and start the acquisition.
+
+        CameraUsageError if it is armed already, BadFrame if it announces frames of an impossible size.
+        """
         nodes = self._open_nodes()
         if self._stream:
             raise CameraUsageError("the camera is armed already; disarm it first")
@@ -219,7 +229,10 @@ class AravisCamera:
                 return None
 
     def probe(self, patience_s: float) -> None:
-        """CameraLost unless the camera answers and still knows that it is controlled."""
+        """CameraLost unless the camera answers and still knows that it is controlled.
+
+        CameraTimeout if the caller holds every buffer; release frames first.
+        """
         self._require_armed()
         if not self._free:
             raise CameraTimeout("every buffer is held by frames that were not released; release them")

@@ -41,7 +41,13 @@ class AravisNodes:
             return False
 
     def get(self, name: str) -> Setting:
-        """Value of a feature, read from the camera."""
+        """Value of a feature, read from the camera.
+
+        Raises
+        ------
+        CameraError
+            There is no such feature, it has no value (a command, a category), or it cannot be read now.
+        """
         kind, key = self._kind(name), name.encode()
         if kind in INTEGERS:
             return int(call("arv_device_get_integer_feature_value", self._device, key))

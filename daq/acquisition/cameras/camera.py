@@ -61,6 +61,9 @@ class Camera(Protocol):
 
     All calls come from one thread.  Every wait has a deadline.  After `CameraLost` only `close` and `open` are
     allowed; a camera that came back has to be configured again because its settings may have been reset.
+
+    Calls in the wrong order raise CameraUsageError. Every call that asks the camera may raise CameraLost if it
+    does not answer, and CameraError if it refuses.
     """
 
     @property
@@ -74,13 +77,32 @@ class Camera(Protocol):
         ...
 
     def open(self) -> None:
-        """Take control of the camera; CameraSetupError, CameraBusy or CameraLost say why not."""
+        """Take control of the camera.
+
+        Raises
+        ------
+        CameraSetupError
+            A library, producer or folder is missing or does not list the camera.
+        CameraBusy
+            Another process controls the camera; close it there.
+        CameraLost
+            The camera does not answer; check cable, power and address.
+        CameraUsageError
+            It is open already; close it first.
+        """
         ...
 
     def configure(self, settings: Mapping[str, Setting]) -> dict[str, Setting]:
         """Set SFNC features in a safe order and return what the camera reads back.
 
-        Raises SettingRefused if a name is unknown or a value did not arrive; the camera may round a float.
+        The camera may round a float.
+
+        Raises
+        ------
+        SettingRefused
+            A name is unknown or a value did not arrive; what was configured before is put back.
+        CameraUsageError
+            The camera is closed, or armed; open or disarm it first.
         """
         ...
 
@@ -93,7 +115,13 @@ class Camera(Protocol):
         ...
 
     def arm(self, buffers: int = 24) -> None:
-        """Allocate `buffers` frames of memory and start the acquisition; counters begin at zero."""
+        """Allocate `buffers` frames of memory and start the acquisition; counters begin at zero.
+
+        Raises
+        ------
+        CameraUsageError
+            The camera is closed, or armed already; open or disarm it first.
+        """
         ...
 
     def clock_ns(self) -> int | None:
@@ -101,13 +129,28 @@ class Camera(Protocol):
         ...
 
     def trigger(self) -> int | None:
-        """Send one software trigger; return `clock_ns` of the moment right before."""
+        """Send one software trigger; return `clock_ns` of the moment right before.
+
+        Raises
+        ------
+        CameraUsageError
+            The camera is not armed.
+        CameraError
+            It does not take the trigger; look at its TriggerMode and TriggerSource.
+        """
         ...
 
     def poll(self, timeout_s: float) -> Frame | None:
         """Wait for the next complete frame; None if none came.  Asks the camera nothing, 0 s only looks.
 
-        Raises FrameIncomplete when a frame came with pixels missing; it is counted, and the next call goes on.
+        Raises
+        ------
+        FrameIncomplete
+            A frame came with pixels missing; it is counted, and the next call goes on.
+        BadFrame
+            A frame is not what the camera announced; it is not used.
+        CameraUsageError
+            The camera is not armed.
         """
         ...
 
@@ -116,7 +159,17 @@ class Camera(Protocol):
         ...
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """Wait for the next complete frame; CameraTimeout if the camera lives, CameraLost if it does not."""
+        """Wait for the next complete frame.
+
+        Raises
+        ------
+        CameraTimeout
+            None came, and the camera answers; look at its trigger.
+        CameraLost
+            None came, and the camera does not answer.
+        BadFrame
+            A frame is not what the camera announced; it is not used.
+        """
         ...
 
     def disarm(self) -> Counters:

@@ -100,7 +100,10 @@ class FilesCamera:
         return dict(self._values)
 
     def arm(self, buffers: int = 24) -> None:
-        """Start at the first file; `buffers` bounds the triggers that may wait."""
+        """Start at the first file; `buffers` bounds the triggers that may wait.
+
+        CameraUsageError if it is closed or armed already.
+        """
         self._require_open()
         if self._due_ns is not None:
             raise CameraUsageError("the camera is armed already; disarm it first")
@@ -116,7 +119,10 @@ class FilesCamera:
         return time.monotonic_ns()
 
     def trigger(self) -> int:
-        """Show the next file; a trigger beyond the free buffers is ignored and counted."""
+        """Show the next file; a trigger beyond the free buffers is ignored and counted.
+
+        CameraUsageError if TriggerMode is not On.
+        """
         due, before_ns = self._require_armed(), self.clock_ns()
         if self._values["TriggerMode"] != "On":
             raise CameraUsageError("set TriggerMode to On before sending software triggers")
@@ -132,7 +138,7 @@ class FilesCamera:
         self._require_armed()
 
     def next_frame(self, timeout_s: float) -> Frame:
-        """Return the next file's frame when it is due."""
+        """Return the next file's frame when it is due; CameraTimeout if that is later, or there is none."""
         frame = self.poll(timeout_s)
         if frame is None:
             raise CameraTimeout(

@@ -66,7 +66,13 @@ def is_controlled(address: str, timeout_s: float) -> bool:
 
 
 def local_address(address: str) -> str:
-    """Address of the interface of this machine from which the camera is reached; sends nothing."""
+    """Address of the interface of this machine from which the camera is reached; sends nothing.
+
+    Raises
+    ------
+    CameraLost
+        This machine has no way to the address, or it is none; look at the network settings.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as channel:
         try:
             channel.connect((address, PORT))

@@ -63,7 +63,7 @@ class HarvestersCamera:
 
     @property
     def info(self) -> CameraInfo:
-        """Vendor, model, serial number."""
+        """Vendor, model, serial number; CameraUsageError before `open`."""
         if self._info is None:
             raise CameraUsageError("the camera is closed; open it first")
         return self._info
@@ -76,7 +76,11 @@ class HarvestersCamera:
         return self._count()
 
     def open(self) -> None:
-        """Start the camera's process and take control of the camera."""
+        """Start the camera's process and take control of the camera.
+
+        CameraSetupError if the producer's file is missing or does not list the camera, CameraUsageError if the
+        camera is open already.
+        """
         if self._process is not None:
             raise CameraUsageError("the camera is open already; close it first")
         if not self._cti.is_file():
@@ -109,7 +113,10 @@ class HarvestersCamera:
         return values
 
     def arm(self, buffers: int = 24) -> None:
-        """Allocate `buffers` frames of shared memory, as many raw ones, and start the acquisition."""
+        """Allocate `buffers` frames of shared memory, as many raw ones, and start the acquisition.
+
+        CameraUsageError if it is armed already, or does not tell its Width or Height.
+        """
         self._require_disarmed()
         values = self.settings()
         try:

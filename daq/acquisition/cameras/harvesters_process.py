@@ -23,7 +23,13 @@ Pair = tuple["subprocess.Popen[bytes]", "connections.Connection[Any, Any]"]
 
 
 def start(cti: str, serial: str | None) -> Pair:
-    """Start the process for a producer's file; return it, and our end of the channel."""
+    """Start the process for a producer's file; return it, and our end of the channel.
+
+    Raises
+    ------
+    CameraSetupError
+        The process cannot be started; the message says why.
+    """
     ours, theirs = Pipe()
     handle = theirs.fileno()
     command, environment = child(__name__, str(handle), cti, *([] if serial is None else [serial]))

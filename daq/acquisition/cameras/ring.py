@@ -45,7 +45,13 @@ class FrameRing:
         return self._memory.name
 
     def slot(self, index: int) -> NDArray[np.uint16]:
-        """Pixels (N,) uint16 of one slot."""
+        """Pixels (N,) uint16 of one slot.
+
+        Raises
+        ------
+        IndexError
+            There is no slot of this index.
+        """
         if not 0 <= index < self.slots:
             raise IndexError(f"slot {index} of {self.slots}")
         assert self._memory.buf is not None

@@ -32,7 +32,13 @@ def pack_error(error: errors.CameraError) -> Message:
 
 
 def raise_error(message: Message) -> None:
-    """Raise the error that a message carries, if it carries one."""
+    """Raise the error that a message carries, if it carries one.
+
+    Raises
+    ------
+    CameraError
+        Or the kind of it that the message names; its text is the message's.
+    """
     if "error" not in message:
         return
     kind = getattr(errors, str(message["error"]), None)

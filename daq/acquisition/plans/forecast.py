@@ -7,7 +7,7 @@ route, so a plan that passes here is refused later only if the start is another 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from daq.acquisition.bench.bench_file import Bench, trigger_is_software
+from daq.acquisition.bench.bench_table import Bench, trigger_is_software
 from daq.acquisition.cameras.camera import Setting
 from daq.acquisition.plans.steps import Step, frame_count, route
 from stages.errors import StageUsageError

@@ -6,7 +6,7 @@ A plan file names its experiment; see ``plans.experiments`` for the keys of each
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.acquisition.bench.bench_file import DIRECTIONS, TARGET, Bench
+from daq.acquisition.bench.bench_table import DIRECTIONS, TARGET, Bench
 from daq.acquisition.plans.experiments import EXPERIMENTS, plan_table
 from daq.acquisition.plans.plan_table import PlanTable, Pose
 from daq.acquisition.plans.steps import CLEAR, Step, steps_hash

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from daq.acquisition.bench.bench_file import Bench, Vector
+from daq.acquisition.bench.bench_table import Bench, Vector
 from daq.acquisition.plans.steps import CLEAR
 from ground.config import Table
 

@@ -7,7 +7,7 @@ first after a crash.  The list is a value: it can be drawn, checked, timed, hash
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
-from daq.acquisition.bench.bench_file import GLASS, Bench, digest
+from daq.acquisition.bench.bench_table import GLASS, Bench, digest
 
 CLEAR, BEHIND_GLASS = "clear", "glass"
 

@@ -9,7 +9,7 @@ then on.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from daq.acquisition.bench.bench_file import Bench
+from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.plans.forecast import Forecast, Violation, forecast
 from daq.acquisition.plans.steps import Step
 from stages.errors import StageUsageError

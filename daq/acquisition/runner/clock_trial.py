@@ -11,14 +11,11 @@ one factor, of those that cameras have (`UNITS_NS`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq.acquisition.cameras.frame import FrameMeta
-
-if TYPE_CHECKING:
-    from daq.acquisition.runner.trigger_match import Shot
+from daq.acquisition.runner.shot import Shot
 
 PAUSES_S = (0.0, 0.1, 0.25, 0.45)  # before each trigger
 JITTER_NS = 30_000_000
@@ -26,7 +23,7 @@ UNITS_NS = (1e9 / 125e6, 10.0, 16.0, 20.0, 25.0, 40.0, 64.0, 100.0, 1e3, 1e4, 1e
 UNIT_TOLERANCE = 0.03
 ENOUGH = 3  # triggers that one offset explains
 
-Pairing = tuple["Shot", float, int]  # a trigger, the stamp of its frame [ns], when that was here
+Pairing = tuple[Shot, float, int]  # a trigger, the stamp of its frame [ns], when that was here
 
 
 @dataclass(frozen=True)
@@ -55,7 +52,7 @@ class Trial:
         return min(received_ns - stamp_ns for _, stamp_ns, received_ns in self.pairs)
 
 
-def explain(shots: Sequence["Shot"], metas: Sequence[FrameMeta]) -> Trial | None:
+def explain(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> Trial | None:
     """Find out which frames answered which triggers.
 
     Parameters
@@ -82,7 +79,7 @@ def explain(shots: Sequence["Shot"], metas: Sequence[FrameMeta]) -> Trial | None
 
 
 def _explained(
-    shots: Sequence["Shot"], metas: Sequence[FrameMeta], stamps: Sequence[float], offset_ns: float
+    shots: Sequence[Shot], metas: Sequence[FrameMeta], stamps: Sequence[float], offset_ns: float
 ) -> tuple[Pairing, ...]:
     """Pairs that an offset makes: each frame exposed between its trigger and a little after."""
     pairs = []
@@ -95,7 +92,7 @@ def _explained(
     return tuple(pairs)
 
 
-def _in_another_unit(shots: Sequence["Shot"], metas: Sequence[FrameMeta]) -> Trial | None:
+def _in_another_unit(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> Trial | None:
     host_ns = np.array([shot.before_ns for shot in shots], dtype=np.float64)
     units = np.array([meta.timestamp_ns for meta in metas], dtype=np.float64)
     host_ns, units = host_ns - host_ns[0], units - units[0]

@@ -17,7 +17,7 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import suppress
 from typing import NoReturn
 
-from daq.acquisition.bench.bench_file import CameraSection, trigger_is_software
+from daq.acquisition.bench.bench_table import CameraSection, trigger_is_software
 from daq.acquisition.cameras.camera import Camera, Counters, Setting
 from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.cameras.waiting import probe_s

@@ -16,7 +16,7 @@ A link slower than `SLOWEST_BYTES_S` is taken for another unit: some cameras tel
 import math
 from collections.abc import Iterator, Mapping
 
-from daq.acquisition.bench.bench_file import trigger_is_software
+from daq.acquisition.bench.bench_table import trigger_is_software
 from daq.acquisition.cameras.camera import Setting
 from daq.errors import RunUsageError
 

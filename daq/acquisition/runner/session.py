@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from correction.resample.sample import Method
-from daq.acquisition.bench.bench_file import Bench, load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.bench.opened import OpenBench, open_bench
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 
 from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.runner.clock_trial import PAUSES_S, explain
-from daq.acquisition.runner.trigger_match import Place, Shot
+from daq.acquisition.runner.shot import Shot
+from daq.acquisition.runner.trigger_match import Place
 from daq.errors import BadFrame, CameraError, CameraTimeout, FrameIncomplete, FramesLost, OtherFormat
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from collections.abc import Generator
 from typing import TYPE_CHECKING
 
 from daq.acquisition.cameras.frame import Frame
-from daq.acquisition.runner.trigger_match import Shot
+from daq.acquisition.runner.shot import Shot
 from daq.acquisition.runs.conservation import Ledger
 from daq.errors import BadFrame, CameraTimeout, FramesLost, OtherFormat
 

@@ -33,35 +33,13 @@ from enum import Enum
 
 from daq.acquisition.cameras.frame import FrameMeta
 from daq.acquisition.runner.clock_trial import Trial
+from daq.acquisition.runner.shot import DRIFT, Shot
 
-COARSE_NS, FINE_NS = 1_000_000, 1_000  # by which stamps may be rounded: in whole milliseconds, or finer
-DRIFT = 2e-4  # of a quartz against another, with room
 CONFIRMED = 3.0  # times our patience; over that even stamps in another unit would have contradicted each other
 TRIALS = 3  # after which a clock is none that has not agreed with us for a while
 AGREED_NS = 60_000_000_000
 UNCONFIRMED = "nothing has confirmed that the first frame was exposed for its trigger"
 RESTART_NS = 50_000_000  # by which a camera's clock has to go wrong to be called restarted
-
-
-@dataclass(frozen=True, slots=True)
-class Shot:
-    """A trigger: the camera's clock right before it, and the host's before and after the call [ns]."""
-
-    clock_ns: int | None
-    before_ns: int
-    after_ns: int
-
-    def could_have_made(self, stamp_ns: float, received_ns: int) -> bool:
-        """Whether a stamp lies between this trigger and the arrival of its frame, by the latched clock."""
-        if self.clock_ns is None:
-            return False
-        newest_ns = self.clock_ns + (received_ns - self.before_ns) * (1 + DRIFT) + COARSE_NS
-        return not self.is_after(stamp_ns) and stamp_ns <= newest_ns
-
-    def is_after(self, stamp_ns: float) -> bool:
-        """Whether the latched clock says that a stamp is older than this trigger."""
-        rounded_ns = FINE_NS if stamp_ns % COARSE_NS else COARSE_NS
-        return self.clock_ns is not None and stamp_ns < self.clock_ns - rounded_ns
 
 
 @dataclass(frozen=True, slots=True)

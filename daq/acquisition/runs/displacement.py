@@ -20,7 +20,7 @@ from typing import Any
 from pydantic import TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
-from daq.acquisition.bench.bench_file import TARGET, Bench, Vector
+from daq.acquisition.bench.bench_table import TARGET, Bench, Vector
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.journal import Entry
 from daq.acquisition.runs.records import CURE, STRICT, Count, Tag, Way, parsed, read_record

@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from correction.errors import PairError
-from daq.acquisition.bench.bench_file import Vector
+from daq.acquisition.bench.bench_table import Vector
 from daq.acquisition.runs.displacement import read_displacements
 from daq.acquisition.runs.journal import Entry
 from daq.acquisition.runs.run_file import PlannedStep

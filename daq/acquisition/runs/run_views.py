@@ -8,7 +8,7 @@ from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import Literal, TypeVar
 
-from daq.acquisition.bench.bench_file import TARGET, BenchTable
+from daq.acquisition.bench.bench_table import TARGET, BenchTable
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries

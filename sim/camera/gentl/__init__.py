@@ -27,6 +27,11 @@ def write_producer(path: Path | str, configs: Sequence[CameraConfig]) -> Path:
     -------
     Path
         Absolute path of the file.
+
+    Raises
+    ------
+    ValueError
+        Two cameras have the same serial number.
     """
     path = Path(path).resolve()
     if len({config.serial for config in configs}) != len(configs):

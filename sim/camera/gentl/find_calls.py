@@ -1,4 +1,8 @@
-"""The TL and IF functions: from the library to a device."""
+"""The TL and IF functions: from the library to a device.
+
+Each is named as in the standard and raises GenTLError with the standard's code, which the producer turns into
+the return value.
+"""
 
 from sim.camera.gentl import memory
 from sim.camera.gentl.abi import GenTLError, Status

@@ -9,28 +9,52 @@ from sim.camera.gentl.abi import SIZES, Answer, GenTLError, Kind, Status
 
 
 def read_text(pointer: int) -> str:
-    """A zero-terminated string of the caller; INVALID_PARAMETER for a null pointer."""
+    """A zero-terminated string of the caller.
+
+    Raises
+    ------
+    GenTLError
+        INVALID_PARAMETER: the pointer is null.
+    """
     if not pointer:
         raise GenTLError(Status.INVALID_PARAMETER, "null pointer instead of a string")
     return ctypes.string_at(pointer).decode("utf-8", "replace")
 
 
 def read_size(pointer: int) -> int:
-    """A size_t of the caller."""
+    """A size_t of the caller.
+
+    Raises
+    ------
+    GenTLError
+        INVALID_PARAMETER: the pointer is null.
+    """
     if not pointer:
         raise GenTLError(Status.INVALID_PARAMETER, "null pointer instead of a size")
     return ctypes.c_size_t.from_address(pointer).value
 
 
 def write_size(pointer: int, value: int) -> None:
-    """Write a size_t, a handle or a pointer."""
+    """Write a size_t, a handle or a pointer.
+
+    Raises
+    ------
+    GenTLError
+        INVALID_PARAMETER: the pointer is null.
+    """
     if not pointer:
         raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
     ctypes.c_size_t.from_address(pointer).value = value
 
 
 def write_u32(pointer: int, value: int) -> None:
-    """Write a uint32_t."""
+    """Write a uint32_t.
+
+    Raises
+    ------
+    GenTLError
+        INVALID_PARAMETER: the pointer is null.
+    """
     if not pointer:
         raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")
     ctypes.c_uint32.from_address(pointer).value = value
@@ -43,7 +67,13 @@ def write_bool(pointer: int, value: bool) -> None:
 
 
 def give(data: bytes, buffer: int, size: int) -> None:
-    """Hand out `data`: its size alone for a null buffer, else the bytes if they fit."""
+    """Hand out `data`: its size alone for a null buffer, else the bytes if they fit.
+
+    Raises
+    ------
+    GenTLError
+        BUFFER_TOO_SMALL: they do not fit; INVALID_PARAMETER: the pointer to the size is null.
+    """
     room = read_size(size)
     write_size(size, len(data))
     if not buffer:
@@ -58,6 +88,11 @@ def put(data: bytes, address: int) -> None:
 
     A client may hold a lock of its own (GenApi's node map) around this call; another thread of it that gets
     Python's lock now and then waits for that one would never let us go on.
+
+    Raises
+    ------
+    GenTLError
+        INVALID_PARAMETER: the address is null.
     """
     if not address:
         raise GenTLError(Status.INVALID_PARAMETER, "null pointer for a result")

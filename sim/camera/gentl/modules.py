@@ -75,7 +75,13 @@ class Device:
         )
 
     def open(self) -> SimCamera:
-        """Take exclusive control; RESOURCE_IN_USE if somebody has it, IO if the camera is unplugged."""
+        """Take exclusive control.
+
+        Raises
+        ------
+        GenTLError
+            RESOURCE_IN_USE: somebody has it; IO: the camera is unplugged.
+        """
         if self.is_open:
             raise GenTLError(Status.RESOURCE_IN_USE, f"{self.config.serial} is open already")
         if self.config.lock_path:
@@ -105,7 +111,13 @@ class Device:
             self.camera = None
 
     def answer(self, command: int) -> Answer:
-        """IFGetDeviceInfo and DevGetInfo."""
+        """IFGetDeviceInfo and DevGetInfo.
+
+        Raises
+        ------
+        GenTLError
+            NOT_AVAILABLE: the command asks for something else.
+        """
         if command == 5:
             return (Kind.INT32, self._access())
         serial = self.config.serial
@@ -153,7 +165,13 @@ class Interface:
     )
 
     def answer(self, command: int) -> Answer:
-        """TLGetInterfaceInfo and IFGetInfo."""
+        """TLGetInterfaceInfo and IFGetInfo.
+
+        Raises
+        ------
+        GenTLError
+            NOT_AVAILABLE: the command asks for something else.
+        """
         texts = {0: INTERFACE_ID, 1: "rtpiv simulated interface", 2: TL_TYPE}
         if command not in texts:
             raise GenTLError(Status.NOT_AVAILABLE, f"interface info {command}")
@@ -183,7 +201,13 @@ class System:
         )
 
     def answer(self, command: int) -> Answer:
-        """GCGetInfo and TLGetInfo."""
+        """GCGetInfo and TLGetInfo.
+
+        Raises
+        ------
+        GenTLError
+            NOT_AVAILABLE: the command asks for something else.
+        """
         name = self.path.rsplit("/", 1)[-1]
         texts = {
             0: "rtpiv",
@@ -238,7 +262,13 @@ class Handles:
         return handle
 
     def get(self, handle: int, *kinds: type[M]) -> M:
-        """Object of a number, if it is of one of the wanted kinds."""
+        """Object of a number, if it is of one of the wanted kinds.
+
+        Raises
+        ------
+        GenTLError
+            INVALID_HANDLE: there is none, or it is of another kind.
+        """
         module = self._objects.get(handle)
         if not isinstance(module, kinds):
             raise GenTLError(Status.INVALID_HANDLE, f"handle {handle:#x}")

@@ -1,4 +1,8 @@
-"""The GC functions of ports: registers and descriptions of every module."""
+"""The GC functions of ports: registers and descriptions of every module.
+
+Each is named as in the standard and raises GenTLError with the standard's code, which the producer turns into
+the return value.
+"""
 
 import ctypes
 from collections.abc import Callable

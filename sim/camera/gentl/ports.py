@@ -73,12 +73,12 @@ class InfoPort:
         )
 
     def read(self, address: int, length: int) -> bytes:
-        """Read a string's bytes or the XML."""
+        """Read a string's bytes or the XML; BadAddress outside, and across their ends."""
         for base, memory in ((0, self._memory), (XML_BASE, self.xml)):
             if base <= address and address + length <= base + len(memory):
                 return memory[address - base : address - base + length]
         raise BadAddress(f"{length} bytes at {address:#x}")
 
     def write(self, address: int, data: bytes) -> None:
-        """Nothing here can be written."""
+        """Nothing here can be written: always BadAddress."""
         raise BadAddress(f"{len(data)} bytes at {address:#x} are read-only")

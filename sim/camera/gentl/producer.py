@@ -3,8 +3,8 @@
 The functions themselves are methods of `PortCalls`, `FindCalls` and `StreamCalls`, named as in the standard.
 
 A method takes the C arguments as integers, writes results into the caller's memory and raises GenTLError for
-anything but success.  Nothing that a client passes in is trusted further than C allows: handles are looked up,
-indices and sizes checked, null pointers refused.
+anything but success; `Producer.callback` turns its code into the return value.  Nothing that a client passes in is
+trusted further than C allows: handles are looked up, indices and sizes checked, null pointers refused.
 """
 
 import ctypes
@@ -48,7 +48,7 @@ class Producer(PortCalls, FindCalls, StreamCalls):
         self._last = threading.local()
 
     def callback(self, name: str) -> Callable[..., int]:
-        """Wrap a method so that it returns a status and never lets an exception out."""
+        """Wrap a method so that it returns a status, that of a GenTLError, and never lets an exception out."""
         method = getattr(self, name)
 
         def call(*arguments: int) -> int:

@@ -38,7 +38,13 @@ class Buffer:
     frame: SimFrame | None = None
 
     def answer(self, command: int, tl_type: str) -> Answer:
-        """DSGetBufferInfo."""
+        """DSGetBufferInfo.
+
+        Raises
+        ------
+        GenTLError
+            NO_DATA: the buffer holds no frame yet; NOT_AVAILABLE: the command asks for something else.
+        """
         frame = self.frame
         always: dict[int, Answer] = {
             0: (Kind.PTR, self.address),
@@ -125,10 +131,15 @@ class Stream:
             self.ready.notify_all()
 
     def wait(self, timeout_s: float, hold_gil: bool) -> Buffer:
-        """Take the next filled buffer; TIMEOUT or ABORT.
+        """Take the next filled buffer.
 
         With `hold_gil` the wait keeps Python's lock, as a binding without lock release does around a vendor's
         producer: other threads of the process stand still for `timeout_s`.
+
+        Raises
+        ------
+        GenTLError
+            TIMEOUT: no frame came in time; ABORT: `kill_wait` was called.
         """
         if hold_gil and not self.output:
             ctypes.PyDLL(None).usleep(round(1e6 * min(timeout_s, 1.0)))
@@ -149,7 +160,13 @@ class Stream:
             self.ready.notify_all()
 
     def find(self, handle: int) -> Buffer:
-        """Buffer of a handle; INVALID_BUFFER if it was never announced or is revoked."""
+        """Buffer of a handle.
+
+        Raises
+        ------
+        GenTLError
+            INVALID_BUFFER: it was never announced, or is revoked.
+        """
         try:
             return self.buffers[handle]
         except KeyError:
@@ -180,7 +197,13 @@ class Stream:
                 self.input.clear()
 
     def start(self) -> None:
-        """Accept frames from now on."""
+        """Accept frames from now on.
+
+        Raises
+        ------
+        GenTLError
+            RESOURCE_IN_USE: the stream is started already.
+        """
         with self.ready:
             if self.is_started:
                 raise GenTLError(Status.RESOURCE_IN_USE, "the stream is started already")
@@ -201,7 +224,13 @@ class Stream:
             del self.buffers[buffer.handle]
 
     def answer(self, command: int, tl_type: str) -> Answer:
-        """DSGetInfo."""
+        """DSGetInfo.
+
+        Raises
+        ------
+        GenTLError
+            NOT_AVAILABLE: the command asks for something else.
+        """
         with self.ready:
             answers: dict[int, Answer] = {
                 0: (Kind.STRING, "Stream0"),

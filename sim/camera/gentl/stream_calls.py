@@ -1,4 +1,8 @@
-"""The Dev, DS and Event functions: from a device to its frames."""
+"""The Dev, DS and Event functions: from a device to its frames.
+
+Each is named as in the standard and raises GenTLError with the standard's code, which the producer turns into
+the return value.
+"""
 
 import ctypes
 from contextlib import suppress

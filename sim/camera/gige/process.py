@@ -21,7 +21,13 @@ def loopback_address() -> str:
 
 @contextmanager
 def device_process(config: CameraConfig) -> Iterator[str]:
-    """Serve a camera on the loopback while the block runs; yield its address."""
+    """Serve a camera on the loopback while the block runs; yield its address.
+
+    Raises
+    ------
+    OSError
+        The process ended before it served; what it wrote to stderr says why.
+    """
     address = loopback_address()
     command, environment = child("sim.camera.gige", address, config.to_json())
     device = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)

@@ -12,14 +12,12 @@ A kind of another project is a dotted "package.module:Class".
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, Protocol, cast
 
+from daq.acquisition.bench.bench_table import Bench
 from daq.errors import RunUsageError
 from ground.config import Table
 from stages.clock import Clock
-
-if TYPE_CHECKING:
-    from daq.acquisition.bench.bench_file import Bench
 
 KINDS = {
     "stage": "daq.acquisition.bench.kinds.stage:StageKind",
@@ -42,7 +40,7 @@ class Kind(Protocol):
     section: type[Table]
     simulator: str | None
 
-    def open(self, section: Any, bench: "Bench", clock: Clock) -> AbstractContextManager[object]:  # noqa: ANN401
+    def open(self, section: Any, bench: Bench, clock: Clock) -> AbstractContextManager[object]:  # noqa: ANN401
         """Open one for the length of the context.
 
         Entering moves nothing and switches nothing on; leaving stops what moves, switches off what radiates, and

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from daq.acquisition.bench.bench_file import Bench, CameraSection
+from daq.acquisition.bench.bench_table import Bench, CameraSection
 from daq.acquisition.cameras import make_camera
 from daq.acquisition.cameras.camera import Camera
 from stages.clock import Clock

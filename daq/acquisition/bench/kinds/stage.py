@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from typing import cast
 
-from daq.acquisition.bench.bench_file import Bench
+from daq.acquisition.bench.bench_table import Bench
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
 from stages.keep_out import Carrier, Element, KeepOut

@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from daq.acquisition.bench.bench_file import Bench, Vector
+from daq.acquisition.bench.bench_table import Bench, Vector
 from daq.acquisition.plans.plan_table import PlanTable, Pose, View, px_per_mm
 from ground.config import Table, Triple
 

@@ -20,7 +20,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from daq.acquisition.bench.bench_file import Bench
+from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.plans.plan_table import PlanTable, Pose, View
 
 

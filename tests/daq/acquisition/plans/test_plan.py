@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.acquisition.bench.bench_file import digest, load_bench
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import digest
 from daq.acquisition.bench.kinds.stage import idle_stage
 from daq.acquisition.plans.forecast import forecast
 from daq.acquisition.plans.plan import load_plan

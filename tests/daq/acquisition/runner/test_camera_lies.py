@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.acquisition.bench.bench_file import CameraSection
+from daq.acquisition.bench.bench_table import CameraSection
 from daq.acquisition.cameras import waiting
 from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.runner.exposures import Exposures

@@ -5,7 +5,7 @@ The simulated camera prints the number of the trigger into pixel (0, 0), so ever
 
 import pytest
 
-from daq.acquisition.bench.bench_file import CameraSection
+from daq.acquisition.bench.bench_table import CameraSection
 from daq.acquisition.cameras import waiting
 from daq.acquisition.runner.exposures import Exposures
 from sim.camera.config import CameraConfig

@@ -7,13 +7,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from daq.acquisition.bench.bench_file import CameraSection
+from daq.acquisition.bench.bench_table import CameraSection
 from daq.acquisition.cameras.frame import FrameMeta
 from daq.acquisition.runner import exposures as exposures_module
 from daq.acquisition.runner import single_frames as single_frames_module
 from daq.acquisition.runner import streaming as streaming_module
 from daq.acquisition.runner.exposures import Exposures
-from daq.acquisition.runner.trigger_match import Place, Shot, TriggerMatch
+from daq.acquisition.runner.shot import Shot
+from daq.acquisition.runner.trigger_match import Place, TriggerMatch
 from daq.errors import CameraLost, FrameDoubt, FramesLost, SettingsChanged
 from stages.errors import MotionStopped
 from stages.stop_latch import StopLatch
