@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from correction.board import Chessboard
 from correction.evaluate.target_error import TargetError
@@ -107,50 +105,6 @@ class Calibration:
             "table2_corrected_minus_grid_px": {name: error.to_dict() for name, error in self.grids.items()},
             "history": [str(step) for step in fit.history],
         }
-
-    def show(self, screen: Console) -> None:
-        """Say what was found."""
-        screen.print(self._number_table())
-        screen.print(self._error_table())
-        for region, values in self.percentiles.items():
-            screen.print(
-                f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.3f} px"
-            )
-        fit = self.fit
-        if fit.expected_behind:
-            count = int(np.count_nonzero(~fit.corners.inlier))
-            screen.print(
-                f"{fit.paired_behind} of {fit.expected_behind} visible corners behind glass used; {count} outliers"
-                f" of {len(fit.corners.inlier)} corners rejected"
-            )
-        for weakness in self.weak:
-            screen.print(f"weak: {weakness.sentence}")
-
-    def _number_table(self) -> Table:
-        table = Table(title=f"fitted scene {self.fit.measured_scene.content_hash()}; the rest was held fixed")
-        for name in ("free number", "fitted", "sigma", "moved", "prior sigma"):
-            table.add_column(name, justify="left" if name == "free number" else "right")
-        for name, row in self.numbers.items():
-            digits = int(np.clip(1 - np.floor(np.log10(max(row["sigma"], 1e-9))), 0, 9))  # two of the sigma
-            unit = f" [{row['unit']}]" if row["unit"] else ""
-            fitted, known, moved = (f"{row[part]:.{digits}f}" for part in ("value", "sigma", "moved"))
-            table.add_row(f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}")
-        return table
-
-    def _error_table(self) -> Table:
-        table = Table(title="position error of target points [px] (Table 2)")
-        for name in ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest"):
-            table.add_column(name, justify="left" if name in ("sense", "scene", "region") else "right")
-        for name, regions in self.senses.items():
-            for r in regions:
-                bias, rms = (f"{p[0]:+.3f}, {p[1]:+.3f}" for p in (r.bias_px, r.rms_px))
-                rms = rms.replace("+", "")
-                row = (r.region, str(r.corners), bias, rms, f"{r.largest_px:.2f}")
-                table.add_row("computed - acquired", name, *row)
-        for name, error in self.grids.items():
-            for figures in error.rows():
-                table.add_row("corrected - grid", name, *figures)
-        return table
 
 
 def calibration_of(

@@ -19,6 +19,7 @@ from daq.acquisition.runs.whole_text import write_json, write_text
 from daq.analysis.calibration import calibration_of
 from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
 from daq.terminal import console, error_console
+from daq.verbs.show import show_calibration
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_priors, load_scene
@@ -80,7 +81,7 @@ def calibrate(
         draw_residuals(out / "residuals.png", found.panels, nominal.camera.shape)
     write_json(out / "calibration.json", found.to_dict())
     write_text(out / "scene.yaml", dump_scene(fit.measured_scene))
-    found.show(console())
+    show_calibration(console(), found)
     console().print(f"scene.yaml, covariance, map sigma and pictures are in {out}")
     return fit
 

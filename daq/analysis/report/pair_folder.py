@@ -1,0 +1,44 @@
+"""The folder of an evaluated pair: vectors, figures as JSON, and a page, which is written last."""
+
+from importlib.metadata import version
+from typing import Any
+
+from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
+from daq.acquisition.runs.whole_text import write_json
+from daq.analysis.evaluation import Evaluation
+from daq.analysis.report.page import Page
+from daq.analysis.report.pair import pair_chapters, pair_tiles
+from daq.analysis.report.tables import ROUTE_HEAD, SIGMA_HEAD, route_rows, sigma_rows
+
+
+def write_pair(evaluation: Evaluation, vtk: bool) -> None:
+    """Write the folder of a pair, the page last."""
+    task, field, grid = evaluation.task, evaluation.field, evaluation.grid
+    out = task.out
+    out.mkdir(parents=True, exist_ok=True)
+    about = {"scene_hash": task.scene.content_hash(), "frames": ", ".join(path.name for path in task.frames)}
+    about["rtpiv_version"] = version("rtpiv")
+    write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
+    if evaluation.traced is not None:
+        write_traced(out / "vectors_velocity.nc", evaluation.traced, about, task.dt_s)
+    if vtk:
+        write_vtk(out / "vectors.vtk", field, grid, task.dt_s)
+    summary: dict[str, Any] = {
+        **about,
+        "note": task.note,
+        "dt_s": task.dt_s,
+        "no_map_sigma": evaluation.no_map_sigma,
+    }
+    summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels, "doubt": field.doubt}
+    summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
+    if evaluation.shift is not None:
+        summary["shift"] = evaluation.shift.to_dict()
+    if evaluation.routes is not None:
+        summary["routes"] = [dict(zip(ROUTE_HEAD, row, strict=True)) for row in route_rows(evaluation.routes)]
+    write_json(out / "evaluation.json", summary)
+    page = Page("PIV through glass: " + task.name, about["frames"])
+    page.tiles(pair_tiles(evaluation))
+    pair_chapters(page, evaluation)
+    page.heading("Provenance")
+    page.facts([*about.items(), ("bodies", ", ".join(body.name for body in task.scene.bodies) or "none")])
+    page.write(out / "report.html")

@@ -1,0 +1,117 @@
+"""What there is to evaluate: tasks of two frames, or of every pair of a run, with all that they share."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from correction.dewarp import Dewarp
+from correction.errors import PairError
+from correction.fit.scene_sigma import SceneSigma
+from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.bare_target import dewarp_of
+from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.pairs import FramePair, RunPairs, pairs_of
+from daq.acquisition.runs.run_views import is_run, scene_file
+from daq.analysis.evaluation import Task
+from ground.errors import GroundError
+from tracer.errors import TracerError
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+FIT_FILE = "fit.npz"
+IN_PLANE_MM = 0.01  # a sheet moved farther out of its plane shows no uniform displacement
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """Pairs to evaluate.
+
+    Parameters
+    ----------
+    tasks : tuple of Task
+        One a pair.
+    dewarp : Dewarp or None
+        Of the camera, if a bare target was given.
+    sigma : SceneSigma or str
+        Uncertainty of the scene, or why there is none.
+    alone : int
+        Frames of the run whose partner was lost.
+    """
+
+    tasks: tuple[Task, ...]
+    dewarp: Dewarp | None
+    sigma: SceneSigma | str
+    alone: int
+
+
+def tasks_of(
+    paths: list[Path],
+    out: Path,
+    scene: Path | None = None,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
+    shift_mm: tuple[float, float] | None = None,
+) -> Tasks:
+    """Collect what is to be evaluated, and read every frame once: a damaged one is found now, not after an hour.
+
+    Parameters
+    ----------
+    paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm
+        As for the verb `evaluate`.
+
+    Raises
+    ------
+    PairError
+        Neither two frames with a scene nor one run; or the run holds no pair.
+    ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
+        What scene, frames, target or run make impossible.
+    """
+    run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
+    if run is None and (len(paths) != 2 or scene is None):
+        raise PairError("give two frames and --scene, or the folder of a run whose frames form pairs")
+    given = pairs_of(run) if run is not None else RunPairs((), ())
+    if scene is None:
+        scene = scene_file(paths[0], out)
+    fitted = load_scene(scene)
+    board = board_of([*paths, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
+    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+    tasks = [_task(pair, fitted, out) for pair in given.pairs] or [_two_frames(paths, fitted, out, shift_mm)]
+    for path in [path for task in tasks for path in task.frames]:
+        read_acquired(path, fitted.camera.shape)
+    sigma = _scene_sigma(scene, fitted, target_clear is not None)
+    return Tasks(tuple(tasks), dewarp, sigma, len(given.alone))
+
+
+def _two_frames(paths: list[Path], scene: Scene, out: Path, shift_mm: tuple[float, float] | None) -> Task:
+    """Task of two frames."""
+    first, second = paths
+    return Task(f"{first.stem}, {second.stem}", (first, second), scene, out, shift_mm)
+
+
+def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
+    """Task of a pair of a run."""
+    task = Task(
+        pair.tag, pair.frames, scene if pair.glass else scene.with_bodies(()), out / pair.tag, dt_s=pair.dt_s
+    )
+    if pair.measured_mm is None or pair.commanded_mm is None:
+        return task
+    x, y, z = pair.measured_mm
+    task = replace(task, commanded_mm=pair.commanded_mm[:2])
+    if abs(z) > IN_PLANE_MM:
+        return replace(task, note=f"moved by {z:+.3f} mm along z: no one displacement is true for all vectors.")
+    return replace(task, shift_mm=(x, y))
+
+
+def _scene_sigma(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str:
+    """Uncertainty of the scene from the fit beside its file, or why there is none."""
+    if not scene.with_name(FIT_FILE).is_file():
+        return "there is no fit beside the scene; run rtpiv calibrate"
+    if dewarped:
+        return "the fit does not hold for a dewarped camera"
+    try:
+        sigma = SceneSigma.load(scene.with_name(FIT_FILE))
+        sigma.check(fitted)
+    except (GroundError, TracerError) as error:
+        return str(error)
+    return sigma

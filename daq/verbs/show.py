@@ -1,0 +1,77 @@
+"""What a person sees of results: all printing of figures, so that what computes them prints nothing."""
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from daq.analysis.calibration import Calibration
+from daq.analysis.evaluation import Evaluation
+from daq.analysis.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
+
+
+def show_evaluation(screen: Console, evaluation: Evaluation) -> None:
+    """Say how well a pair was measured."""
+    counts = ", ".join(f"{count} {name}" for name, count in evaluation.field.counts.items())
+    screen.print(f"{evaluation.task.name}: {counts}")
+    if evaluation.field.doubt:
+        screen.print(evaluation.field.doubt, style="bold red")
+    tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
+    if evaluation.shift is not None:
+        tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
+    if evaluation.map_sigma is not None:
+        tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
+    if evaluation.routes is not None:
+        tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
+    for title, head, rows in tables:
+        table = Table(title=title)
+        for number, column in enumerate(head):
+            table.add_column(column, justify="right" if number else "left")
+        for row in rows:
+            table.add_row(*row)
+        screen.print(table)
+    screen.print(f"look at {evaluation.task.out / 'report.html'}")
+
+
+def show_calibration(screen: Console, found: Calibration) -> None:
+    """Say what a fit has found, and what the frames left open."""
+    screen.print(_number_table(found))
+    screen.print(_error_table(found))
+    for region, values in found.percentiles.items():
+        screen.print(f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.3f} px")
+    fit = found.fit
+    if fit.expected_behind:
+        count = int(np.count_nonzero(~fit.corners.inlier))
+        screen.print(
+            f"{fit.paired_behind} of {fit.expected_behind} visible corners behind glass used; {count} outliers"
+            f" of {len(fit.corners.inlier)} corners rejected"
+        )
+    for weakness in found.weak:
+        screen.print(f"weak: {weakness.sentence}")
+
+
+def _number_table(found: Calibration) -> Table:
+    table = Table(title=f"fitted scene {found.fit.measured_scene.content_hash()}; the rest was held fixed")
+    for name in ("free number", "fitted", "sigma", "moved", "prior sigma"):
+        table.add_column(name, justify="left" if name == "free number" else "right")
+    for name, row in found.numbers.items():
+        digits = int(np.clip(1 - np.floor(np.log10(max(row["sigma"], 1e-9))), 0, 9))  # two of the sigma
+        unit = f" [{row['unit']}]" if row["unit"] else ""
+        fitted, known, moved = (f"{row[part]:.{digits}f}" for part in ("value", "sigma", "moved"))
+        table.add_row(f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}")
+    return table
+
+
+def _error_table(found: Calibration) -> Table:
+    table = Table(title="position error of target points [px] (Table 2)")
+    for name in ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest"):
+        table.add_column(name, justify="left" if name in ("sense", "scene", "region") else "right")
+    for name, regions in found.senses.items():
+        for r in regions:
+            bias, rms = (f"{p[0]:+.3f}, {p[1]:+.3f}" for p in (r.bias_px, r.rms_px))
+            rms = rms.replace("+", "")
+            row = (r.region, str(r.corners), bias, rms, f"{r.largest_px:.2f}")
+            table.add_row("computed - acquired", name, *row)
+    for name, error in found.grids.items():
+        for figures in error.rows():
+            table.add_row("corrected - grid", name, *figures)
+    return table
