@@ -93,6 +93,8 @@ class BenchSession:
         ------
         StageUsageError
             Out of limits, obstructed, or not homed; nothing has moved.
+        RunUsageError
+            No axis is named, or a position is no finite number.
         MotionStopped
             A stop holds the bench, or came while it moved.
         """

@@ -172,12 +172,13 @@ class AravisCamera:
             self._packets_per_frame = _packets_per_frame(nodes, size)
             self._counts_triggers = count_missed_triggers(nodes)
             self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
+            ring = FrameRing(buffers, pixels)
             self._memory = [np.empty(size, np.uint8) for _ in range(buffers)]
             ready = [call("arv_buffer_new", size, memory.ctypes.data) for memory in self._memory]
             self._stream = call("arv_device_create_stream", self._device, None, None)
         for buffer in ready:  # at once: a frame that was under way may come from now on
             call("arv_stream_push_buffer", self._stream, buffer)
-        self._ring = FrameRing(buffers, pixels)
+        self._ring = ring
         self._free = deque(range(buffers))
         self._ids = IdTracker(16)
         self._delivered = self._incomplete = self._unused = 0

@@ -1,6 +1,7 @@
 """Waiting for a frame, the same for every backend: first for the frame, then for a sign of life."""
 
 import time
+from contextlib import suppress
 
 from daq.acquisition.cameras.camera import Camera
 from daq.acquisition.cameras.frame import Frame
@@ -35,7 +36,8 @@ def wait_for_frame(camera: Camera, timeout_s: float) -> Frame:
         if time.monotonic() >= deadline_s:
             break
     camera.probe(probe_s(timeout_s))
-    frame = camera.poll(0.0)  # the probe may have let a late one through
-    if frame is not None:
-        return frame
+    with suppress(FrameIncomplete):
+        frame = camera.poll(0.0)  # the probe may have let a late one through
+        if frame is not None:
+            return frame
     raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
