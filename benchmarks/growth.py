@@ -36,11 +36,7 @@ def core_ms(task: Callable[[], Any]) -> float:
 
 def with_pixels(scene: Scene, factor: float) -> Scene:
     """The same view on a sensor with `factor` times the pixels each way."""
-    camera = scene.camera
-    width, height = (max(8, round(size * factor)) for size in camera.sensor_px)
-    principal = ((width - 1) / 2.0, (height - 1) / 2.0)
-    small = replace(camera, focal_px=camera.focal_px * factor, sensor_px=(width, height), principal_px=principal)
-    return scene.with_camera(small)
+    return scene.with_camera(scene.camera.with_width(max(8, round(scene.camera.sensor_px[0] * factor))))
 
 
 def over_pixels(scene: Scene) -> list[dict[str, float]]:

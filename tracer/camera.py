@@ -17,7 +17,7 @@ Thin lens: a lens of focal length f focused on a plane at distance L has its ima
 d_i = 1/(1/f - 1/L), hence focal_px = d_i / pixel pitch, and the scale on the plane is f/(L - f) / pitch.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,6 +94,13 @@ class Camera:
         entries = np.all(np.abs(matrix) < 2.0)  # before they are squared
         if not entries or not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-9) or np.linalg.det(matrix) < 0.0:
             raise SceneError("the camera's rotation must be orthonormal and right-handed")
+
+    def with_width(self, width_px: int) -> "Camera":
+        """Return the same view on a sensor of so many pixels across: larger or smaller pixels, the same field."""
+        ratio = width_px / self.sensor_px[0]
+        u, v = ((c + 0.5) * ratio - 0.5 for c in self.principal_px)
+        size_px = (width_px, max(1, round(self.sensor_px[1] * ratio)))
+        return replace(self, focal_px=self.focal_px * ratio, principal_px=(u, v), sensor_px=size_px)
 
     @property
     def shape(self) -> tuple[int, int]:

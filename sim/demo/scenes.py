@@ -87,13 +87,7 @@ def named_scene(name: str) -> Scene:
 
 def at_size(scene: Scene, size_px: int) -> Scene:
     """Return the scene seen with `size_px` pixels across: same field of view, larger or smaller pixels."""
-    camera = scene.camera
-    ratio = size_px / camera.sensor_px[0]
-    height_px = round(camera.sensor_px[1] * ratio)
-    u, v = ((c + 0.5) * ratio - 0.5 for c in camera.principal_px)
-    return scene.with_camera(
-        replace(camera, focal_px=camera.focal_px * ratio, principal_px=(u, v), sensor_px=(size_px, height_px))
-    )
+    return scene.with_camera(scene.camera.with_width(size_px))
 
 
 def misaligned(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:

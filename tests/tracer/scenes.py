@@ -49,9 +49,7 @@ def camera_at(
 
 def shrunk(camera: Camera, factor: float) -> Camera:
     """The same view on a sensor with `factor` times fewer pixels each way."""
-    width, height = (int(n / factor) for n in camera.sensor_px)
-    principal = ((width - 1) / 2.0, (height - 1) / 2.0)
-    return replace(camera, focal_px=camera.focal_px / factor, sensor_px=(width, height), principal_px=principal)
+    return camera.with_width(int(camera.sensor_px[0] / factor))
 
 
 @cache
