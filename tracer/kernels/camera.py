@@ -15,6 +15,20 @@ K1, K2, K3, P1, P2 = range(15, 20)
 
 
 @kernel_inlined
+def axes_of(camera: Array) -> tuple[float, ...]:
+    """The camera's axes in the world: right x, y, z, down x, y, z, ahead x, y, z."""
+    right = camera[RIGHT_X], camera[RIGHT_Y], camera[RIGHT_Z]
+    down = camera[DOWN_X], camera[DOWN_Y], camera[DOWN_Z]
+    return (*right, *down, camera[AHEAD_X], camera[AHEAD_Y], camera[AHEAD_Z])
+
+
+@kernel_inlined
+def lens_of(camera: Array) -> tuple[float, ...]:
+    """Terms of the lens: k1, k2, k3, p1, p2."""
+    return camera[K1], camera[K2], camera[K3], camera[P1], camera[P2]
+
+
+@kernel_inlined
 def undistorted(
     x: float, y: float, k1: float, k2: float, k3: float, p1: float, p2: float
 ) -> tuple[float, float, float, float]:
@@ -32,7 +46,7 @@ def ideal_xy(u: float, v: float, camera: Array) -> tuple[float, ...]:
     """Ideal image coordinates x, y in units of the focal length, and their derivatives by u and v."""
     focal = camera[FOCAL]
     x, y = (u - camera[CENTRE_U]) / focal, (v - camera[CENTRE_V]) / focal
-    k1, k2, k3, p1, p2 = camera[K1], camera[K2], camera[K3], camera[P1], camera[P2]
+    k1, k2, k3, p1, p2 = lens_of(camera)
     if k1 == 0.0 and k2 == 0.0 and k3 == 0.0 and p1 == 0.0 and p2 == 0.0:
         return x, y, 1.0 / focal, 0.0, 0.0, 1.0 / focal
     ideal_x, ideal_y, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
@@ -46,7 +60,7 @@ def ideal_xy(u: float, v: float, camera: Array) -> tuple[float, ...]:
 def ideal_row(row: int, camera: Array, x: Array, y: Array) -> None:
     """Ideal image coordinates x, y (W,) of all pixels of a row, in units of the focal length."""
     focal, centre, level = camera[FOCAL], camera[CENTRE_U], (row - camera[CENTRE_V]) / camera[FOCAL]
-    k1, k2, k3, p1, p2 = camera[K1], camera[K2], camera[K3], camera[P1], camera[P2]
+    k1, k2, k3, p1, p2 = lens_of(camera)
     for i in range(x.shape[0]):
         a, b, _, _ = undistorted((i - centre) / focal, level, k1, k2, k3, p1, p2)
         x[i], y[i] = a, b

@@ -51,6 +51,7 @@ from tracer.kernels.camera import (
     RIGHT_X,
     RIGHT_Y,
     RIGHT_Z,
+    axes_of,
     ideal_row,
 )
 
@@ -76,15 +77,7 @@ def whole_vectors(count: int) -> int:
 def begin_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
     """Put the rays of a span with ideal image coordinates x, y (n,) into the block, n <= LANES."""
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    c3, c4, c5, c6, c7, c8 = (
-        camera[RIGHT_X],
-        camera[RIGHT_Y],
-        camera[RIGHT_Z],
-        camera[DOWN_X],
-        camera[DOWN_Y],
-        camera[DOWN_Z],
-    )
-    c9, c10, c11 = camera[AHEAD_X], camera[AHEAD_Y], camera[AHEAD_Z]
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     for i in range(x.shape[0]):
         dx = c3 * x[i] + c6 * y[i] + c9
         dy = c4 * x[i] + c7 * y[i] + c10

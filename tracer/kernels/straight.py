@@ -8,18 +8,10 @@ import math
 
 from ground.jit import Array, kernel
 from tracer.kernels.camera import (
-    AHEAD_X,
-    AHEAD_Y,
-    AHEAD_Z,
-    DOWN_X,
-    DOWN_Y,
-    DOWN_Z,
     EYE_X,
     EYE_Y,
     EYE_Z,
-    RIGHT_X,
-    RIGHT_Y,
-    RIGHT_Z,
+    axes_of,
 )
 from tracer.kernels.chain import COS_I, COS_T, DX, DY, DZ, IQ, NEAR, PICK, PX, PY, PZ, QQ, foot_of
 
@@ -28,15 +20,7 @@ from tracer.kernels.chain import COS_I, COS_T, DX, DY, DZ, IQ, NEAR, PICK, PX, P
 def direct_block(x: Array, y: Array, camera: Array, rays: Array, trips: Array) -> None:
     """Trace a block (n,) that no glass touches."""
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    c3, c4, c5, c6, c7, c8 = (
-        camera[RIGHT_X],
-        camera[RIGHT_Y],
-        camera[RIGHT_Z],
-        camera[DOWN_X],
-        camera[DOWN_Y],
-        camera[DOWN_Z],
-    )
-    c9, c10, c11 = camera[AHEAD_X], camera[AHEAD_Y], camera[AHEAD_Z]
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     for i in range(x.shape[0]):
         dx = c3 * x[i] + c6 * y[i] + c9
         dy = c4 * x[i] + c7 * y[i] + c10
@@ -58,15 +42,7 @@ def lone_block(x: Array, y: Array, camera: Array, balls: Array, rays: Array, tri
     """
     count = x.shape[0]
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
-    c3, c4, c5, c6, c7, c8 = (
-        camera[RIGHT_X],
-        camera[RIGHT_Y],
-        camera[RIGHT_Z],
-        camera[DOWN_X],
-        camera[DOWN_Y],
-        camera[DOWN_Z],
-    )
-    c9, c10, c11 = camera[AHEAD_X], camera[AHEAD_Y], camera[AHEAD_Z]
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     cx, cy, cz, r2, ir2, kt = balls[0, 0], balls[0, 1], balls[0, 2], balls[0, 3], balls[0, 4], balls[0, 5]
     nu, gk, ir = balls[0, 6], balls[0, 7], balls[0, 8]
     wx, wy, wz = ox - cx, oy - cy, oz - cz

@@ -12,7 +12,17 @@ from correction.inversion.kernels.inverse import Tables
 from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
 from ground.jit import Array, kernel, unowned
 from tracer.kernels.branches import NOTHING
-from tracer.kernels.camera import undistorted
+from tracer.kernels.camera import (
+    CENTRE_U,
+    CENTRE_V,
+    EYE_X,
+    EYE_Y,
+    EYE_Z,
+    FOCAL,
+    axes_of,
+    lens_of,
+    undistorted,
+)
 from tracer.kernels.chain import (
     LANES,
     PICK,
@@ -83,9 +93,9 @@ def hide_nodes(
                     dx, dy = x[i], -y[i]
                     unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
                     dx, dy, dz = dx * unit, dy * unit, -unit
-                    body = next_body(camera[0], camera[1], camera[2], dx, dy, dz, NOTHING, world)
+                    body = next_body(camera[EYE_X], camera[EYE_Y], camera[EYE_Z], dx, dy, dz, NOTHING, world)
                     if body != NOTHING:
-                        opaque = stops(camera[0], camera[1], camera[2], dx, dy, dz, body, world)
+                        opaque = stops(camera[EYE_X], camera[EYE_Y], camera[EYE_Z], dx, dy, dz, body, world)
                         hidden[i] = BEHIND_BODY if opaque else BEHIND_GLASS
             low = high
 
@@ -124,7 +134,7 @@ def direct_rows(
     nan, nan32, none = math.nan, np.float32(math.nan), np.float32(0.0)
     for row in range(first, last):
         hide_nodes(row, place, tables, discs, lockstep, x, y, spans, rays, trips, hidden)
-        wy = grid[1] - row * grid[2] - camera[1]
+        wy = grid[1] - row * grid[2] - camera[EYE_Y]
         if not flat:
             acquire_row(wy, grid, camera, rays, lens)
         place_pixels(wy, flat, grid, size, camera, lens, hidden, pixel[0, row], status[row])
@@ -158,9 +168,9 @@ def place_pixels(
     This and the next ones are loops of their own because each touches few arrays: the compiler vectorises only
     what it can prove disjoint by a handful of tests.
     """
-    px, pz, x0, pitch, right, bottom = camera[0], camera[2], grid[0], grid[2], size[0] - 1.0, size[1] - 1.0
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11, focal, u0, v0 = camera[9], camera[10], camera[11], camera[12], camera[13], camera[14]
+    px, pz, x0, pitch, right, bottom = camera[EYE_X], camera[EYE_Z], grid[0], grid[2], size[0] - 1.0, size[1] - 1.0
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
+    focal, u0, v0 = camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
     lens_u, lens_v = lens[0], lens[1]
     for i in range(status.shape[0]):
         wx = x0 + i * pitch - px
@@ -184,9 +194,8 @@ def place_pixels(
 @kernel
 def place_jacobians(wy: float, grid: Array, camera: Array, pixel: Array, jacobian: Array) -> None:
     """Jacobians (4 w,) of the ideal camera for a row of nodes; NaN where there is no pixel."""
-    px, pz, x0, pitch, focal = camera[0], camera[2], grid[0], grid[2], camera[12]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11 = camera[9], camera[10], camera[11]
+    px, pz, x0, pitch, focal = camera[EYE_X], camera[EYE_Z], grid[0], grid[2], camera[FOCAL]
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
     for i in range(pixel.shape[0] // 2):
         wx = x0 + i * pitch - px
         inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
@@ -224,11 +233,10 @@ def place_weights(pixel: Array, jacobian: Array, weight: Array, transmittance: A
 @kernel
 def acquire_block(first: int, count: int, wy: float, grid: Array, camera: Array, b: Array) -> None:
     """Acquired image coordinates and their derivatives by ideal ones, for one block; see `acquire_row`."""
-    px, pz, x0, pitch = camera[0], camera[2], grid[0], grid[2]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11 = camera[9], camera[10], camera[11]
-    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
-    settled = SETTLED_PX / camera[12]
+    px, pz, x0, pitch = camera[EYE_X], camera[EYE_Z], grid[0], grid[2]
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
+    k1, k2, k3, p1, p2 = lens_of(camera)
+    settled = SETTLED_PX / camera[FOCAL]
     for i in range(count):
         wx = x0 + (first + i) * pitch - px
         inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
@@ -265,7 +273,7 @@ def acquire_row(wy: float, grid: Array, camera: Array, block: Array, lens: Array
     NaN where the lens formula does not settle.  A node that has settled stays while others go on.  ``block`` is
     scratch (RAY_NUMBERS,).
     """
-    focal, u0, v0 = camera[12], camera[13], camera[14]
+    focal, u0, v0 = camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
     width = lens.shape[1]
     for low in range(0, width, LANES):
         count = min(LANES, width - low)

@@ -17,8 +17,29 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 import math
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.camera import undistorted, unit_tangent
-from tracer.kernels.sphere import foot, foot_tangent, turned, turned_tangent
+from tracer.kernels.camera import (
+    CENTRE_U,
+    CENTRE_V,
+    EYE_X,
+    EYE_Y,
+    EYE_Z,
+    FOCAL,
+    axes_of,
+    lens_of,
+    undistorted,
+    unit_tangent,
+)
+from tracer.kernels.sphere import (
+    CENTRE_X,
+    CENTRE_Y,
+    CENTRE_Z,
+    INDEX,
+    RADIUS,
+    foot,
+    foot_tangent,
+    turned,
+    turned_tangent,
+)
 
 GROUP = 64  # nodes of a block: 27 columns of them fit the first-level cache
 STEP = GROUP + 8
@@ -39,10 +60,10 @@ unit_tangent_inlined = kernel_inlined(unit_tangent.py_func)  # type: ignore[attr
 @kernel
 def aim(count: int, camera: Array, b: Array) -> None:
     """Rays of the pixels u, v with their derivatives."""
-    ox, oy, oz = camera[0], camera[1], camera[2]
-    c3, c4, c5, c6, c7, c8 = camera[3], camera[4], camera[5], camera[6], camera[7], camera[8]
-    c9, c10, c11, scale, u0, v0 = camera[9], camera[10], camera[11], 1.0 / camera[12], camera[13], camera[14]
-    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
+    c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
+    scale, u0, v0 = 1.0 / camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
+    k1, k2, k3, p1, p2 = lens_of(camera)
     for i in range(count):
         x, y = (b[U + i] - u0) * scale, (b[V + i] - v0) * scale
         a, e, radial, slope = undistorted(x, y, k1, k2, k3, p1, p2)
@@ -165,6 +186,14 @@ def solve_block(
         aim(count, camera, b)
         for e in range(sequence.shape[0]):
             k = sequence[e]
-            cross(count, spheres[k, 0], spheres[k, 1], spheres[k, 2], spheres[k, 3], spheres[k, 4], b)
+            cross(
+                count,
+                spheres[k, CENTRE_X],
+                spheres[k, CENTRE_Y],
+                spheres[k, CENTRE_Z],
+                spheres[k, RADIUS],
+                spheres[k, INDEX],
+                b,
+            )
         if step_pixels(count, sign, b, state) == 0:
             break

@@ -34,7 +34,7 @@ from correction.inversion.kernels.newton import (
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
 from correction.resample.kernels.bspline import INDEX
 from ground.jit import Array, kernel, kernel_inlined, unowned
-from tracer.kernels.camera import undistorted
+from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistorted
 from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED as TRACED
@@ -174,8 +174,8 @@ def verify(
     b: Array,
 ) -> None:
     """Trips that the pixels u, v of a block really take, all bodies asked."""
-    scale, u0, v0 = 1.0 / camera[12], camera[13], camera[14]
-    k1, k2, k3, p1, p2 = camera[15], camera[16], camera[17], camera[18], camera[19]
+    scale, u0, v0 = 1.0 / camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
+    k1, k2, k3, p1, p2 = lens_of(camera)
     x, y = xy[0], xy[1]
     for i in range(count):
         a, e, _, _ = undistorted((b[U + i] - u0) * scale, (b[V + i] - v0) * scale, k1, k2, k3, p1, p2)
