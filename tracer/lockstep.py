@@ -11,7 +11,7 @@ A camera that looks straight down on x = 0 (or y = 0) at bodies that are their o
 that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.mirror``).
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,8 @@ from tracer.kernels.chain import (
     TRIP_NUMBERS,
     VECTOR,
 )
-from tracer.kernels.sensor import sensor_rows
+from tracer.kernels.mirror import Mirrors
+from tracer.kernels.sensor import RowScratch, sensor_rows
 from tracer.kernels.sphere import SOLID
 from tracer.scene import Scene
 from tracer.trace import pack_camera, trace
@@ -67,22 +68,15 @@ def trace_lockstep(
     point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
-        arrays = [*row_scratch(width, len(balls)), unknown, point, status, branch]
-        sensor_rows(camera, balls, flat, paired, skips, *mirrors, first, last, *arrays)
+        scratch = row_scratch(width, len(balls))
+        sensor_rows(
+            camera, balls, flat, paired, skips, mirrors, first, last, scratch, unknown, point, status, branch
+        )
 
     run_rows(work, (height + 1) // 2 if mirrors.in_y else height)
     branches = chain_branches(scene)
     name_unknown(scene, np.nonzero(unknown)[0], branches, plane, status, branch)
     return tuple(branches)
-
-
-class Mirrors(NamedTuple):
-    """Mirror images that a scene is of itself, and which branch number becomes which."""
-
-    in_x: bool
-    in_y: bool
-    swap_x: NDArray[np.int64]
-    swap_y: NDArray[np.int64]
 
 
 NO_MIRRORS = Mirrors(False, False, np.empty(0, np.int64), np.empty(0, np.int64))
@@ -103,16 +97,11 @@ def find_mirrors(scene: Scene) -> Mirrors:
     return Mirrors(there[0], there[1], swap_x, swap_y)
 
 
-def row_scratch(width: int, bodies: int) -> tuple[NDArray[Any], ...]:
-    """Scratch of the kernels in ``tracer.kernels.sensor``: x, y, spans, wanted, rays, trips."""
+def row_scratch(width: int, bodies: int) -> RowScratch:
+    """Memory of one thread for the kernels in ``tracer.kernels.sensor``."""
     spans, wanted = np.empty((3 * bodies + 1, 2), np.int64), np.empty(bodies, np.int64)
-    return (
-        _aligned(width + VECTOR, np.float64),
-        _aligned(width + VECTOR, np.float64),
-        spans,
-        wanted,
-        *block_scratch(),
-    )
+    x, y = _aligned(width + VECTOR, np.float64), _aligned(width + VECTOR, np.float64)
+    return RowScratch(x, y, spans, wanted, *block_scratch())
 
 
 def name_unknown(

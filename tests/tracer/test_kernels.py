@@ -112,9 +112,7 @@ def test_rows_of_the_sensor_compiled_and_interpreted(name: str) -> None:
         point, status = np.empty((24, 48)), np.empty((24, 24), np.uint8)
         outputs = np.empty(24, np.int64), point, status, np.empty((24, 24), np.uint16)
         with np.errstate(over="ignore"):  # NumPy warns where the branch number of an unknown way wraps
-            kernel(
-                camera, balls, True, True, 3, *find_mirrors(where), 0, 12, *row_scratch(24, len(balls)), *outputs
-            )
+            kernel(camera, balls, True, True, 3, find_mirrors(where), 0, 12, row_scratch(24, len(balls)), *outputs)
         outcomes.append(outputs)
     for one, other in zip(*outcomes, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)

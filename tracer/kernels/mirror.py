@@ -6,7 +6,18 @@ y -> -y and rows.  Bodies may change places: ``swap`` (2^N + 1,) int64 says whic
 last one for UNKNOWN; empty: all stay.
 """
 
+from typing import NamedTuple
+
 from ground.jit import Array, kernel
+
+
+class Mirrors(NamedTuple):
+    """Mirror images that a scene is of itself, and which branch number becomes which."""
+
+    in_x: bool
+    in_y: bool
+    swap_x: Array
+    swap_y: Array
 
 
 @kernel

@@ -10,6 +10,8 @@ Of scenes that are their own mirror image half or a quarter is traced, the rest 
 Every pixel has the same bits whatever block it stands in: all loops that calculate run over whole vectors.
 """
 
+from typing import NamedTuple
+
 from ground.jit import Array, kernel, unowned
 from tracer.kernels.branches import UNKNOWN, branch_number
 from tracer.kernels.camera import CENTRE_U, FOCAL
@@ -27,9 +29,20 @@ from tracer.kernels.chain import (
     place_row,
     whole_vectors,
 )
-from tracer.kernels.mirror import mirror_left_right, mirror_up_down
+from tracer.kernels.mirror import Mirrors, mirror_left_right, mirror_up_down
 from tracer.kernels.straight import direct_block, land_block, lone_block
 from tracer.kernels.world import MISSED_PLANE, RECOVERED
+
+
+class RowScratch(NamedTuple):
+    """Memory of one thread: ``x``, ``y`` (W + VECTOR,), ``spans`` (3 N + 1, 2), ``wanted`` (N,), a block's."""
+
+    x: Array
+    y: Array
+    spans: Array
+    wanted: Array
+    rays: Array
+    trips: Array
 
 
 @kernel
@@ -124,45 +137,30 @@ def sensor_rows(
     flat: bool,
     paired: bool,
     skips: int,
-    mirror_x: bool,
-    mirror_y: bool,
-    swap_x: Array,
-    swap_y: Array,
+    mirrors: Mirrors,
     first: int,
     last: int,
-    x: Array,
-    y: Array,
-    spans: Array,
-    wanted: Array,
-    rays: Array,
-    trips: Array,
+    scratch: RowScratch,
     unknown: Array,
     point: Array,
     status: Array,
     branch: Array,
 ) -> None:
-    """Trace rows first..last-1, and with `mirror_y` write those they are the mirror image of as well.
+    """Trace rows first..last-1, and with ``mirrors.in_y`` write those they are the mirror image of as well.
 
-    Scratch: ``x``, ``y`` (W + VECTOR,), ``spans`` (2 N + 1, 2) and ``wanted`` (N,) int64, ``rays``, ``trips``.
     Outputs: ``unknown`` (H,) int64, pixels a row without a branch number, ``point`` (H, 2 W), ``status`` and
     ``branch`` (H, W).
     """
-    camera, balls, x, y, spans, wanted = (
-        unowned(camera),
-        unowned(balls),
-        unowned(x),
-        unowned(y),
-        unowned(spans),
-        unowned(wanted),
+    camera, balls = unowned(camera), unowned(balls)
+    x, y, spans, wanted = unowned(scratch.x), unowned(scratch.y), unowned(scratch.spans), unowned(scratch.wanted)
+    rays, trips = unowned(scratch.rays), unowned(scratch.trips)
+    point, status, branch = unowned(point), unowned(status), unowned(branch)
+    mirror_x, mirror_y, swap_x, swap_y = (
+        mirrors.in_x,
+        mirrors.in_y,
+        unowned(mirrors.swap_x),
+        unowned(mirrors.swap_y),
     )
-    rays, trips, point, status, branch = (
-        unowned(rays),
-        unowned(trips),
-        unowned(point),
-        unowned(status),
-        unowned(branch),
-    )
-    swap_x, swap_y = unowned(swap_x), unowned(swap_y)
     height, width = status.shape
     bodies = balls.shape[0]
     flat_columns(flat, camera, x)
