@@ -96,15 +96,38 @@ def correlate_windows(
     threads : int, optional
         Threads to use.
     """
-    ny, nx = grid.shape
+    size, least = grid.size_px, least_valid(grid, min_valid)
+    found, count = _correlated(pair, grid, np.ones(grid.shape, bool), least, with_ratio, threads)
+    shaped, count = found.reshape(*grid.shape, 4), count.reshape(grid.shape)
+    return Measured(shaped[..., :2], shaped[..., 2], shaped[..., 3], count / size**2, count >= least)
+
+
+def peak_ratios(
+    pair: DeformedPair, grid: WindowGrid, which: NDArray[np.bool_], min_valid: float, threads: int | None = None
+) -> NDArray[np.float64]:
+    """Highest over second highest peak (ny, nx) of the windows asked for; NaN of the others."""
+    ratios = np.full(grid.shape, np.nan)
+    found, _ = _correlated(pair, grid, which, least_valid(grid, min_valid), True, threads)
+    ratios[which] = found[:, 3]
+    return ratios
+
+
+def _correlated(
+    pair: DeformedPair,
+    grid: WindowGrid,
+    which: NDArray[np.bool_],
+    least: int,
+    with_ratio: bool,
+    threads: int | None,
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Rows of `find_peaks` (N, 4) and valid pixels (N,) of the windows asked for, in the order of the grid."""
     size = grid.size_px
     chunk = PAIRS if _power_of_two(size) else max(1, CHUNK_BYTES // (4 * size * size))
     rows, columns = (
-        np.ascontiguousarray(grid_.ravel()) for grid_ in np.meshgrid(grid.row, grid.column, indexing="ij")
+        np.ascontiguousarray(places[which]) for places in np.meshgrid(grid.row, grid.column, indexing="ij")
     )
-    count, energy = np.zeros(ny * nx, np.int64), np.zeros(ny * nx)
-    found = np.empty((ny * nx, 4))
-    least = least_valid(grid, min_valid)
+    windows = len(rows)
+    count, energy, found = np.zeros(windows, np.int64), np.zeros(windows), np.empty((windows, 4))
 
     def some(first: int, last: int) -> None:
         a, b, planes = np.empty((3, chunk, size, size), np.float32)
@@ -120,12 +143,5 @@ def correlate_windows(
             find_peaks(planes[:n], a[:n], b[:n], energy[here], with_ratio, scratch, found[here])
 
     # Several chunks a call: memory is handed out once for all of them.
-    run_rows(some, ny * nx, block=8 * chunk, threads=threads)
-    shaped = found.reshape(ny, nx, 4)
-    return Measured(
-        shaped[..., :2],
-        shaped[..., 2],
-        shaped[..., 3],
-        (count / size**2).reshape(ny, nx),
-        (count >= least).reshape(ny, nx),
-    )
+    run_rows(some, windows, block=8 * chunk, threads=threads)
+    return found, count

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import PairError
-from correction.evaluate.correlate import Measured, correlate_windows
+from correction.evaluate.correlate import Measured, correlate_windows, peak_ratios
 from correction.evaluate.deform import DeformedPair, deform_pair
+from correction.evaluate.evidence import proven, unproven
 from correction.evaluate.outliers import filled, outliers, smoothed
 from correction.evaluate.uncertainty import correlation_statistics, pass_gain
 from correction.evaluate.vector_field import VectorField, VectorFlag
@@ -131,7 +132,7 @@ def evaluate_pair(
         last = number == len(grids) - 1
         measured = correlate_windows(deformed, grid, settings.min_valid, last, threads)
         vectors = predictor + measured.shift_px
-        good = _accepted(vectors, measured, settings)
+        good = _accepted(vectors, measured, deformed, grid, settings, threads)
         if not last:
             predictor = smoothed(vectors, good, settings.smoothing_steps)
     sigma = np.full(vectors.shape, np.nan)
@@ -139,6 +140,7 @@ def evaluate_pair(
         repeats = sum(1 for earlier in grids if earlier.size_px == grid.size_px)
         gain = pass_gain(grid.size_px, grid.step_px, settings.smoothing_steps, repeats)
         sigma = correlation_statistics(deformed, grid, settings.min_valid, gain, threads)
+        good = _judged(good & ~unproven(measured.peak_ratio, sigma), measured, settings)
     return _field(vectors, good, measured, sigma, grid, pair.nan_pixels)
 
 
@@ -184,10 +186,28 @@ def _moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -
     return interpolated(along_u, 0, source.y_px, target.y_px, source.step_px)
 
 
-def _accepted(vectors: NDArray[np.float64], measured: Measured, settings: PivSettings) -> NDArray[np.bool_]:
-    """Vectors that were measured and fit their neighbours."""
+def _accepted(
+    vectors: NDArray[np.float64],
+    measured: Measured,
+    deformed: DeformedPair,
+    grid: WindowGrid,
+    settings: PivSettings,
+    threads: int | None,
+) -> NDArray[np.bool_]:
+    """Vectors that were measured and fit their neighbours, or are proven by their own peak."""
     candidates: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=-1)
-    good = candidates & ~outliers(vectors, candidates, settings.outlier_threshold, settings.outlier_epsilon_px)
+    suspects = outliers(vectors, candidates, settings.outlier_threshold, settings.outlier_epsilon_px)
+    good = candidates & ~suspects
+    if suspects.any():
+        ratio = measured.peak_ratio
+        if np.isnan(ratio[suspects]).all():  # not the last pass, which knows all of them
+            ratio = peak_ratios(deformed, grid, suspects, settings.min_valid, threads)
+        good |= proven(vectors, candidates, suspects, ratio, grid.size_px)
+    return _judged(good, measured, settings)
+
+
+def _judged(good: NDArray[np.bool_], measured: Measured, settings: PivSettings) -> NDArray[np.bool_]:
+    """Return `good`; PairError if nothing is."""
     if not good.any():
         if measured.dense.any():
             raise PairError(

@@ -1,0 +1,57 @@
+"""What the correlation of a window says for or against its vector, whatever the neighbours say.
+
+**For.** At 50 % overlap a wave of two windows has four nodes. The median of 5 x 5 neighbours on a crest is zero
+and they hardly deviate from it, so the test of `outliers` rejects every crest, however clear its peak; the gap is
+filled by a plane, and the wave is gone from the predictor of all later passes. A wrong vector has another origin:
+its peak is one of many of about the same height, and it points anywhere within the window. So a rejected vector
+is kept if its peak stands out (`PROVEN` times the second one) and if it lies no farther than a tenth of a window
+from the median of its 3 x 3 neighbours, where chance would put one in thirty. Only what was rejected is asked for
+its second peak: a field without suspects pays nothing.
+
+**Against.** Two frames that are no pair have vectors that support each other by chance. A peak that hardly stands
+out (`WEAK`) and whose correlation statistics make no sense (no sigma) is no measurement. Right vectors show both
+only where there is next to nothing in the window.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+PROVEN, WEAK = 2.0, 1.5  # highest peak over the second one
+REACH = 0.1  # of the window's side
+
+
+def proven(
+    vectors: NDArray[np.float64],
+    candidates: NDArray[np.bool_],
+    suspects: NDArray[np.bool_],
+    peak_ratio: NDArray[np.float64],
+    window_px: int,
+) -> NDArray[np.bool_]:
+    """Which suspects their own peak acquits.
+
+    Parameters
+    ----------
+    vectors : ndarray of float64, shape (ny, nx, 2)
+        Displacements [px].
+    candidates, suspects : ndarray of bool, shape (ny, nx)
+        Vectors that were measured, and those of them that their neighbours contradict.
+    peak_ratio : ndarray of float64, shape (ny, nx)
+        Highest peak over the second one, at least of the suspects.
+    window_px : int
+        Side of the windows.
+    """
+    clear = suspects & (peak_ratio > PROVEN)
+    rows, columns = np.nonzero(clear)
+    if not len(rows):
+        return clear
+    known = np.full((vectors.shape[0] + 2, vectors.shape[1] + 2, 2), np.nan)
+    known[1:-1, 1:-1][candidates] = vectors[candidates]
+    around = np.stack([known[rows + i, columns + j] for i in range(3) for j in range(3)])
+    off_px = np.linalg.norm(vectors[rows, columns] - np.nanmedian(around, axis=0), axis=-1)
+    clear[rows, columns] = off_px <= REACH * window_px
+    return clear
+
+
+def unproven(peak_ratio: NDArray[np.float64], sigma_px: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Vectors (ny, nx) with a weak peak and no uncertainty (ny, nx, 2): nothing was measured there."""
+    return np.asarray((peak_ratio < WEAK) & np.isnan(sigma_px).any(axis=-1))
