@@ -15,11 +15,11 @@ from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import TargetView, is_run, load_kept, target_views
-from daq.acquisition.runs.whole_text import write_json, write_text
 from daq.analysis.calibration import calibration_of
 from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
 from daq.terminal import console, error_console
 from daq.verbs.show import show_calibration
+from daq.whole_text import write_json, write_text
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_priors, load_scene

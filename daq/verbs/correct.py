@@ -20,10 +20,10 @@ from correction.resample.sample import Method
 from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
-from daq.acquisition.runs.whole_text import write_json
 from daq.analysis.pictures.overview import draw_overview
 from daq.analysis.pictures.seen import seen
 from daq.terminal import console, progress
+from daq.whole_text import write_json
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 

@@ -21,8 +21,8 @@ from correction.prepared import PreparedCorrection, prepare
 from correction.resample.sample import Method
 from daq.acquisition.pipeline.priority import lower_priority
 from daq.acquisition.plans.steps import CLEAR, Step
-from daq.acquisition.runs.whole_text import why
 from daq.errors import DiskError
+from daq.whole_text import why
 from tracer.scene import Scene
 
 

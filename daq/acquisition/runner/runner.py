@@ -31,9 +31,10 @@ from daq.acquisition.runs.gaps import booked_gaps, numbers_in
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries, remaining, versions
 from daq.acquisition.runs.run_hash import run_hash
+from daq.acquisition.runs.seal import write_record
 from daq.acquisition.runs.session_books import doubts, total_ledger
-from daq.acquisition.runs.whole_text import sync_folder, write_json, write_record
 from daq.errors import BadBalance, PlanError, ResumeRefused, RunInterrupted
+from daq.whole_text import sync_folder, write_json
 from stages.errors import DeviceLost, NotInPosition, StageError
 
 

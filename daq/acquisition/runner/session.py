@@ -32,8 +32,8 @@ from daq.acquisition.runs.gaps import next_place
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries, remaining, versions
 from daq.acquisition.runs.session_books import doubts
 from daq.acquisition.runs.unclaimed import unclaimed
-from daq.acquisition.runs.whole_text import write_text
 from daq.errors import DiskError, ResumeRefused, RunDamaged
+from daq.whole_text import write_text
 from tracer.scene_file import dump_scene, load_scene
 
 DISK_MARGIN = 1.05

@@ -27,8 +27,8 @@ from daq.acquisition.runs.records import CURE, STRICT, Count, Tag, Way, parsed, 
 from daq.acquisition.runs.run_file import SEALED_FROM
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.seal import sealed
-from daq.acquisition.runs.whole_text import write_text
 from daq.errors import RunDamaged, RunUnsuitable
+from daq.whole_text import write_text
 
 FILE = "displacements.json"
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from correction.errors import FrameError
 from correction.frame_file import checksum as checksum  # who writes raw frames needs it
 from correction.frame_file import read_tiff
-from daq.acquisition.runs.whole_text import why
 from daq.errors import DiskError, RunDamaged
+from daq.whole_text import why
 from ground.whole_file import whole_file
 
 

@@ -26,8 +26,9 @@ from daq.acquisition.runs.journal import read_journal
 from daq.acquisition.runs.journal_lines import Entry
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
-from daq.acquisition.runs.whole_text import sync_folder, write_record
+from daq.acquisition.runs.seal import write_record
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
+from daq.whole_text import sync_folder
 
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 

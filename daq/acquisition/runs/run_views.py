@@ -12,8 +12,8 @@ from daq.acquisition.bench.bench_table import TARGET, BenchTable
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
-from daq.acquisition.runs.whole_text import write_text
 from daq.errors import RunDamaged
+from daq.whole_text import write_text
 from ground.config import read
 from ground.errors import ConfigError, GroundError
 from tracer.errors import TracerError

@@ -11,8 +11,14 @@ record can seal it again.
 Runs of layout 1 were written without seals; a seal that is there is checked in them too.
 """
 
+import json
 import re
 import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from daq.whole_text import write_text
 
 _SEAL = re.compile(rb',\s*"seal":\s*"([0-9a-f]{8})"\s*\}\s*\Z')
 _LONGEST = 64  # bytes that a seal and the end of its record take, with room for line ends
@@ -60,3 +66,8 @@ def unsealed(record: bytes, required: bool) -> bytes:
     if b"%08x" % zlib.crc32(body) != found[1]:
         raise SealBroken("does not agree with its seal")
     return body + b"}"
+
+
+def write_record(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a record of a run, with its seal, as `write_text` does."""
+    write_text(path, sealed(json.dumps(tree, indent=1, allow_nan=False).encode()).decode() + "\n")

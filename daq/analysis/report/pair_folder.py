@@ -4,11 +4,11 @@ from importlib.metadata import version
 from typing import Any
 
 from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
-from daq.acquisition.runs.whole_text import write_json
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import pair_chapters, pair_tiles
 from daq.analysis.report.tables import ROUTE_HEAD, SIGMA_HEAD, route_rows, sigma_rows
+from daq.whole_text import write_json
 
 
 def write_pair(evaluation: Evaluation, vtk: bool) -> None:

@@ -13,7 +13,7 @@ from daq.acquisition.runs.displacement import Displacement, write_displacements
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import scene_file
-from daq.acquisition.runs.whole_text import write_record
+from daq.acquisition.runs.seal import write_record
 from daq.cli import DONE, USAGE, main
 from daq.verbs.evaluate import evaluate
 from sim.prints.patterns import Chessboard, printed_particles

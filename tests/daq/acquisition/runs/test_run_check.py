@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from daq.acquisition.runs.run_check import check_run
-from daq.acquisition.runs.whole_text import write_record
+from daq.acquisition.runs.seal import write_record
 from daq.cli import DEVICE, DONE, main
 from tests.daq.small_run import make_old
 

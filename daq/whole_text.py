@@ -1,12 +1,10 @@
-"""Texts of a run and of the verbs: whole or not there, on the disk before anybody is told, name included."""
+"""Texts that are whole or not there, on the disk before anybody is told, name included."""
 
 import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from daq.acquisition.runs.seal import sealed
 from daq.errors import DiskError
 from ground.whole_file import whole_file
 
@@ -30,11 +28,6 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, tree: Any) -> None:  # noqa: ANN401 - anything JSON can hold
     """Write plain data as `write_text` does."""
     write_text(path, json.dumps(tree, indent=1))
-
-
-def write_record(path: Path, tree: Mapping[str, Any]) -> None:
-    """Write a record of a run, with its seal, as `write_text` does."""
-    write_text(path, sealed(json.dumps(tree, indent=1, allow_nan=False).encode()).decode() + "\n")
 
 
 def sync_folder(folder: Path) -> None:
