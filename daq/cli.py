@@ -84,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     _route_option(evaluate, "image")
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
+    evaluate.add_argument("--figures", action="store_true", help="write each figure as SVG and as PNG")
 
     report = verbs.add_parser("report", help="a run as one page: pictures, vectors, errors, books, provenance")
     report.add_argument("run", type=Path, metavar="RUN", help="folder of the run")

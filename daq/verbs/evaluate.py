@@ -23,6 +23,7 @@ def evaluate(
     stage_sigma_um: float = 10.0,
     route: Route = "image",
     vtk: bool = False,
+    figures: bool = False,
 ) -> list[Evaluation]:
     """Correct pairs of frames, measure their displacements, and write a page for each.
 
@@ -31,8 +32,8 @@ def evaluate(
     paths : list of Path
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, or a stream.
     out : Path
-        Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures as SVG and PNG, and on
-        request ``vectors.vtk`` and ``vectors_velocity.nc``; for a run one such folder a pair.
+        Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
+        ``vectors.vtk`` and ``vectors_velocity.nc``; for a run one such folder a pair.
     scene : Path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
         A run without it is evaluated with the scene that its frames were corrected with.
@@ -48,6 +49,8 @@ def evaluate(
         better of both (the scene must hold the camera's true pose; no dewarp).
     vtk : bool
         Also write VTK text.
+    figures : bool
+        Write every figure as SVG and as PNG, not only as it stands in the page.
 
     Returns
     -------
@@ -73,7 +76,7 @@ def evaluate(
     for task in given.tasks:
         prepared = corrections.of(task.scene, given.dewarp)
         evaluation = evaluate_task(task, prepared, given.sigma, stage_sigma_um, route)
-        write_pair(evaluation, vtk)
+        write_pair(evaluation, vtk, figures)
         show_evaluation(screen, evaluation)
         found.append(evaluation)
     return found

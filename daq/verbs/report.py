@@ -69,7 +69,7 @@ def report(
     out.mkdir(parents=True, exist_ok=True)
     scene = scene or scene_file(run, out)
     loaded = load_scene(scene)
-    page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}")
+    page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
     if (run / MOVED).is_file():
         chosen = route if target_clear is None else "image"
         found = evaluate(

@@ -2,7 +2,8 @@
 
 No script or style comes from anywhere else, and everything is embedded, so the page can be mailed and will look
 the same in ten years.  Every text that came from a file or a name is escaped.  Figures are also written beside
-the page, as SVG for papers and PNG for slides.
+the page as they stand in it.  Who wants all of them as SVG for papers and PNG for slides says so: drawing them
+twice takes longer than measuring what they show.
 """
 
 import base64
@@ -29,10 +30,12 @@ class Page:
     ----------
     title, subtitle : str
         Heading, and what stands under it.
+    twice : bool
+        Write every figure as SVG and as PNG.
     """
 
-    def __init__(self, title: str, subtitle: str = "") -> None:
-        self._title, self._subtitle = title, subtitle
+    def __init__(self, title: str, subtitle: str = "", twice: bool = False) -> None:
+        self._title, self._subtitle, self._twice = title, subtitle, twice
         self._parts: list[str] = []
         self._files: dict[str, bytes] = {}
         self._sliders = 0
@@ -79,7 +82,7 @@ class Page:
         )
 
     def figure(self, name: str, figure: Figure, caption: str, dense: bool = False) -> None:
-        """Add a figure; `write` also puts NAME.svg and NAME.png beside the page.
+        """Add a figure; `write` also puts NAME.svg or NAME.png beside the page, or both.
 
         Parameters
         ----------
@@ -94,9 +97,9 @@ class Page:
         """
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
-        for kind in ("svg", "png"):
-            self._files[f"{name}.{kind}"] = _drawn(figure, kind)
         kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
+        for each in ("svg", "png") if self._twice else (kind,):
+            self._files[f"{name}.{each}"] = _drawn(figure, each)
         data = base64.b64encode(self._files[f"{name}.{kind}"]).decode()
         self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption))
 

@@ -11,7 +11,7 @@ from daq.analysis.report.tables import ROUTE_HEAD, SIGMA_HEAD, route_rows, sigma
 from daq.whole_text import write_json
 
 
-def write_pair(evaluation: Evaluation, vtk: bool) -> None:
+def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False) -> None:
     """Write the folder of a pair, the page last."""
     task, field, grid = evaluation.task, evaluation.field, evaluation.grid
     out = task.out
@@ -36,7 +36,7 @@ def write_pair(evaluation: Evaluation, vtk: bool) -> None:
     if evaluation.routes is not None:
         summary["routes"] = [dict(zip(ROUTE_HEAD, row, strict=True)) for row in route_rows(evaluation.routes)]
     write_json(out / "evaluation.json", summary)
-    page = Page("PIV through glass: " + task.name, about["frames"])
+    page = Page("PIV through glass: " + task.name, about["frames"], twice=figures)
     page.tiles(pair_tiles(evaluation))
     pair_chapters(page, evaluation)
     page.heading("Provenance")

@@ -31,7 +31,9 @@ def test_shift_behind_the_glass_with_the_true_scene(name, tmp_path):
     frames = supplied(name)
     (tmp_path / "scene.yaml").write_text(dump_scene(frames.truth))
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
-    (found,) = evaluate(pair, tmp_path / "out", tmp_path / "scene.yaml", shift_mm=frames.shift_mm, vtk=True)
+    (found,) = evaluate(
+        pair, tmp_path / "out", tmp_path / "scene.yaml", shift_mm=frames.shift_mm, vtk=True, figures=True
+    )
     check(found, name)
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"vectors.nc", "vectors.vtk", "evaluation.json", "report.html", "vectors.svg", "vectors.png"} <= names

@@ -11,8 +11,8 @@ from daq.analysis.report.page import Page
 from tests.daq.analysis.report.browser import browse, measured
 
 
-def page():
-    made = Page("run <script>alert(1)</script> & more", "sub <b>")
+def page(twice=True):
+    made = Page("run <script>alert(1)</script> & more", "sub <b>", twice)
     picture = grey(np.arange(4800).reshape(60, 80), (0.0, 4800.0))
     made.tiles([("0.01 px", "scatter <i>", "of & from")])
     made.heading("Pictures")
@@ -48,6 +48,11 @@ def test_nothing_is_fetched_and_everything_is_escaped():
     assert "url(" not in text
     assert "@import" not in text
     assert "viewport" in text
+
+
+def test_figures_are_drawn_as_they_stand_in_the_page_unless_somebody_wants_both(tmp_path):
+    page(twice=False).write(tmp_path / "report.html")
+    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "line.svg", "dots.png"}
 
 
 def test_pages_and_figures_are_written_whole_or_not_at_all(tmp_path, mocker):
