@@ -10,7 +10,7 @@ import pytest
 
 from tests.wheel.build import ROOT, build_wheel
 
-PACKAGES = ("tracer", "correction", "stages", "daq", "sim", "benchmarks")
+PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def test_every_file_that_is_used_and_nothing_else(wheel):
     for package in PACKAGES:
         there = {str(path.relative_to(ROOT)) for path in (ROOT / package).rglob("*.py")}
         assert there <= names
-    assert {f"{package}/__init__.pyi" for package in PACKAGES if package != "benchmarks"} <= names
+    assert {f"{package}/__init__.pyi" for package in PACKAGES if package not in ("ground", "benchmarks")} <= names
     assert "daq/analysis/report/page.css" in names
     shown = {path.relative_to(ROOT / "examples") for path in (ROOT / "examples").rglob("*.*")}
     assert {f"daq/examples/{path}" for path in shown if "__pycache__" not in path.parts} <= names

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from correction.resample.sample.kernels import bspline, lanes
-from correction.resample.sample.kernels import prefilter as kernels
 from scipy import ndimage, special
 
 from correction.errors import FrameError
+from correction.resample.kernels import bspline, lanes
+from correction.resample.kernels import prefilter as kernels
 from correction.resample.sample import filter_tiles, prefilter, sample, tile_grid
 from ground.jit import kernel
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.prints import reflectance as prints
 from sim.prints.patterns import Chessboard, Image, ParticleSheet, Pose, printed_particles
-from sim.prints.reflectance import reflectance as prints
-from sim.renderer.render import Aperture, _tables, rays, render, render_irradiance
+from sim.renderer import rays
+from sim.renderer.render import Aperture, _tables, render, render_irradiance
 from sim.renderer.sensor import SILENT, Sensor
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
