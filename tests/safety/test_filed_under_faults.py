@@ -1,17 +1,13 @@
 """Whatever the camera does wrong: no frame is filed under a stop that it does not show."""
 
 import random
-import sys
-from pathlib import Path
 
 import pytest
 
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.cli import DONE, main
 from sim.prints.frame_truth import misfiled
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "daq"))
-from small_bench import write_bench
+from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

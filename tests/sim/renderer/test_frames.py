@@ -24,7 +24,7 @@ from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 
-FRAMES = Path(__file__).resolve().parents[3] / "shared" / "frames"
+FRAMES = Path(__file__).resolve().parents[4] / "shared" / "frames"
 SILHOUETTE = {"two_spheres": (996.0, 998.0, 365.0), "one_sphere": (1000.0, 1010.0, 935.0)}  # u, v, radius [px]
 RINGS = ((0.0, 0.5), (0.5, 0.8), (0.8, 0.92))
 BORDER_PX = 40  # their distortion step has nothing to show at the border
