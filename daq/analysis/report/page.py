@@ -95,8 +95,9 @@ class Page:
         dense : bool
             Embed pixels: thousands of arrows as lines would make the page slow.
         """
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
+        if self._twice:
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
         kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
         for each in ("svg", "png") if self._twice else (kind,):
             self._files[f"{name}.{each}"] = _drawn(figure, each)
