@@ -101,6 +101,7 @@ def radius_figure(
         axes.plot(radius, sigma, "--", color=colour, linewidth=1.0, label=f"{name}, its own sigma")
     axes.set(xlabel="r / R", ylabel="error [px]", yscale="log", xlim=(0.0, None))
     axes.grid(True, which="both", color=NOTHING, linewidth=0.5)
+    _plain_decades(axes)
     axes.legend(frameon=False, fontsize=8)
     return figure
 
@@ -126,8 +127,15 @@ def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
         axes.stairs(values, edges, label=name, color=colour)
     filled = [float(edges[np.nonzero(values)[0][-1] + 1]) for edges, values in counts.values() if values.any()]
     axes.set(yscale="log", xlabel="grey level", ylabel="pixels", xlim=(0.0, max(filled, default=None)))
+    _plain_decades(axes)
     axes.legend(frameon=False, fontsize=8)
     return figure
+
+
+def _plain_decades(axes: Axes) -> None:
+    """Label decades as plain numbers, and 2 and 5 between them: set as formulas they take longer than the curves."""
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
 
 
 def _axes_mm(field: VectorField, grid: PlaneGrid) -> tuple[Floats, Floats]:
