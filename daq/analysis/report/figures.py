@@ -133,7 +133,7 @@ def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
 
 
 def _plain_decades(axes: Axes) -> None:
-    """Label decades, and 2 and 5 between them, as plain numbers: set as formulas they take longer than the curves."""
+    """Label decades, and 2 and 5 between them, as plain numbers: formulas would take longer than the curves."""
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
 
