@@ -18,7 +18,7 @@ from correction.grid import PlaneGrid
 from correction.inversion.kernels.direct import direct_rows
 from correction.inversion.kernels.inverse import join_weights
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS
-from correction.inversion.kernels.views import solve_nodes
+from correction.inversion.kernels.views import NodeScratch, solve_nodes
 from correction.inversion.sheets import Sheet, Sheets, Starts
 from ground.rows import run_parts, run_rows
 from tracer.branches import chain_trip, event_numbers, key_of
@@ -133,7 +133,7 @@ class Inversion:
         balls, maps = self.balls, self.maps
 
         def work(part: Starts) -> None:
-            scratch = (
+            scratch = NodeScratch(
                 np.empty(NEWTON_NUMBERS),
                 np.empty(GROUP, np.int64),
                 np.empty((2, GROUP)),
@@ -153,7 +153,7 @@ class Inversion:
                 sheet.sign,
                 self.limits,
                 *part,
-                *scratch,
+                scratch,
                 maps,
             )
 

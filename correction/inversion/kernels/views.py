@@ -6,6 +6,8 @@ Every other node is solved by itself, with care.  A view is then held against th
 sensor, weighed, and kept if it is among the best of its node.
 """
 
+from typing import NamedTuple
+
 from correction.inversion.kernels.inverse import (
     Tables,
     inverse_2x2,
@@ -45,6 +47,18 @@ inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defin
 stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
 
 
+class NodeScratch(NamedTuple):
+    """Memory of one thread: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy`` (2, GROUP), the chain's."""
+
+    block: Array
+    state: Array
+    xy: Array
+    spans: Array
+    wanted: Array
+    rays: Array
+    trips: Array
+
+
 @kernel
 def solve_nodes(
     tables: Tables,
@@ -59,13 +73,7 @@ def solve_nodes(
     limits: Array,
     starts: Array,
     nodes: Array,
-    block: Array,
-    state: Array,
-    xy: Array,
-    spans: Array,
-    wanted: Array,
-    rays: Array,
-    trips: Array,
+    scratch: NodeScratch,
     maps: tuple[Array, ...],
 ) -> None:
     """Solve nodes of one sheet from their starts and keep the views.
@@ -74,9 +82,9 @@ def solve_nodes(
     ``balls`` (see ``tracer.kernels.chain``), -1 where a scene does not fit lockstep: then what a block has solved
     is verified ray by ray, and where not all spheres of the sequence are `solid` every node is solved by itself.
     `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
-    `scatter_sheet`; ``maps`` as in `keep_view`.  Scratch: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy``
-    (2, GROUP), those of `follow_block`.
+    `scatter_sheet`; ``maps`` as in `keep_view`.
     """
+    block, state, xy, spans, wanted, rays, trips = scratch
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
     tables, sequence = unowned_tables(tables), unowned(sequence)
     camera, spheres = tables[0], tables[1].spheres
