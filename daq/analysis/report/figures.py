@@ -18,6 +18,7 @@ from correction.grid import PlaneGrid
 from tracer.scene import Scene
 
 EVERY = 2  # vectors drawn along each axis
+FEW_DECADES = 1000.0  # from the lowest to the highest: with more of them there is no room for labels between
 INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
 SERIES = ("#2b6a99", "#b4472f", "#6a8f3c", "#8a5a9e")
 HEAT = LinearSegmentedColormap.from_list(
@@ -133,9 +134,11 @@ def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
 
 
 def _plain_decades(axes: Axes) -> None:
-    """Label decades, and 2 and 5 between them, as plain numbers: formulas would take longer than the curves."""
+    """Label decades, and 2 and 5 between few, as plain numbers: formulas would take longer than the curves."""
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else "")
+    low, high = axes.get_ylim()
+    between = "25" if high < FEW_DECADES * low else ""
+    axes.yaxis.set_minor_formatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in between else "")
 
 
 def _axes_mm(field: VectorField, grid: PlaneGrid) -> tuple[Floats, Floats]:
