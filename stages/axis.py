@@ -236,6 +236,7 @@ class Axis:
                 failure = error
                 self._guarded(self._calm, token)
                 self._latch.check(token)
+                self._guarded(lambda: self.controller.judge_unheard(self.settings.channel), token)
                 continue
             if abs(measured_mm - target_mm) * 1000.0 <= self.settings.in_position_um:
                 self._rests_at_mm = target_mm

@@ -290,6 +290,17 @@ class Controller(Link):
             self._at_rest.clear()
             self._reset_state()
 
+    def judge_unheard(self, channel: str) -> None:
+        """Look how a motion of `channel` has ended whose end was not heard of, before it is tried again.
+
+        Nothing to do for boxes that can be asked why they rest.
+
+        Raises
+        ------
+        MotionStopped
+            A person may have stopped it.
+        """
+
     # ---- for drivers ---------------------------------------------------------------------------
 
     @abstractmethod

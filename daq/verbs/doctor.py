@@ -19,7 +19,7 @@ from daq.example_files import examples
 from daq.terminal import console
 from stages.identities import confusable
 
-PACKAGES = ("tracer", "correction", "stages", "daq", "sim", "benchmarks")
+PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
 GENTL_PATH = "GENICAM_GENTL64_PATH"
 
 Finding = tuple[str, bool | None, str]  # what, fine / not fine / just so, words

@@ -10,8 +10,9 @@ initialised. It is initialised on connecting and before a reference run, never b
 question for the position also says that there was no restart since.
 
 A C142 does not know the version command and answers 5; it gets no acceleration, and its 5 serves as identity. A
-limit switch (2) or a fault (9) forgets every reference. The controller has no encoder: a stalled motor is not
-noticed.
+limit switch (2) or a fault (9) forgets every reference. A stop at the box is told by the one character (F) alone:
+if that is lost, an axis that rests short of its target counts as stopped by a person. The controller has no
+encoder: a stalled motor is not noticed.
 """
 
 from collections.abc import Sequence
@@ -48,6 +49,7 @@ class IselController(Controller):
     _motion_pending: bool
     _homing: str | None
     _ramp: int | None
+    _sent_to: tuple[int, int] | None = None  # index and steps of the last move
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move, sent as the difference to where the axis is.
@@ -64,7 +66,7 @@ class IselController(Controller):
                 raise NotReferenced(f"{self.name} has lost its reference (was it switched off?); home it")
             self._set_ramp(scale, acceleration_mm_s2)
             distance = steps - self._steps()[index]
-            self._stopped = False
+            self._stopped, self._sent_to = False, (index, steps)
             if distance:
                 self._begin(self._motion(index, distance, round(speed_mm_s * scale)))
 
@@ -162,6 +164,14 @@ class IselController(Controller):
         if not self.referenced(channel):
             raise NotReferenced(f"{self.name} channel {channel} is not referenced; home it")
         return position_mm
+
+    def judge_unheard(self, channel: str) -> None:
+        """Only the one character tells of a stop at the box: where it was lost, short of the target is one."""
+        if self._sent_to is None:
+            return
+        index, steps = self._sent_to
+        if self._steps()[index] != steps:
+            raise MotionStopped(f"{self.name} channel {channel} rests short of its target and did not say why")
 
     def _still_referenced(self, channel: str) -> bool:
         self._refuse_while_moving()

@@ -244,3 +244,25 @@ def test_a_stop_that_overtakes_a_command_is_said_again_although_no_answer_comes(
     with pytest.raises(MotionStopped):
         made.stage.move({"a": 10.0})
     assert abs(made.world.true_mm("a") - here_mm) < 0.5
+
+
+@pytest.mark.parametrize("after_s", [0.02, 0.3, 0.7])
+def test_a_stop_at_a_mute_box_whose_one_word_is_lost_is_a_stop(bench, after_s):
+    """An isel says nothing but the end of a motion: a person stops it, and the character is lost."""
+    made = bench("isel_dnc")
+    made.stage.home()
+    made.stage.move({"a": 40.0})
+
+    def pressed():
+        made.line.faults.strike(Fault("lost", 2.0))
+        made.line.emulator.person_stops()
+
+    made.clock.at(made.clock.now_s() + after_s, pressed)
+    with pytest.raises(MotionStopped, match="rests short of its target"):
+        made.stage.move({"a": 20.0})
+    rests_mm = made.world.true_mm("a")
+    made.clock.sleep_s(30.0)
+    assert made.world.true_mm("a") == rests_mm
+    assert made.stage.held
+    made.stage.clear_stop()
+    made.stage.move({"a": 20.0})
