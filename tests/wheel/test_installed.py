@@ -16,7 +16,8 @@ import pytest
 from tests.wheel.build import build_wheel
 
 EXTRA = ("harvesters", "genicam")
-OWN = ("rtpiv", "_rtpiv", "__editable__", "pip", "mpmath")
+# An editable install leaves a folder daq/examples: linked, the wheel would be installed into it.
+OWN = ("rtpiv", "_rtpiv", "_editable", "__editable__", "pip", "mpmath", "daq")
 SCENE = """
 camera: {f_mm: 60.0, L_mm: 500.0, pixel_pitch_um: 110.0, sensor_px: [201, 201]}
 bodies: [{name: near, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: N-BK7}]
