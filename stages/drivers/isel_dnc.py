@@ -49,7 +49,7 @@ class IselController(Controller):
     _motion_pending: bool
     _homing: str | None
     _ramp: int | None
-    _sent_to: tuple[int, int] | None = None  # index and steps of the last move
+    _sent_to: tuple[int, int] | None = None  # index and steps of a move whose end was not heard of yet
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move, sent as the difference to where the axis is.
@@ -66,8 +66,9 @@ class IselController(Controller):
                 raise NotReferenced(f"{self.name} has lost its reference (was it switched off?); home it")
             self._set_ramp(scale, acceleration_mm_s2)
             distance = steps - self._steps()[index]
-            self._stopped, self._sent_to = False, (index, steps)
+            self._stopped, self._sent_to = False, None
             if distance:
+                self._sent_to = index, steps
                 self._begin(self._motion(index, distance, round(speed_mm_s * scale)))
 
     def start_home(self, channel: str) -> None:
@@ -78,7 +79,7 @@ class IselController(Controller):
                 self._initialise()
             self._referenced.discard(channel)
             self._stopped = False
-            self._homing = channel
+            self._homing, self._sent_to = channel, None
             self._begin(dnc.Numbered("R", 1 << AXES.index(channel)))
 
     def moving(self, channel: str) -> bool:
@@ -97,6 +98,7 @@ class IselController(Controller):
             except ProtocolViolation:
                 self._suspect = True
                 raise
+            self._sent_to = None
             if code == "0":
                 self._referenced |= {homed} if homed else set()
                 return False
@@ -169,7 +171,7 @@ class IselController(Controller):
         """Only the one character tells of a stop at the box: where it was lost, short of the target is one."""
         if self._sent_to is None:
             return
-        index, steps = self._sent_to
+        (index, steps), self._sent_to = self._sent_to, None
         if self._steps()[index] != steps:
             raise MotionStopped(f"{self.name} channel {channel} rests short of its target and did not say why")
 

@@ -8,7 +8,7 @@ from sim.clock import VirtualClock
 from sim.emulators.faults import Fault
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
-from stages.errors import MotionStopped, Obstructed, StageError
+from stages.errors import MotionStopped, NoReply, Obstructed, StageError
 from stages.stage import Stage
 from stages.states import NEXT, AxisState, Event, after
 from stages.stop_latch import StopLatch
@@ -266,3 +266,22 @@ def test_a_stop_at_a_mute_box_whose_one_word_is_lost_is_a_stop(bench, after_s):
     assert made.stage.held
     made.stage.clear_stop()
     made.stage.move({"a": 20.0})
+
+
+def test_a_question_unanswered_before_a_move_is_no_stop(bench, mocker):
+    """Nothing was sent that moves: a place that homing has left behind says nothing of a person."""
+    made = bench("isel_dnc")
+    made.stage.home()
+    made.stage.move({"a": 40.0})
+    made.stage.home()
+    vouch, lost = made.controller.vouch, [NoReply("lost"), None]
+
+    def once_mute(channel):
+        if failure := lost.pop(0) if lost else None:
+            raise failure
+        vouch(channel)
+
+    mocker.patch.object(made.controller, "vouch", once_mute)
+    made.stage.move({"a": 60.0})
+    assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)
+    assert not made.stage.held
