@@ -86,27 +86,28 @@ class ZaberController(Controller):
         """Ask once; an empty command only brings the state.
 
         A flag says what ended the motion: AxisStalled for any that begins with F, LimitHit for WL, MotionStopped
-        for NI and NC.
+        for NI and NC, also where a person's stop has only led to one of the others: a stop is to hold.
         """
         reply = self._repeated(lambda: self._tell(channel, ""))
-        where = f"{self.name} channel {channel}"
-        if reply.flag.startswith("F"):
-            self._forget(channel)
-            what = FAULTS.get(reply.flag, "reports a fault")
-            raise AxisStalled(f"{where} {what} ({reply.flag}); clear the way and home it")
-        if reply.flag in LIMITS:
-            self._forget(channel)
-            raise LimitHit(f"{where} {LIMITS[reply.flag]} ({reply.flag}); home it")
-        if reply.busy:
+        ended_badly = reply.flag.startswith("F") or reply.flag in LIMITS
+        if reply.busy and not ended_badly:
             return True
         homing = channel in self._homing
         self._homing.discard(channel)
-        flags = {reply.flag}
-        if reply.flag in UNREFERENCED:
+        if ended_badly or reply.flag in UNREFERENCED:
             self._referenced.discard(channel)
-            if homing:  # a knob that ends a reference run stands behind the missing reference
-                flags |= self._flags(channel)
-        if self._stopped or flags & INTERRUPTED:
+        flags = {reply.flag}
+        if ended_badly or (homing and reply.flag in UNREFERENCED):
+            flags |= self._flags(channel)  # a knob that ended the motion stands behind what it led to
+        where = f"{self.name} channel {channel}"
+        if flags & INTERRUPTED and not self._stopped:
+            raise MotionStopped(f"{where} was stopped at its knob")
+        if reply.flag in LIMITS:
+            raise LimitHit(f"{where} {LIMITS[reply.flag]} ({reply.flag}); home it")
+        if ended_badly:
+            what = FAULTS.get(reply.flag, "reports a fault")
+            raise AxisStalled(f"{where} {what} ({reply.flag}); clear the way and home it")
+        if self._stopped:
             raise MotionStopped(f"{where} was stopped")
         if homing and reply.flag not in UNREFERENCED:
             self._referenced.add(channel)
@@ -149,10 +150,6 @@ class ZaberController(Controller):
     def _reset_state(self) -> None:
         self._profile = {}
         self._homing = set()
-
-    def _forget(self, channel: str) -> None:
-        self._referenced.discard(channel)
-        self._homing.discard(channel)
 
     def _identify(self) -> str:
         words = []

@@ -153,6 +153,28 @@ def test_a_person_at_the_box_stops_a_reference_run_for_good(bench, driver):
     assert (made.world.true_mm("a"), made.world.true_mm("b")) == rests_mm
 
 
+@pytest.mark.parametrize("before_mm", [5.0, 20.0])
+def test_a_person_who_stops_too_late_for_the_switch_has_stopped(bench, before_mm):
+    """A reference run that is stopped so close to the switch that it brakes into it: the limit hides the knob."""
+    made = bench("zaber_ascii", sim={"power_up_mm": 100.0})
+    box, motor = made.line.emulator, made.world.motors["a"]
+    box.axis(1, 1).settings["accel"] = 1  # a long way of braking
+
+    def press():
+        box.advance()
+        if motor.carriage_mm - motor.mechanics.low_switch_mm < before_mm:
+            box.person_stops()
+        else:
+            made.clock.at(made.clock.now_s() + 0.001, press)
+
+    made.clock.at(made.clock.now_s() + 0.1, press)
+    with pytest.raises(MotionStopped):
+        made.stage.home()
+    assert "WL" in box.axis(1, 1).flags
+    assert made.stage.held
+    assert made.stage.where_mm()["a"] is None
+
+
 def test_a_jog_that_a_held_board_has_not_read_never_runs(bench):
     """Somebody holds the board just before the jog, and releases it when the program has long given up."""
     made = bench("grbl")
