@@ -91,6 +91,8 @@ class ZaberController(Controller):
         reply = self._repeated(lambda: self._tell(channel, ""))
         ended_badly = reply.flag.startswith("F") or reply.flag in LIMITS
         if reply.busy and not ended_badly:
+            if reply.flag in INTERRUPTED and not self._stopped:  # it brakes: our own halt would hide whose it was
+                raise MotionStopped(f"{self.name} channel {channel} was stopped at its knob")
             return True
         homing = channel in self._homing
         self._homing.discard(channel)
