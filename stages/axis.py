@@ -280,6 +280,7 @@ class Axis:
             except BaseException as error:
                 if isinstance(error, NoReply | ProtocolViolation):
                     self._guarded(self._calm, token)
+                    self._guarded(lambda: self.controller.judge_unheard(self.settings.channel), token)
                 if self._state is AxisState.HOMING:
                     self._happens(Event.DOUBT)
                 raise

@@ -58,6 +58,7 @@ class ZaberController(Controller):
     _flag = NO_FLAG  # of the last answer
     _profile: dict[str, tuple[int, int]]
     _homing: set[str]
+    _pressed: str | None = None  # channel whose knob ended the motion, while it brakes
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move; NotReferenced if the device has restarted, which is then stopped at once."""
@@ -69,6 +70,7 @@ class ZaberController(Controller):
             self._repeated(lambda: self._tell(channel, f"set accel {acceleration}"))
             self._profile[channel] = (speed, acceleration)
         self._stopped = False
+        self._pressed = None
         if self._tell(channel, f"move abs {steps}", moves=True).flag in UNREFERENCED:
             self.stop()  # restarted since it was asked: it moves in a coordinate that means nothing
             self._forget_references()
@@ -79,6 +81,7 @@ class ZaberController(Controller):
         self._referenced.discard(channel)
         self._repeated(lambda: self._tell(channel, "warnings clear"))
         self._stopped = False
+        self._pressed = None
         self._tell(channel, "home", moves=True)
         self._homing.add(channel)
 
@@ -92,7 +95,7 @@ class ZaberController(Controller):
         ended_badly = reply.flag.startswith("F") or reply.flag in LIMITS
         if reply.busy and not ended_badly:
             if reply.flag in INTERRUPTED and not self._stopped:  # it brakes: our own halt would hide whose it was
-                raise MotionStopped(f"{self.name} channel {channel} was stopped at its knob")
+                self._pressed = channel
             return True
         homing = channel in self._homing
         self._homing.discard(channel)
@@ -102,7 +105,8 @@ class ZaberController(Controller):
         if ended_badly or (homing and reply.flag in UNREFERENCED):
             flags |= self._flags(channel)  # a knob that ended the motion stands behind what it led to
         where = f"{self.name} channel {channel}"
-        if flags & INTERRUPTED and not self._stopped:
+        if self._pressed == channel or (flags & INTERRUPTED and not self._stopped):
+            self._pressed = None
             raise MotionStopped(f"{where} was stopped at its knob")
         if reply.flag in LIMITS:
             raise LimitHit(f"{where} {LIMITS[reply.flag]} ({reply.flag}); home it")
@@ -114,6 +118,12 @@ class ZaberController(Controller):
         if homing and reply.flag not in UNREFERENCED:
             self._referenced.add(channel)
         return False
+
+    def judge_unheard(self, channel: str) -> None:
+        """MotionStopped if the knob was pressed before our own halt."""
+        if self._pressed == channel:
+            self._pressed = None
+            raise MotionStopped(f"{self.name} channel {channel} was stopped at its knob")
 
     def position_mm(self, channel: str) -> float:
         """Microsteps / scale, from a checksummed answer or from two equal ones."""
