@@ -58,7 +58,7 @@ class ZaberController(Controller):
     _flag = NO_FLAG  # of the last answer
     _profile: dict[str, tuple[int, int]]
     _homing: set[str]
-    _pressed: str | None = None  # channel whose knob ended the motion, while it brakes
+    _pressed: str | None = None  # channel whose knob has ended the motion that was begun last
 
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move; NotReferenced if the device has restarted, which is then stopped at once."""
@@ -106,7 +106,6 @@ class ZaberController(Controller):
             flags |= self._flags(channel)  # a knob that ended the motion stands behind what it led to
         where = f"{self.name} channel {channel}"
         if self._pressed == channel or (flags & INTERRUPTED and not self._stopped):
-            self._pressed = None
             raise MotionStopped(f"{where} was stopped at its knob")
         if reply.flag in LIMITS:
             raise LimitHit(f"{where} {LIMITS[reply.flag]} ({reply.flag}); home it")
@@ -122,7 +121,6 @@ class ZaberController(Controller):
     def judge_unheard(self, channel: str) -> None:
         """MotionStopped if the knob was pressed before our own halt."""
         if self._pressed == channel:
-            self._pressed = None
             raise MotionStopped(f"{self.name} channel {channel} was stopped at its knob")
 
     def position_mm(self, channel: str) -> float:
