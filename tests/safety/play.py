@@ -161,6 +161,7 @@ class Player:
             case ["halt"]:
                 self._forget_press()
                 self.bench.stage.halt_quietly()
+                self._forget_press()  # pressed in the very exchange of our halt: the box tells both alike
             case ["kill"]:
                 for other in self.bench.lines.values():
                     other.close()
