@@ -112,6 +112,8 @@ class Controller(Link):
             self._forget_references()
             self._port = Port(url, baud or self.default_baud, clock=self.clock, hold_dtr=self.hold_dtr)
             try:
+                if self.under_way:  # what was moving when the port was lost may move still
+                    self.stop()
                 self._get_to_know()
             except BaseException:
                 self.close()

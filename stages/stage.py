@@ -21,7 +21,7 @@ from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
 from stages.controller import Channel, Controller
 from stages.drivers import driver_class
-from stages.errors import NotReferenced, StageError, StageUsageError, WrongDevice
+from stages.errors import DeviceLost, NotReferenced, StageError, StageUsageError, WrongDevice
 from stages.identities import require_identity
 from stages.stop_latch import StopLatch
 from stages.stop_signals import StopSignals
@@ -232,6 +232,8 @@ class Stage:
             All axes are homed, and a move of `after_home` must not be made.
         MotionStopped
             A stop holds the bench, or came meanwhile.
+        DeviceLost
+            A controller was lost while it moved something, which may move still; nothing has been homed.
         StageError
             A reference was not found; everything has been halted.
         """
@@ -245,6 +247,7 @@ class Stage:
         done: set[str] = set()
         token = self.latch.begin()
         with self._turn.taken():
+            self._refuse_beside_lost_motion()
             try:
                 for name in order:
                     if name in done:
@@ -315,6 +318,12 @@ class Stage:
         """Stop everything and hold it; for use while another error is on its way."""
         with suppress(StageError):
             self.stop()
+
+    def _refuse_beside_lost_motion(self) -> None:
+        """DeviceLost where something may move that nobody hears of: a reference run is judged by nobody."""
+        for name, box in self._controllers.items():
+            if box.lost and box.under_way:
+                raise DeviceLost(f"{name} was lost while it moved and may move still; open it again first")
 
     def halt_quietly(self) -> None:
         """End every motion; for use while another error is on its way."""

@@ -2,7 +2,7 @@
 
 import pytest
 
-from stages.errors import MotionStopped, NotReferenced, StageError, StageUsageError
+from stages.errors import DeviceLost, MotionStopped, NotReferenced, StageError, StageUsageError
 from stages.protocols.grbl import RESET, RESUME
 from stages.states import AxisState
 
@@ -227,3 +227,22 @@ def test_a_zaber_axis_that_moves_by_itself_tells_no_position(bench):
     assert made.stage.where_mm()["a"] is None
     with pytest.raises(StageUsageError, match="wait until it rests"):
         made.stage.move({"a": 30.0})
+
+
+def test_nothing_is_homed_beside_a_motion_whose_port_was_lost(bench):
+    """The box drives on to its target; who homes another axis meanwhile drives it into its way."""
+    made = bench("zaber_ascii")
+    made.stage.home()
+    made.clock.at(made.clock.now_s() + 0.3, made.line.unplug)
+    with pytest.raises(DeviceLost):
+        made.stage.move({"a": 110.0})
+    with pytest.raises(DeviceLost, match="may move still"):
+        made.stage.home()
+    made.line.plug_in()
+    made.stage.connect(next(iter(made.stage.config.controllers)))
+    made.clock.sleep_s(0.3)
+    rests_mm = made.world.true_mm("a")
+    assert rests_mm < 100.0
+    made.clock.sleep_s(10.0)
+    assert made.world.true_mm("a") == rests_mm
+    made.stage.home()
