@@ -33,7 +33,8 @@ ROUNDS = 5  # interleaved, so that a busy neighbour hits everyone
 
 OWN = """
 import sys, time, json, numpy as np
-from correction.evaluate.piv import PivSettings, evaluate_pair
+from correction.evaluate.piv import evaluate_pair
+from correction.evaluate.settings import PivSettings
 a, b, out, rounds, mode = np.load(sys.argv[1]), np.load(sys.argv[2]), sys.argv[3], int(sys.argv[4]), sys.argv[5]
 settings = PivSettings(uncertainty=mode == "sigma")
 times = []

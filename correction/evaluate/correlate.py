@@ -112,6 +112,14 @@ def peak_ratios(
     return ratios
 
 
+def correlate_some(
+    pair: DeformedPair, grid: WindowGrid, which: NDArray[np.bool_], min_valid: float, threads: int | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Displacements (n, 2) and peak ratios (n,) of the windows asked for."""
+    found, _ = _correlated(pair, grid, which, least_valid(grid, min_valid), True, threads)
+    return found[:, :2], found[:, 3]
+
+
 def _correlated(
     pair: DeformedPair,
     grid: WindowGrid,
@@ -126,7 +134,7 @@ def _correlated(
     rows, columns = (
         np.ascontiguousarray(places[which]) for places in np.meshgrid(grid.row, grid.column, indexing="ij")
     )
-    windows = len(rows)
+    windows, solid = len(rows), pair.solid()
     count, energy, found = np.zeros(windows, np.int64), np.zeros(windows), np.empty((windows, 4))
 
     def some(first: int, last: int) -> None:
@@ -136,7 +144,7 @@ def _correlated(
             here = slice(start, min(start + chunk, last))
             n = here.stop - start
             cut_windows(
-                pair.a, pair.b, pair.valid, rows[here], columns[here], least, pair.floor,
+                pair.a, pair.b, solid, rows[here], columns[here], least, pair.floor,
                 scratch, count[here], energy[here], a[:n], b[:n],
             )  # fmt: skip
             correlation_planes(a[:n], b[:n], work, planes[:n])

@@ -9,22 +9,29 @@ from correction.evaluate.kernels.deform import deform_rows
 from correction.evaluate.windows import WindowGrid, around, interpolated
 from ground.rows import run_rows
 
+SOLID = np.float32(0.5)
+
 
 class DeformedPair(NamedTuple):
-    """Frames a, b float32 and the pixels valid in both, uint8 0 or 1; all (H, W).
+    """Frames a, b and how far their pixels are valid in both, from 0 to 1; all (H, W) float32.
 
-    `floor` is the mean square up to which a window counts as constant.
+    Frames are 0 where they are not valid, and small where hardly. `floor` is the mean square up to which a window
+    counts as constant.
     """
 
     a: NDArray[np.float32]
     b: NDArray[np.float32]
-    valid: NDArray[np.uint8]
+    valid: NDArray[np.float32]
     floor: float
+
+    def solid(self) -> NDArray[np.uint8]:
+        """Pixels (H, W) that are more valid than not, for windows without weights."""
+        return (self.valid > SOLID).view(np.uint8)
 
 
 def deform_pair(
     coefficients: tuple[NDArray[np.float32], NDArray[np.float32]],
-    valid: NDArray[np.uint8],
+    valid: NDArray[np.float32],
     field: NDArray[np.float64],
     grid: WindowGrid,
     floor: float,
@@ -36,8 +43,8 @@ def deform_pair(
     ----------
     coefficients : pair of ndarray of float32, shape (H, W)
         Spline coefficients of frames A and B.
-    valid : ndarray of uint8, shape (H, W)
-        1 where a pixel is valid in both frames.
+    valid : ndarray of float32, shape (H, W)
+        1 where a pixel is valid in both frames, else 0.
     field : ndarray of float64, shape (ny, nx, 2)
         Displacement [px] on the nodes of `grid`, finite everywhere.
     grid : WindowGrid
@@ -52,11 +59,11 @@ def deform_pair(
     lines, cell, weight = around(along_u, 0, grid.y_px, np.arange(float(height)), grid.step_px)
     refined = np.ascontiguousarray(np.moveaxis(lines, -1, 0), np.float32)
     share = weight.astype(np.float32)
-    masked = not valid.all()
+    masked = bool(valid.min() == 0.0)
     out = DeformedPair(
         np.empty((height, width), np.float32),
         np.empty((height, width), np.float32),
-        np.ones((height, width), np.uint8),
+        np.ones((height, width), np.float32),
         floor,
     )
 
@@ -67,6 +74,8 @@ def deform_pair(
                 source, valid, masked, refined, cell, share, np.float32(scale), first, last,
                 offset, fraction, target, out.valid,
             )  # fmt: skip
+        for target in (out.a, out.b):
+            target[first:last] *= out.valid[first:last]
 
     run_rows(rows, height, threads=threads)
     return out

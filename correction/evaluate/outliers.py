@@ -128,7 +128,13 @@ def _weighted_plane(
     return plane, supported
 
 
-def smoothed(field: NDArray[np.float64], valid: NDArray[np.bool_], sigma_steps: float) -> NDArray[np.float64]:
+def smoothed(
+    field: NDArray[np.float64],
+    valid: NDArray[np.bool_],
+    sigma_steps: float,
+    order: int = 1,
+    trust: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
     """Field of the valid vectors, smoothed over `sigma_steps` nodes and continued where there are none.
 
     A local plane again: inside it is plain Gaussian smoothing, at edges it still follows gradients.
@@ -141,6 +147,11 @@ def smoothed(field: NDArray[np.float64], valid: NDArray[np.bool_], sigma_steps: 
         At least one is True.
     sigma_steps : float
         Standard deviation of the Gaussian in grid steps; 0 fills only.
+    order : int
+        How often what the smoothing has left out is smoothed and added: long waves then pass whole, and the
+        step from those that pass to those that do not is steeper.
+    trust : ndarray of float64, shape (ny, nx), optional
+        Weights of the valid vectors, about 1; default all 1.
 
     Returns
     -------
@@ -150,7 +161,10 @@ def smoothed(field: NDArray[np.float64], valid: NDArray[np.bool_], sigma_steps: 
     fill, _ = filled(field, valid)
     if sigma_steps <= 0.0 or min(valid.shape) < 2:
         return fill
-    plane, supported = _weighted_plane(
-        np.where(valid[..., None], field, 0.0), valid.astype(float), sigma_steps, 0.02
-    )
-    return np.where(supported[..., None], plane, fill)
+    result, rest = np.zeros_like(fill), np.where(valid[..., None], field, 0.0)
+    weight = valid.astype(float) if trust is None else np.where(valid, trust, 0.0)
+    for _ in range(order):
+        plane, supported = _weighted_plane(rest, weight, sigma_steps, 0.02)
+        result += plane
+        rest = np.where(valid[..., None], rest - plane, 0.0)
+    return np.where(supported[..., None], result, fill)

@@ -1,115 +1,146 @@
-"""Random uncertainty of each vector from correlation statistics (Wieneke, MST 26, 074002 (2015)).
+"""Random uncertainty of each vector, from how unevenly its window leans.
 
-At the final displacement both windows should match; what does not match is noise, and its effect on the
-correlation peak can be added up.  Along one axis, with C0 = sum a b, C+ = sum a(x) b(x+1), C- = sum a(x+1) b(x),
-the elementary asymmetry dC = a(x) b(x+1) - a(x+1) b(x) sums to C+ - C-, whose expectation is 0 and whose
-variance is the sum of all covariances of dC, neighbouring pixels being correlated over a particle image:
+At the final displacement both frames should match; what does not match is noise, and its effect on the
+correlation peak can be added up (Wieneke, Meas. Sci. Technol. 26, 074002 (2015)). Along one axis the products of
+neighbours, forwards minus backwards, q(x) = a(x) b(x+1) - a(x+1) b(x), sum to C+ - C-, on which the peak's place
+depends. With the weights W of the window the variance of that sum is
 
-1. dC is smoothed by (1, 2, 1)/4 along the axis, which takes out the negative covariance of pixel noise at
-   one pixel's distance; its mean over the window is removed (a converged vector has sum dC = 0).
-2. var = sum over shifts d of S(d) = sum dC(x) dC(x + d), ring by ring until a ring stays below 0.05 S(0).
-3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by
-   sigma = [ln(C + s/2) - ln(C - s/2)] / [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)].
+    var = sum_x W(x)^2 G,      G = sum of all covariances of q at one place.
 
-4. That is the noise of one correlation.  Passes feed it back: the smoothed predictor carries noise S n, of which
-   the window, averaging with the response B, sees and removes only B S n, so after P passes the result holds
-   n sum_m (S (1 - B))^m, m < P.  `pass_gain` is the root mean square of that sum over the noise spectrum
-   (1.08 for 32 px windows at 50 % overlap, smoothed over one step), and sigma is multiplied by it.
+1. q is summed over blocks of about a particle's size. The square of a block's sum over its area is an estimate
+   of G that lacks the covariances across its borders, by a share of 1/side: with sides h and 2 h, G = (2
+   sqrt(E_2h) - sqrt(E_h))^2, taken over the whole frame, where it is known well. Its place in the frame comes
+   from the blocks.
+2. What is left to find, r, makes q lean too: by r (m'(x) m(x+1) - m(x) m'(x+1)), m the mean of both frames. This
+   is no noise and is taken off first, block by block. Since r was measured in the same windows, some noise goes
+   with it, as with any fitted number: of N pieces N - 3 are left (1 if they were independent; 3 holds to 10 % from
+   0.005 to 0.1 particles per px). N = (sum W p)^2/sum (W p)^2, where p, what a displacement makes of a block of
+   2 h, stands for the light in it.
+3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by sigma = [ln(C + s/2) - ln(C - s/2)] /
+   [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)].
 
-Only random error is seen: not peak locking, not gradients smaller than a window, not calibration.  The
-estimate is meant for sigma below 0.3 px.
+That is the noise of one correlation; what passes and the last filter make of it says
+`correction.evaluate.response`. Particle images of a few pixels leave an error that no noise betrays and no
+filter takes off: where they lie between the pixels moves the peak. It depends on their size alone (`SAMPLING`,
+measured without noise) and is added as it is. What is smaller than a window, and calibration, are not seen.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.correlate import CHUNK_BYTES, least_valid
 from correction.evaluate.deform import DeformedPair
-from correction.evaluate.kernels.statistics import REACH, window_sigma
-from correction.evaluate.kernels.windows import cut_windows
-from correction.evaluate.windows import WindowGrid
+from correction.evaluate.kernels.statistics import KINDS, block_sums
+from correction.evaluate.refine import Refined
+from correction.evaluate.windows import WindowGrid, interpolated
 from ground.rows import run_rows
+
+Floats = NDArray[np.float64]
+LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
+LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
+SAMPLING = (  # variance of a particle image [px^2], and the error that it leaves [px]
+    (0.17, 0.18, 0.222, 0.331, 0.642, 1.1),
+    (0.011, 0.008, 0.004, 0.0016, 0.0016, 0.0008),
+)
+
+
+def sampling_error_px(spread_px2: float) -> float:
+    """Standard deviation of what the pixels make of particle images whose variance is `spread_px2`."""
+    sizes, errors = SAMPLING
+    return float(np.exp(np.interp(spread_px2, sizes, np.log(errors))))
 
 
 def correlation_statistics(
-    pair: DeformedPair, grid: WindowGrid, min_valid: float, gain: float = 1.0, threads: int | None = None
-) -> NDArray[np.float64]:
-    """Standard uncertainty of u and v for every window.
+    pair: DeformedPair,
+    grid: WindowGrid,
+    window_sigma: float,
+    refined: Refined,
+    left_px: Floats,
+    spread_px2: float,
+    threads: int | None = None,
+) -> Floats:
+    """Standard uncertainty of u and v for every window, of one correlation.
 
     Parameters
     ----------
     pair : DeformedPair
-        Frames deformed by (nearly) the final field, and the pixels valid in both.
+        Frames deformed by (nearly) the final field, and how far their pixels are valid.
     grid : WindowGrid
         Windows.
-    min_valid : float
-        Share of valid pixels that a window needs.
-    gain : float
-        Factor for the noise that passes feed back, see `pass_gain`.
+    window_sigma : float
+        Their weights, see `correction.evaluate.refine.window_weights`.
+    refined : Refined
+        What was measured with them.
+    left_px : ndarray of float64, shape (ny, nx, 2)
+        Displacement that was left to find, finite everywhere.
+    spread_px2 : float
+        Variance of a particle image.
     threads : int, optional
         Threads to use.
 
     Returns
     -------
     ndarray of float64, shape (ny, nx, 2)
-        Sigma of u, v [px]; NaN where a window has too few valid pixels, no texture, or no clear peak.
+        Sigma of u, v [px]; NaN where there is no clear peak.
     """
-    ny, nx = grid.shape
-    size = grid.size_px
-    rows, columns = (
-        np.ascontiguousarray(grid_.ravel()) for grid_ in np.meshgrid(grid.row, grid.column, indexing="ij")
-    )
-    sigma = np.empty((2, ny * nx))
-    least = least_valid(grid, min_valid)
+    height, width = pair.a.shape
+    block = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 4))
+    sums = np.empty((KINDS, height // block, width // block), np.float32)
 
-    chunk = max(1, CHUNK_BYTES // (4 * size * size))
+    def rows(first: int, last: int) -> None:
+        block_sums(pair.a, pair.b, block, first, last, np.empty((KINDS, width), np.float32), sums)
 
-    def some(first: int, last: int) -> None:
-        a, b, turned_a, turned_b = np.empty((4, chunk, size, size), np.float32)
-        sums, raw = np.empty((3, size), np.float32), np.empty(size + 2, np.float32)
-        field = np.zeros((size + 2 * REACH, size + 2 * REACH), np.float32)
-        count, energy = np.empty(chunk, np.int64), np.empty(chunk)
-        for start in range(first, last, chunk):
-            here = slice(start, min(start + chunk, last))
-            n = here.stop - start
-            cut_windows(
-                pair.a, pair.b, pair.valid, rows[here], columns[here], least, pair.floor,
-                sums[:2], count, energy, a[:n], b[:n],
-            )  # fmt: skip
-            window_sigma(a[:n], b[:n], energy, sums, raw, field, sigma[0, here])
-            # Along columns it is the same sum over transposed windows.
-            turned_a[:n], turned_b[:n] = a[:n].transpose(0, 2, 1), b[:n].transpose(0, 2, 1)
-            window_sigma(turned_a[:n], turned_b[:n], energy, sums, raw, field, sigma[1, here])
+    run_rows(rows, sums.shape[1], threads=threads)
+    centres = [(np.arange(count) + 0.5) * block - 0.5 for count in sums.shape[1:]]
+    nodes = (grid.y_px, grid.x_px)
+    along = [
+        _square_weights(place, node, grid.size_px, window_sigma)
+        for place, node in zip(centres, nodes, strict=True)
+    ]
+    sigma = np.empty(left_px.shape)
+    for axis in range(2):
+        lean, by_shift = sums[axis], sums[2 + axis]
+        left = interpolated(left_px[..., axis], 1, grid.x_px, centres[1], grid.step_px)
+        left = interpolated(left, 0, grid.y_px, centres[0], grid.step_px).astype(np.float32)
+        left *= by_shift
+        power = float(np.vdot(left, left))
+        share = np.float32(np.clip(float(np.vdot(lean, left)) / power, 0.0, 1.5) if power > 0.0 else 0.0)
+        noise = lean - share * left
+        variance = _whole_over_blocks(noise) * (along[0] @ np.square(noise) @ along[1].T)
+        variance /= np.maximum(1.0 - LOST / _pieces(by_shift, along), LEAST_LEFT)
+        c = refined.sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1)
+        sigma[..., axis] = _peak_sigma(refined.sums[..., 0], c, np.sqrt(variance))
+    return sigma
 
-    run_rows(some, ny * nx, block=8 * chunk, threads=threads)
-    return gain * np.ascontiguousarray(sigma.reshape(2, ny, nx).transpose(1, 2, 0))
+
+def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigma: float) -> NDArray[np.float32]:
+    """Squares of the weights (nodes, places) that windows around nodes give to places along one axis."""
+    off = place_px[None] - node_px[:, None]
+    weights = np.exp(-2.0 * (off / (window_sigma * size_px)) ** 2) if window_sigma else np.ones_like(off)
+    return np.where(np.abs(off) <= size_px / 2, weights, 0.0).astype(np.float32)
 
 
-def pass_gain(size_px: int, step_px: int, smoothing_steps: float, passes: int) -> float:
-    """Growth of random error by `passes` correlations on one grid whose predictor is smoothed in between.
+def _pieces(by_shift: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:
+    """Number of independent pieces (ny, nx) that a window holds."""
+    light = by_shift + np.roll(by_shift, -1, 0)
+    light = np.maximum(light + np.roll(light, -1, 1), 0.0)
+    sides = [np.sqrt(weights) for weights in along]
+    total = sides[0] @ light @ sides[1].T
+    squares = along[0] @ np.square(light) @ along[1].T
+    pieces: Floats = np.maximum(total**2 / np.maximum(4.0 * squares, 1e-30), 1.0)
+    return pieces
 
-    Parameters
-    ----------
-    size_px, step_px : int
-        Side and spacing of the windows.
-    smoothing_steps : float
-        Standard deviation of the smoothing in grid steps.
-    passes : int
-        Correlations on this grid, at least 1.
 
-    Returns
-    -------
-    float
-        1 for a single pass.
-    """
-    wave = 2 * np.pi * np.fft.fftfreq(128)  # rad a step
-    ratio = size_px / step_px
-    lags = np.arange(1, int(np.ceil(ratio)))
-    # Errors of windows that share pixels correlate in proportion to what they share.
-    spectrum = 1.0 + 2.0 * (np.maximum(0.0, 1.0 - lags / ratio)[:, None] * np.cos(lags[:, None] * wave)).sum(0)
-    smoothing = np.exp(-0.5 * (smoothing_steps * wave) ** 2)
-    window = np.sinc(0.5 * ratio * wave / np.pi)
-    kept = np.outer(smoothing, smoothing) * (1.0 - np.outer(window, window))
-    growth = sum(kept**m for m in range(passes))
-    power = np.outer(spectrum, spectrum)
-    return float(np.sqrt((power * growth**2).sum() / power.sum()))
+def _whole_over_blocks(noise: NDArray[np.float32]) -> float:
+    """How much larger the variance of a large sum is than that of as many blocks."""
+    pairs = noise[:-1, :-1] + noise[1:, :-1] + noise[:-1, 1:] + noise[1:, 1:]
+    small = float(np.mean(np.square(noise), dtype=np.float64))
+    large = float(np.mean(np.square(pairs), dtype=np.float64)) / 4.0
+    return (2.0 * np.sqrt(large) - np.sqrt(small)) ** 2 / small if small > 0.0 else 1.0
+
+
+def _peak_sigma(c0: Floats, c: Floats, deviation: Floats) -> Floats:
+    """Standard deviation of the 3-point Gaussian peak whose sides differ at random; see 3. above."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        high, low = np.log(c + 0.5 * deviation), np.log(c - 0.5 * deviation)
+        bottom = 4.0 * np.log(c0) - 2.0 * high - 2.0 * low
+        return np.where((c0 > 0.0) & (bottom > 0.0), (high - low) / bottom, np.nan)

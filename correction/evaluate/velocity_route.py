@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from correction.errors import PairError
 from correction.evaluate.outliers import outliers
-from correction.evaluate.piv import PivSettings, evaluate_pair
+from correction.evaluate.piv import evaluate_pair
+from correction.evaluate.settings import PivSettings
 from correction.evaluate.vector_field import VectorField
 from tracer.ray_map import RayMap
 from tracer.scene import Scene

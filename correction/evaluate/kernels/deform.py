@@ -60,16 +60,14 @@ def row_offsets(
 
 
 @kernel
-def all_four(valid: Array, i: int, j: int) -> bool:
-    """Whether the four pixels around (i..i+1, j..j+1) exist and are valid."""
+def share_at(valid: Array, i: int, j: int, s: np.float32, t: np.float32) -> np.float32:
+    """Bilinear value of the mask (H, W) float32 at (i + s, j + t); 0 outside the pixel centres."""
     height, width = valid.shape
-    return (
-        i >= 0
-        and j >= 0
-        and i + 1 < width
-        and j + 1 < height
-        and (valid[j, i] & valid[j, i + 1] & valid[j + 1, i] & valid[j + 1, i + 1]) != 0
-    )
+    if i < 0 or j < 0 or i + 1 >= width or j + 1 >= height:
+        return np.float32(0.0)
+    above = valid[j, i] * (_ONE - s) + valid[j, i + 1] * s
+    below = valid[j + 1, i] * (_ONE - s) + valid[j + 1, i + 1] * s
+    return above * (_ONE - t) + below * t  # type: ignore[no-any-return]
 
 
 @kernel
@@ -90,10 +88,11 @@ def deform_rows(
 ) -> None:
     """Rows first..last-1 of the frame sampled at x + scale * displacement(x).
 
-    coefficients (H, W) float32; valid (H, W) uint8, looked at if `masked`; refined (2, rows, W) float32, the
+    coefficients (H, W) float32; valid (H, W) float32, looked at if `masked`; refined (2, rows, W) float32, the
     grid refined along u; cell (H,) int and weight (H, 4) float32, the four grid lines of each frame row and
     their shares.  offset (2, W) int32 and fraction (2, W) float32 are scratch.  out (H, W) float32 becomes 0
-    where there is no value; out_valid (H, W) uint8 is combined by AND, so that two frames share it.
+    where there is no value; out_valid (H, W) float32 is multiplied by the share of valid pixels there, so that
+    two frames have one in common.
     """
     height, width = coefficients.shape
     for row in range(first, last):
@@ -129,7 +128,7 @@ def deform_rows(
                     value = quintic_at(coefficients, k + shift + fraction[0, k], row + rise + fraction[1, k])
                     inside = value == value
                     out[row, k] = value if inside else np.float32(0.0)
-                    out_valid[row, k] &= inside
-                if masked and not all_four(valid, k + shift, row + rise):
-                    out_valid[row, k] = 0
+                    out_valid[row, k] *= _ONE if inside else np.float32(0.0)
+                if masked:
+                    out_valid[row, k] *= share_at(valid, k + shift, row + rise, fraction[0, k], fraction[1, k])
             start = stop

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from correction.evaluate.evidence import PROVEN, WEAK, proven, unproven
-from correction.evaluate.piv import PivSettings, evaluate_pair
+from correction.evaluate.piv import evaluate_pair
+from correction.evaluate.settings import PivSettings
 
 
 def wave(length_px):

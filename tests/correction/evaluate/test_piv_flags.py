@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from correction.errors import CorrectionError, FrameError, PairError
-from correction.evaluate.piv import PivSettings, evaluate_pair
+from correction.evaluate.piv import evaluate_pair
+from correction.evaluate.settings import PivSettings
 from correction.evaluate.vector_field import VectorFlag
 
 PLAIN = PivSettings(uncertainty=False)

@@ -9,10 +9,8 @@ from correction.evaluate.deform import deform_pair
 from correction.evaluate.kernels import deform as piv_deform
 from correction.evaluate.kernels import fft as piv_fft
 from correction.evaluate.kernels import median as piv_median
-from correction.evaluate.kernels import statistics as piv_statistics
 from correction.evaluate.kernels import windows as piv_windows
 from correction.evaluate.outliers import filled, outliers, smoothed
-from correction.evaluate.uncertainty import pass_gain
 from correction.evaluate.windows import interpolated, window_grid
 from correction.resample.sample import prefilter, sample
 
@@ -71,7 +69,7 @@ def test_deformation_equals_sampling_point_by_point(amplitude_px):
     def field(u, v):  # quadratic: the interpolation between nodes is exact inside
         return np.stack([amplitude_px * (0.3 + (u / 150) * (v / 140)), amplitude_px * (-0.7 + v / 140)], -1)
 
-    valid = np.ones((140, 150), np.uint8)
+    valid = np.ones((140, 150), np.float32)
     valid[60:63, 70:90] = 0
     out = deform_pair(coefficients, valid, field(x, y), grid, 0.0)
     v, u = np.mgrid[:140, :150]
@@ -81,16 +79,16 @@ def test_deformation_equals_sampling_point_by_point(amplitude_px):
         positions = np.stack([u, v], -1) + scale * field(u, v)
         expected = sample(source, positions)
         seen = np.isfinite(expected)
-        assert (
-            np.abs(result - expected)[inner][seen[inner]].max() < 0.3
-        )  # of 1000, white noise: the steepest there is
+        whole = seen & (out.valid > 0.999)
+        # of 1000, white noise: the steepest there is
+        assert np.abs(result - expected)[inner][whole[inner]].max() < 0.3
         low = np.floor(positions + 1e-4).astype(int)
         for dv in (0, 1):
             for du in (0, 1):
                 row, column = np.clip(low[..., 1] + dv, 0, 139), np.clip(low[..., 0] + du, 0, 149)
                 everything_valid &= valid[row, column] != 0
     if amplitude_px:
-        assert np.array_equal(out.valid[inner] != 0, everything_valid[inner])
+        assert np.array_equal(out.valid[inner] > 0.999, everything_valid[inner])
     assert out.valid.max() == 1
 
 
@@ -101,12 +99,12 @@ def test_row_kernel_as_plain_python():
     cell, weight = np.zeros(12, np.int64), np.full((12, 4), 0.25, np.float32)
     results = []
     for kernel in (piv_deform.deform_rows, piv_deform.deform_rows.py_func):
-        out, out_valid = np.zeros((12, 16), np.float32), np.ones((12, 16), np.uint8)
-        kernel(coefficients, np.ones((12, 16), np.uint8), True, refined, cell, weight, np.float32(0.5), 0, 12,
+        out, out_valid = np.zeros((12, 16), np.float32), np.ones((12, 16), np.float32)
+        kernel(coefficients, np.ones((12, 16), np.float32), True, refined, cell, weight, np.float32(0.5), 0, 12,
                np.empty((2, 16), np.int32), np.empty((2, 16), np.float32), out, out_valid)  # fmt: skip
         results.append((out, out_valid))
     assert np.abs(results[0][0] - results[1][0]).max() < 1e-5
-    assert np.array_equal(results[0][1], results[1][1])
+    assert np.abs(results[0][1] - results[1][1]).max() < 1e-6
 
 
 def test_windows_lose_the_mean_of_valid_pixels_only():
@@ -244,36 +242,3 @@ def test_windows_are_centred_in_the_frame():
     assert grid.row.tolist() == [2, 18, 34, 50, 66]
     assert grid.column.tolist() == [3, 19, 35]
     assert grid.y_px[0] == 17.5
-
-
-def test_covariance_sums_against_numpy():
-    rng = np.random.default_rng(4)
-    size, reach = 12, piv_statistics.REACH
-    field = np.zeros((size + 2 * reach,) * 2, np.float32)
-    inner = rng.normal(size=(size, size))
-    field[reach:-reach, reach:-reach] = inner
-    for kernel in (piv_statistics.covariance, piv_statistics.covariance.py_func):
-        value = kernel(field, -2, 3, np.empty(size, np.float32))
-        assert value == pytest.approx((inner[:-3, 2:] * inner[3:, :-2]).sum(), rel=1e-5)
-
-
-def test_sigma_without_correlation_is_nan_and_of_identical_windows_is_small():
-    a, b = windows(2, 32)
-    energy, out = np.array([1.0, 1.0]), np.empty(2)
-    sums, raw = np.empty((3, 32), np.float32), np.empty(34, np.float32)
-    field = np.zeros((40, 40), np.float32)
-    piv_statistics.window_sigma(a, b, energy, sums, raw, field, out)
-    assert np.isnan(out).all() or (out[np.isfinite(out)] > 0.1).all()
-    smooth = ndimage.gaussian_filter(a, (0, 1, 1))
-    smooth -= smooth.mean((1, 2), keepdims=True)
-    piv_statistics.window_sigma(smooth, smooth, energy, sums, raw, field, out)
-    assert np.isnan(out).all() or np.nanmax(out) < 1e-3
-    piv_statistics.window_sigma(smooth, smooth, np.zeros(2), sums, raw, field, out)
-    assert np.isnan(out).all()
-
-
-def test_pass_gain_grows_with_passes_and_falls_with_smoothing():
-    assert pass_gain(32, 16, 1.0, 1) == 1.0
-    gains = [pass_gain(32, 16, 1.0, passes) for passes in (2, 3, 6)]
-    assert 1.0 < gains[0] < gains[1] < gains[2] < 1.1
-    assert pass_gain(32, 16, 0.5, 3) > 1.2

@@ -6,8 +6,9 @@ import pytest
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.errors import PairError
-from correction.evaluate.piv import PivSettings, evaluate_pair
+from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import Region, regions_of
+from correction.evaluate.settings import PivSettings
 from correction.evaluate.shift import evaluate_shift, shift_errors
 from correction.evaluate.velocity_route import velocity_route
 from sim.prints.patterns import printed_particles

@@ -1,0 +1,97 @@
+"""What an evaluation makes of waves and of noise: the linear theory of its passes.
+
+A pass adds to the predictor what its windows see of the rest. With the response K of window and interpolation,
+and S the smoothing before the next pass, a field and the noise n of one correlation come out of P passes as
+
+    gain:  g = K + (1 - K) S g,         noise:  n (1 + (1 - K) S (1 + (1 - K) S (...))),
+
+since the same windows see the same noise again in every pass and take back K of what they had added. A last
+filter (`correction.evaluate.denoise`) multiplies both. What a window of weights w(x) makes of a wave is its
+transform; of a field that is given at nodes, the transform of its averages of the interpolation (Keys) around
+each node, which is what K is here. The noise of windows that share pixels correlates as their weights do.
+
+Astarita, Exp. Fluids 43, 859 (2007), on the response; in the limit of dense windows the noise of any such
+evaluation is the integral of gain^2 over all waves: who wants more of the short ones pays for it.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.evaluate.windows import keys_weights
+
+Floats = NDArray[np.float64]
+Transfer = Callable[[Floats], Floats]  # of wave numbers [rad a step], (..., 2)
+WAVES = 64  # a side of the plane of wave numbers
+
+
+def smoothing_transfer(sigma_steps: float, order: int) -> Transfer:
+    """Transfer of `order` repeated smoothings of what is left, 1 - (1 - Gaussian)^order."""
+
+    def transfer(wave: Floats) -> Floats:
+        passed: Floats = 1.0 - (1.0 - np.exp(-0.5 * sigma_steps**2 * (wave**2).sum(axis=-1))) ** order
+        return passed
+
+    return transfer
+
+
+def noise_growth(
+    weights: Floats, step_px: int, between: Sequence[Transfer], last: Transfer | None = None
+) -> float:
+    """Random error of the result over that of one correlation.
+
+    Parameters
+    ----------
+    weights : ndarray of float64, shape (w,)
+        Of the products of a window along one axis.
+    step_px : int
+        Spacing of the windows.
+    between : sequence of callable
+        Transfers of the smoothings between passes on this grid, one fewer than passes.
+    last : callable, optional
+        Transfer of the last filter.
+    """
+    wave = _waves()
+    size = len(weights)
+    shared = np.correlate(weights, weights, "full")[size - 1 :: step_px] / np.square(weights).sum()
+    lags = np.arange(1, len(shared))
+    line = 1.0 + 2.0 * (shared[1:, None] * np.cos(lags[:, None] * wave[0, :, 0])).sum(axis=0)
+    kept = 1.0 - _node_response(weights, step_px)
+    growth = np.ones_like(kept)
+    for transfer in between:
+        growth = 1.0 + kept * transfer(wave) * growth
+    if last is not None:
+        growth = growth * last(wave)
+    return float(np.sqrt((np.outer(line, line) * growth**2).mean()))
+
+
+def gain(
+    weights: Floats, step_px: int, between: Sequence[Transfer], wavelength_px: Floats, last: Transfer | None = None
+) -> Floats:
+    """Share of a wave along one axis that the result shows, for each wavelength [px]."""
+    k = 2.0 * np.pi / np.asarray(wavelength_px, float)
+    x = np.arange(len(weights)) - (len(weights) - 1) / 2
+    seen: Floats = (weights * np.cos(np.multiply.outer(k, x))).sum(axis=-1) / weights.sum()
+    wave = np.stack((k * step_px, np.zeros_like(k)), axis=-1)
+    result: Floats = seen
+    for transfer in between:
+        result = seen + (1.0 - seen) * transfer(wave) * result
+    return result * last(wave) if last is not None else result
+
+
+def _waves() -> Floats:
+    """Wave numbers (WAVES, WAVES, 2) [rad a step]."""
+    line = 2.0 * np.pi * np.fft.fftfreq(WAVES)
+    return np.stack(np.meshgrid(line, line), axis=-1)
+
+
+def _node_response(weights: Floats, step_px: int) -> Floats:
+    """What windows see of a field given at their nodes, for each wave of `_waves`."""
+    x = (np.arange(len(weights)) - (len(weights) - 1) / 2) / step_px
+    first, shares = keys_weights(x)
+    node = (first[:, None] + np.arange(4)).ravel()
+    share = (weights[:, None] * shares).ravel() / weights.sum()
+    wave = _waves()[0, :, 0]
+    line = (share[:, None] * np.cos(np.multiply.outer(node, wave))).sum(axis=0)
+    return np.outer(line, line)
