@@ -5,7 +5,7 @@ windows of the deformed frames, and adds the displacement that is left:
 
     measured(x) = predictor(x) + peak of  sum_x' A(x' - d(x')/2) B(x' + d(x')/2 + s)  over s.
 
-* The first two passes search whole windows by transform (`correction.evaluate.correlate`). What they leave is
+* The first pass searches whole windows by transform (`correction.evaluate.correlate`). What it leaves is
   within a pixel nearly everywhere; the others look only there, with windows that weigh their middle most
   (`correction.evaluate.refine`), and search where they find no peak.
 * Frames are deformed with the float-exact quintic B-spline that also corrects them, made smoother for particle
@@ -17,6 +17,7 @@ Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 2
 Sign and axis conventions: see `correction.evaluate.vector_field`.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,9 +37,10 @@ from correction.evaluate.uncertainty import correlation_statistics, sampling_err
 from correction.evaluate.vector_field import VectorField, VectorFlag
 from correction.evaluate.windows import WindowGrid, interpolated, window_grid
 
-SEARCHES = 2  # passes that look at whole windows
-SMOOTH_SEARCH = 0.5  # of the window's side: standard deviation of the predictor's smoothing after a search
-SMOOTH_REFINE = 0.25, 3  # the same after a refinement, and its order
+HALVED_PX = 64  # first windows of this side are looked at in frames of half the resolution
+LEAST_CORRELATION = 0.5  # of the second pass: with less, what lies in the middle may be there by chance
+COARSE = 2  # passes after which the predictor is smoothed more
+SMOOTH_COARSE, SMOOTH_FINE = 0.5, 0.25  # of the window's side: standard deviation of that smoothing
 
 Floats = NDArray[np.float64]
 
@@ -91,60 +93,66 @@ def evaluate_pair(
     pair = prepared(frame_a, frame_b, valid, settings.windows_px[-1])
     shape = (pair.a.shape[0], pair.a.shape[1])
     grids = [window_grid(shape, size, settings.overlap) for size in settings.windows_px]
-    deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
-    predictor = np.zeros((*grids[0].shape, 2))
-    searched: tuple[WindowGrid, Floats] | None = None
-    for number, grid in enumerate(grids):
-        if number == 0:
-            found = _search(deformed, grid, predictor, settings, threads)
-        else:
-            if number == 1:
-                coefficients = pair.coefficients(threads)
-            deformed = deform_pair(coefficients, pair.valid, predictor, grids[number - 1], pair.floor, threads)
-            predictor = _moved(predictor, grids[number - 1], grid)
-            last = number == len(grids) - 1
-            by = _search if number < SEARCHES and not last else _refine
-            found = by(deformed, grid, predictor, settings, threads)
-        if found.refined is None:
-            searched = grid, found.peak_ratio
-            predictor = smoothed(found.vectors_px, found.good, SMOOTH_SEARCH * grid.size_px / grid.step_px)
-        elif number < len(grids) - 1:
-            predictor = smoothed(found.vectors_px, found.good, _steps(settings, grid), SMOOTH_REFINE[1])
-    if searched is not None:
-        found = found._replace(peak_ratio=_nearest(*searched, grid))
+    found = _search(pair, grids[0], settings, threads)
+    deformed = _undeformed(pair)
+    coefficients = pair.coefficients(threads) if len(grids) > 1 else None
+    for number, (before, grid) in enumerate(pairwise(grids), start=1):
+        assert coefficients is not None
+        predictor = smoothed(found.vectors_px, found.good, *_smoothing(number - 1, before, settings))
+        deformed = deform_pair(coefficients, pair.valid, predictor, before, pair.floor, threads)
+        predictor = _moved(predictor, before, grid)
+        least = LEAST_CORRELATION if number == 1 else 0.0
+        found = _refine(deformed, grid, predictor, least, settings, threads)
+    if settings.peak_ratios:
+        everywhere = found.valid_fraction >= settings.min_valid
+        ratio = peak_ratios(deformed, grids[-1], everywhere, settings.min_valid, threads)
+        found = found._replace(peak_ratio=ratio)
     return _result(found, deformed, grids, pair, settings, threads)
 
 
-def _steps(settings: PivSettings, grid: WindowGrid) -> float:
-    """Smoothing of the predictor after a refinement, in grid steps."""
+def _undeformed(pair: Pair) -> DeformedPair:
+    return DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
+
+
+def _smoothing(number: int, grid: WindowGrid, settings: PivSettings) -> tuple[float, int]:
+    """Smoothing of the predictor after a pass: standard deviation in grid steps, and order."""
+    if number < COARSE:
+        return SMOOTH_COARSE * grid.size_px / grid.step_px, 1
     asked = settings.smoothing_px
-    return (SMOOTH_REFINE[0] * grid.size_px if asked is None else asked) / grid.step_px
+    return (SMOOTH_FINE * grid.size_px if asked is None else asked) / grid.step_px, ORDER
 
 
-def _search(
-    pair: DeformedPair, grid: WindowGrid, predictor: Floats, settings: PivSettings, threads: int | None
-) -> Measured:
-    """Look at whole windows."""
-    raw = correlate_windows(pair, grid, settings.min_valid, True, threads)
-    vectors = predictor + raw.shift_px
-    good = _accepted(vectors, raw.peak_ratio, pair, grid, settings, threads)
-    fraction = raw.valid_fraction
-    return Measured(vectors, raw.correlation, raw.peak_ratio, fraction, good, raw.shift_px, None)
+def _search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | None) -> Measured:
+    """Look at whole windows; large ones at half the resolution, since only whole pixels count yet."""
+    halves = grid.size_px >= HALVED_PX and len(settings.windows_px) > 1
+    half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2) if halves else grid
+    frames = _undeformed(pair.halved() if halves else pair)
+    raw = correlate_windows(frames, half, settings.min_valid, False, threads)
+    good, ratio = _accepted(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
+    shift = raw.shift_px * (2.0 if halves else 1.0)
+    return Measured(shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)
 
 
 def _refine(
-    pair: DeformedPair, grid: WindowGrid, predictor: Floats, settings: PivSettings, threads: int | None
+    pair: DeformedPair,
+    grid: WindowGrid,
+    predictor: Floats,
+    least: float,
+    settings: PivSettings,
+    threads: int | None,
 ) -> Measured:
-    """Look within a pixel, and at the whole of the windows that show no peak there."""
+    """Look within a pixel, and at whole windows where no peak is there or less than `least` correlates."""
     raw = refine(pair, grid, settings.window_sigma, threads)
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
-    shift[raw.valid_fraction < settings.min_valid] = np.nan
-    lost = (raw.valid_fraction >= settings.min_valid) & np.isnan(shift).any(axis=-1)
+    dense = raw.valid_fraction >= settings.min_valid
+    shift[~dense] = np.nan
+    lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
     if lost.any():
-        shift[lost], ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
-        shift[lost & (ratio < WEAK)] = np.nan  # not where it was expected, and one of many
+        found, ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
+        found[ratio[lost] < WEAK] = np.nan  # not where it was expected, and one of many
+        shift[lost] = found
     vectors = predictor + shift
-    good = _accepted(vectors, ratio, pair, grid, settings, threads)
+    good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads)
     return Measured(vectors, raw.correlation, ratio, raw.valid_fraction, good, shift, raw)
 
 
@@ -155,8 +163,8 @@ def _accepted(
     grid: WindowGrid,
     settings: PivSettings,
     threads: int | None,
-) -> NDArray[np.bool_]:
-    """Vectors that were measured and fit their neighbours, or are proven by their own peak."""
+) -> tuple[NDArray[np.bool_], Floats]:
+    """Vectors that were measured and fit their neighbours, or are proven by their own peak; and peak ratios."""
     candidates: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=-1)
     suspects = outliers(vectors, candidates, settings.outlier_threshold, settings.outlier_epsilon_px)
     good = candidates & ~suspects
@@ -174,7 +182,7 @@ def _accepted(
             f"no window holds {settings.min_valid:.0%} valid pixels with particles; check the mask or use smaller "
             "windows"
         )
-    return good
+    return good, ratio
 
 
 def _moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -> NDArray[np.float64]:
@@ -183,15 +191,6 @@ def _moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -
         return field
     along_u = interpolated(field, 1, source.x_px, target.x_px, source.step_px)
     return interpolated(along_u, 0, source.y_px, target.y_px, source.step_px)
-
-
-def _nearest(grid: WindowGrid, values: Floats, other: WindowGrid) -> Floats:
-    """Values of the windows of a grid (ny, nx) that lie nearest to those of another one."""
-    rows, columns = (
-        np.abs(there[:, None] - here[None]).argmin(axis=1)
-        for here, there in ((grid.y_px, other.y_px), (grid.x_px, other.x_px))
-    )
-    return values[np.ix_(rows, columns)]
 
 
 def _result(
@@ -263,12 +262,12 @@ def _denoised(
     """Vectors without the detail that is noise, and their uncertainty; `sigma` is that of one correlation."""
     grid = grids[-1]
     weights = window_weights(grid.size_px, settings.window_sigma)
-    searched = min(SEARCHES, len(grids) - 1) - 1
-    transfers = []
-    if grids[searched].size_px == grid.size_px:
-        transfers.append(smoothing_transfer(SMOOTH_SEARCH * grid.size_px / grid.step_px, 1))
-    repeats = sum(1 for earlier in grids[searched + 1 :] if earlier.size_px == grid.size_px)
-    transfers += [smoothing_transfer(_steps(settings, grid), SMOOTH_REFINE[1])] * (repeats - 1)
+    first = next(number for number, other in enumerate(grids) if number and other.size_px == grid.size_px)
+    transfers = [
+        smoothing_transfer(*_smoothing(number, other, settings))
+        for number, other in enumerate(grids[:-1])
+        if number >= first
+    ]
     if not settings.denoise or min(grid.shape) < 2:
         return vectors, sigma * noise_growth(weights, grid.step_px, transfers)
     smooth = smoothing_transfer(SMOOTH * grid.size_px / grid.step_px, ORDER)

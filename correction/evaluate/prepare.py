@@ -70,6 +70,18 @@ class Pair:
                 cv2.addWeighted(coefficients, float(1.0 - share), frame, float(share), 0.0, dst=coefficients)
         return spline
 
+    def halved(self) -> "Pair":
+        """The same at half the resolution, for whoever looks for pixels and not for their fractions."""
+        size = self.a.shape[1] // 2 * 2, self.a.shape[0] // 2 * 2
+        a, b, valid = (
+            np.asarray(
+                cv2.resize(part[: size[1], : size[0]], (size[0] // 2, size[1] // 2), interpolation=cv2.INTER_AREA),
+                np.float32,
+            )
+            for part in (self.a, self.b, self.valid)
+        )
+        return Pair(a, b, valid, self.floor, self.spread_px2 / 4.0, self.nan_pixels)
+
 
 def prepared(
     frame_a: NDArray[Any], frame_b: NDArray[Any], valid: NDArray[np.bool_] | None, window_px: int
@@ -146,17 +158,20 @@ def _levelled(frame: NDArray[Any], weight: Floats, whole: bool, side_px: int, na
         values = values * weight
         near, share = cv2.GaussianBlur(values, (0, 0), FILL_PX), cv2.GaussianBlur(weight, (0, 0), FILL_PX)
         values = np.where(weight > 0, values, near / np.maximum(share, np.float32(0.05))).astype(np.float32)
-    return np.ascontiguousarray(values * np.float32(1.0 / _usual_deviation(values, weight, side_px)))
+    return np.ascontiguousarray(
+        values * np.float32(1.0 / _usual_deviation(values * weight if not whole else values, side_px))
+    )
 
 
-def _usual_deviation(values: Floats, weight: Floats, side_px: int) -> float:
+def _usual_deviation(values: Floats, side_px: int) -> float:
     """Median over the frame of the root mean square within a window."""
-    step = slice(None, None, max(1, side_px // 2))
-    square = _mean_around(np.square(values * weight), side_px)[step, step]
-    share = _mean_around(weight, side_px)[step, step]
-    inside = square[share > 0.5 * share.max()] / share[share > 0.5 * share.max()]
-    seen = inside[inside > 1e-6 * inside.max()]  # not what is dark or filled with one number
-    return float(np.sqrt(np.median(seen))) or 1.0
+    rows, columns = (max(side // side_px, 1) for side in values.shape)
+    part = values[: rows * side_px, : columns * side_px]
+    tall, wide = part.shape[0] // rows, part.shape[1] // columns
+    blocks = part[: rows * tall, : columns * wide].reshape(rows, tall, columns, wide)
+    square = np.einsum("ijkl,ijkl->ik", blocks, blocks) / (tall * wide)
+    seen = square[square > 1e-6 * square.max()]  # not what is dark or masked
+    return float(np.sqrt(np.median(seen))) if seen.size else 1.0
 
 
 def _blurred(frame: Floats, variance_px2: float) -> Floats:

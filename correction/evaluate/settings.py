@@ -16,8 +16,7 @@ class PivSettings:
     ----------
     windows_px : tuple of int
         Side of the square windows of each pass; the first one must hold about three times the largest
-        displacement. The first two passes search whole windows, all others look for what is left within a pixel
-        (`correction.evaluate.passes`).
+        displacement. It searches whole windows, all others look for what is left within a pixel.
     overlap : float
         Shared part of neighbouring windows, in every pass.
     window_sigma : float
@@ -36,6 +35,8 @@ class PivSettings:
         Universal outlier detection: largest normalised residual, and usual noise.
     uncertainty : bool
         Give the random uncertainty of each vector.
+    peak_ratios : bool
+        Look for the second peak of every window; otherwise only where something speaks against a vector.
 
     Raises
     ------
@@ -52,6 +53,7 @@ class PivSettings:
     outlier_threshold: float = 2.0
     outlier_epsilon_px: float = 0.1
     uncertainty: bool = True
+    peak_ratios: bool = False
 
     def __post_init__(self) -> None:
         sides = self.windows_px

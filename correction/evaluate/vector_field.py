@@ -41,8 +41,9 @@ class VectorField:
     flags : ndarray of uint8, shape (ny, nx)
         VectorFlag.
     peak_ratio, correlation : ndarray of float64, shape (ny, nx)
-        Highest to second highest correlation peak (inf without a second), and the correlation coefficient,
-        of the last pass; also given for vectors that were replaced afterwards.
+        Highest to second highest correlation peak (inf without a second; NaN where nobody looked because nothing
+        spoke against the vector), and the correlation coefficient, of the last pass; also given for vectors that
+        were replaced afterwards.
     sigma_u_px, sigma_v_px : ndarray of float64, shape (ny, nx)
         Random standard uncertainty; NaN where not estimated or not VALID.
     valid_fraction : ndarray of float64, shape (ny, nx)
