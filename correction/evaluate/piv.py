@@ -17,7 +17,6 @@ Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 2
 Sign and axis conventions: see `correction.evaluate.vector_field`.
 """
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,8 +38,9 @@ from correction.evaluate.windows import WindowGrid, interpolated, window_grid
 
 HALVED_PX = 64  # first windows of this side are looked at in frames of half the resolution
 LEAST_CORRELATION = 0.5  # of the second pass: with less, what lies in the middle may be there by chance
+CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time
 COARSE = 2  # passes after which the predictor is smoothed more
-SMOOTH_COARSE, SMOOTH_FINE = 0.5, 0.25  # of the window's side: standard deviation of that smoothing
+SMOOTH_COARSE, SMOOTH_FINE = 0.35, 0.25  # of the window's side: standard deviation of that smoothing
 
 Floats = NDArray[np.float64]
 
@@ -96,18 +96,31 @@ def evaluate_pair(
     found = _search(pair, grids[0], settings, threads)
     deformed = _undeformed(pair)
     coefficients = pair.coefficients(threads) if len(grids) > 1 else None
-    for number, (before, grid) in enumerate(pairwise(grids), start=1):
+    number = 0
+    while number + 1 < len(grids):
+        before, grid = grids[number : number + 2]
+        number += 1
         assert coefficients is not None
         predictor = smoothed(found.vectors_px, found.good, *_smoothing(number - 1, before, settings))
         deformed = deform_pair(coefficients, pair.valid, predictor, before, pair.floor, threads)
         predictor = _moved(predictor, before, grid)
         least = LEAST_CORRELATION if number == 1 else 0.0
         found = _refine(deformed, grid, predictor, least, settings, threads)
+        is_last = number + 1 == len(grids)
+        if is_last and len(grids) < len(settings.windows_px) + settings.extra_passes and _changes(found, settings):
+            grids.append(grid)
     if settings.peak_ratios:
         everywhere = found.valid_fraction >= settings.min_valid
         ratio = peak_ratios(deformed, grids[-1], everywhere, settings.min_valid, threads)
         found = found._replace(peak_ratio=ratio)
     return _result(found, deformed, grids, pair, settings, threads)
+
+
+def _changes(found: Measured, settings: PivSettings) -> bool:
+    """Whether a pass has still moved more than a few vectors."""
+    dense = found.valid_fraction >= settings.min_valid
+    moved = ~(np.linalg.norm(found.left_px, axis=-1) < CHANGE_PX)
+    return bool((moved & dense).sum() > CHANGED_SHARE * dense.sum())
 
 
 def _undeformed(pair: Pair) -> DeformedPair:

@@ -31,6 +31,8 @@ class PivSettings:
     denoise : float
         Detail finer than the windows' resolution is kept where it is stronger than this many times the noise
         that correlation statistics expect there (`correction.evaluate.denoise`); 0 keeps everything.
+    extra_passes : int
+        Most passes that are added at the end as long as vectors still move: strong gradients need more.
     outlier_threshold, outlier_epsilon_px : float
         Universal outlier detection: largest normalised residual, and usual noise.
     uncertainty : bool
@@ -50,7 +52,8 @@ class PivSettings:
     min_valid: float = 0.3
     smoothing_px: float | None = None
     denoise: float = 2.0
-    outlier_threshold: float = 2.0
+    extra_passes: int = 3
+    outlier_threshold: float = 3.0
     outlier_epsilon_px: float = 0.1
     uncertainty: bool = True
     peak_ratios: bool = False
@@ -71,6 +74,7 @@ class PivSettings:
         self._ask("window_sigma", "is 0 or at least 0.15", self.window_sigma == 0.0 or self.window_sigma >= 0.15)
         self._ask("smoothing_px", "is not negative", self.smoothing_px is None or self.smoothing_px >= 0.0)
         self._ask("denoise", "is not negative", self.denoise >= 0.0)
+        self._ask("extra_passes", "is a whole number from 0", self.extra_passes == int(self.extra_passes) >= 0)
         self._ask("outlier_threshold", "is positive", self.outlier_threshold > 0.0)
         self._ask("outlier_epsilon_px", "is positive", self.outlier_epsilon_px > 0.0)
 
