@@ -23,11 +23,12 @@ from daq.analysis.report.run import books_chapter, moved_chapter, provenance_cha
 from daq.cli import DEVICE, _exit_code
 from daq.errors import DaqError
 from daq.verbs.calibrate import nominal_scene
+from ground.errors import GroundError
 from stages.errors import StageError
 from tests.daq.small_run import make_old
 from tracer.errors import TracerError
 
-OURS = (DaqError, CorrectionError, StageError, TracerError)
+OURS = (DaqError, CorrectionError, StageError, TracerError, GroundError)
 RECORDS = ("run.json", "steps.jsonl", "done.json", "displacements.json")
 WORDS = (b"NaN", b"-1", b"1e999", b"null", b"true", b'"x"', b"[]", b"{}", b"\0", b"\xff", b"9" * 30, b"\n", b"../")
 
