@@ -19,11 +19,53 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.evaluate.denoise import ORDER, SMOOTH
+from correction.evaluate.refine import window_weights
+from correction.evaluate.settings import PivSettings
 from correction.evaluate.windows import keys_weights
+
+COARSE = 2  # passes after which the predictor is smoothed more
+SMOOTH_COARSE, SMOOTH_FINE = 0.35, 0.25  # of the window's side: standard deviation of the predictor's smoothing
 
 Floats = NDArray[np.float64]
 Transfer = Callable[[Floats], Floats]  # of wave numbers [rad a step], (..., 2)
 WAVES = 64  # a side of the plane of wave numbers
+
+
+def smoothing_after(number: int, window_px: int, step_px: int, settings: PivSettings) -> tuple[float, int]:
+    """Smoothing of the predictor after a pass: standard deviation in grid steps, and order."""
+    if number < COARSE:
+        return SMOOTH_COARSE * window_px / step_px, 1
+    asked = settings.smoothing_px
+    return (SMOOTH_FINE * window_px if asked is None else asked) / step_px, ORDER
+
+
+def transfers_between(windows_px: Sequence[int], step_px: int, settings: PivSettings) -> list[Transfer]:
+    """Smoothings between those passes whose windows are the last ones; `step_px` is their spacing."""
+    last = len(windows_px) - 1
+    first = next(n for n, size in enumerate(windows_px) if n == last or (n and size == windows_px[-1]))
+    return [
+        smoothing_transfer(*smoothing_after(number, windows_px[-1], step_px, settings))
+        for number in range(first, last)
+    ]
+
+
+def last_filter(window_px: int, step_px: int) -> Transfer:
+    """Transfer of the smooth part of the result: what is left where there is nothing but noise."""
+    return smoothing_transfer(SMOOTH * window_px / step_px, ORDER)
+
+
+def response_of(settings: PivSettings, wavelength_px: Floats) -> tuple[Floats, Floats]:
+    """Gain of an evaluation at wavelengths [px] along one axis: of strong waves, and of waves below the noise."""
+    size = settings.windows_px[-1]
+    step = max(1, round(size * (1.0 - settings.overlap)))
+    weights, between = (
+        window_weights(size, settings.window_sigma),
+        transfers_between(settings.windows_px, step, settings),
+    )
+    strong = gain(weights, step, between, wavelength_px)
+    weak = gain(weights, step, between, wavelength_px, last_filter(size, step)) if settings.denoise else strong
+    return strong, weak
 
 
 def smoothing_transfer(sigma_steps: float, order: int) -> Transfer:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+STATIC_SHARE = 0.08  # of the light; particles alone give 0.00 to 0.03
 TRUSTED_SHARE = 0.7  # of the vectors outside the mask; real pairs have 0.95 and more, strangers 0.3
 
 
@@ -51,7 +52,9 @@ class VectorField:
     window_px, step_px : int
         Size and spacing of the last windows.
     nan_pixels : int
-        Pixels that were NaN or infinite in a frame although the mask called them valid; treated as masked.
+        Pixels that were NaN, infinite or masked in a frame although the mask called them valid; treated as masked.
+    static_share : float
+        Share of the light that does not move, see `correction.evaluate.static`; NaN where not known.
     """
 
     x_px: Floats
@@ -67,6 +70,7 @@ class VectorField:
     window_px: int
     step_px: int
     nan_pixels: int
+    static_share: float = float("nan")
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -84,6 +88,11 @@ class VectorField:
         """Why the field as a whole is not to be trusted, in a sentence; empty if nothing speaks against it."""
         asked = int(np.count_nonzero(self.flags != VectorFlag.MASKED))
         share = self.counts["valid"] / max(asked, 1)
+        if self.static_share > STATIC_SHARE:
+            return (
+                f"{100.0 * self.static_share:.0f} % of the light does not move and draws every vector to zero;"
+                " take the background off the frames first"
+            )
         if share >= TRUSTED_SHARE or not asked:
             return ""
         return (

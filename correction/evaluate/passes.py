@@ -1,0 +1,105 @@
+"""One pass: look at whole windows, or within a pixel of what is known, and say which vectors to believe."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.errors import PairError
+from correction.evaluate.correlate import correlate_some, correlate_windows, peak_ratios
+from correction.evaluate.deform import DeformedPair
+from correction.evaluate.evidence import WEAK, proven
+from correction.evaluate.outliers import outliers
+from correction.evaluate.prepare import Pair
+from correction.evaluate.refine import Refined, refine
+from correction.evaluate.settings import PivSettings
+from correction.evaluate.windows import WindowGrid, interpolated
+
+HALVED_PX = 64  # first windows of this side are looked at in frames of half the resolution
+LEAST_CORRELATION = 0.5  # of the second pass: with less, what lies in the middle may be there by chance
+
+Floats = NDArray[np.float64]
+
+
+class Measured(NamedTuple):
+    """What a pass has found: vectors_px (ny, nx, 2), the others (ny, nx); `refined` unless it has searched."""
+
+    vectors_px: Floats
+    correlation: Floats
+    peak_ratio: Floats
+    valid_fraction: Floats
+    good: NDArray[np.bool_]
+    left_px: Floats
+    refined: Refined | None
+
+
+def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | None) -> Measured:
+    """Look at whole windows; large ones at half the resolution, since only whole pixels count yet."""
+    halves = grid.size_px >= HALVED_PX and len(settings.windows_px) > 1
+    half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2) if halves else grid
+    seen = pair.halved() if halves else pair
+    frames = DeformedPair(seen.a, seen.b, seen.valid, seen.floor)
+    raw = correlate_windows(frames, half, settings.min_valid, False, threads)
+    good, ratio = _accepted(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
+    shift = raw.shift_px * (2.0 if halves else 1.0)
+    return Measured(shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)
+
+
+def refine_pass(
+    pair: DeformedPair,
+    grid: WindowGrid,
+    predictor: Floats,
+    least: float,
+    settings: PivSettings,
+    threads: int | None,
+) -> Measured:
+    """Look within a pixel, and at whole windows where no peak is there or less than `least` correlates."""
+    raw = refine(pair, grid, settings.window_sigma, threads)
+    shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
+    dense = raw.valid_fraction >= settings.min_valid
+    shift[~dense] = np.nan
+    lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
+    if lost.any():
+        found, ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
+        found[ratio[lost] < WEAK] = np.nan  # not where it was expected, and one of many
+        shift[lost] = found
+    vectors = predictor + shift
+    good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads)
+    return Measured(vectors, raw.correlation, ratio, raw.valid_fraction, good, shift, raw)
+
+
+def _accepted(
+    vectors: Floats,
+    ratio: Floats,
+    pair: DeformedPair,
+    grid: WindowGrid,
+    settings: PivSettings,
+    threads: int | None,
+) -> tuple[NDArray[np.bool_], Floats]:
+    """Vectors that were measured and fit their neighbours, or are proven by their own peak; and peak ratios."""
+    candidates: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=-1)
+    suspects = outliers(vectors, candidates, settings.outlier_threshold, settings.outlier_epsilon_px)
+    good = candidates & ~suspects
+    unknown = suspects & np.isnan(ratio)
+    if unknown.any():
+        ratio = np.where(unknown, peak_ratios(pair, grid, unknown, settings.min_valid, threads), ratio)
+    if suspects.any():
+        good |= proven(vectors, candidates, suspects, ratio, grid.size_px)
+    if not good.any():
+        if candidates.any():
+            raise PairError(
+                "no window gave a vector that fits its neighbours; check exposure, seeding and pairing"
+            )
+        raise PairError(
+            f"no window holds {settings.min_valid:.0%} valid pixels with particles; check the mask or use smaller "
+            "windows"
+        )
+    return good, ratio
+
+
+def moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -> NDArray[np.float64]:
+    """Field on the nodes of one grid, interpolated at the nodes of another."""
+    if source is target or (np.array_equal(source.row, target.row) and source.size_px == target.size_px):
+        return field
+    along_u = interpolated(field, 1, source.x_px, target.x_px, source.step_px)
+    return interpolated(along_u, 0, source.y_px, target.y_px, source.step_px)
