@@ -85,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     _route_option(evaluate, "image")
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
     evaluate.add_argument("--figures", action="store_true", help="write each figure as SVG and as PNG")
+    _piv_options(evaluate)
 
     report = verbs.add_parser("report", help="a run as one page: pictures, vectors, errors, books, provenance")
     report.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
@@ -96,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
         "--stage-sigma-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
     )
     _route_option(report, "compare")
+    _piv_options(report)
 
     _bench_verbs(verbs)
 
@@ -107,6 +109,18 @@ def _parser() -> argparse.ArgumentParser:
     demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
     demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
     return parser
+
+
+def _piv_options(parser: argparse.ArgumentParser) -> None:
+    """How pairs are correlated; each wins over the file."""
+    piv = parser.add_argument_group("correlation", "docs/files.md says more; the page shows what they trade")
+    piv.add_argument("--piv", type=Path, metavar="FILE", help="YAML file with all settings")
+    piv.add_argument("--first-window", type=_count, metavar="PX", help="side of the first windows (default 64)")
+    piv.add_argument("--final-window", type=_count, metavar="PX", help="side of the last windows (default 32)")
+    piv.add_argument("--passes", type=_count, metavar="N", help="passes (default 4)")
+    piv.add_argument("--overlap", type=_finite, metavar="SHARE", help="of neighbouring windows (default 0.5)")
+    piv.add_argument("--window", choices=("gaussian", "square"), help="weights of the windows (default gaussian)")
+    piv.add_argument("--denoise", type=_finite, metavar="BETA", help="0 keeps all detail (default 2)")
 
 
 def _route_option(parser: argparse.ArgumentParser, default: str) -> None:

@@ -11,7 +11,7 @@ is exact for any displacement and any glass.  The route keeps windows of constan
 resolves more where the view is magnified and less where it shrinks, and never resamples the frames.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,8 +27,12 @@ from tracer.scene import Scene
 from tracer.sensitivity import landings
 from tracer.trace import trace
 
-RAW_SETTINGS = PivSettings(windows_px=(128, 64, 32, 32))  # a ball magnifies displacements two- to threefold
 LEAST_MAGNIFICATION = 0.5  # of the view, sensor px a corrected px: the limit of the correction map
+
+
+def raw_settings(settings: PivSettings) -> PivSettings:
+    """Return the same settings for raw frames, whose displacements are larger: one larger window goes first."""
+    return replace(settings, windows_px=(2 * settings.windows_px[0], *settings.windows_px))
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ def velocity_route(
     ray_map : RayMap
         Its ray map.
     settings : PivSettings, optional
-        Of the correlation; default RAW_SETTINGS.
+        Of the correlation; default those for raw frames.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def velocity_route(
     ray_map.check(scene)
     if not ray_map.recovered.any():
         raise PairError("no ray of this scene reaches the plane; look at the scene with rtpiv trace")
-    settings = settings or RAW_SETTINGS
+    settings = settings or raw_settings(PivSettings())
     parts = [
         _on_plane(evaluate_pair(frame_a, frame_b, mask, settings=settings), number, scene, settings)
         for number, mask in _usable_branches(ray_map, scene, settings.windows_px[-1])

@@ -12,10 +12,11 @@ from correction.errors import FrameError
 from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import Regions, regions_of
 from correction.evaluate.routes import Routes, compare_routes, joined
+from correction.evaluate.settings import PivSettings
 from correction.evaluate.shift import ShiftResult, evaluate_shift
 from correction.evaluate.vector_field import VectorField
 from correction.evaluate.vector_map_sigma import VectorMapSigma, vector_map_sigma
-from correction.evaluate.velocity_route import PlaneVectors, velocity_route
+from correction.evaluate.velocity_route import PlaneVectors, raw_settings, velocity_route
 from correction.fit.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid
 from correction.prepared import PreparedCorrection
@@ -88,6 +89,8 @@ class Evaluation:
         Both routes against each other.
     by_velocity : (ny, nx) bool or None
         Vectors of `field` that come from the velocity route.
+    settings : PivSettings
+        How it was correlated.
     """
 
     task: Task
@@ -101,10 +104,16 @@ class Evaluation:
     traced: PlaneVectors | None
     routes: Routes | None
     by_velocity: NDArray[np.bool_] | None
+    settings: PivSettings
 
 
 def evaluate_task(
-    task: Task, prepared: PreparedCorrection, sigma: SceneSigma | str, stage_sigma_um: float, route: Route
+    task: Task,
+    prepared: PreparedCorrection,
+    sigma: SceneSigma | str,
+    stage_sigma_um: float,
+    route: Route,
+    settings: PivSettings | None = None,
 ) -> Evaluation:
     """Evaluate one pair.
 
@@ -120,7 +129,10 @@ def evaluate_task(
         Standard error of the stage.
     route : {"image", "compare", "best"}
         Image route alone; the velocity route beside it; or each where it is better.
+    settings : PivSettings, optional
+        Of the correlation.
     """
+    settings = settings or PivSettings()
     scene = task.scene
     frame_a, frame_b = (read_acquired(path, scene.camera.shape) for path in task.frames)
     corrector = prepared.corrector
@@ -128,14 +140,14 @@ def evaluate_task(
     corrected_a, corrected_b = (
         _corrected(corrector, *named) for named in zip(task.frames, (frame_a, frame_b), strict=True)
     )
-    field = evaluate_pair(corrected_a, corrected_b, corrector.recovered)
+    field = evaluate_pair(corrected_a, corrected_b, corrector.recovered, settings)
     regions = regions_of(field, corrector.map, scene)
     truth = None
     if task.shift_mm is not None:
         truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
     traced = routes = by_velocity = None
     if route != "image":
-        traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map)
+        traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map, raw_settings(settings))
         routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
         if route == "best":
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)
@@ -144,7 +156,7 @@ def evaluate_task(
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
     seen = before_after(frame_a, corrected_a, corrector)
-    return Evaluation(task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity)
+    return Evaluation(task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings)
 
 
 def _corrected(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:

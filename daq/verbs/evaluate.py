@@ -5,6 +5,7 @@ from pathlib import Path
 from correction.errors import PairError
 from correction.prepared import PreparedCorrections
 from daq.analysis.evaluation import Evaluation, Route, evaluate_task
+from daq.analysis.piv_file import Window, piv_settings
 from daq.analysis.report.pair_folder import write_pair
 from daq.analysis.tasks import tasks_of
 from daq.terminal import console
@@ -24,6 +25,13 @@ def evaluate(
     route: Route = "image",
     vtk: bool = False,
     figures: bool = False,
+    piv: Path | None = None,
+    first_window: int | None = None,
+    final_window: int | None = None,
+    passes: int | None = None,
+    overlap: float | None = None,
+    window: Window | None = None,
+    denoise: float | None = None,
 ) -> list[Evaluation]:
     """Correct pairs of frames, measure their displacements, and write a page for each.
 
@@ -51,6 +59,10 @@ def evaluate(
         Also write VTK text.
     figures : bool
         Write every figure as SVG and as PNG, not only as it stands in the page.
+    piv : Path, optional
+        Settings of the correlation (docs/files.md).
+    first_window, final_window, passes, overlap, window, denoise
+        The same one by one, in place of what the file says; windows in px.
 
     Returns
     -------
@@ -66,6 +78,7 @@ def evaluate(
         raise PairError(
             "the velocity route traces raw pixels; give the camera's lens terms in the scene, no dewarp"
         )
+    settings = piv_settings(piv, first_window, final_window, passes, overlap, window, denoise)
     screen = console()
     given = tasks_of(paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm)
     if given.alone:
@@ -75,7 +88,7 @@ def evaluate(
     corrections, found = PreparedCorrections(), []
     for task in given.tasks:
         prepared = corrections.of(task.scene, given.dewarp)
-        evaluation = evaluate_task(task, prepared, given.sigma, stage_sigma_um, route)
+        evaluation = evaluate_task(task, prepared, given.sigma, stage_sigma_um, route, settings)
         write_pair(evaluation, vtk, figures)
         show_evaluation(screen, evaluation)
         found.append(evaluation)

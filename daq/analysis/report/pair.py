@@ -17,6 +17,7 @@ from daq.analysis.report.page import Page
 from daq.analysis.report.tables import (
     BUDGET_HEAD,
     IMAGE_HEAD,
+    RESPONSE_HEAD,
     ROUTE_HEAD,
     SHIFT_HEAD,
     SIGMA_HEAD,
@@ -24,6 +25,7 @@ from daq.analysis.report.tables import (
     image_rows,
     mask_rows,
     region_masks,
+    response_rows,
     route_rows,
     shift_rows,
     sigma_rows,
@@ -146,6 +148,11 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
         "errors within it, the common error of the stage taken off"
     )
     page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
+    caption = (
+        f"Share of a wave along one axis that windows of {evaluation.settings.windows_px[-1]} px show, by the "
+        "linear theory of the passes: smaller windows show more and are noisier (--final-window)"
+    )
+    page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
     if evaluation.map_sigma is None:
         page.text(f"What the map itself is unsure of is not known: {evaluation.no_map_sigma}.")
         return

@@ -1,7 +1,10 @@
 """The folder of an evaluated pair: vectors, figures as JSON, and a page, which is written last."""
 
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
+
+import numpy as np
 
 from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
 from daq.analysis.evaluation import Evaluation
@@ -30,6 +33,9 @@ def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False)
         "no_map_sigma": evaluation.no_map_sigma,
     }
     summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels, "doubt": field.doubt}
+    summary["correlation"] = asdict(evaluation.settings)
+    if np.isfinite(field.static_share):
+        summary["static_share"] = field.static_share
     summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
     if evaluation.shift is not None:
         summary["shift"] = evaluation.shift.to_dict()

@@ -7,12 +7,15 @@ from numpy.typing import NDArray
 
 from correction.evaluate.image_figures import ImageFigures
 from correction.evaluate.regions import MIDDLE, Region
+from correction.evaluate.response import response_of
 from correction.evaluate.routes import Routes
+from correction.evaluate.settings import PivSettings
 from correction.evaluate.shift import ShiftResult, shift_errors
 from correction.node_status import MEANING, NodeStatus
 from daq.analysis.evaluation import Evaluation
 
 SHIFT_HEAD = ("region", "vectors", "bias u, v", "std u, v", "estimated sigma u, v")
+RESPONSE_HEAD = ("wavelength in windows", "clear wave", "wave below the noise")
 SIGMA_HEAD = (
     "region",
     "vectors",
@@ -139,3 +142,14 @@ def _signed(values: tuple[float, float]) -> str:
 def _rms(values: NDArray[np.float64]) -> str:
     known = values[np.isfinite(values)]
     return f"{np.sqrt(np.mean(known**2)):.4f}" if len(known) else "-"
+
+
+def response_rows(settings: PivSettings) -> list[Row]:
+    """What the settings make of waves: wavelength, share of a strong one and of one below the noise."""
+    window = settings.windows_px[-1]
+    lengths = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+    strong, weak = response_of(settings, window * lengths)
+    return [
+        (f"{length:g} ({window * length:.0f} px)", f"{100 * high:.0f} %", f"{100 * low:.0f} %")
+        for length, high, low in zip(lengths, strong, weak, strict=True)
+    ]
