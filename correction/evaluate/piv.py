@@ -110,6 +110,7 @@ def _evaluated(pair: Pair, grids: list[WindowGrid], settings: PivSettings, threa
             found.vectors_px, found.good, *smoothing_after(number, before.size_px, before.step_px, settings)
         )
         number += 1
+        del deformed  # 12 bytes a pixel that the next ones need
         deformed = deform_pair(coefficients, pair.valid, predictor, before, pair.floor, threads)
         predictor = moved(predictor, before, grid)
         least = LEAST_CORRELATION if number == 1 else 0.0
