@@ -59,8 +59,8 @@ def split(vectors: Floats, good: NDArray[np.bool_], sigma_px: Floats, window_px:
     return Parts(smooth, np.where(good[..., None], vectors - smooth, 0.0), np.sqrt(single))
 
 
-def kept_share(rest: Floats, good: NDArray[np.bool_], sigma_px: Floats, beta: float) -> Floats:
-    """Share of the rest that is no noise.
+def kept_share(rest: Floats, good: NDArray[np.bool_], sigma_px: Floats, beta: float) -> tuple[Floats, Floats]:
+    """Share of the rest that is kept, and how much of the flow goes with what is not.
 
     Parameters
     ----------
@@ -75,8 +75,10 @@ def kept_share(rest: Floats, good: NDArray[np.bool_], sigma_px: Floats, beta: fl
 
     Returns
     -------
-    ndarray of float64, shape (ny, nx)
+    share : ndarray of float64, shape (ny, nx)
         From 0 to 1; 1 where no noise is known around.
+    loss_px : ndarray of float64, shape (ny, nx)
+        Standard deviation of a component of the flow's detail that is taken off, (1 - share) sqrt(s/2).
     """
     noise = _noise(sigma_px)
     known = good & np.isfinite(noise) & (noise > 0.0)
@@ -85,7 +87,8 @@ def kept_share(rest: Floats, good: NDArray[np.bool_], sigma_px: Floats, beta: fl
     above = np.square(rest).sum(axis=-1) - beta * noise
     weights = _around(weight)
     signal = np.maximum(0.0, _around(weight * above) / np.where(weights > 0.0, weights, 1.0))
-    return np.where(weights > 0.0, signal**2 / np.maximum(signal**2 + noise**2, 1e-30), 1.0)
+    share = np.where(weights > 0.0, signal**2 / np.maximum(signal**2 + noise**2, 1e-30), 1.0)
+    return share, (1.0 - share) * np.sqrt(0.5 * signal)
 
 
 def _noise(sigma_px: Floats) -> Floats:

@@ -209,6 +209,8 @@ def _denoised(
     parts = split(vectors, good, sigma, grid.size_px, grid.step_px)
     growth = noise_growth(weights, grid.step_px, transfers, smooth)
     growth_of_rest = noise_growth(weights, grid.step_px, transfers, lambda wave: 1.0 - smooth(wave))
-    share = kept_share(parts.rest, good, growth_of_rest * sigma, settings.denoise)[..., None]
-    variance = (growth * parts.smooth_sigma_px) ** 2 + (share * growth_of_rest * sigma) ** 2
+    share, loss = (
+        part[..., None] for part in kept_share(parts.rest, good, growth_of_rest * sigma, settings.denoise)
+    )
+    variance = (growth * parts.smooth_sigma_px) ** 2 + (share * growth_of_rest * sigma) ** 2 + loss**2
     return parts.smooth + share * parts.rest, np.where(np.isfinite(sigma), np.sqrt(variance), np.nan)

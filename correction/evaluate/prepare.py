@@ -12,7 +12,7 @@
    by (sinc)^6: locking falls to a third, while particles of 3 px and more would only be blurred. So both are
    blended by the size of the particle images, which the correlation of a frame with itself tells: at 1 and 2 px
    its logarithm falls by 3/(4 s^2), s^2 the variance of a particle image. Below 1.5 px a little more blur pays
-   with 30 % of noise for half of what locking is left.
+   with a third more noise for half of what locking is left.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from correction.resample.sample import MIN_SIDE_PX, prefilter
 
 NO_TEXTURE = 0.01  # of the usual deviation in a window; less is no particles, not even noise
 SHARPEST, SMOOTHEST = 0.25, 0.8  # variance of a particle image [px^2]: smoothing spline below, plain spline above
-TINY, TINIEST, BLUR = 0.215, 0.175, 0.55  # below TINY pixels are blurred too, by up to BLUR [px^2]
+TINY, TINIEST, BLUR = 0.215, 0.175, 0.8  # below TINY pixels are blurred too, by up to BLUR [px^2]
 HOLE, SCATTERED, FILLINGS, HOLE_PX = 0.4, 0.002, 10, 0.7  # masked pixels with so much valid around; see `_filled`
 FILL_PX = 1.0  # standard deviation of the weights that fill masked pixels
 
