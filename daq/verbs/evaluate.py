@@ -72,7 +72,8 @@ def evaluate(
     Raises
     ------
     ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
-        What the file, the frames, the target or the run make impossible, in one sentence.
+        What the file, the frames, the target or the run make impossible, in one sentence. Of several pairs one
+        that cannot be evaluated is named and left out.
     """
     if target_clear is not None and route != "image":
         raise PairError(
@@ -85,11 +86,20 @@ def evaluate(
         screen.print(f"{given.alone} frames lost their partner and are in no pair")
     if isinstance(given.sigma, str):
         screen.print(f"no uncertainty of the map: {given.sigma}")
-    corrections, found = PreparedCorrections(), []
+    corrections, found, failed = PreparedCorrections(), [], None
     for task in given.tasks:
         prepared = corrections.of(task.scene, given.dewarp)
-        evaluation = evaluate_task(task, prepared, given.sigma, stage_sigma_um, route, settings)
+        try:
+            evaluation = evaluate_task(task, prepared, given.sigma, stage_sigma_um, route, settings)
+        except PairError as error:
+            if len(given.tasks) == 1:
+                raise
+            failed = error
+            screen.print(f"{task.name} is left out: {error}", style="bold red")
+            continue
         write_pair(evaluation, vtk, figures)
         show_evaluation(screen, evaluation)
         found.append(evaluation)
+    if failed is not None and not found:
+        raise failed
     return found

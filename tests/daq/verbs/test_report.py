@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from correction import prepared
+from correction.errors import PairError
 from correction.grid import grid_of
 from daq.acquisition.runs.conservation import Ledger
 from daq.acquisition.runs.displacement import Displacement, write_displacements
@@ -14,6 +15,7 @@ from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import scene_file
 from daq.acquisition.runs.seal import write_record
+from daq.analysis.evaluation import evaluate_task
 from daq.cli import DONE, USAGE, main
 from daq.verbs.evaluate import evaluate
 from sim.prints.patterns import Chessboard, printed_particles
@@ -155,3 +157,21 @@ def test_a_run_is_shown_as_it_was_corrected(tmp_path):
     (tmp_path / "fit.yaml").write_text(dump_scene(fitted.with_bodies(())))
     assert scene_file(folder.path, tmp_path / "out") == tmp_path / "out" / "scene.yaml"
     assert (tmp_path / "out" / "scene.yaml").read_text() == about["scene"]
+
+
+def test_a_pair_that_is_none_is_named_and_left_out(shift_run, tmp_path, mocker, capsys):
+    whole, names = evaluate_task, []
+
+    def first_fails(task, *rest):
+        names.append(task.name)
+        if len(names) == 1:
+            raise PairError("frame B is constant")
+        return whole(task, *rest)
+
+    mocker.patch("daq.verbs.evaluate.evaluate_task", first_fails)
+    found = evaluate([shift_run], tmp_path)
+    assert [one.task.name for one in found] == names[1:]
+    assert f"{names[0]} is left out: frame B is constant" in capsys.readouterr().out.replace("\n", " ")
+    mocker.patch("daq.verbs.evaluate.evaluate_task", side_effect=PairError("no texture"))
+    with pytest.raises(PairError, match="no texture"):
+        evaluate([shift_run], tmp_path)
