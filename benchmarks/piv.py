@@ -142,7 +142,7 @@ def main() -> None:
         if "speed" in parts:
             modes = {
                 "rtpiv, 75 % overlap": (sys.executable, OWN, "75"),
-                "rtpiv, live": (sys.executable, OWN, "64"),
+                "rtpiv, live": (sys.executable, OWN, "live"),
             }
             result["speed"] = speed(contenders | modes, folder, generator())
         if "accuracy" in parts:

@@ -15,6 +15,8 @@ Contenders = dict[str, tuple[str, str, str]]
 
 OWN = """
 import sys, time, json, numpy as np
+from functools import partial
+from correction.evaluate.live import live_vectors
 from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.settings import PivSettings
 a, b, out, rounds, mode = np.load(sys.argv[1]), np.load(sys.argv[2]), sys.argv[3], int(sys.argv[4]), sys.argv[5]
@@ -22,12 +24,12 @@ settings = {
     "": PivSettings(),
     "16": PivSettings(windows_px=(64, 32, 16, 16)),
     "75": PivSettings(overlap=0.75),
-    "64": PivSettings(windows_px=(64, 64), extra_passes=0),
-}[mode]
+}.get(mode)
+measure = partial(live_vectors, threads=1) if mode == "live" else partial(evaluate_pair, settings=settings, threads=1)
 times = []
 for _ in range(rounds + 1):
     start = time.process_time()
-    f = evaluate_pair(a, b, settings=settings, threads=1)
+    f = measure(a, b)
     times.append(time.process_time() - start)
 x, y = np.meshgrid(f.x_px, f.y_px)
 np.savez(out, x=x, y=y, u=f.u_px, v=f.v_px, sigma_u=f.sigma_u_px, sigma_v=f.sigma_v_px)

@@ -34,7 +34,7 @@ from correction.evaluate.prepare import Pair, prepared
 from correction.evaluate.refine import window_weights
 from correction.evaluate.response import last_filter, noise_growth, smoothing_after, transfers_between
 from correction.evaluate.settings import PivSettings
-from correction.evaluate.static import static_share
+from correction.evaluate.static import static_share, still_correlation
 from correction.evaluate.uncertainty import correlation_statistics, sampling_error_px
 from correction.evaluate.vector_field import VectorField, VectorFlag
 from correction.evaluate.windows import WindowGrid, window_grid
@@ -78,13 +78,12 @@ def evaluate_pair(
         A frame that is none.
     """
     settings = settings or PivSettings()
-    pair = prepared(frame_a, frame_b, valid, settings.windows_px[-1])
-    shape = (pair.a.shape[0], pair.a.shape[1])
-    grids = [window_grid(shape, size, settings.overlap) for size in settings.windows_px]
-    field = _evaluated(pair, grids, settings, threads)
-    while _share(field) < DOUBTFUL_SHARE and 3 * grids[0].size_px <= min(shape):
-        grids = [window_grid(shape, 2 * grids[0].size_px, settings.overlap), *grids]
-        again = _evaluated(pair, grids, settings, threads)
+    sides = list(settings.windows_px)
+    # Frames are prepared anew for each trial: nobody holds them while one goes on.
+    field = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
+    while _share(field) < DOUBTFUL_SHARE and 3 * sides[0] <= min(np.shape(frame_a)):
+        sides = [2 * sides[0], *sides]
+        again = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
         if _share(again) < GAIN * _share(field):
             break  # it is not for want of size
         field = again
@@ -97,33 +96,37 @@ def _share(field: VectorField) -> float:
     return counts["valid"] / max(field.flags.size - counts["masked"], 1)
 
 
-def _evaluated(pair: Pair, grids: list[WindowGrid], settings: PivSettings, threads: int | None) -> VectorField:
+def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int | None) -> VectorField:
     """Make all passes, the last one several times if vectors still move."""
-    grids, added = list(grids), 0
+    shape = (pair.a.shape[0], pair.a.shape[1])
+    grids = [window_grid(shape, side, settings.overlap) for side in sides]
     found = search(pair, grids[0], settings, threads)
     deformed = DeformedPair(pair.a, pair.b, pair.valid, pair.floor)
-    coefficients = pair.coefficients(threads) if len(grids) > 1 else (pair.a, pair.b)
-    number = 0
+    still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
+    coefficients = pair.coefficients(threads)
+    valid, floor, spread_px2, nan_pixels = pair.valid, pair.floor, pair.spread_px2, pair.nan_pixels
+    del pair  # 8 bytes a pixel that nobody needs any more
+    number = added = 0
     while number + 1 < len(grids):
         before, grid = grids[number : number + 2]
-        predictor = smoothed(
-            found.vectors_px, found.good, *smoothing_after(number, before.size_px, before.step_px, settings)
-        )
+        steps, order = smoothing_after(number, before.size_px, before.step_px, settings)
+        predictor = smoothed(found.vectors_px, found.good, steps, order)
         number += 1
-        del deformed  # 12 bytes a pixel that the next ones need
-        deformed = deform_pair(coefficients, pair.valid, predictor, before, pair.floor, threads)
+        del deformed  # and 12 that the next ones need
+        deformed = deform_pair(coefficients, valid, predictor, before, floor, threads)
         predictor = moved(predictor, before, grid)
         least = LEAST_CORRELATION if number == 1 else 0.0
         found = refine_pass(deformed, grid, predictor, least, settings, threads)
         if number + 1 == len(grids) and added < settings.extra_passes and _changes(found, settings):
             added += 1
             grids.append(grid)
+    del coefficients
     if settings.peak_ratios:
         everywhere = found.valid_fraction >= settings.min_valid
         ratio = peak_ratios(deformed, grids[-1], everywhere, settings.min_valid, threads)
         found = found._replace(peak_ratio=ratio)
-    field = _result(found, deformed, grids, pair, settings, threads)
-    return replace(field, static_share=static_share(pair, field, settings, threads))
+    field = _result(found, deformed, grids, spread_px2, settings, threads)
+    return replace(field, nan_pixels=nan_pixels, static_share=static_share(still, field, spread_px2))
 
 
 def _changes(found: Measured, settings: PivSettings) -> bool:
@@ -137,7 +140,7 @@ def _result(
     found: Measured,
     deformed: DeformedPair,
     grids: list[WindowGrid],
-    pair: Pair,
+    spread_px2: float,
     settings: PivSettings,
     threads: int | None,
 ) -> VectorField:
@@ -147,11 +150,11 @@ def _result(
     if found.refined is not None:
         left, _ = filled(found.left_px, good)
         one = correlation_statistics(
-            deformed, grid, settings.window_sigma, found.refined, left, pair.spread_px2, threads
+            deformed, grid, settings.window_sigma, found.refined, left, spread_px2, threads
         )
         good = good & ~_empty(found, one, deformed, grid, settings, threads)
         vectors, sigma = _denoised(vectors, good, one, grids, settings)
-        sigma = np.hypot(sigma, sampling_error_px(pair.spread_px2))
+        sigma = np.hypot(sigma, sampling_error_px(spread_px2))
     fill, near = filled(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED
@@ -174,7 +177,7 @@ def _result(
         valid_fraction=found.valid_fraction,
         window_px=grid.size_px,
         step_px=grid.step_px,
-        nan_pixels=pair.nan_pixels,
+        nan_pixels=0,
     )
 
 

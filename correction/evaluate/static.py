@@ -6,32 +6,40 @@ vector to zero, and no uncertainty sees it.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from correction.evaluate.deform import DeformedPair
-from correction.evaluate.prepare import Pair
 from correction.evaluate.refine import refine
-from correction.evaluate.settings import PivSettings
 from correction.evaluate.vector_field import VectorField
 from correction.evaluate.windows import WindowGrid
 
 APART = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
 FEWEST = 12  # windows, for a median
 
+Floats = NDArray[np.float64]
 
-def static_share(pair: Pair, field: VectorField, settings: PivSettings, threads: int | None = None) -> float:
-    """Share of the light that stands still, median over windows; NaN where all moves too little."""
-    rows, columns = slice(None, None, 2), slice(None, None, 2)
-    half = (field.window_px - 1) / 2
-    grid = WindowGrid(
-        (field.y_px[rows] - half).astype(np.int64),
-        (field.x_px[columns] - half).astype(np.int64),
-        field.window_px,
-        2 * field.step_px,
-    )
-    far = np.hypot(field.u_px, field.v_px)[rows, columns] > APART * np.sqrt(pair.spread_px2)
-    if np.count_nonzero(far) < FEWEST:
-        return float("nan")
-    still = refine(DeformedPair(pair.a, pair.b, pair.valid, pair.floor), grid, settings.window_sigma, threads)
-    power = np.sqrt(still.sums[..., 8] * still.sums[..., 9])
-    known = far & (power > 0.0)
-    return float(np.median(still.sums[..., 0][known] / power[known])) if known.any() else float("nan")
+
+def still_correlation(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: int | None) -> Floats:
+    """Correlation coefficient at no displacement, for every second window of each direction; `pair` undeformed."""
+    every = slice(None, None, 2)
+    coarse = WindowGrid(grid.row[every], grid.column[every], grid.size_px, 2 * grid.step_px)
+    sums = refine(pair, coarse, window_sigma, threads).sums
+    power = np.sqrt(sums[..., 8] * sums[..., 9])
+    return np.where(power > 0.0, sums[..., 0] / np.where(power > 0.0, power, 1.0), np.nan)
+
+
+def static_share(still: Floats, field: VectorField, spread_px2: float) -> float:
+    """Share of the light that stands still, median over windows; NaN where all moves too little.
+
+    Parameters
+    ----------
+    still : ndarray of float64
+        From `still_correlation`, on the grid of `field`.
+    field : VectorField
+        How far it moves.
+    spread_px2 : float
+        Variance of a particle image.
+    """
+    far = np.hypot(field.u_px, field.v_px)[::2, ::2] > APART * np.sqrt(spread_px2)
+    known = still[far & np.isfinite(still)]
+    return float(np.median(known)) if len(known) >= FEWEST else float("nan")

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from correction.errors import PairError
+from correction.evaluate.live import live_vectors
 from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.settings import PivSettings
 from tests.correction.evaluate.flows import mix, turbulence, uniform, wave
@@ -117,3 +119,16 @@ def test_sigma_of_a_smooth_wave_is_no_longer_twice_too_large(particle_pair):
     field = evaluate_pair(*particle_pair(truth, seed=3, ppp=0.05))
     sigma = np.stack([field.sigma_u_px, field.sigma_v_px], -1)[MARGIN:-MARGIN, MARGIN:-MARGIN]
     assert 0.8 <= rms(errors(field, truth)) / rms(sigma) <= 1.6
+
+
+def test_live_vectors_are_those_of_a_whole_evaluation_but_rougher(particle_pair):
+    pair = particle_pair(mix, seed=7)
+    field = live_vectors(*pair)
+    assert (field.window_px, field.step_px, field.x_px[0]) == (64, 32, 31.5)
+    assert rms(errors(field, mix)) < 0.05
+    valid = np.ones((512, 512), bool)
+    valid[:, :200] = False
+    masked = live_vectors(*pair, valid)
+    assert np.isnan(masked.u_px[:, masked.x_px < 150]).all()
+    with pytest.raises(PairError, match="one size"):
+        live_vectors(pair[0], pair[1][:-2])
