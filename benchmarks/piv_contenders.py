@@ -25,11 +25,11 @@ settings = {
     "16": PivSettings(windows_px=(64, 32, 16, 16)),
     "75": PivSettings(overlap=0.75),
 }.get(mode)
-measure = partial(live_vectors, threads=1) if mode == "live" else partial(evaluate_pair, settings=settings, threads=1)
+measure = partial(evaluate_pair, settings=settings) if settings else live_vectors
 times = []
 for _ in range(rounds + 1):
     start = time.process_time()
-    f = measure(a, b)
+    f = measure(a, b, threads=1)
     times.append(time.process_time() - start)
 x, y = np.meshgrid(f.x_px, f.y_px)
 np.savez(out, x=x, y=y, u=f.u_px, v=f.v_px, sigma_u=f.sigma_u_px, sigma_v=f.sigma_v_px)
