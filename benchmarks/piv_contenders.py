@@ -22,7 +22,7 @@ from correction.evaluate.settings import PivSettings
 a, b, out, rounds, mode = np.load(sys.argv[1]), np.load(sys.argv[2]), sys.argv[3], int(sys.argv[4]), sys.argv[5]
 settings = {
     "": PivSettings(),
-    "16": PivSettings(windows_px=(64, 32, 16, 16)),
+    "16": PivSettings(windows_px=(64, 32, 16, 16, 16)),
     "75": PivSettings(overlap=0.75),
 }.get(mode)
 measure = partial(evaluate_pair, settings=settings) if settings else live_vectors

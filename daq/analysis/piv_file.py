@@ -60,7 +60,7 @@ def windows_of(first_px: int | None, final_px: int, passes: int | None) -> tuple
     final_px : int
         Side of the last pass.
     passes : int, optional
-        How many; default as many as it takes to come down to the last side, and two with it, at least four.
+        How many; default as many as it takes to come down to the last side, and two more with it, at least four.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def windows_of(first_px: int | None, final_px: int, passes: int | None) -> tuple
     sides = [side]
     while sides[-1] > final_px:
         sides.append(max(final_px, sides[-1] // 2))
-    count = passes if passes is not None else max(4, len(sides) + 1)
+    count = passes if passes is not None else max(4, len(sides) + 2)
     if count < len(sides):
         raise PairError(
             f"it takes {len(sides)} passes from {side} px to {final_px} px, not {count}; see --first-window"

@@ -12,9 +12,9 @@ from ground.errors import ConfigError
     ("first", "final", "passes", "sides"),
     [
         (None, 32, None, (64, 32, 32, 32)),
-        (None, 16, None, (64, 32, 16, 16)),
+        (None, 16, None, (64, 32, 16, 16, 16)),
         (None, 64, None, (128, 64, 64, 64)),
-        (128, 24, None, (128, 64, 32, 24, 24)),
+        (128, 24, None, (128, 64, 32, 24, 24, 24)),
         (None, 32, 6, (64, 32, 32, 32, 32, 32)),
         (None, 32, 1, (32,)),
         (48, 48, 2, (48, 48)),
@@ -38,7 +38,7 @@ def test_the_command_line_wins(tmp_path):
     path = tmp_path / "piv.yaml"
     path.write_text("final_window_px: 16\noverlap: 0.75\nwindow: square\n")
     from_file = piv_settings(path)
-    assert (from_file.windows_px, from_file.overlap, from_file.window_sigma) == ((64, 32, 16, 16), 0.75, 0.0)
+    assert (from_file.windows_px, from_file.overlap, from_file.window_sigma) == ((64, 32, 16, 16, 16), 0.75, 0.0)
     both = piv_settings(path, overlap=0.25, window="gaussian")
     assert (both.windows_px[-1], both.overlap, both.window_sigma) == (16, 0.25, PivSettings.window_sigma)
 
