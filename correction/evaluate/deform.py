@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.kernels.deform import deform_rows
-from correction.evaluate.windows import WindowGrid, around, interpolated
+from correction.evaluate.kernels.deform import deform_rows, refine_lines
+from correction.evaluate.windows import WindowGrid, around
 from ground.rows import run_rows
 
 SOLID = np.float32(0.5)
@@ -55,9 +55,10 @@ def deform_pair(
         Threads to use.
     """
     height, width = valid.shape
-    along_u = interpolated(field, 1, grid.x_px, np.arange(float(width)), grid.step_px)
-    lines, cell, weight = around(along_u, 0, grid.y_px, np.arange(float(height)), grid.step_px)
-    refined = np.ascontiguousarray(np.moveaxis(lines, -1, 0), np.float32)
+    lines, cell_u, weight_u = around(field, 1, grid.x_px, np.arange(float(width)), grid.step_px)
+    lines, cell, weight = around(lines, 0, grid.y_px, np.arange(float(height)), grid.step_px)
+    refined = np.empty((2, len(lines), width), np.float32)
+    refine_lines(np.ascontiguousarray(lines), cell_u, weight_u, refined)
     share = weight.astype(np.float32)
     masked = bool(valid.min() == 0.0)
     out = DeformedPair(

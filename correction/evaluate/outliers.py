@@ -45,23 +45,35 @@ def outliers(
     ndarray of bool, shape (ny, nx)
         Rejected vectors.  A vector with fewer than five neighbours is not rejected.
     """
-    rejected: NDArray[np.bool_] = candidates & (_residual(field, candidates, candidates, epsilon_px) > threshold)
+    rejected: NDArray[np.bool_] = candidates & (
+        _residual(field, candidates, candidates, epsilon_px, threshold) > threshold
+    )
     accepted = candidates & ~rejected
     if not rejected.any() or not accepted.any():
         return rejected
     side = 2 * RADIUS + 1
     judged: NDArray[np.bool_] = candidates & ndimage.binary_dilation(rejected, np.ones((side, side), bool))
     trend = smoothed(field, accepted, FILL_SIGMA)
-    judged &= _residual(field - trend, accepted, judged, epsilon_px) > threshold
+    judged &= _residual(field - trend, accepted, judged, epsilon_px, threshold) > threshold
     return judged
 
 
 def _residual(
-    field: NDArray[np.float64], usable: NDArray[np.bool_], judged: NDArray[np.bool_], epsilon_px: float
+    field: NDArray[np.float64],
+    usable: NDArray[np.bool_],
+    judged: NDArray[np.bool_],
+    epsilon_px: float,
+    threshold: float,
 ) -> NDArray[np.float64]:
-    """Normalised median residual of the judged vectors (ny, nx); NaN elsewhere or without neighbours."""
+    """Normalised median residual of the judged vectors (ny, nx), exact where it may exceed `threshold`.
+
+    NaN elsewhere or without neighbours; 0 where all neighbours lie so near that it cannot.
+    """
+    near = threshold * epsilon_px
     residual, work = np.full(usable.shape, np.nan), np.empty((2 * RADIUS + 1) ** 2)
-    normalised_residual(field, usable, judged, RADIUS, epsilon_px, MIN_NEIGHBOURS, 0, len(field), work, residual)
+    normalised_residual(
+        field, usable, judged, RADIUS, epsilon_px, near, MIN_NEIGHBOURS, 0, len(field), work, residual
+    )
     return residual
 
 

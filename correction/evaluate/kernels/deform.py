@@ -40,6 +40,25 @@ def quintic_run(
 
 
 @kernel
+def refine_lines(lines: Array, cell: Array, weight: Array, out: Array) -> None:
+    """out[axis, j, k] = sum_m weight[k, m] lines[j, cell[k] + m, axis]: grid lines refined along u.
+
+    lines (rows, columns, 2) and weight (W, 4) float64, cell (W,) int, out (2, rows, W) float32.
+    """
+    for axis in range(2):
+        for j in range(lines.shape[0]):
+            line, refined = lines[j], out[axis, j]
+            for k in range(cell.size):
+                c = cell[k]
+                refined[k] = (
+                    weight[k, 0] * line[c, axis]
+                    + weight[k, 1] * line[c + 1, axis]
+                    + weight[k, 2] * line[c + 2, axis]
+                    + weight[k, 3] * line[c + 3, axis]
+                )
+
+
+@kernel
 def row_offsets(
     refined_u: Array, refined_v: Array, weight: Array, scale: np.float32, offset: Array, fraction: Array
 ) -> None:

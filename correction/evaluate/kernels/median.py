@@ -41,12 +41,27 @@ def median_deviation(values: Array, count: int) -> tuple[float, float]:
 
 
 @kernel
+def farthest(field: Array, usable: Array, radius: int, j: int, i: int) -> float:
+    """Largest squared distance of a vector of field (ny, nx, 2) from its usable neighbours."""
+    ny, nx, _ = field.shape
+    u, v = field[j, i, 0], field[j, i, 1]
+    largest = 0.0
+    for y in range(max(0, j - radius), min(ny, j + radius + 1)):
+        for x in range(max(0, i - radius), min(nx, i + radius + 1)):
+            if usable[y, x]:
+                off_u, off_v = field[y, x, 0] - u, field[y, x, 1] - v
+                largest = max(largest, off_u * off_u + off_v * off_v)
+    return largest
+
+
+@kernel
 def normalised_residual(
     field: Array,
     usable: Array,
     judged: Array,
     radius: int,
     epsilon: float,
+    near: float,
     least: int,
     first: int,
     last: int,
@@ -57,11 +72,17 @@ def normalised_residual(
 
     out (ny, nx) is hypot over both components of |u - med| / (med |u_i - med| + epsilon); NaN where fewer than
     `least` neighbours within `radius` are usable; untouched where not judged.  work is ((2 radius + 1)^2,).
+
+    Where no neighbour is farther from the vector than `near`, out is 0: their median is not farther either, so the
+    residual is at most near/epsilon, and nothing need be sorted.
     """
     ny, nx, _ = field.shape
     for j in range(first, last):
         for i in range(nx):
             if not judged[j, i]:
+                continue
+            if farthest(field, usable, radius, j, i) <= near * near:
+                out[j, i] = 0.0
                 continue
             total = 0.0
             for axis in range(2):

@@ -11,7 +11,7 @@ from correction.evaluate.kernels import fft as piv_fft
 from correction.evaluate.kernels import median as piv_median
 from correction.evaluate.kernels import windows as piv_windows
 from correction.evaluate.outliers import filled, outliers, smoothed
-from correction.evaluate.windows import interpolated, window_grid
+from correction.evaluate.windows import around, interpolated, window_grid
 from correction.resample.sample import prefilter, sample
 
 
@@ -180,7 +180,7 @@ def test_normalised_residual_equals_numpy_medians():
     everything = np.ones((9, 8), bool)
     for kernel in (piv_median.normalised_residual, piv_median.normalised_residual.py_func):
         residual = np.full((9, 8), -1.0)
-        kernel(field, usable, everything, 2, 0.1, 5, 0, 9, np.empty(25), residual)
+        kernel(field, usable, everything, 2, 0.1, 0.0, 5, 0, 9, np.empty(25), residual)
         for j, i in [(0, 0), (4, 4), (8, 3), (3, 7)]:
             near = usable.copy()
             near[j, i] = False
@@ -189,6 +189,35 @@ def test_normalised_residual_equals_numpy_medians():
             median = np.median(field[near], axis=0)
             spread = np.median(np.abs(field[near] - median), axis=0) + 0.1
             assert residual[j, i] == pytest.approx(np.hypot(*((field[j, i] - median) / spread)))
+
+
+def test_where_all_neighbours_are_near_nothing_is_sorted_and_nothing_changes():
+    """The residual of a vector that is skipped is below the threshold: the median is as near as its neighbours."""
+    rng = np.random.default_rng(11)
+    field = rng.normal(0, 0.08, (40, 40, 2))
+    field[::7, ::7] += rng.normal(0, 0.6, field[::7, ::7].shape)
+    usable = rng.uniform(size=(40, 40)) > 0.1
+    exact, skipped = np.full((2, 40, 40), np.nan)
+    for near, out in ((0.0, exact), (0.3, skipped)):
+        piv_median.normalised_residual(field, usable, usable, 2, 0.1, near, 5, 0, 40, np.empty(25), out)
+    was_skipped = skipped == 0.0
+    assert 100 < was_skipped.sum() < 1200
+    assert exact[was_skipped].max() <= 3.0
+    assert np.array_equal(exact[~was_skipped], skipped[~was_skipped], equal_nan=True)
+    for j, i in [(0, 0), (20, 20)]:
+        assert piv_median.farthest.py_func(field, usable, 2, j, i) == piv_median.farthest(field, usable, 2, j, i)
+
+
+def test_grid_lines_refined_along_u_equal_the_interpolation():
+    rng = np.random.default_rng(12)
+    nodes, target = np.arange(6) * 16.0 + 15.5, np.arange(112.0)
+    field = rng.normal(size=(4, 6, 2))
+    lines, cell, weight = around(field, 1, nodes, target, 16)
+    expected = np.moveaxis(interpolated(field, 1, nodes, target, 16), -1, 0)
+    for kernel in (piv_deform.refine_lines, piv_deform.refine_lines.py_func):
+        out = np.empty((2, 4, 112), np.float32)
+        kernel(np.ascontiguousarray(lines), cell, weight, out)
+        assert np.abs(out - expected).max() < 1e-6
 
 
 def test_outliers_are_found_alone_in_clusters_and_at_edges_but_gradients_are_not():
