@@ -21,7 +21,7 @@ CHUNK_BYTES = 1 << 18  # windows worked on at once: what a second-level cache ho
 Floats = NDArray[np.float32]
 
 
-class Measured(NamedTuple):
+class Searched(NamedTuple):
     """What correlation says about each window; all (ny, nx), shift_px with a last axis of u, v."""
 
     shift_px: NDArray[np.float64]
@@ -80,7 +80,7 @@ def correlation_planes(a: Floats, b: Floats, work: Floats, out: Floats) -> None:
 
 def correlate_windows(
     pair: DeformedPair, grid: WindowGrid, min_valid: float, with_ratio: bool, threads: int | None = None
-) -> Measured:
+) -> Searched:
     """Cross-correlate the windows of both frames and find the peak.
 
     Parameters
@@ -99,7 +99,7 @@ def correlate_windows(
     size, least = grid.size_px, least_valid(grid, min_valid)
     found, count = _correlated(pair, grid, np.ones(grid.shape, bool), least, with_ratio, threads)
     shaped, count = found.reshape(*grid.shape, 4), count.reshape(grid.shape)
-    return Measured(shaped[..., :2], shaped[..., 2], shaped[..., 3], count / size**2, count >= least)
+    return Searched(shaped[..., :2], shaped[..., 2], shaped[..., 3], count / size**2, count >= least)
 
 
 def peak_ratios(
