@@ -26,9 +26,7 @@ class Searched(NamedTuple):
 
     shift_px: NDArray[np.float64]
     correlation: NDArray[np.float64]
-    peak_ratio: NDArray[np.float64]
     valid_fraction: NDArray[np.float64]
-    dense: NDArray[np.bool_]
 
 
 def least_valid(grid: WindowGrid, min_valid: float) -> int:
@@ -79,7 +77,7 @@ def correlation_planes(a: Floats, b: Floats, work: Floats, out: Floats) -> None:
 
 
 def correlate_windows(
-    pair: DeformedPair, grid: WindowGrid, min_valid: float, with_ratio: bool, threads: int | None = None
+    pair: DeformedPair, grid: WindowGrid, min_valid: float, threads: int | None = None
 ) -> Searched:
     """Cross-correlate the windows of both frames and find the peak.
 
@@ -91,15 +89,13 @@ def correlate_windows(
         Windows.
     min_valid : float
         Share of valid pixels that a window needs.
-    with_ratio : bool
-        Look for the second peak too.
     threads : int, optional
         Threads to use.
     """
     size, least = grid.size_px, least_valid(grid, min_valid)
-    found, count = _correlated(pair, grid, np.ones(grid.shape, bool), least, with_ratio, threads)
-    shaped, count = found.reshape(*grid.shape, 4), count.reshape(grid.shape)
-    return Searched(shaped[..., :2], shaped[..., 2], shaped[..., 3], count / size**2, count >= least)
+    found, count = _correlated(pair, grid, np.ones(grid.shape, bool), least, False, threads)
+    shaped = found.reshape(*grid.shape, 4)
+    return Searched(shaped[..., :2], shaped[..., 2], count.reshape(grid.shape) / size**2)
 
 
 def peak_ratios(
@@ -107,8 +103,7 @@ def peak_ratios(
 ) -> NDArray[np.float64]:
     """Highest over second highest peak (ny, nx) of the windows asked for; NaN of the others."""
     ratios = np.full(grid.shape, np.nan)
-    found, _ = _correlated(pair, grid, which, least_valid(grid, min_valid), True, threads)
-    ratios[which] = found[:, 3]
+    _, ratios[which] = correlate_some(pair, grid, which, min_valid, threads)
     return ratios
 
 

@@ -7,7 +7,8 @@ counting most,
 
     s = max(0, sum w (rest^2 - beta n) / sum w),      w = 1/n^2,
 
-and the rest of each vector is multiplied by s^2/(s^2 + n^2): a local Wiener filter (Lee, IEEE Trans. PAMI 2, 165
+where a vector whose own rest^2 exceeds 10 n speaks for itself: beside a step its quiet neighbours have no rest.
+The rest of each vector is multiplied by s^2/(s^2 + n^2): a local Wiener filter (Lee, IEEE Trans. PAMI 2, 165
 (1980)), but steeper, since in a flow of strong gradients part of n is the flow itself. A uniform flow loses two
 thirds of its noise; a wave of two windows and 1 px loses nothing; where the amplitude of a wave is that of the
 noise, about half of what the windows have seen of it goes. No filter without knowledge of the noise can do both:
@@ -24,6 +25,7 @@ from correction.evaluate.outliers import smoothed
 
 SMOOTH = 0.625  # of the window's side: standard deviation of the smooth part's weights
 ORDER = 3
+OWN = 10.0  # times its noise at which a vector's rest speaks for itself: chance hardly reaches it
 LARGEST_SIGMA_PX = 0.2  # beyond which correlation statistics mean little
 
 Floats = NDArray[np.float64]
@@ -55,7 +57,8 @@ def split(vectors: Floats, good: NDArray[np.bool_], sigma_px: Floats, window_px:
     total = np.maximum(_blurred(weight, reach), 1e-6)
     weighted = np.where(known[..., None], np.square(weight[..., None] * np.nan_to_num(sigma_px)), 0.0)
     single = np.stack([_blurred(weighted[..., axis], reach) for axis in range(2)], axis=-1)
-    single /= (total**2)[..., None]  # more at an edge, where the fit has fewer vectors
+    # At an edge the fit has half the vectors, and a plane from one side is twice as unsure again.
+    single /= (total**2 * np.maximum(_blurred(known.astype(float), reach), 0.05))[..., None]
     return Parts(smooth, np.where(good[..., None], vectors - smooth, 0.0), np.sqrt(single))
 
 
@@ -84,9 +87,12 @@ def kept_share(rest: Floats, good: NDArray[np.bool_], sigma_px: Floats, beta: fl
     known = good & np.isfinite(noise) & (noise > 0.0)
     noise = np.where(known, noise, 1.0)
     weight = np.where(known, noise**-2, 0.0)
-    above = np.square(rest).sum(axis=-1) - beta * noise
+    strength = np.square(rest).sum(axis=-1)
+    above = strength - beta * noise
     weights = _around(weight)
     signal = np.maximum(0.0, _around(weight * above) / np.where(weights > 0.0, weights, 1.0))
+    own = strength - OWN * np.where(known, np.square(sigma_px).sum(axis=-1), np.inf)
+    signal = np.maximum(signal, own)
     share = np.where(weights > 0.0, signal**2 / np.maximum(signal**2 + noise**2, 1e-30), 1.0)
     return share, (1.0 - share) * np.sqrt(0.5 * signal)
 

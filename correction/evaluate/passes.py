@@ -39,7 +39,7 @@ def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | N
     half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2) if halves else grid
     seen = pair.halved() if halves else pair
     frames = DeformedPair(seen.a, seen.b, seen.valid, seen.floor)
-    raw = correlate_windows(frames, half, settings.min_valid, False, threads)
+    raw = correlate_windows(frames, half, settings.min_valid, threads)
     good, ratio = _accepted(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
     shift = raw.shift_px * (2.0 if halves else 1.0)
     return Measured(shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)

@@ -30,9 +30,10 @@ from tracer.trace import trace
 LEAST_MAGNIFICATION = 0.5  # of the view, sensor px a corrected px: the limit of the correction map
 
 
-def raw_settings(settings: PivSettings) -> PivSettings:
-    """Return the same settings for raw frames, whose displacements are larger: one larger window goes first."""
-    return replace(settings, windows_px=(2 * settings.windows_px[0], *settings.windows_px))
+def raw_settings(settings: PivSettings, shape: tuple[int, ...]) -> PivSettings:
+    """Return settings for raw frames: displacements are larger, so a larger window goes first if it fits."""
+    first = 2 * settings.windows_px[0]
+    return replace(settings, windows_px=(first, *settings.windows_px)) if first <= min(shape) else settings
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def velocity_route(
     ray_map.check(scene)
     if not ray_map.recovered.any():
         raise PairError("no ray of this scene reaches the plane; look at the scene with rtpiv trace")
-    settings = settings or raw_settings(PivSettings())
+    settings = settings or raw_settings(PivSettings(), frame_a.shape)
     parts = [
         _on_plane(evaluate_pair(frame_a, frame_b, mask, settings=settings), number, scene, settings)
         for number, mask in _usable_branches(ray_map, scene, settings.windows_px[-1])

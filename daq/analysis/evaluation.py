@@ -147,7 +147,7 @@ def evaluate_task(
         truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
     traced = routes = by_velocity = None
     if route != "image":
-        traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map, raw_settings(settings))
+        traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map, raw_settings(settings, frame_a.shape))
         routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
         if route == "best":
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)

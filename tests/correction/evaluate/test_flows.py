@@ -132,3 +132,27 @@ def test_live_vectors_are_those_of_a_whole_evaluation_but_rougher(particle_pair)
     assert np.isnan(masked.u_px[:, masked.x_px < 150]).all()
     with pytest.raises(PairError, match="one size"):
         live_vectors(pair[0], pair[1][:-2])
+
+
+@pytest.mark.parametrize("step_px", [2.0, 4.0])
+def test_beside_a_step_vectors_stay_what_they_are(particle_pair, step_px):
+    """Quiet neighbours beyond the step know of no detail: a vector whose own rest is far above its noise stays."""
+
+    def truth(u, v):
+        return np.where(v > 256, step_px, 0.0) + 0 * u, 0 * v
+
+    pair = particle_pair(truth, seed=4, ppp=0.05)
+    plain = errors(evaluate_pair(*pair, settings=PivSettings(denoise=0.0)), truth)
+    kept = errors(evaluate_pair(*pair), truth)
+    on_step = np.linalg.norm(plain, axis=-1) > 1.0
+    assert rms(kept[~on_step]) < 1.15 * rms(plain[~on_step])
+    assert np.mean(np.linalg.norm(kept, axis=-1) > 1.0) < 0.04
+
+
+def test_light_that_differs_within_and_between_frames_changes_little(particle_pair):
+    a, b = particle_pair(mix, seed=7)
+    v, u = np.mgrid[:512, :512] / 512
+    even = rms(errors(evaluate_pair(a, b), mix))
+    for first, second in ((a * (0.3 + 0.7 * u), b * (1 - 0.6 * v) + 300 * v), (a, b / 3)):
+        field = evaluate_pair(first.astype(np.uint16), second.astype(np.uint16))
+        assert rms(errors(field, mix)) < 1.25 * even

@@ -114,8 +114,10 @@ def test_sigma_is_the_size_of_the_true_error(particle_pair, case):
         error.append(errors(field, truth)[known])
         sigma.append(np.stack([field.sigma_u_px, field.sigma_v_px], -1)[known])
     error, sigma = np.concatenate(error), np.concatenate(sigma)
-    assert 0.8 <= rms(error) / rms(sigma) <= 1.2  # pair loss has long tails: most errors are far smaller
-    assert 0.58 <= (np.abs(error) < sigma).mean() <= 0.84
+    # A little pair loss has long tails, and the filter takes most of what statistics fear: sigma is too large.
+    tails = case.get("loss") in (0.05, 0.1)
+    assert (0.75 if tails else 0.9) <= rms(error) / rms(sigma) <= 1.15
+    assert 0.58 <= (np.abs(error) < sigma).mean() <= (0.84 if tails else 0.72)
 
 
 def test_large_sigma_means_large_error(particle_pair):

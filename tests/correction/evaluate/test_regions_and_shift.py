@@ -10,7 +10,7 @@ from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.settings import PivSettings
 from correction.evaluate.shift import evaluate_shift, shift_errors
-from correction.evaluate.velocity_route import velocity_route
+from correction.evaluate.velocity_route import raw_settings, velocity_route
 from sim.prints.patterns import printed_particles
 from sim.renderer.render import render_irradiance
 from tests.correction.small_scenes import small_scene
@@ -106,3 +106,8 @@ def test_frames_without_texture_are_no_pair(seen):
     flat = np.full(scene.camera.shape, 100, np.uint16)
     with pytest.raises(PairError):
         velocity_route(flat, flat, scene, ray_map)
+
+
+def test_raw_frames_get_a_larger_first_window_where_it_fits():
+    assert raw_settings(SETTINGS, (500, 400)).windows_px == (64, *SETTINGS.windows_px)
+    assert raw_settings(SETTINGS, (500, 50)) == SETTINGS
