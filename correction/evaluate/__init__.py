@@ -1,1 +1,1 @@
-"""What judges the correction: PIV, uncertainty, figures of merit, report."""
+"""What judges the correction: routes, regions, shifts, targets, and the vectors on disk."""

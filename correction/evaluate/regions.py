@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap
-from correction.evaluate.vector_field import VectorField
+from correction.piv.vector_field import VectorField
 from tracer.branches import sphere_of
 from tracer.scene import Scene
 

@@ -17,8 +17,8 @@ from scipy.spatial import cKDTree
 from correction.correction_map import CorrectionMap
 from correction.evaluate.regions import Region, Regions
 from correction.evaluate.shift import Scatter, by_radius, scatter_of, shift_errors
-from correction.evaluate.vector_field import VectorField
 from correction.evaluate.velocity_route import PlaneVectors
+from correction.piv.vector_field import VectorField
 from tracer.branches import sphere_of
 from tracer.scene import Scene
 

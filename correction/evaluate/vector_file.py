@@ -25,10 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.io import netcdf_file
 
-from correction.evaluate.vector_field import VectorField, VectorFlag
 from correction.evaluate.vector_map_sigma import VectorMapSigma
 from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
+from correction.piv.vector_field import VectorField, VectorFlag
 from ground.whole_file import whole_file
 
 SCHEMA = 1

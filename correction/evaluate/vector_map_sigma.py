@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap
-from correction.evaluate.vector_field import VectorField
 from correction.fit.scene_sigma import SceneSigma
+from correction.piv.vector_field import VectorField
 from tracer.scene import Scene
 from tracer.trace import trace
 

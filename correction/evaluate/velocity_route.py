@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import PairError
-from correction.evaluate.outliers import outliers
-from correction.evaluate.piv import evaluate_pair
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.vector_field import VectorField
+from correction.piv.outliers import outliers
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
+from correction.piv.vector_field import VectorField
 from tracer.ray_map import RayMap
 from tracer.scene import Scene
 from tracer.sensitivity import landings

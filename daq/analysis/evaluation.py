@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 
 from correction.corrector import Corrector
 from correction.errors import FrameError
-from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import Regions, regions_of
 from correction.evaluate.routes import Routes, compare_routes, joined
-from correction.evaluate.settings import PivSettings
 from correction.evaluate.shift import ShiftResult, evaluate_shift
-from correction.evaluate.vector_field import VectorField
 from correction.evaluate.vector_map_sigma import VectorMapSigma, vector_map_sigma
 from correction.evaluate.velocity_route import PlaneVectors, raw_settings, velocity_route
 from correction.fit.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
+from correction.piv.vector_field import VectorField
 from correction.prepared import PreparedCorrection
 from daq.acquisition.runs.acquired import read_acquired
 from daq.analysis.pictures.before_after import BeforeAfter, before_after

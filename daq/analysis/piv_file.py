@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from correction.errors import PairError
-from correction.evaluate.settings import SMALLEST_WINDOW_PX, PivSettings
+from correction.piv.settings import SMALLEST_WINDOW_PX, PivSettings
 from ground.config import Document, Table, load_yaml, validate
 from ground.errors import ConfigError, Problem
 

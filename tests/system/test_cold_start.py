@@ -16,8 +16,8 @@ import pytest
 from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
-from correction.evaluate.piv import evaluate_pair
 from correction.fit.prediction import expect, measure
+from correction.piv.pair import evaluate_pair
 from sim.demo.scenes import at_size, named_scene
 from sim.prints.patterns import Chessboard as Print
 from sim.renderer.render import render

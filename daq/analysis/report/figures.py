@@ -13,8 +13,8 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from correction.evaluate.shift import Scatter
-from correction.evaluate.vector_field import VectorField
 from correction.grid import PlaneGrid
+from correction.piv.vector_field import VectorField
 from tracer.scene import Scene
 
 EVERY = 2  # vectors drawn along each axis

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from correction.evaluate.image_figures import ImageFigures
 from correction.evaluate.regions import MIDDLE, Region
-from correction.evaluate.response import response_of
 from correction.evaluate.routes import Routes
-from correction.evaluate.settings import PivSettings
 from correction.evaluate.shift import ShiftResult, shift_errors
 from correction.node_status import MEANING, NodeStatus
+from correction.piv.response import response_of
+from correction.piv.settings import PivSettings
 from daq.analysis.evaluation import Evaluation
 
 SHIFT_HEAD = ("region", "vectors", "bias u, v", "std u, v", "estimated sigma u, v")

@@ -12,10 +12,10 @@ import pytest
 
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
-from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.preprocess import min_max_normalised, without_background
 from correction.evaluate.regions import Region, regions_of
-from correction.evaluate.settings import PivSettings
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
 from sim.demo.scenes import at_size, named_scene
 from sim.prints.patterns import printed_particles
 from sim.renderer.render import render_irradiance

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from correction.errors import FrameError
-from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.preprocess import min_max_normalised, without_background
-from correction.evaluate.settings import PivSettings
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
 
 
 def test_the_background_is_the_minimum_of_nine_steps_and_fewer_at_the_ends():

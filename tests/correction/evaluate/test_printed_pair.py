@@ -5,9 +5,9 @@ import pytest
 
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
-from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import regions_of
 from correction.frame_file import read_frame
+from correction.piv.pair import evaluate_pair
 from sim.prints.patterns import Image
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor

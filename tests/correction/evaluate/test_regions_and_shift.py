@@ -6,11 +6,11 @@ import pytest
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
 from correction.errors import PairError
-from correction.evaluate.piv import evaluate_pair
 from correction.evaluate.regions import Region, regions_of
-from correction.evaluate.settings import PivSettings
 from correction.evaluate.shift import evaluate_shift, shift_errors
 from correction.evaluate.velocity_route import raw_settings, velocity_route
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
 from sim.prints.patterns import printed_particles
 from sim.renderer.render import render_irradiance
 from tests.correction.small_scenes import small_scene

@@ -8,8 +8,8 @@ import pytest
 from correction.correction_map import build_correction_map
 from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.routes import compare_routes, joined
-from correction.evaluate.vector_field import VectorFlag
 from correction.evaluate.velocity_route import PlaneVectors
+from correction.piv.vector_field import VectorFlag
 from tests.correction.evaluate.vectors import uniform_field
 from tests.correction.small_scenes import small_scene
 from tracer.ray_map import build_ray_map

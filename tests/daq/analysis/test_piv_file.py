@@ -3,7 +3,7 @@
 import pytest
 
 from correction.errors import PairError
-from correction.evaluate.settings import PivSettings
+from correction.piv.settings import PivSettings
 from daq.analysis.piv_file import piv_settings, windows_of
 from ground.errors import ConfigError
 

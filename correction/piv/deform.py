@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.kernels.deform import deform_rows, refine_lines
-from correction.evaluate.windows import WindowGrid, around
+from correction.piv.kernels.deform import deform_rows, refine_lines
+from correction.piv.windows import WindowGrid, around
 from ground.rows import run_rows
 
 SOLID = np.float32(0.5)

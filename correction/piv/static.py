@@ -8,10 +8,10 @@ vector to zero, and no uncertainty sees it.
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.deform import DeformedPair
-from correction.evaluate.refine import refine
-from correction.evaluate.vector_field import VectorField
-from correction.evaluate.windows import WindowGrid
+from correction.piv.deform import DeformedPair
+from correction.piv.refine import refine
+from correction.piv.vector_field import VectorField
+from correction.piv.windows import WindowGrid
 
 APART = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
 FEWEST = 12  # windows, for a median

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from correction.evaluate.evidence import PROVEN, WEAK, proven, unproven
-from correction.evaluate.piv import evaluate_pair
-from correction.evaluate.settings import PivSettings
+from correction.piv.evidence import PROVEN, WEAK, proven, unproven
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
 
 
 def wave(length_px):

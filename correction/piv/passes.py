@@ -6,14 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import PairError
-from correction.evaluate.correlate import correlate_some, correlate_windows, peak_ratios
-from correction.evaluate.deform import DeformedPair
-from correction.evaluate.evidence import WEAK, proven
-from correction.evaluate.outliers import outliers
-from correction.evaluate.prepare import Pair
-from correction.evaluate.refine import Refined, refine
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.windows import WindowGrid, interpolated
+from correction.piv.correlate import correlate_some, correlate_windows, peak_ratios
+from correction.piv.deform import DeformedPair
+from correction.piv.evidence import WEAK, proven
+from correction.piv.outliers import outliers
+from correction.piv.prepare import Pair
+from correction.piv.refine import Refined, refine
+from correction.piv.settings import PivSettings
+from correction.piv.windows import WindowGrid, interpolated
 
 HALVED_PX = 64  # first windows of this side are looked at in frames of half the resolution
 LEAST_CORRELATION = 0.5  # of the second pass: with less, what lies in the middle may be there by chance

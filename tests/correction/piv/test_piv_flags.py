@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from correction.errors import CorrectionError, FrameError, PairError
-from correction.evaluate.piv import evaluate_pair
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.vector_field import VectorFlag
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
+from correction.piv.vector_field import VectorFlag
 
 PLAIN = PivSettings(uncertainty=False)
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from correction.evaluate.outliers import smoothed
+from correction.piv.outliers import smoothed
 
 SMOOTH = 0.625  # of the window's side: standard deviation of the smooth part's weights
 ORDER = 3

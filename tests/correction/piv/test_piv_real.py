@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from correction.evaluate.piv import evaluate_pair
+from correction.piv.pair import evaluate_pair
 
 PAIRS = Path(__file__).resolve().parents[4] / "shared" / "piv_pairs"
 

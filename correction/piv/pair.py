@@ -5,16 +5,16 @@ windows of the deformed frames, and adds the displacement that is left:
 
     measured(x) = predictor(x) + peak of  sum_x' A(x' - d(x')/2) B(x' + d(x')/2 + s)  over s.
 
-* The first pass searches whole windows by transform (`correction.evaluate.correlate`). What it leaves is
+* The first pass searches whole windows by transform (`correction.piv.correlate`). What it leaves is
   within a pixel nearly everywhere; the others look only there, with windows that weigh their middle most
-  (`correction.evaluate.refine`), and search where they find no peak.
+  (`correction.piv.refine`), and search where they find no peak.
 * Frames are deformed with the float-exact quintic B-spline that also corrects them, made smoother for particle
-  images of less than 3 px (`correction.evaluate.prepare`).
+  images of less than 3 px (`correction.piv.prepare`).
 * The predictor is smoothed between passes. Rejected vectors never reach it.
-* Detail that is no stronger than noise is taken off the result (`correction.evaluate.denoise`).
+* Detail that is no stronger than noise is taken off the result (`correction.piv.denoise`).
 
 Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 233 (2005).
-Sign and axis conventions: see `correction.evaluate.vector_field`.
+Sign and axis conventions: see `correction.piv.vector_field`.
 """
 
 from dataclasses import replace
@@ -24,20 +24,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import PairError
-from correction.evaluate.correlate import peak_ratios
-from correction.evaluate.deform import DeformedPair, deform_pair
-from correction.evaluate.denoise import kept_share, split
-from correction.evaluate.evidence import unproven
-from correction.evaluate.outliers import filled, smoothed
-from correction.evaluate.passes import LEAST_CORRELATION, Measured, moved, refine_pass, search
-from correction.evaluate.prepare import Pair, prepared
-from correction.evaluate.refine import window_weights
-from correction.evaluate.response import last_filter, noise_growth, smoothing_after, transfers_between
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.static import static_share, still_correlation
-from correction.evaluate.uncertainty import correlation_statistics, sampling_error_px
-from correction.evaluate.vector_field import VectorField, VectorFlag
-from correction.evaluate.windows import WindowGrid, window_grid
+from correction.piv.correlate import peak_ratios
+from correction.piv.deform import DeformedPair, deform_pair
+from correction.piv.denoise import kept_share, split
+from correction.piv.evidence import unproven
+from correction.piv.outliers import filled, smoothed
+from correction.piv.passes import LEAST_CORRELATION, Measured, moved, refine_pass, search
+from correction.piv.prepare import Pair, prepared
+from correction.piv.refine import window_weights
+from correction.piv.response import last_filter, noise_growth, smoothing_after, transfers_between
+from correction.piv.settings import PivSettings
+from correction.piv.static import static_share, still_correlation
+from correction.piv.uncertainty import correlation_statistics, sampling_error_px
+from correction.piv.vector_field import VectorField, VectorFlag
+from correction.piv.windows import WindowGrid, window_grid
 
 DOUBTFUL_SHARE, GAIN = 0.6, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
 CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from correction.evaluate.piv import evaluate_pair
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.vector_field import VectorFlag
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
+from correction.piv.vector_field import VectorFlag
 
 
 def uniform(du, dv):

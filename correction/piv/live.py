@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import PairError
-from correction.evaluate.piv import evaluate_pair
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.vector_field import VectorField
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
+from correction.piv.vector_field import VectorField
 
 LIVE = PivSettings(windows_px=(32, 32), extra_passes=0)
 

@@ -1,6 +1,6 @@
 """What is left of the displacement where it is known to a pixel: weighted windows, no transform.
 
-See `correction.evaluate.kernels.lags`. A window whose correlation is not highest in the middle gives NaN: it has
+See `correction.piv.kernels.lags`. A window whose correlation is not highest in the middle gives NaN: it has
 to be searched as a whole.
 """
 
@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.deform import DeformedPair
-from correction.evaluate.kernels.lags import SUMS, lag_sums, read_lags
-from correction.evaluate.windows import WindowGrid
+from correction.piv.deform import DeformedPair
+from correction.piv.kernels.lags import SUMS, lag_sums, read_lags
+from correction.piv.windows import WindowGrid
 from ground.rows import run_rows
 
 Floats = NDArray[np.float64]

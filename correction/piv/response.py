@@ -6,7 +6,7 @@ and S the smoothing before the next pass, a field and the noise n of one correla
     gain:  g = K + (1 - K) S g,         noise:  n (1 + (1 - K) S (1 + (1 - K) S (...))),
 
 since the same windows see the same noise again in every pass and take back K of what they had added. A last
-filter (`correction.evaluate.denoise`) multiplies both. What a window of weights w(x) makes of a wave is its
+filter (`correction.piv.denoise`) multiplies both. What a window of weights w(x) makes of a wave is its
 transform; of a field that is given at nodes, the transform of its averages of the interpolation (Keys) around
 each node, which is what K is here. The noise of windows that share pixels correlates as their weights do.
 
@@ -19,10 +19,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.denoise import ORDER, SMOOTH
-from correction.evaluate.refine import window_weights
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.windows import keys_weights
+from correction.piv.denoise import ORDER, SMOOTH
+from correction.piv.refine import window_weights
+from correction.piv.settings import PivSettings
+from correction.piv.windows import keys_weights
 
 COARSE = 2  # passes after which the predictor is smoothed more
 SMOOTH_COARSE, SMOOTH_FINE = 0.35, 0.25  # of the window's side: standard deviation of the predictor's smoothing

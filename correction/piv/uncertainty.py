@@ -20,7 +20,7 @@ depends. With the weights W of the window the variance of that sum is
    [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)].
 
 That is the noise of one correlation; what passes and the last filter make of it says
-`correction.evaluate.response`. Particle images of a few pixels leave an error that no noise betrays and no
+`correction.piv.response`. Particle images of a few pixels leave an error that no noise betrays and no
 filter takes off: where they lie between the pixels moves the peak. It depends on their size alone (`SAMPLING`,
 measured without noise) and is added as it is. What is smaller than a window, and calibration, are not seen.
 """
@@ -28,10 +28,10 @@ measured without noise) and is added as it is. What is smaller than a window, an
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.deform import DeformedPair
-from correction.evaluate.kernels.statistics import KINDS, block_sums
-from correction.evaluate.refine import Refined
-from correction.evaluate.windows import WindowGrid, interpolated
+from correction.piv.deform import DeformedPair
+from correction.piv.kernels.statistics import KINDS, block_sums
+from correction.piv.refine import Refined
+from correction.piv.windows import WindowGrid, interpolated
 from ground.rows import run_rows
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,7 @@ def correlation_statistics(
     grid : WindowGrid
         Windows.
     window_sigma : float
-        Their weights, see `correction.evaluate.refine.window_weights`.
+        Their weights, see `correction.piv.refine.window_weights`.
     refined : Refined
         What was measured with them.
     left_px : ndarray of float64, shape (ny, nx, 2)

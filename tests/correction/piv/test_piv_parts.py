@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from correction.evaluate.correlate import correlation_planes, workspace
-from correction.evaluate.deform import deform_pair
-from correction.evaluate.kernels import deform as piv_deform
-from correction.evaluate.kernels import fft as piv_fft
-from correction.evaluate.kernels import median as piv_median
-from correction.evaluate.kernels import windows as piv_windows
-from correction.evaluate.outliers import filled, outliers, smoothed
-from correction.evaluate.windows import around, interpolated, window_grid
+from correction.piv.correlate import correlation_planes, workspace
+from correction.piv.deform import deform_pair
+from correction.piv.kernels import deform as piv_deform
+from correction.piv.kernels import fft as piv_fft
+from correction.piv.kernels import median as piv_median
+from correction.piv.kernels import windows as piv_windows
+from correction.piv.outliers import filled, outliers, smoothed
+from correction.piv.windows import around, interpolated, window_grid
 from correction.resample.sample import prefilter, sample
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from correction.evaluate.deform import DeformedPair
-from correction.evaluate.kernels.fft import BLOCK, PAIRS, correlate_pairs
-from correction.evaluate.kernels.windows import cut_windows, find_peaks, multiply_conjugate
-from correction.evaluate.windows import WindowGrid
+from correction.piv.deform import DeformedPair
+from correction.piv.kernels.fft import BLOCK, PAIRS, correlate_pairs
+from correction.piv.kernels.windows import cut_windows, find_peaks, multiply_conjugate
+from correction.piv.windows import WindowGrid
 from ground.rows import run_rows
 
 CHUNK_BYTES = 1 << 18  # windows worked on at once: what a second-level cache holds beside their spectra

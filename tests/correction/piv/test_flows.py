@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from correction.errors import PairError
-from correction.evaluate.live import live_vectors
-from correction.evaluate.piv import evaluate_pair
-from correction.evaluate.settings import PivSettings
-from tests.correction.evaluate.flows import mix, turbulence, uniform, wave
+from correction.piv.live import live_vectors
+from correction.piv.pair import evaluate_pair
+from correction.piv.settings import PivSettings
+from tests.correction.piv.flows import mix, turbulence, uniform, wave
 
 MARGIN = 3  # windows at the edge that are not counted here
 

@@ -1,6 +1,6 @@
 """Sums over small blocks of what makes a correlation lean to one side, for the uncertainty of its peak.
 
-See `correction.evaluate.uncertainty`.
+See `correction.piv.uncertainty`.
 """
 
 import numpy as np

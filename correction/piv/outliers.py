@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from correction.evaluate.kernels.median import normalised_residual
+from correction.piv.kernels.median import normalised_residual
 
 RADIUS = 2  # 5 x 5 neighbourhood
 MIN_NEIGHBOURS = 5  # fewer do not make a median worth the name

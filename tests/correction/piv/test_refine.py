@@ -5,14 +5,14 @@ import pytest
 from scipy import ndimage
 
 from correction.errors import PairError
-from correction.evaluate.deform import DeformedPair
-from correction.evaluate.denoise import kept_share, split
-from correction.evaluate.kernels import lags, statistics
-from correction.evaluate.prepare import prepared
-from correction.evaluate.refine import refine, window_weights
-from correction.evaluate.response import gain, noise_growth, smoothing_transfer
-from correction.evaluate.settings import PivSettings
-from correction.evaluate.windows import window_grid
+from correction.piv.deform import DeformedPair
+from correction.piv.denoise import kept_share, split
+from correction.piv.kernels import lags, statistics
+from correction.piv.prepare import prepared
+from correction.piv.refine import refine, window_weights
+from correction.piv.response import gain, noise_growth, smoothing_transfer
+from correction.piv.settings import PivSettings
+from correction.piv.windows import window_grid
 
 
 def smooth_noise(shape, seed=0, sigma_px=1.2):

@@ -30,7 +30,7 @@ class PivSettings:
         window.
     denoise : float
         Detail finer than the windows' resolution is kept where it is stronger than this many times the noise
-        that correlation statistics expect there (`correction.evaluate.denoise`); 0 keeps everything.
+        that correlation statistics expect there (`correction.piv.denoise`); 0 keeps everything.
     extra_passes : int
         Most passes that are added at the end as long as vectors still move: strong gradients need more.
     outlier_threshold, outlier_epsilon_px : float

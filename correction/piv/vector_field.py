@@ -54,7 +54,7 @@ class VectorField:
     nan_pixels : int
         Pixels that were NaN, infinite or masked in a frame although the mask called them valid; treated as masked.
     static_share : float
-        Share of the light that does not move, see `correction.evaluate.static`; NaN where not known.
+        Share of the light that does not move, see `correction.piv.static`; NaN where not known.
     """
 
     x_px: Floats
