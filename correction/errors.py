@@ -7,6 +7,7 @@ CorrectionError
 +-- BoardError       the description of the target contradicts itself
 +-- TargetNotFound   a frame does not show the described target, or too little of it
 +-- MapUsageError    a correction map is asked for that cannot be (also a ValueError)
++-- SeriesError      statistics of a series do not belong together, or a file of them is damaged
 +-- DewarpError      pairs of points do not determine the dewarp polynomial, or stored numbers are not one
 """
 
@@ -25,6 +26,10 @@ class FrameDamaged(FrameError):  # noqa: N818 - says what it is
 
 class PairError(CorrectionError):
     """Two frames cannot be evaluated as a pair; the message names the reason and the cure."""
+
+
+class SeriesError(CorrectionError):
+    """Statistics of a series cannot be added up or read; the message names what differs and the cure."""
 
 
 class BoardError(CorrectionError):

@@ -1,0 +1,1 @@
+"""Statistics of a flow from many pairs: moments, effective samples, ensemble correlation, what is derived."""
