@@ -101,7 +101,7 @@ class Moments:
         if vectors.ndim != 3 or vectors.shape[2] != 2:
             raise SeriesError(f"vectors come as (ny, nx, 2), not {vectors.shape}")
         grid = vectors.shape[:2]
-        good: NDArray[np.bool_] = np.isfinite(vectors).all(axis=-1)
+        good: NDArray[np.bool_] = np.asarray(np.isfinite(vectors).all(axis=-1), np.bool_)
         if valid is not None:
             good = good & shaped("valid", np.asarray(valid, np.bool_), grid)
         told: NDArray[np.bool_] = np.zeros(grid, np.bool_)
