@@ -11,6 +11,7 @@ that may have gaps keeps every frame instead and goes on behind the last one (ru
 A session in which a frame may have been filed under the wrong stop says so in its lines; its run is never done.
 """
 
+import time
 from collections.abc import Collection, Container, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
@@ -140,6 +141,7 @@ class Runner:
                 "session",
                 sync=True,
                 utc=_utc(),
+                monotonic_ns=time.monotonic_ns(),
                 versions=versions(),
                 steps_left=len(left),
                 controllers={name: box.identity for name, box in self._hardware.stage.controllers.items()},

@@ -22,6 +22,23 @@ class SessionLine(TypedDict):
     versions: dict[str, str]
     steps_left: Count
     controllers: NotRequired[dict[Text, str]]  # name in the bench file -> who the box says it is
+    monotonic_ns: NotRequired[Wide]  # the computer's clock that stamps `received_ns`, at `utc`
+
+
+Microseconds = Annotated[float, Field(gt=0.0, le=1e9)]
+
+
+@with_config(STRICT)
+class PairRecord(TypedDict):
+    """Which exposure of which pair of light pulses a frame is, and by what that was told."""
+
+    exposure: Literal["A", "B"]
+    chunk: Count  # of the step: pairs that were fired in one go
+    dt_us: Microseconds  # as commanded
+    dt_measured_us: NotRequired[Microseconds]
+    dt_sigma_us: NotRequired[Annotated[float, Field(ge=0.0, le=1e9)]]  # of the measured one
+    marker: Literal["line_status", "counter", "spacing", "halves"]
+    background: NotRequired[bool]  # taken before the seeding was opened
 
 
 @with_config(STRICT)
@@ -44,6 +61,7 @@ class FrameLine(TypedDict):
     planned_mm: Positions
     measured_mm: Positions
     true_mm: NotRequired[Positions]
+    pair: NotRequired[PairRecord]  # of a flow run
 
 
 Gap = Annotated[list[Count], Field(min_length=2, max_length=2)]  # first and last frame that never came

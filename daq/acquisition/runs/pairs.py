@@ -2,7 +2,8 @@
 
 A shift run has steps that are displaced from a reference step: its pairs are the first frames of both, with the
 displacement that the stages measured.  A stream has groups, frames that belong together: its pairs are neighbours
-within a group, with the time between their exposures on the camera's clock.
+within a group, with the time between their exposures on the camera's clock.  A flow run has pairs of light pulses:
+every frame's line says which exposure of a pair it is and how far the pulses were apart (runs.flow_pairs).
 
 One lost frame would swap first and second exposure for the rest of a stream if frames were paired in the order of
 arrival.  A run numbers the frames of a stream by their ids and goes on with whole groups, so the number says the
@@ -12,45 +13,21 @@ camera was armed between the two exposures of a pair; time stamps can.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 from correction.errors import PairError
-from daq.acquisition.bench.bench_table import Vector
 from daq.acquisition.runs.displacement import read_displacements
+from daq.acquisition.runs.exposure_times import exposure_times_s
+from daq.acquisition.runs.flow_pairs import flow_pairs
+from daq.acquisition.runs.frame_pair import FramePair as FramePair  # who asks for pairs gets these
 from daq.acquisition.runs.journal import Entry
 from daq.acquisition.runs.run_file import PlannedStep
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.errors import RunUnsuitable
 
 SWAPPED = 2.0  # times the gap to the next pair, and a pair is none; frames in regular order have 1
-
-
-@dataclass(frozen=True)
-class FramePair:
-    """Two frames between which something has moved.
-
-    Parameters
-    ----------
-    tag : str
-        Names the pair within its run.
-    glass : bool
-        Taken through the glass, or bare.
-    frames : (Path, Path)
-        Before and after.
-    commanded_mm, measured_mm : (float, float, float), optional
-        Displacement of the target in the world, as planned and as the stages reported it; None if it did not move.
-    dt_s : float, optional
-        From the first exposure to the second; None if nobody measured it.
-    """
-
-    tag: str
-    glass: bool
-    frames: tuple[Path, Path]
-    commanded_mm: Vector | None = None
-    measured_mm: Vector | None = None
-    dt_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -74,14 +51,21 @@ def pairs_of(path: Path) -> RunPairs:
         No frames of this run belong together, or their time stamps contradict it.
     """
     folder = RunFolder.open(path)
-    steps, entries = folder.about["steps"], frame_entries(folder.entries())
+    steps, lines = folder.about["steps"], folder.entries()
+    entries = frame_entries(lines)
     moved = any(step["reference"] is not None for step in steps)
     if not moved and all(step.get("group", 1) == 1 for step in steps):
         raise PairError(f"{path}: no frames of this run form pairs; give a shift run, or a stream with a group")
     pairs = list(_moved(folder, steps, entries)) if moved else []
     alone: list[int] = []
-    for step in steps:
-        pairs += _timed(folder, step, entries, alone)
+    if any("dt_us" in step for step in steps):
+        pairs, alone = flow_pairs(folder)
+    else:
+        timed: dict[int, FramePair] = {}
+        for step in steps:
+            timed |= _timed(folder, step, entries, alone)
+        times = exposure_times_s(lines, timed)
+        pairs += [replace(pair, time_s=times[one]) for one, pair in timed.items()]
     if not pairs:
         raise RunUnsuitable(f"{path}: no pair is complete; resume the run first")
     return RunPairs(tuple(pairs), tuple(alone))
@@ -104,8 +88,8 @@ def _moved(folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, En
 
 def _timed(
     folder: RunFolder, step: PlannedStep, entries: Mapping[int, Entry], alone: list[int]
-) -> list[FramePair]:
-    """Pairs of one step; adds to `alone` the frames that are in none."""
+) -> dict[int, FramePair]:
+    """Pairs of one step by their first frame; adds to `alone` the frames that are in none."""
     first, group = step["first_frame"], step.get("group", 1)
     present = [number for number in range(first, first + step["frames"]) if number in entries]
     to_next_ns = {
@@ -126,11 +110,11 @@ def _timed(
             f"{folder.path}: the frames of most pairs lie farther apart than the next pair, such as "
             f"{swapped[0]} and {swapped[0] + 1}: the first frame of the stream was not the first of a pair"
         )
-    found = []
+    found = {}
     for one in starts:
         dt_s = to_next_ns[one] * 1e-9 or None  # 0: the camera has no clock
         files = (folder.inside(entries[one]["file"]), folder.inside(entries[one + 1]["file"]))
-        found.append(FramePair(f"{step['tag']}_{one:06d}", step["view"] == "glass", files, dt_s=dt_s))
+        found[one] = FramePair(f"{step['tag']}_{one:06d}", step["view"] == "glass", files, dt_s=dt_s)
     if group > 1:
         alone += sorted(set(present).difference(*[(one, one + 1) for one in starts]))
     return found

@@ -48,6 +48,8 @@ class PlannedStep(TypedDict):
     on_plane: bool
     reference: Count | None
     group: NotRequired[Annotated[int, Field(ge=1, le=1000)]]  # frames that belong together; 1 if not said
+    dt_us: NotRequired[Annotated[float, Field(gt=0.0, le=1e9)]]  # between the two light pulses of a pair
+    background: NotRequired[bool]  # pairs without seeding
 
 
 def _in_order(steps: list[PlannedStep]) -> list[PlannedStep]:
