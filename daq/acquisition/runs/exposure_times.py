@@ -62,8 +62,5 @@ def _across(sessions: Sequence[Entry], places: Sequence[int], arrived_ns: Sequen
     if not all("monotonic_ns" in line for line in lines):  # an older run: the computer was not started in between
         return max(0, arrived_ns[1] - arrived_ns[0])
     day_ns = [round(1e9 * datetime.fromisoformat(line["utc"]).timestamp()) for line in lines]
-    first, second = (
-        begun + arrived - line["monotonic_ns"]
-        for begun, arrived, line in zip(day_ns, arrived_ns, lines, strict=True)
-    )
-    return second - first
+    since_ns = [arrived - line["monotonic_ns"] for arrived, line in zip(arrived_ns, lines, strict=True)]
+    return int(day_ns[1] + since_ns[1] - day_ns[0] - since_ns[0])
