@@ -1,0 +1,210 @@
+"""What a timing unit can do, as the laser sees it; a driver is a box on `stages.link.Link`.
+
+**Off has two ways.** `silence` is the thorough one: it converses, writes every output off, reads every one back,
+and raises if anything is not off. `drop` is the one that nothing postpones: it writes the same without waiting
+for an answer or for a lock, so it may come from any thread while another one waits in a conversation. The line
+is suspect afterwards and is cleared before anything else is asked.
+
+**On has one way**: bytes after which an output can pulse pass the gate of a `StopLatch` (`moves=True`), so that no
+stop slips in between the look and the write, and the watchdog has heard of it before they leave.
+"""
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import ClassVar
+
+from daq.timing.errors import LaserDoubt, LaserStopped
+from daq.timing.pulses import Role, Schedule
+from stages.clock import SYSTEM_CLOCK, Clock
+from stages.errors import DeviceLost, MotionStopped, PortError, ProtocolViolation
+from stages.link import QUIET_S, Link
+from stages.port import Port
+from stages.stop_latch import StopLatch
+from stages.watchdog import Watchdog
+
+
+class TimingBox(Link):
+    """Base of the drivers of timing units.
+
+    Parameters
+    ----------
+    name : str
+        What the bench file calls it; used in messages.
+    wiring : mapping of Role to str
+        Output of the box by what hangs on it.
+    clock : Clock
+        Clock of every deadline.
+    latch : StopLatch, optional
+        What switches it off; one of its own by default.
+    """
+
+    default_baud: ClassVar[int]
+    counts: ClassVar[bool]  # the box ends a burst by itself after so many pulses, whatever becomes of us
+    least_step_us: ClassVar[float]  # of delays and widths
+
+    def __init__(
+        self, name: str, wiring: Mapping[Role, str], clock: Clock = SYSTEM_CLOCK, latch: StopLatch | None = None
+    ) -> None:
+        super().__init__(name, clock)
+        self.wiring = dict(wiring)
+        self.latch = latch or StopLatch()
+        self.token = self.latch.count  # of what may be switched on now; set by the laser
+        self.watchdog: Watchdog | None = None  # set by whoever opens a port that outlives the process
+        self._url, self._baud = "", 0
+
+    # ---- life ----------------------------------------------------------------------------------
+
+    def connect(self, url: str, baud: int | None = None) -> str:
+        """Open the port and find out who answers; nothing is switched on. `silence` is the next thing to ask.
+
+        Returns
+        -------
+        str
+            What the box says of itself.
+
+        Raises
+        ------
+        PortUnavailable, NoReply
+            The port cannot be opened, or nobody answers on it.
+        WrongBox
+            Another box answers, it lacks an output that the wiring names, or it is set up to act by itself.
+        """
+        with self._lock:
+            self.close()
+            self._url, self._baud = url, baud or self.default_baud
+            self._port = Port(self._url, self._baud, clock=self.clock)
+            try:
+                self._suspect = False
+                self.drop()  # before a word is asked: whatever ran before us is not ours
+                self.port.drain(QUIET_S)
+                self._suspect = False
+                identity = self._agreed(self._identify)
+                if self.identity and identity != self.identity:
+                    raise LaserDoubt(f"{self.name}: {identity!r} answers instead of {self.identity!r}")
+                self.identity = identity
+                self._set_up()
+            except BaseException:
+                self.close()
+                raise
+            return self.identity
+
+    def reconnect(self) -> None:
+        """Open the same port again after it was lost."""
+        self.connect(self._url, self._baud)
+
+    def close(self) -> None:
+        """Close the port; safe at any time."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    @property
+    def lost(self) -> bool:
+        """True if it cannot be reached until `connect` is called again."""
+        return self._port is None or self._port.lost
+
+    # ---- off -----------------------------------------------------------------------------------
+
+    def drop(self) -> None:
+        """Write everything off now, Q-switches first; from any thread, waiting for nobody.
+
+        Raises
+        ------
+        DeviceLost
+            There is no port to write to.
+        """
+        port = self._port
+        if port is None or port.lost:
+            raise DeviceLost(f"{self.name} is not connected; nothing could be said to it")
+        self._suspect = True
+        for data in self.off_bytes():
+            port.write(data)
+        self._suspect = True  # again: another thread may have cleared it while the bytes were on their way
+
+    @abstractmethod
+    def off_bytes(self) -> Sequence[bytes]:
+        """What switches everything off, Q-switches first; each is written whole, and may be said at any time."""
+
+    @abstractmethod
+    def silence(self) -> None:
+        """Write everything off, Q-switches first, and read every output back.
+
+        Raises
+        ------
+        LaserDoubt
+            Something reads back as on.
+        PortError, ProtocolViolation
+            It could not be read.
+        """
+
+    # ---- on ------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def load(self, schedule: Schedule) -> Schedule:
+        """Write the period and every pulse while no Q-switch output is on; return what the box says it has.
+
+        Raises
+        ------
+        LaserDoubt
+            A Q-switch output is on, or a number reads back as another one.
+        PulsesRefused
+            The box cannot do one of the numbers.
+        """
+
+    @abstractmethod
+    def start_lamps(self) -> None:
+        """Let the lamps run at the loaded period, and nothing else."""
+
+    @abstractmethod
+    def confirm(self, schedule: Schedule, lamps: bool) -> None:
+        """Ask whether the box still holds a schedule, its lamps run (or not) and every Q-switch is off.
+
+        Raises
+        ------
+        LaserDoubt
+            It does not: a restart, or somebody at its keys.
+        """
+
+    @abstractmethod
+    def begin(self, pairs: int, camera: bool = True) -> None:
+        """Give that many pulses on each Q-switch output; the box counts them where it can.
+
+        Parameters
+        ----------
+        pairs : int
+            How many.
+        camera : bool
+            Whether camera and marker get their pulses as well.
+        """
+
+    @abstractmethod
+    def running(self) -> bool:
+        """Ask whether a burst still goes on."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """End a burst: Q-switches, camera and marker off and read back, lamps as they are."""
+
+    # ---- for drivers ---------------------------------------------------------------------------
+
+    @abstractmethod
+    def _set_up(self) -> None:
+        """Look at the box after opening; refuse what must not be used. Nothing is switched on."""
+
+    @contextmanager
+    def _gate(self, moves: bool) -> Iterator[None]:
+        """Bytes that switch on are written only while no stop has come since they were wanted."""
+        if not moves:
+            yield
+            return
+        try:
+            with self.latch.gate(self.token):
+                if self.watchdog is not None:
+                    self.watchdog.moves(self.name)
+                yield
+        except MotionStopped:
+            raise LaserStopped(f"{self.name} was switched off meanwhile") from None
+
+
+UNREADABLE = (PortError, ProtocolViolation, LaserDoubt)

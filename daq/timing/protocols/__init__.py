@@ -1,0 +1,1 @@
+"""Grammars of timing units: messages to bytes and back, both directions; no time, no ports, no units."""

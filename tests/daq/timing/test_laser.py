@@ -1,0 +1,354 @@
+"""The state machine on a fake box: what may be asked when, and what ends it."""
+
+import time
+
+import pytest
+
+from daq.timing.conditions import Conditions
+from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
+from daq.timing.laser import AlignRules, Laser, Rules
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming
+from daq.timing.states import LaserState
+from daq.timing.vigil import Vigil
+from sim.clock import ScaledClock, VirtualClock
+from stages.clock import SYSTEM_CLOCK
+from stages.errors import DeviceLost, NoReply
+from tests.daq.timing.fake_box import FakeBox
+
+HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
+RULES = Rules(warmup_s=60.0, align=AlignRules(q_switch_delay_us=80.0))
+EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
+TIMING = PulseTiming(20.0, 10.0)
+GOOD = Conditions(True, True, True, 5.0, 1000, True)
+
+
+def laser_on(clock=None, head=HEAD, rules=RULES):
+    clock = clock or VirtualClock()
+    box = FakeBox(clock)
+    laser = Laser("laser", box, head, rules, clock)
+    laser.open("fake://")
+    return laser, box, clock
+
+
+def armed(clock=None, **options):
+    laser, box, clock = laser_on(clock, **options)
+    laser.warm(10.0)
+    clock.sleep_s(laser.warm_in_s + 1e-3)
+    laser.set(TIMING, EXPOSURES)
+    laser.arm(GOOD, laser.challenge)
+    return laser, box, clock
+
+
+def test_a_chunk_from_opening_to_the_end():
+    laser, box, clock = laser_on()
+    assert laser.state is LaserState.SAFE
+    assert box.said == ["connect fake://", "drop"]
+    laser.warm(10.0)
+    assert laser.state is LaserState.WARM
+    clock.sleep_s(59.0)
+    assert laser.state is LaserState.WARM
+    assert laser.warm_in_s == pytest.approx(1.0)
+    clock.sleep_s(1.1)
+    assert laser.state is LaserState.READY
+    assert laser.set(TIMING, EXPOSURES).dt_us == pytest.approx(20.0)
+    assert laser.dt_us == pytest.approx(20.0)
+    laser.arm(GOOD, laser.challenge)
+    assert laser.state is LaserState.ARMED
+    laser.fire(30)
+    assert laser.state is LaserState.FIRING
+    laser.watch(GOOD)
+    laser.wait()
+    assert (laser.state, box.count()) == (LaserState.READY, 30)
+    laser.arm(GOOD, laser.challenge)  # the word holds for the chunks of one run
+    laser.fire(7)
+    laser.wait()
+    assert box.count() == 37
+    laser.safe()
+    assert laser.state is LaserState.SAFE
+
+
+def test_without_lamps_it_is_ready_at_once():
+    laser, box, _ = laser_on(head=LaserHead(max_rate_hz=100.0))
+    laser.warm()
+    assert laser.state is LaserState.READY
+    assert not box.lamps
+
+
+def test_what_cannot_be_read_is_unknown_and_only_safe_is_left():
+    clock = VirtualClock()
+    box = FakeBox(clock)
+    box.unreadable = True
+    laser = Laser("laser", box, HEAD, RULES, clock)
+    laser.open("fake://")
+    assert laser.state is LaserState.UNKNOWN
+    for verb in (
+        laser.warm,
+        lambda: laser.set(TIMING, EXPOSURES),
+        lambda: laser.arm(GOOD, laser.challenge),
+        lambda: laser.fire(1),
+        lambda: laser.align("", 1.0, 1.0),
+        laser.disarm,
+    ):
+        with pytest.raises(NotNow, match="only safe"):
+            verb()
+    with pytest.raises(NoReply):
+        laser.safe()
+    assert laser.state is LaserState.UNKNOWN
+    box.unreadable = False
+    laser.safe()
+    assert laser.state is LaserState.SAFE
+
+
+MISSING = {
+    "does not wait for triggers": {"camera_armed": False},
+    "older frames": {"buffers_empty": False},
+    "moves": {"at_rest": False},
+    "3.9 mm from the sheet": {"sheet_clearance_mm": 3.9},
+    "nan mm from the sheet": {"sheet_clearance_mm": float("nan")},
+    "nobody knows how far": {"sheet_clearance_mm": None},
+    "room for 0 pairs": {"frames_fit": 0},
+    "shutter is open": {"shutter_open": None},
+    "shutter is closed": {"shutter_open": False},
+}
+
+
+def conditions_with(**changes):
+    values = {field: getattr(GOOD, field) for field in GOOD.__dataclass_fields__}
+    return Conditions(**{**values, **changes})
+
+
+@pytest.mark.parametrize("words", MISSING)
+def test_a_condition_that_is_not_met_does_not_arm(words):
+    laser, box, clock = laser_on()
+    laser.warm(10.0)
+    clock.sleep_s(61.0)
+    laser.set(TIMING, EXPOSURES)
+    with pytest.raises(NotArmed, match=words):
+        laser.arm(conditions_with(**MISSING[words]), laser.challenge)
+    with pytest.raises(NotNow, match="set\\(\\) and arm\\(\\) come first"):
+        laser.fire(1)
+    clock.sleep_s(10.0)
+    assert (laser.state, box.count()) == (LaserState.READY, 0)
+
+
+def test_nothing_stated_is_not_met():
+    assert Conditions().missing(1) is not None
+
+
+@pytest.mark.parametrize("words", [w for w in MISSING if w not in ("older frames", "room for 0 pairs")])
+def test_a_condition_that_is_lost_switches_off(words):
+    laser, box, clock = armed()
+    laser.fire(50)
+    clock.sleep_s(1.0)
+    with pytest.raises(LaserStopped, match=words):
+        laser.watch(conditions_with(**MISSING[words]))
+    clock.sleep_s(10.0)
+    assert box.count() == 10
+    assert laser.state is LaserState.UNKNOWN
+    assert laser.confirm_off()
+    assert laser.state is LaserState.FAULT
+    with pytest.raises(NotNow, match=words):
+        laser.warm()
+    laser.safe()
+    assert laser.state is LaserState.SAFE
+
+
+@pytest.mark.parametrize("word", ["", "yes", "fire", "0000 ", "12345"])
+def test_only_the_word_that_is_asked_for_arms(word):
+    laser, _, clock = laser_on()
+    laser.warm(10.0)
+    clock.sleep_s(61.0)
+    laser.set(TIMING, EXPOSURES)
+    with pytest.raises(NotArmed, match="type the word"):
+        laser.arm(GOOD, word)
+
+
+def test_every_safe_asks_for_another_word():
+    laser, _, _ = laser_on()
+    words = set()
+    for _ in range(20):
+        laser.safe()
+        words.add(laser.challenge)
+    assert len(words) > 10
+
+
+def test_a_stop_holds_until_safe():
+    laser, box, clock = armed()
+    laser.fire(50)
+    clock.sleep_s(0.5)
+    laser.stop("somebody came in")
+    clock.sleep_s(5.0)
+    assert box.count() == 5
+    with pytest.raises(LaserStopped, match="somebody came in"):
+        laser.wait()
+    laser.confirm_off()
+    assert laser.state is LaserState.FAULT
+    assert laser.challenge == ""
+    laser.safe()
+    laser.warm(10.0)
+
+
+def test_a_lost_link_leaves_it_unknown_and_the_box_counts_on():
+    laser, box, clock = armed()
+    laser.fire(20)
+    clock.sleep_s(1.0)
+    box.is_lost = True
+    with pytest.raises(DeviceLost):
+        laser.stop("anything")
+    assert laser.state is LaserState.UNKNOWN
+    clock.sleep_s(20.0)
+    assert box.count() == 20
+    assert not laser.confirm_off()
+    box.is_lost = False
+    assert laser.confirm_off()
+    assert laser.state is LaserState.FAULT
+
+
+def test_a_box_that_goes_on_beyond_its_count_is_switched_off():
+    laser, box, _clock = armed()
+    laser.fire(5)
+    begun_s, _, rate_hz = box.burst
+    box.burst = (begun_s, 1000, rate_hz)
+    with pytest.raises(LaserDoubt, match="after its count of 5"):
+        laser.wait()
+    assert box.burst is None
+    assert laser.state is LaserState.UNKNOWN
+
+
+def test_a_restart_of_the_box_is_found_before_arming():
+    laser, box, clock = laser_on()
+    laser.warm(10.0)
+    clock.sleep_s(61.0)
+    laser.set(TIMING, EXPOSURES)
+    box.lamps = False
+    with pytest.raises(LaserDoubt):
+        laser.arm(GOOD, laser.challenge)
+
+
+@pytest.mark.parametrize("pairs", [0, -1, 101])
+def test_a_chunk_is_at_most_ten_seconds(pairs):
+    laser, box, _ = armed()
+    with pytest.raises(TimingUsageError, match="1 to 100 fit"):
+        laser.fire(pairs)
+    assert box.burst is None
+
+
+def test_a_chunk_that_the_disk_cannot_take_is_not_begun():
+    laser, box, clock = laser_on()
+    laser.warm(10.0)
+    clock.sleep_s(61.0)
+    laser.set(TIMING, EXPOSURES)
+    laser.arm(conditions_with(frames_fit=10), laser.challenge)
+    with pytest.raises(NotArmed, match="room for 10 pairs, not for 11"):
+        laser.fire(11)
+    assert box.burst is None
+
+
+def test_a_box_that_cannot_count_needs_a_word_in_the_bench_file():
+    laser, box, clock = laser_on()
+    box.counts = False
+    laser.warm(10.0)
+    clock.sleep_s(61.0)
+    laser.set(TIMING, EXPOSURES)
+    with pytest.raises(NotArmed, match="uncounted"):
+        laser.arm(GOOD, laser.challenge)
+
+
+def test_an_exposure_that_is_too_long_for_the_room_is_refused():
+    laser, _, clock = laser_on(rules=Rules(warmup_s=1.0, dark_us=5_000.0))
+    laser.warm(10.0)
+    clock.sleep_s(2.0)
+    laser.set(TIMING, EXPOSURES)
+    with pytest.raises(NotArmed, match="exposure B of 20000 us is longer"):
+        laser.arm(GOOD, laser.challenge)
+
+
+def test_dt_changes_only_when_ready():
+    laser, _, clock = armed()
+    with pytest.raises(NotNow):
+        laser.set(TIMING, EXPOSURES)
+    laser.fire(10)
+    with pytest.raises(NotNow):
+        laser.set(TIMING, EXPOSURES)
+    clock.sleep_s(2.0)
+    laser.wait()
+    laser.set(PulseTiming(30.0, 10.0), EXPOSURES)
+    with pytest.raises(PulsesRefused, match="another warm-up"):
+        laser.set(PulseTiming(30.0, 12.0), EXPOSURES)
+
+
+def test_alignment_is_weak_short_and_goes_through_safe():
+    laser, box, _clock = laser_on()
+    with pytest.raises(NotArmed):
+        laser.align("no", 5.0, 2.0)
+    with pytest.raises(PulsesRefused, match="at most 10 Hz and 10 s"):
+        laser.align(laser.challenge, 11.0, 2.0)
+    with pytest.raises(PulsesRefused):
+        laser.align(laser.challenge, 5.0, float("nan"))
+    word = laser.challenge
+    laser.align(word, 5.0, 2.0)
+    assert laser.state is LaserState.ALIGNING
+    with pytest.raises(NotNow, match="end it with safe"):
+        laser.fire(1)
+    laser.wait()
+    assert (laser.state, box.count(), box.lamps) == (LaserState.SAFE, 10, False)
+    laser.warm(10.0)
+    with pytest.raises(NotNow):
+        laser.align(laser.challenge, 5.0, 2.0)
+
+
+def test_without_rules_there_is_no_alignment():
+    laser, _, _ = laser_on(rules=Rules())
+    with pytest.raises(NotNow, match="no alignment mode"):
+        laser.align(laser.challenge, 1.0, 1.0)
+
+
+def test_closing_switches_off():
+    laser, box, _clock = armed()
+    laser.fire(50)
+    laser.close()
+    assert box.burst is None
+    assert laser.state is LaserState.FAULT
+
+
+def test_the_vigil_switches_off_within_50_ms_of_a_lost_condition():
+    laser, box, clock = armed(ScaledClock(), rules=Rules(warmup_s=0.0), head=LaserHead(max_rate_hz=1000.0))
+    now = [GOOD]
+    laser.fire(90)
+    with Vigil(laser, lambda: now[0], clock, SYSTEM_CLOCK) as vigil:
+        time.sleep(0.3)
+        assert laser.state is LaserState.FIRING
+        now[0], lost_s = conditions_with(at_rest=False), time.monotonic()
+        while box.burst is not None:
+            time.sleep(0.001)
+        assert time.monotonic() - lost_s < 0.05 + 0.1  # the second half for a busy machine
+        with pytest.raises(LaserStopped, match="moves"):
+            vigil.wait()
+    assert laser.state is LaserState.FAULT
+
+
+def test_the_vigil_takes_silence_and_errors_for_lost(mocker):
+    mocker.patch("daq.timing.vigil.SILENCE_S", 0.1)
+
+    def hangs():
+        time.sleep(0.6)
+        return GOOD
+
+    def fails():
+        raise OSError("no camera")
+
+    for ask, words in ((hangs, "nobody has said"), (fails, "no camera")):
+        laser, box, clock = armed(ScaledClock(), rules=Rules(warmup_s=0.0), head=LaserHead(max_rate_hz=1000.0))
+        laser.fire(50)
+        with Vigil(laser, ask, clock, SYSTEM_CLOCK):
+            time.sleep(0.4)
+        assert words in laser.why
+        assert box.burst is None
+
+
+def test_leaving_the_vigil_switches_off():
+    laser, box, clock = armed(ScaledClock(), rules=Rules(warmup_s=0.0), head=LaserHead(max_rate_hz=1000.0))
+    laser.fire(50)
+    with Vigil(laser, lambda: GOOD, clock, SYSTEM_CLOCK):
+        pass
+    assert box.burst is None
