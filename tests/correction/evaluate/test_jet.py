@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.background.min_max import min_max_normalised
+from correction.background.sliding_minimum import without_sliding_minimum
 from correction.correction_map import build_correction_map
 from correction.corrector import Corrector
-from correction.evaluate.preprocess import min_max_normalised, without_background
 from correction.evaluate.regions import Region, regions_of
 from correction.piv.pair import evaluate_pair
 from correction.piv.settings import PivSettings
@@ -77,7 +78,7 @@ def test_the_mean_of_many_jets_does_not_jump_at_the_rim():
             light = render_irradiance(scene, shown, samples=2, seed=2 * number + pulse) + glare
             pulses[pulse, number] = corrector(sensor.expose(light, seed=2 * number + pulse))
     for pulse in pulses:
-        pulse[:] = without_background(pulse)
+        pulse[:] = list(without_sliding_minimum(pulse.copy()))
     settings, errors = PivSettings(windows_px=(64, 32, 32), uncertainty=False), []
     for number, flow in enumerate(flows):
         pair = [min_max_normalised(pulse[number], 150.0, corrector.recovered) for pulse in pulses]

@@ -1,11 +1,8 @@
-"""What the paper does to flow frames before they are correlated, after the correction.
+"""Particles brought to one height by their surroundings, after the correction.
 
-1. The background is the smallest value that a pixel takes within +-4 time steps; it is subtracted.  Both
-   lasers differ, so pulse A and pulse B each have their own series.
-2. Particles are brought to one height by a sliding window of 10 x 10 px: (f - min) / (max - min).  Both
-   envelopes are averaged over the same window first; their steps would cost three times the random error.
-
-Both are the same for two frames of one pair, hence neither moves the correlation peak.
+A sliding window of 10 x 10 px: (f - min) / (max - min).  Both envelopes are averaged over the same window first;
+their steps would cost three times the random error.  It is the same at every place of both frames, hence it does
+not move the correlation peak; particles that glass dims then count as much as those beside it.
 """
 
 from typing import Any
@@ -16,45 +13,13 @@ from scipy import ndimage
 
 from correction.errors import FrameError
 
-REACH_STEPS = 4
 WINDOW_PX = 10
-
-
-def without_background(frames: NDArray[Any], reach_steps: int = REACH_STEPS) -> NDArray[np.float32]:
-    """Subtract the time minimum from each frame of a series of one pulse.
-
-    Parameters
-    ----------
-    frames : ndarray, shape (N, H, W)
-        Frames of pulse A, or of pulse B, in their order in time; at least two.
-    reach_steps : int
-        Time steps before and after that are looked at; fewer at both ends of the series.
-
-    Returns
-    -------
-    ndarray of float32, shape (N, H, W)
-        Frames without their background, not negative; NaN where any frame within reach is NaN.
-
-    Raises
-    ------
-    FrameError
-        Not a series, or nothing to compare with.
-    """
-    series = np.asarray(frames)
-    if series.ndim != 3 or len(series) < 2:
-        raise FrameError(f"a series of one pulse has shape (N >= 2, H, W), not {series.shape}")
-    if reach_steps < 1:
-        raise FrameError(f"the time minimum needs a reach of at least 1 step, got {reach_steps}")
-    result = np.empty(series.shape, np.float32)
-    for step in range(len(series)):
-        near = series[max(0, step - reach_steps) : step + reach_steps + 1]
-        result[step] = series[step].astype(np.float32) - near.min(0).astype(np.float32)
-    return result
+NOISES = 6.0  # least range to divide by, in deviations of the noise, where nobody says one
 
 
 def min_max_normalised(
     frame: NDArray[Any],
-    least_range: float,
+    least_range: float | None = None,
     valid: NDArray[np.bool_] | None = None,
     window_px: int = WINDOW_PX,
 ) -> NDArray[np.float32]:
@@ -64,8 +29,9 @@ def min_max_normalised(
     ----------
     frame : ndarray, shape (H, W)
         Intensities.
-    least_range : float
+    least_range : float, optional
         Smallest max - min to divide by, in counts: a few times the noise, or an empty spot becomes all noise.
+        Default NOISES times the deviation of the dark half of the frame.
     valid : ndarray of bool, shape (H, W), optional
         True where pixels count; default wherever they are finite.
     window_px : int
@@ -84,13 +50,15 @@ def min_max_normalised(
     values = np.asarray(frame, np.float32)
     if values.ndim != 2:
         raise FrameError(f"a frame is a 2-D array, this one has shape {values.shape}")
-    if not least_range > 0 or window_px < 2:
-        raise FrameError(f"least_range must be positive and window_px at least 2, got {least_range}, {window_px}")
     usable = np.isfinite(values)
     if valid is not None:
         if valid.shape != values.shape:
             raise FrameError(f"the mask has shape {valid.shape}, the frame {values.shape}")
         usable = usable & valid
+    if least_range is None:
+        least_range = NOISES * _noise(values[usable])
+    if not least_range > 0 or window_px < 2:
+        raise FrameError(f"least_range must be positive and window_px at least 2, got {least_range}, {window_px}")
     share = _window_mean(usable.astype(np.float32), window_px)[usable]
     low = ndimage.minimum_filter(np.where(usable, values, np.float32(np.inf)), window_px)
     high = ndimage.maximum_filter(np.where(usable, values, np.float32(-np.inf)), window_px)
@@ -98,6 +66,14 @@ def min_max_normalised(
     floor, top = (_window_mean(np.where(usable, x, np.float32(0)), window_px)[usable] / share for x in (low, high))
     result[usable] = (values[usable] - floor) / np.maximum(top - floor, np.float32(least_range))
     return result
+
+
+def _noise(values: NDArray[np.float32]) -> float:
+    """Deviation of the noise, from those values that lie below the median: particles only add light."""
+    if not values.size:
+        return 1.0
+    middle, low = (float(each) for each in np.percentile(values, (50.0, 15.87)))
+    return max(middle - low, 1e-6 * max(1.0, abs(middle)))
 
 
 def _window_mean(values: NDArray[np.float32], window_px: int) -> NDArray[np.float32]:
