@@ -1,8 +1,8 @@
 """What is done to the frames of a flow, by name: at most one step to raw frames, then steps to corrected ones.
 
-Raw frames lose their background, whose pixels stand still there; the correction follows; then particles are brought
-to one height.  Every step is the same at every place of a frame, or takes off what does not move: none moves a
-correlation peak.  What is not so is refused by name.
+Raw frames lose their background, whose pixels stand still there; the correction follows; then particles are
+brought to one height.  Every step is the same at every place of a frame, or takes off what does not move: none
+moves a correlation peak.  What is not so is refused by name.
 """
 
 from dataclasses import dataclass
@@ -15,12 +15,13 @@ from correction.background.intensity_cap import intensity_capped
 from correction.background.min_max import min_max_normalised
 from correction.errors import PairError
 
-SLIDING_MINIMUM, MINIMUM, MEAN, POD = "sliding-minimum", "minimum", "mean", "pod"
+SLIDING_MINIMUM, MINIMUM, MEAN, POD, UNSEEDED = "sliding-minimum", "minimum", "mean", "pod", "unseeded"
 RAW = {
     SLIDING_MINIMUM: "the smallest value within 4 frames of its pulse before and after is taken off",
     MINIMUM: "the smallest value in all frames of its pulse is taken off",
     MEAN: "the mean of all frames of its pulse is taken off",
     POD: "patterns that the frames of its pulse share are taken off",
+    UNSEEDED: "the mean of the frames of its pulse that the run took without seeding is taken off",
 }
 CORRECTED = {
     "min-max": "particles are brought to one height within 10 x 10 px",
