@@ -10,6 +10,7 @@ import secrets
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
 from tracer.bodies import shifted_by
 from tracer.scene import Scene
+
+if TYPE_CHECKING:
+    from sim.timing import SimulatedTiming
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
@@ -54,6 +58,7 @@ class World:
         shows: str,
         exposures_before: int,
     ) -> None:
+        self.timing: list[SimulatedTiming] = []  # units that have power; who hangs on one listens to it
         self._bench = bench
         self._table = table
         self._stages = stages

@@ -178,6 +178,10 @@ class TimingBox(Link):
             Whether camera and marker get their pulses as well.
         """
 
+    def camera_triggers(self, pairs: int) -> int:
+        """Pairs of frames that the camera is triggered for in a burst; as many, unless a box must begin early."""
+        return pairs
+
     @abstractmethod
     def running(self) -> bool:
         """Ask whether a burst still goes on."""

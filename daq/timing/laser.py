@@ -392,7 +392,12 @@ class Laser:
             self._ends_s = math.inf
             self._enter(Event.FIRE)
             self.box.begin(pairs)
-            self._ends_s = self._clock.now_s() + pairs / self.schedule.rate_hz
+            self._ends_s = self._clock.now_s() + self.camera_triggers / self.schedule.rate_hz
+
+    @property
+    def camera_triggers(self) -> int:
+        """Pairs of frames that the camera is triggered for in a burst of `pairs`; those beyond are dark."""
+        return self.box.camera_triggers(self.pairs)
 
     @property
     def most_pairs(self) -> int:

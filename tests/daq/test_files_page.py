@@ -12,6 +12,7 @@ from daq.acquisition.runs.displacement import Moved
 from daq.acquisition.runs.done_file import DoneFile
 from daq.acquisition.runs.journal_lines import Line
 from daq.acquisition.runs.run_file import RunFile
+from daq.timing.timing_table import TimingTable
 from ground.config import load_yaml, validate
 from sim.bench_table import SimulationTable
 from tracer.scene_file import load_scene
@@ -28,7 +29,10 @@ def keys_of(model: object) -> set[str]:
 
 @pytest.mark.parametrize(
     "model",
-    [SceneTable, BenchTable, SimulationTable, *map(plan_table, EXPERIMENTS), RunFile, Line, DoneFile, Moved],
+    [
+        *(SceneTable, BenchTable, SimulationTable, TimingTable, RunFile, Line, DoneFile, Moved),
+        *map(plan_table, EXPERIMENTS),
+    ],
 )
 def test_every_key_is_on_the_page(model):
     words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", PAGE.read_text(encoding="utf-8")))))

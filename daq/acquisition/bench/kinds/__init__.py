@@ -22,6 +22,7 @@ from stages.clock import Clock
 KINDS = {
     "stage": "daq.acquisition.bench.kinds.stage:StageKind",
     "camera": "daq.acquisition.bench.kinds.camera:CameraKind",
+    "timing": "daq.acquisition.bench.kinds.timing:TimingKind",
 }
 
 

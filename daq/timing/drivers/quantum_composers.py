@@ -1,0 +1,309 @@
+"""Driver for the pulse generators of Quantum Composers and Berkeley Nucleonics.
+
+T0 runs freely and with it the lamps; Q-switches, camera and marker are channels in burst mode, so that the box
+itself counts the pulses of a chunk and puts their outputs back to 0. Nothing here asserts that an output is on
+after it was started: it may have counted to its end already.
+
+**Which period a burst begins in.** Outputs are switched on one command after the other, and T0 does not wait.
+The camera goes first and takes a few pairs more, so that no light goes unseen; light 1 and light 2 may begin in
+neighbouring periods, so the first and the last lit pair of a chunk may hold one light only, and pairs before and
+after are dark. Without lamps T0 need not run on: there it is started last, and everything begins in its first
+period.
+
+**Damaged answers.** The protocol has no checksum. What is believed is read twice, numbers must have all their
+digits, booleans are 0 or 1 and nothing else, and every number that is written is read back. Lines that are
+echoed are skipped. What was refused is refused for good: nothing that switches on is said twice.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+
+from daq.timing.box import TimingBox
+from daq.timing.errors import LaserDoubt, PulsesRefused, WrongBox
+from daq.timing.protocols.quantum_composers import (
+    REASONS,
+    AnswerStream,
+    Command,
+    Done,
+    Echo,
+    Refused,
+    Value,
+)
+from daq.timing.pulses import LAMPS, Q_SWITCHES, Pulse, Role, Schedule
+from stages.errors import CommandRejected, ProtocolViolation
+
+T0 = 0
+OUTPUTS = "ABCDEFGH"
+LARGEST_COUNT = 9_999_999
+ENABLING_S = 0.3  # in which the outputs of a burst are switched on, one after the other
+SPOILS = b"!\r\n"  # ends a line that somebody has left half written, and makes it one that nobody obeys
+_SECONDS = re.compile(r"-?\d+\.\d{9,12}")
+_WHOLE = re.compile(r"\d{1,8}")
+_MAKERS = ("QC", "QUANTUM", "BNC", "BERKELEY")
+
+
+class QuantumComposersBox(TimingBox):
+    """A box with four or eight outputs, A to H."""
+
+    default_baud = 38_400
+    counts = True
+    least_step_us = 0.005
+
+    _outputs = 8
+
+    def off_bytes(self) -> Sequence[bytes]:
+        """Q-switches, T0 and with it everything, lamps, the rest; in one write."""
+        order = [*self._numbers(*Q_SWITCHES), T0, *self._numbers(*LAMPS)]
+        order += [number for number in self._numbers(*self.wiring) if number not in order]
+        return [SPOILS + b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
+
+    def silence(self) -> None:
+        """Every output there is, wired or not, off and read back."""
+        with self._lock:
+            self.drop()
+            wired = [*self._numbers(*Q_SWITCHES), *self._numbers(*LAMPS)]
+            others = [number for number in range(1, self._outputs + 1) if number not in wired]
+            order = [*wired, T0, *others]
+            for number in order:
+                self._repeated(lambda number=number: self._set(number, "STAT", "0"))  # type: ignore[misc]
+            if on := [_name(number) for number in order if self._flag(number, "STAT")]:
+                raise LaserDoubt(f"{self.name}: {', '.join(on)} of the box cannot be switched off")
+
+    def load(self, schedule: Schedule) -> Schedule:
+        """Write and read back; the period only if it is another one, so that lamps do not miss a beat."""
+        with self._lock:
+            self._require_dark()
+            for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), ("GATE:MOD", "DIS")):
+                self._keep(T0, keyword, value)
+            period_us = 1e6 * self._put_seconds(T0, "PER", schedule.period_us * 1e-6, 9)
+            pulses = {}
+            for role, pulse in schedule.pulses.items():
+                if role in self.wiring:
+                    pulses[role] = self._load_pulse(role, pulse)
+            return Schedule(period_us, pulses, schedule.light_delay_us)
+
+    def start_lamps(self) -> None:
+        """Switch the lamps' outputs on, then T0."""
+        with self._lock:
+            for number in [*self._numbers(*LAMPS), T0]:
+                self._set(number, "STAT", "1", moves=True)
+
+    def confirm(self, schedule: Schedule, lamps: bool) -> None:
+        """Read everything again that has been loaded."""
+        with self._lock:
+            self._require_dark()
+            self._require_unlocked_clock()
+            for number in [T0, *self._numbers(*LAMPS)]:
+                if self._flag(number, "STAT") is not lamps:
+                    is_now = "off" if lamps else "on"
+                    raise LaserDoubt(f"{self.name}: {_name(number)} is {is_now}; was the box restarted?")
+            found: dict[str, object] = {"T0": 1e6 * self._seconds(T0, "PER")}
+            wanted: dict[str, object] = {"T0": schedule.period_us}
+            for role, pulse in schedule.pulses.items():
+                number = self._number(role)
+                delay_us, width_us = (1e6 * self._seconds(number, word) for word in ("DEL", "WIDT"))
+                settings = {word: self._text(number, word) for word, _ in self._settings(role)}
+                found[role] = (Pulse(delay_us, width_us), settings)
+                wanted[role] = (pulse, dict(self._settings(role)))
+            if found != wanted:
+                changed = ", ".join(name for name in wanted if found.get(name) != wanted[name])
+                raise LaserDoubt(f"{self.name} no longer holds what it was loaded with ({changed})")
+
+    def begin(self, pairs: int, camera: bool = True) -> None:
+        """Counts first, then on: camera, marker, Q-switches; T0 last where no lamp needs it."""
+        with self._lock:
+            self._require_dark()
+            seen = self._numbers(Role.CAMERA, Role.CAMERA_B, Role.MARKER) if camera else []
+            lit = self._numbers(*reversed(Q_SWITCHES))
+            for number, count in [*((n, self.camera_triggers(pairs)) for n in seen), *((n, pairs) for n in lit)]:
+                if not 1 <= count <= LARGEST_COUNT:
+                    raise PulsesRefused(f"{self.name} counts to {LARGEST_COUNT}, not to {count}")
+                self._repeated(lambda n=number, c=count: self._set(n, "BCO", str(c)))  # type: ignore[misc]
+                if self._whole(number, "BCO") != count or self._text(number, "CMOD") != "BURS":
+                    raise LaserDoubt(f"{self.name}: {_name(number)} does not take its count")
+            for number in [*seen, *lit]:
+                self._set(number, "STAT", "1", moves=True)
+            if not self._has_lamps:
+                self._set(T0, "STAT", "1", moves=True)
+
+    def camera_triggers(self, pairs: int) -> int:
+        """As many without lamps; else a few dark ones more at either end."""
+        if not self._has_lamps:
+            return pairs
+        return pairs + 2 * math.ceil(ENABLING_S / self._period_s)
+
+    def running(self) -> bool:
+        """Whether any output of the burst is still on; the box puts it back itself."""
+        with self._lock:
+            roles = (*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
+            return any(self._flag(number, "STAT") for number in self._numbers(*roles))
+
+    def end(self) -> None:
+        """Every output of the burst off and read back; T0 too, where no lamp needs it."""
+        with self._lock:
+            roles = (*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
+            numbers = self._numbers(*roles) + ([] if self._has_lamps else [T0])
+            for number in numbers:
+                self._repeated(lambda number=number: self._set(number, "STAT", "0"))  # type: ignore[misc]
+            if any(self._flag(number, "STAT") for number in numbers):
+                raise LaserDoubt(f"{self.name} does not end its burst")
+
+    # ---- inside ------------------------------------------------------------------------------------
+
+    _period_s = 1.0
+
+    def _identify(self) -> str:
+        def accept(answer: object) -> str | None:
+            match answer:
+                case Value(text) if text.count(",") >= 2 and text.upper().startswith(_MAKERS):
+                    return text
+            return None
+
+        return self._transact(Command("*IDN", asks=True).to_bytes(), accept)
+
+    def _set_up(self) -> None:
+        catalogue = self._agreed(lambda: self._ask(":INST:CAT"))
+        self._outputs = sum(1 for word in catalogue.split(",") if word.strip().upper().startswith("CH"))
+        if not 1 <= self._outputs <= len(OUTPUTS):
+            raise WrongBox(f"{self.name}: no pulse generator has the outputs {catalogue!r}")
+        for role, output in self.wiring.items():
+            if output not in OUTPUTS[: self._outputs]:
+                raise WrongBox(f"{self.name}: {role} hangs on output {output}, and the box has {catalogue}")
+        try:
+            runs_by_itself = self._agreed(lambda: self._ask(":SYST:AUT"))
+        except CommandRejected as refused:
+            if refused.code not in (2, 3):  # a box that does not know the word does not do it
+                raise
+            runs_by_itself = "0"
+        if runs_by_itself != "0":
+            raise WrongBox(
+                f"{self.name} is set to run by itself when it gets power (autorun); switch that off at its keys, "
+                "because a power dip would fire the laser"
+            )
+        self._require_unlocked_clock()
+
+    def _require_unlocked_clock(self) -> None:
+        mode = self._text(T0, "ICL:MOD")
+        if mode not in ("INT", "EXT", "XPL"):
+            raise WrongBox(f"{self.name}: its clock says {mode!r}, so dt means nothing; lock it, or use its own")
+
+    def _require_dark(self) -> None:
+        for number in self._numbers(*Q_SWITCHES):
+            if self._flag(number, "STAT"):
+                raise LaserDoubt(f"{self.name}: the Q-switch on {_name(number)} is on")
+
+    def _load_pulse(self, role: Role, pulse: Pulse) -> Pulse:
+        number = self._number(role)
+        for word, value in self._settings(role):
+            self._keep(number, word, value)
+        width_us = 1e6 * self._put_seconds(number, "WIDT", pulse.width_us * 1e-6, 11)
+        delay_us = 1e6 * self._put_seconds(number, "DEL", pulse.delay_us * 1e-6, 11)
+        return Pulse(delay_us, width_us)
+
+    def _settings(self, role: Role) -> list[tuple[str, str]]:
+        """What a channel must be besides its numbers; each of these could make light where none is asked for."""
+        number = self._number(role)
+        mux = 1 << (number - 1)
+        if role is Role.CAMERA and Role.CAMERA_B in self.wiring:
+            mux |= 1 << (self._number(Role.CAMERA_B) - 1)
+        mode = "NORM" if role in LAMPS else "BURS"
+        return [("CMOD", mode), ("SYNC", "T0"), ("MUX", str(mux)), ("POL", "NORM"), ("CGAT", "DIS"), ("WCO", "0")]
+
+    def _keep(self, number: int, keyword: str, value: str) -> None:
+        """See that something has a value, and write it only if it has not."""
+        if self._text(number, keyword) == value:
+            return
+        self._repeated(lambda: self._set(number, keyword, value))
+        if (found := self._text(number, keyword)) != value:
+            raise LaserDoubt(f"{self.name}: {_name(number)} {keyword} was set to {value} and reads {found}")
+
+    def _put_seconds(self, number: int, keyword: str, seconds: float, digits: int) -> float:
+        """Write a number if the box has another one; return what it has then."""
+        step_s = max(1.01 * self.least_step_us * 1e-6, 10.0**-digits)
+        before_s = self._seconds(number, keyword)
+        if abs(before_s - seconds) > 10.0**-digits:
+            self._repeated(lambda: self._set(number, keyword, f"{seconds:.{digits}f}"))
+            before_s = self._seconds(number, keyword)
+            if abs(before_s - seconds) > step_s:
+                was = f"was set to {seconds} s and reads {before_s} s"
+                raise LaserDoubt(f"{self.name}: {_name(number)} {keyword} {was}")
+        if number == T0:
+            self._period_s = before_s
+        return before_s
+
+    # ---- words -------------------------------------------------------------------------------------
+
+    def _flag(self, number: int, keyword: str) -> bool:
+        """A boolean that two answers agree on."""
+        text = self._text(number, keyword)
+        if text not in ("0", "1"):
+            self._suspect = True
+            raise ProtocolViolation(f"{self.name}: {keyword} is neither 0 nor 1", text.encode())
+        return text == "1"
+
+    def _seconds(self, number: int, keyword: str) -> float:
+        """A time that two answers agree on, with all its digits."""
+        text = self._text(number, keyword)
+        if not _SECONDS.fullmatch(text):
+            self._suspect = True
+            raise ProtocolViolation(f"{self.name}: {keyword} has not all the digits of a time", text.encode())
+        return float(text)
+
+    def _whole(self, number: int, keyword: str) -> int:
+        """A count that two answers agree on."""
+        text = self._text(number, keyword)
+        if not _WHOLE.fullmatch(text):
+            self._suspect = True
+            raise ProtocolViolation(f"{self.name}: {keyword} is no count", text.encode())
+        return int(text)
+
+    def _text(self, number: int, keyword: str) -> str:
+        """A value that two answers agree on."""
+        return self._agreed(lambda: self._ask(f":PULSE{number}:{keyword}"))
+
+    def _ask(self, keyword: str) -> str:
+        def accept(answer: object) -> str | None:
+            match answer:
+                case Value(text):
+                    return text
+            self._judge(answer, keyword)
+            return None
+
+        return self._transact(Command(keyword, asks=True).to_bytes(), accept)
+
+    def _set(self, number: int, keyword: str, value: str, moves: bool = False) -> bool:
+        command = Command(f":PULSE{number}:{keyword}", value)
+
+        def accept(answer: object) -> bool | None:
+            if isinstance(answer, Done):
+                return True
+            self._judge(answer, f"{command.keyword} {value}")
+            return None
+
+        return self._transact(command.to_bytes(), accept, moves=moves)
+
+    def _judge(self, answer: object, what: str) -> None:
+        """Skip an echo; raise what is no answer to this."""
+        if isinstance(answer, Refused):
+            reason = REASONS.get(answer.code, "an unknown reason")
+            raise CommandRejected(f"{self.name} refused {what!r}: {reason} (?{answer.code})", answer.code)
+        if not isinstance(answer, Echo):
+            raise ProtocolViolation(f"{self.name}: {answer!r} is no answer to {what!r}")
+
+    def _stream(self) -> AnswerStream:
+        return AnswerStream()
+
+    def _number(self, role: Role) -> int:
+        return OUTPUTS.index(self.wiring[role]) + 1
+
+    def _numbers(self, *roles: Role) -> list[int]:
+        return [self._number(role) for role in roles if role in self.wiring]
+
+    @property
+    def _has_lamps(self) -> bool:
+        return any(role in self.wiring for role in LAMPS)
+
+
+def _name(number: int) -> str:
+    return "T0" if number == T0 else f"output {OUTPUTS[number - 1]}"

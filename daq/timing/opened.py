@@ -1,0 +1,103 @@
+"""A laser that is open, and everybody who switches it off.
+
+    end of the process                   who switches it off -----------------------------------
+    -------------------------------------------------------------------------- end of the block, exception
+    `Laser.close` SIGINT, SIGTERM, SIGHUP, SIGQUIT     this file: a thread of its own, at the first one and at
+    every further one kill -9, segfault, no memory         the watchdog (`stages.watchdog`), a process of its
+    own; and the box itself,
+                                         which has counted to the end of the chunk
+    SIGSTOP, power failure               the box itself
+    the cable                            the box itself; as soon as it is plugged in again `Laser.confirm_off`
+
+A run may take a first Ctrl-C as a wish to end after its step; a laser goes off at the first one all the same. So
+what switches it off hears of signals from the system (`stages.wake_up`), whoever handles them.
+"""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from daq.timing.drivers import driver_class
+from daq.timing.errors import WrongBox
+from daq.timing.laser import Laser
+from daq.timing.timing_table import TimingTable
+from stages.clock import SYSTEM_CLOCK, Clock
+from stages.stop_signals import StopSignals, StopThread
+from stages.wake_up import WakeUp
+from stages.watchdog import Watchdog, needs_watchdog
+
+ENDS = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+    if hasattr(signal, name)
+)
+
+
+@contextmanager
+def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Laser]:
+    """Open a timing unit and switch everything off that hangs on it; nothing is switched on.
+
+    Parameters
+    ----------
+    table : TimingTable
+        What the bench file says.
+    clock : Clock
+        Clock of warm-up and bursts.
+
+    Yields
+    ------
+    Laser
+        SAFE, or UNKNOWN if it cannot be read.
+
+    Raises
+    ------
+    PortError, WrongBox
+        The box is not there, or must not be used.
+    """
+    box = driver_class(table.box)(f"laser on {table.port}", table.wiring, clock)
+    laser = Laser(box.name, box, table.head.head(), table.rules(), clock)
+    watchdog = Watchdog() if needs_watchdog([table.port]) else None
+    try:
+        laser.open(table.port, table.baud)
+        if table.identity is not None and table.identity not in box.identity:
+            raise WrongBox(
+                f"{box.name}: {box.identity!r} answers, the bench file says {table.identity!r}; check the cables"
+            )
+        if watchdog is not None:
+            watchdog.know(box.name, table.port, table.baud or box.default_baud, False, box.off_bytes())
+            box.watchdog = watchdog
+        with _heard_by(laser):
+            yield laser
+    finally:
+        try:
+            laser.close()
+        finally:
+            if watchdog is not None:
+                watchdog.close()
+
+
+@contextmanager
+def _heard_by(laser: Laser) -> Iterator[None]:
+    """Switch off at any signal that ends programs, from another thread."""
+    signals = StopSignals(laser.stop)
+    why = ["a signal"]
+    says = StopThread(lambda: laser.stop(why[0]))
+
+    def hear(number: int) -> None:
+        if number in ENDS:
+            why[0] = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+            says.press()
+
+    signals.enter()
+    wake_up = WakeUp(hear) if threading.current_thread() is threading.main_thread() else None
+    if wake_up is not None:
+        wake_up.open()
+    try:
+        yield
+    finally:
+        with signals.leaving(stop=False):
+            if wake_up is not None:
+                wake_up.close()
+            says.end()
+            laser.close()

@@ -1,0 +1,214 @@
+"""Pulse generators of Quantum Composers (9510, 9520, 9530) and Berkeley Nucleonics (575, 577): one family.
+
+8N1, ASCII, one command a line, CR LF both ways. The host says
+
+    :PULSE<n>:<keyword>[:<keyword>] <value>        n = 0 is the system timer T0, 1 ... 8 are the outputs A ... H
+    :PULSE<n>:<keyword>[:<keyword>]?
+    *<word>[?]
+
+and every line is answered: ``ok``, ``?<n>`` with the reason of a refusal, or the value that was asked for.
+Keywords have a long and a short form and may be written in any case, with nothing between the two forms. A
+missing number means the last one that was used, so it is always sent. Numbers are seconds; booleans come back as
+1 and 0, words in their short form. ``XPL?`` as the value of the clock's mode means that its loop is not locked.
+A box on its round connector may echo every line before it answers.
+
+Sources: "9500 Plus Series Pulse Generator Operating Manual" and "575 Series Digital Delay/Pulse Generator" (remote
+programming); the test of the Quantum Composers 9530 in QMI, whose bytes are those of a real box.
+"""
+
+import re
+from dataclasses import dataclass
+
+from stages.errors import ProtocolViolation
+from stages.protocols.framing import Example, LineStream, text_of
+
+MANUAL = "9500 Plus Series, Operating Manual, remote programming"
+MANUAL_575 = "575 Series, Operating Manual, remote programming"
+QMI = "QMI, test of the Quantum Composers 9530"
+
+REASONS = {
+    1: "no colon or asterisk", 2: "a keyword is missing", 3: "a keyword is unknown", 4: "a value is missing",
+    5: "the value is not allowed", 6: "it can only be asked for", 7: "it cannot be asked for",
+    8: "not in this state",
+}  # fmt: skip
+
+WORDS = {  # short form: long form
+    "PULSE": "PULSE", "SPUL": "SPULSE", "STAT": "STATE", "PER": "PERIOD", "MOD": "MODE", "BCO": "BCOUNTER",
+    "PCO": "PCOUNTER", "OCO": "OCOUNTER", "WCO": "WCOUNTER", "CYCL": "CYCLE", "WIDT": "WIDTH", "DEL": "DELAY",
+    "SYNC": "SYNC", "MUX": "MUX", "POL": "POLARITY", "CMOD": "CMODE", "CGAT": "CGATE", "CLOG": "CLOGIC",
+    "OUTP": "OUTPUT", "AMPL": "AMPLITUDE", "TRIG": "TRIGGER", "EDGE": "EDGE", "LEV": "LEVEL", "GATE": "GATE",
+    "LOG": "LOGIC", "ICL": "ICLOCK", "RAT": "RATE", "SYST": "SYSTEM", "AUT": "AUTORUN", "KLOC": "KLOCK",
+    "SERN": "SERNUM", "COMM": "COMMUNICATE", "SER": "SERIAL", "USB": "USB", "BAUD": "BAUD", "ECH": "ECHO",
+    "INST": "INSTRUMENT", "CAT": "CATALOG",
+}  # fmt: skip
+_SHORT = {form: short for short, long in WORDS.items() for form in (short, long)}
+_COMMAND = re.compile(r"([:*][A-Za-z0-9:]*)(\?)?(?: +(.*))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One line of the host: a keyword to be set to a value, asked for, or carried out."""
+
+    keyword: str  # with its colon or asterisk
+    value: str | None = None
+    asks: bool = False
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        value = "" if self.value is None else f" {self.value}"
+        return f"{self.keyword}{'?' if self.asks else ''}{value}\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (
+            Example(b"*IDN?\r\n", cls("*IDN", asks=True), QMI),
+            Example(b"*RST\r\n", cls("*RST"), QMI),
+            Example(b":INST:CAT?\r\n", cls(":INST:CAT", asks=True), QMI),
+            Example(b":PULSE0:STAT 1\r\n", cls(":PULSE0:STAT", "1"), QMI),
+            Example(b":PULSE0:STAT?\r\n", cls(":PULSE0:STAT", asks=True), QMI),
+            Example(b":PULSE0:PER 3.141592654\r\n", cls(":PULSE0:PER", "3.141592654"), QMI),
+            Example(b":PULSE0:BCO 21\r\n", cls(":PULSE0:BCO", "21"), QMI),
+            Example(b":PULSE0:ICL:MOD XPL\r\n", cls(":PULSE0:ICL:MOD", "XPL"), QMI),
+            Example(b":PULSE1:WIDTH 0.000025\r\n", cls(":PULSE1:WIDTH", "0.000025"), MANUAL_575),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """The box has taken a command."""
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return b"ok\r\n"
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (Example(b"ok\r\n", cls(), MANUAL),)
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The box has not taken it; `code` is one of REASONS."""
+
+    code: int
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"?{self.code}\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (Example(b"?3\r\n", cls(3), QMI), Example(b"?8\r\n", cls(8), MANUAL))
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """What was asked for."""
+
+    text: str
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"{self.text}\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (
+            Example(b"QC,9534,02311,1.2.2-1.2.0\r\n", cls("QC,9534,02311,1.2.2-1.2.0"), "a 9534"),
+            Example(b"T0, CHA, CHB, CHC, CHD\r\n", cls("T0, CHA, CHB, CHC, CHD"), QMI),
+            Example(b"XPL?\r\n", cls("XPL?"), QMI),
+            Example(b"1\r\n", cls("1"), QMI),
+            Example(b"0.000120000\r\n", cls("0.000120000"), MANUAL_575),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """The host's own line, given back before the answer."""
+
+    text: str
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"{self.text}\r\n".encode("ascii")
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented lines."""
+        return (Example(b":PULSE0:STAT 1\r\n", cls(":PULSE0:STAT 1"), MANUAL),)
+
+
+COMMANDS = (Command,)
+ANSWERS = (Done, Refused, Value, Echo)
+Answer = Done | Refused | Value | Echo
+
+
+def shortened(keyword: str) -> tuple[str, ...]:
+    """Return the short forms of a keyword, the number of its pulse apart: ``:Pulse2:State`` is PULSE, 2, STAT.
+
+    Raises
+    ------
+    KeyError
+        It is neither the long nor the short form of any.
+    """
+    parts: list[str] = []
+    for word in keyword.upper().strip(":").split(":"):
+        name = word.rstrip("0123456789") if word.startswith("PULSE") else word
+        parts.append(_SHORT[name])
+        if name != word:
+            parts.append(word.removeprefix(name))
+    return tuple(parts)
+
+
+def parse_command(line: bytes) -> Command:
+    """Read a line of the host.
+
+    Raises
+    ------
+    ProtocolViolation
+        It is no command.
+    """
+    match = _COMMAND.fullmatch(text_of(line).strip())
+    if match is None:
+        raise ProtocolViolation("not a command of a pulse generator", line)
+    return Command(match[1], match[3], match[2] is not None)
+
+
+def parse_answer(line: bytes) -> Answer:
+    """Read a line of a box.
+
+    Raises
+    ------
+    ProtocolViolation
+        It is none: a reason that there is not, an empty or unreadable line.
+    """
+    text = text_of(line).strip()
+    if text.lower() == "ok":
+        return Done()
+    if text.startswith("?"):
+        if len(text) == 2 and text[1] in "123456789":
+            return Refused(int(text[1]))
+        raise ProtocolViolation("not a reason of a pulse generator", line)
+    if text.startswith((":", "*", "!")):
+        return Echo(text)
+    if not text:
+        raise ProtocolViolation("an empty line", line)
+    return Value(text)
+
+
+class CommandStream(LineStream[Command]):
+    """Bytes of a host to commands."""
+
+    def __init__(self) -> None:
+        super().__init__(parse_command)
+
+
+class AnswerStream(LineStream[Answer]):
+    """Bytes of a box to answers."""
+
+    def __init__(self) -> None:
+        super().__init__(parse_answer)

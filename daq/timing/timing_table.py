@@ -1,0 +1,119 @@
+"""What a bench file says of a timing unit and the laser behind it; docs/laser.md shows what is wired where."""
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from daq.timing.conditions import CLEAR_MM
+from daq.timing.laser import AlignRules, Rules
+from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
+from ground.config import Pair, Table
+
+Positive = Annotated[float, Field(gt=0.0)]
+NotNegative = Annotated[float, Field(ge=0.0)]
+
+
+class HeadTable(Table):
+    """What the laser can do; see `LaserHead`."""
+
+    max_rate_hz: Positive
+    min_dt_us: NotNegative = 0.0
+    max_dt_us: Positive = 1e6
+    lamp_to_q_switch_us: Pair | None = None
+    q_switch_to_light_us: Pair = [0.0, 0.0]  # noqa: RUF012 - pydantic copies it
+    pulse_us: Positive = TRIGGER_US
+    lamp_rate_hz: Positive | None = None
+    max_duty: Annotated[float, Field(gt=0.0, le=0.5)] = 0.5
+    warmup_s: NotNegative = 600.0
+
+    def head(self) -> LaserHead:
+        """Return the same as the laser wants it."""
+        lamps, light = self.lamp_to_q_switch_us, self.q_switch_to_light_us
+        return LaserHead(
+            max_rate_hz=self.max_rate_hz,
+            min_dt_us=self.min_dt_us,
+            max_dt_us=self.max_dt_us,
+            lamp_to_q_switch_us=None if lamps is None else (lamps[0], lamps[1]),
+            q_switch_to_light_us=(light[0], light[1]),
+            pulse_us=self.pulse_us,
+            lamp_rate_hz=self.lamp_rate_hz,
+            max_duty=self.max_duty,
+        )
+
+
+class ExposuresTable(Table):
+    """How the camera takes a pair; see `PairExposures`."""
+
+    exposure_a_us: Positive
+    exposure_b_us: Positive
+    gap_us: NotNegative
+    start_delay_us: NotNegative = 0.0
+    margin_us: NotNegative = 2.0
+    max_rate_hz: Positive
+    two_triggers: bool = False
+
+    def exposures(self) -> PairExposures:
+        """Return the same as pulses are placed by."""
+        return PairExposures(**self.model_dump())
+
+
+class AlignTable(Table):
+    """Limits of the alignment mode; see `AlignRules`."""
+
+    max_rate_hz: Positive = 10.0
+    max_s: Annotated[float, Field(gt=0.0, le=60.0)] = 10.0
+    q_switch_delay_us: Positive | None = None
+    pulse_us: Positive | None = None
+
+
+class TimingTable(Table):
+    """The section of a device of kind `timing`, without `kind`."""
+
+    box: str
+    port: Annotated[str, Field(min_length=1)]
+    baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
+    identity: str | None = None
+    channels: dict[str, str]
+    head: HeadTable
+    exposures: ExposuresTable | None = None
+    chunk_s: Annotated[float, Field(gt=0.0, le=10.0)] = 10.0
+    clear_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = CLEAR_MM
+    dark_us: Positive | None = None
+    uncounted: bool = False
+    align: AlignTable | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> "TimingTable":
+        known = {role.value for role in Role}
+        if unknown := [name for name in self.channels if name not in known]:
+            raise ValueError(f"channels: {unknown[0]!r} is none of {', '.join(sorted(known))}")
+        if len(set(self.channels.values())) < len(self.channels):
+            raise ValueError("channels: two things hang on one output")
+        if Role.Q_SWITCH_1 not in self.channels or Role.CAMERA not in self.channels:
+            raise ValueError("channels: say at least q_switch_1 and camera")
+        has_lamps = [role in self.channels for role in LAMPS]
+        if any(has_lamps) != (self.head.lamp_to_q_switch_us is not None):
+            raise ValueError("lamp channels and head.lamp_to_q_switch_us belong together; say both or none")
+        if any(has_lamps) and has_lamps != [role in self.channels for role in Q_SWITCHES]:
+            raise ValueError("channels: each lamp needs its Q-switch")
+        if any(has_lamps) and self.align is not None and self.align.q_switch_delay_us is None:
+            raise ValueError("align.q_switch_delay_us: a laser with lamps is made weak by it; say it")
+        if self.head.min_dt_us > self.head.max_dt_us:
+            raise ValueError("head.min_dt_us is larger than head.max_dt_us")
+        return self
+
+    @property
+    def wiring(self) -> dict[Role, str]:
+        """Output of the box by what hangs on it."""
+        return {Role(name): output for name, output in self.channels.items()}
+
+    def rules(self) -> Rules:
+        """What the laboratory asks for."""
+        return Rules(
+            warmup_s=self.head.warmup_s if self.head.lamp_to_q_switch_us is not None else 0.0,
+            chunk_s=self.chunk_s,
+            clear_mm=self.clear_mm,
+            dark_us=self.dark_us,
+            uncounted=self.uncounted,
+            align=None if self.align is None else AlignRules(**self.align.model_dump()),
+        )

@@ -1,0 +1,96 @@
+"""A simulated timing unit on a bench: firmware with a clock of its own behind a port, and plugs at its back.
+
+Whoever simulates what hangs on it finds it in `world.timing` and listens:
+
+    for unit in world.timing:
+        unit.listen(Role.CAMERA, lambda pulse: ...)     # pulse.rises_s, pulse.falls_s on the world's clock
+    unit.is_high(Role.MARKER, time_s)                   # what a line status would say
+
+A listener is called when the pulse rises, in a thread that holds the line, in the order of rising edges: it puts
+what it hears into a queue and returns, or the box hears its own next command late.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+from daq.timing.pulses import Role
+from daq.timing.timing_table import TimingTable
+from sim.clock import VirtualClock
+from sim.emulators.device import Clock
+from sim.emulators.line import Line
+from sim.emulators.outputs import Outputs, Pulse
+from sim.emulators.protocol_sim import LINES
+from sim.emulators.pty import PtyPort
+from sim.emulators.quantum_composers import QuantumComposersEmulator
+from sim.world import World
+
+TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
+
+
+class SimulatedTiming:
+    """One timing unit.
+
+    Parameters
+    ----------
+    table : TimingTable
+        What hangs where.
+    clock : Clock
+        Time of the world.
+    """
+
+    def __init__(self, table: TimingTable, clock: Clock) -> None:
+        self.wiring = table.wiring
+        emulator = QuantumComposersEmulator({}, clock, **QuantumComposersEmulator.individual(table.port))
+        self.line = Line(emulator, clock)
+        self.outputs: Outputs = emulator.outputs
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="timing unit", daemon=True)
+
+    def listen(self, role: Role, hear: Callable[[Pulse], object]) -> None:
+        """Hang something on an output; a role that is not wired is never heard."""
+        output = self.wiring.get(role)
+        self.outputs.listen(lambda pulse: hear(pulse) if pulse.output == output else None)
+
+    def is_high(self, role: Role, time_s: float) -> bool:
+        """Whether an output was high at a moment that is not too long ago."""
+        return role in self.wiring and self.outputs.is_high(self.wiring[role], time_s)
+
+    def pulses(self, role: Role) -> int:
+        """Pulses so far."""
+        return self.outputs.count[self.wiring[role]] if role in self.wiring else 0
+
+    def start(self) -> None:
+        """Give power."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Take power away."""
+        self._ended.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            with self.line.lock:
+                self.line.emulator.advance()
+            time.sleep(TICK_S)
+
+
+@contextmanager
+def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterator[TimingTable]:
+    """Put a timing unit up; yield the section with its simulated port."""
+    unit = SimulatedTiming(section, clock)
+    with ExitStack() as stack:
+        if isinstance(clock, VirtualClock):
+            address = f"timing-{id(unit):x}"
+            LINES[address] = unit.line
+            stack.callback(LINES.pop, address)
+            port = f"sim://{address}"
+        else:
+            port = stack.enter_context(PtyPort(unit.line)).path
+        world.timing.append(unit)
+        stack.callback(world.timing.remove, unit)
+        unit.start()
+        stack.callback(unit.close)
+        yield section.model_copy(update={"port": port, "identity": None})
