@@ -1,0 +1,81 @@
+"""One chunk of a series: raw frames in, a file of vectors out.
+
+`evaluate_chunk` is what a worker runs: a pure function of its job, whoever calls it and however often.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from correction.errors import FrameError, PairError
+from correction.piv.pair import evaluate_pair
+from correction.piv.vector_field import VectorField
+from correction.piv.windows import WindowGrid, window_grid
+from correction.prepared import PreparedCorrection, PreparedCorrections
+from daq.analysis.series.chunk_file import PairResult, write_chunk
+from daq.analysis.series.clean_frames import clean_frames
+from daq.analysis.series.marker import Marker, write_marker
+from daq.analysis.series.series_plan import ChunkJob, Method
+from daq.errors import DiskError
+from daq.whole_text import why
+
+
+def evaluate_chunk(job: ChunkJob) -> Marker:
+    """Evaluate the pairs of a chunk; write its file, then its marker.
+
+    A pair that cannot be evaluated is a row with a reason.
+
+    Parameters
+    ----------
+    job : ChunkJob
+        What to do.
+
+    Raises
+    ------
+    DiskError
+        The file cannot be written.
+    FrameError
+        No frame of the chunk has a neighbour to be compared with.
+    """
+    prepared = correction_of(job.maps, job.method)
+    frames = zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True)
+    results = [PairResult(pair, _vectors(a, b, prepared, job.method)) for pair, a, b in frames]
+    about = {"key": job.key, "scene_hash": job.method.scene.content_hash()}
+    write_chunk(job.path, results, windows_of(prepared, job.method), prepared.corrector.map.grid, about)
+    failed = {each.pair.tag: each.found for each in results if isinstance(each.found, str)}
+    return write_marker(job.path, job.key, len(results), failed)
+
+
+def correction_of(maps: Path, method: Method) -> PreparedCorrection:
+    """Correction of a series, made or loaded once by each process; DiskError if its map cannot be kept."""
+    try:
+        return _corrections(maps).of(method.scene, method.dewarp)
+    except OSError as error:
+        raise DiskError(f"{maps}: {why(error)}; make room, then give the same command again") from error
+
+
+def windows_of(prepared: PreparedCorrection, method: Method) -> WindowGrid:
+    """Where the vectors of a series lie on its corrected image."""
+    settings = method.settings
+    return window_grid(prepared.corrector.map.grid.shape, settings.windows_px[-1], settings.overlap)
+
+
+@lru_cache(maxsize=2)
+def _corrections(maps: Path) -> PreparedCorrections:
+    return PreparedCorrections(maps, kept=1)
+
+
+def _vectors(
+    a: NDArray[Any] | str, b: NDArray[Any] | str, prepared: PreparedCorrection, method: Method
+) -> VectorField | str:
+    """Vectors of a pair of clean raw frames, or why there are none."""
+    if isinstance(a, str) or isinstance(b, str):
+        return a if isinstance(a, str) else str(b)
+    corrector = prepared.corrector
+    try:
+        one, two = (method.preparation.finished(corrector(frame), corrector.recovered) for frame in (a, b))
+        return evaluate_pair(one, two, corrector.recovered, method.settings)
+    except (PairError, FrameError) as error:
+        return str(error)

@@ -1,0 +1,70 @@
+"""Raw frames of one pulse of a chunk, in order, without their background; one that cannot be used is a reason.
+
+A frame that is missing or damaged costs its own pair and nothing else: its neighbours are compared with those that
+are there.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from correction.background.pod import without_patterns
+from correction.background.preparation import POD, SLIDING_MINIMUM
+from correction.background.series_light import without_light
+from correction.background.sliding_minimum import DARK_SHARE, without_sliding_minimum
+from correction.errors import FrameError
+from daq.acquisition.runs.acquired import read_acquired
+from daq.analysis.series.light_file import load_light
+from daq.analysis.series.series_plan import ChunkJob, SeriesPair
+from daq.errors import RunDamaged
+
+Frame = NDArray[Any]
+
+
+def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
+    """Frames (H, W) of pulse 0 (A) or 1 (B) for every pair of a job, each as it is or without background.
+
+    Yields
+    ------
+    ndarray or str
+        Or the reason why there is none.
+    """
+    shape, background = job.method.scene.camera.shape, job.method.preparation.background
+    if background != SLIDING_MINIMUM:
+        light = None if job.light is None else load_light(job.light)[pulse]
+        for pair in job.pairs:
+            frame = _read(pair, pulse, shape)
+            if light is not None and not isinstance(frame, str):
+                frame = without_patterns(frame, light) if background == POD else without_light(frame, light)
+            yield frame
+        return
+    near = (*job.before, *job.pairs, *job.after)
+    why: dict[int, str] = {}
+    clean = without_sliding_minimum(_present(near, pulse, shape, why), dark_share=DARK_SHARE)
+    first, last = len(job.before), len(job.before) + len(job.pairs)
+    for place, found in enumerate(clean):
+        if first <= place < last:
+            yield why[place] if found is None else found
+        elif place >= last:
+            return
+
+
+def _present(
+    pairs: Sequence[SeriesPair], pulse: int, shape: tuple[int, int], why: dict[int, str]
+) -> Iterator[Frame | None]:
+    """Frames that can be read; of the others the reason is put into `why`."""
+    for place, pair in enumerate(pairs):
+        frame = _read(pair, pulse, shape)
+        if isinstance(frame, str):
+            why[place] = frame
+            yield None
+        else:
+            yield frame
+
+
+def _read(pair: SeriesPair, pulse: int, shape: tuple[int, int]) -> Frame | str:
+    try:
+        return read_acquired(pair.frames[pulse], shape)
+    except (FrameError, RunDamaged) as error:
+        return str(error)

@@ -1,0 +1,114 @@
+"""The background of a whole series, made once for all its chunks and kept in a file with what it was made from."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.background.pod import pod_patterns
+from correction.background.preparation import MINIMUM, POD, SLIDING_MINIMUM, UNSEEDED
+from correction.background.series_light import series_mean, series_minimum
+from correction.errors import FrameError, PairError
+from daq.acquisition.runs.acquired import read_acquired
+from daq.analysis.series.series_plan import Light, SeriesPair, digest
+from daq.errors import DiskError, RunDamaged
+from daq.terminal import progress_if_long
+from daq.whole_text import why
+from ground.errors import MapFileError
+from ground.map_file import load_arrays, save_arrays
+
+KIND = "background of a series"
+POD_FRAMES = 100  # of a pulse, spread over the series: patterns need no more
+
+
+def make_light(
+    folder: Path,
+    background: str | None,
+    pairs: Sequence[SeriesPair],
+    unseeded: Sequence[SeriesPair],
+    shape: tuple[int, int],
+) -> Light | None:
+    """Make the background file of a series, if it has none yet that was made from the same frames.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the series.
+    background : str or None
+        Step for raw frames, see `correction.background.preparation`.
+    pairs, unseeded : sequence of SeriesPair
+        The series, and what the run took without seeding.
+    shape : (int, int)
+        Rows and columns of a frame.
+
+    Returns
+    -------
+    Light or None
+        None where no background of the whole series is taken off.
+
+    Raises
+    ------
+    PairError, SeriesError
+        Too few frames for this background.
+    DiskError
+        The file cannot be written.
+    """
+    if background is None or background == SLIDING_MINIMUM:
+        return None
+    used = list(unseeded if background == UNSEEDED else pairs)
+    if background == UNSEEDED and len(used) < 2:
+        raise PairError(
+            "this run took no pairs without seeding; choose another background, such as sliding-minimum"
+        )
+    if background == POD and len(used) > POD_FRAMES:
+        used = [used[place] for place in np.linspace(0, len(used) - 1, POD_FRAMES).round().astype(int)]
+    light = Light(folder / "background.npz", digest([background, [pair.crc32 for pair in used]]))
+    try:
+        header, _ = load_arrays(light.path, KIND)
+        if header.get("key") == light.key:
+            return light
+    except MapFileError:
+        pass  # none yet, or damaged: made below
+    arrays = {name: _made(background, used, pulse, shape) for pulse, name in enumerate("ab")}
+    try:
+        save_arrays(light.path, KIND, {"key": light.key}, arrays)
+    except OSError as error:
+        raise DiskError(f"{light.path}: {why(error)}; make room, then try again") from error
+    return light
+
+
+@lru_cache(maxsize=1)
+def load_light(light: Light) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Background of pulse A and of pulse B: (H, W), or patterns (r, H, W).
+
+    Raises
+    ------
+    MapFileError
+        The file is missing, damaged, or of another series.
+    """
+    header, arrays = load_arrays(light.path, KIND)
+    if header.get("key") != light.key:
+        raise MapFileError(f"{light.path}: belongs to other frames; evaluate the run again")
+    return arrays["a"], arrays["b"]
+
+
+def _made(background: str, pairs: list[SeriesPair], pulse: int, shape: tuple[int, int]) -> NDArray[Any]:
+    names = [pair.frames[pulse] for pair in pairs]
+    if background == POD:
+        sound = [name for name in names if _read(name, shape) is not None]
+        return pod_patterns(lambda number: read_acquired(sound[number], shape), len(sound))
+    track = progress_if_long(names, len(names), f"background of pulse {'AB'[pulse]}")
+    frames = (frame for name in track if (frame := _read(name, shape)) is not None)
+    found: NDArray[Any] = series_minimum(frames) if background == MINIMUM else series_mean(frames)
+    return found
+
+
+def _read(path: Path, shape: tuple[int, int]) -> NDArray[Any] | None:
+    """Frame; None if it is missing or damaged, which is said when its own pair is evaluated."""
+    try:
+        return read_acquired(path, shape)
+    except (FrameError, RunDamaged):
+        return None

@@ -1,0 +1,153 @@
+"""The folder of a series: what it consists of, its chunks, and nobody else at work in it.
+
+series.json   what was asked, the key of every chunk: on the disk before the first of them
+scene.yaml    what the camera looked through; fit.npz, what its fit is unsure of, if there was one
+chunks/       00042.nc vectors, 00042.json their marker
+maps/         correction maps that all workers share; can be made again at any time
+background.npz   if one of the whole series was taken off
+mean.nc       statistics, by `rtpiv mean`
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+
+from correction.errors import SeriesError
+from daq.acquisition.runs.records import STRICT, Count, Sha, Tag, Text
+from daq.analysis.series.chunk_file import ChunkContent, read_chunk
+from daq.analysis.series.marker import Marker, sound_content
+from daq.analysis.series.series_plan import chunk_path
+from daq.errors import DiskError, RunUnsuitable
+from daq.whole_text import why, write_json
+
+try:
+    from fcntl import LOCK_EX, LOCK_NB, flock
+except ImportError:  # not on this system
+    flock = None  # type: ignore[assignment]
+
+FILE = "series.json"
+
+
+@with_config(STRICT)
+class SeriesFile(TypedDict):
+    """A whole series.json."""
+
+    run: Text
+    pairs: Annotated[int, Field(ge=1, le=1_000_000_000)]
+    alone: Count  # frames that lost their partner
+    glass: bool
+    dewarped: bool
+    chunk_pairs: Count
+    keys: list[Sha]
+    content: dict[str, Any]  # settings, preparation, correction, versions
+    shown: Tag  # a pair for pictures
+
+
+_SERIES: TypeAdapter[SeriesFile] = TypeAdapter(SeriesFile)
+
+
+@dataclass(frozen=True)
+class SeriesFolder:
+    """A series on the disk."""
+
+    path: Path
+
+    @property
+    def about(self) -> SeriesFile:
+        """Contents of series.json.
+
+        Raises
+        ------
+        RunUnsuitable
+            The folder is no series.
+        SeriesError
+            The file is damaged.
+        """
+        file = self.path / FILE
+        try:
+            return _SERIES.validate_json(file.read_bytes())
+        except OSError:
+            raise RunUnsuitable(
+                f"{self.path}: is no series (it has no {FILE}); evaluate a flow run first"
+            ) from None
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]["msg"]
+            raise SeriesError(f"{file}: is damaged ({problem}); evaluate the run again") from None
+
+    def begin(self, about: SeriesFile) -> None:
+        """Write series.json; remove what a killed worker left and chunks that are no longer part of the series."""
+        write_json(self.path / FILE, about)
+        for file in (self.path / "chunks").glob("*"):
+            number = file.name.partition(".")[0]
+            if file.suffix == ".part" or not number.isdecimal() or int(number) >= len(about["keys"]):
+                file.unlink()
+
+    def marker(self, number: int, key: str) -> Marker:
+        """Marker of a chunk that must be there; SeriesError as `chunk`."""
+        return self._sound(number, key)[0]
+
+    def chunk(self, number: int, key: str) -> ChunkContent:
+        """Read a chunk that must be there.
+
+        Raises
+        ------
+        SeriesError
+            It is missing, was made otherwise, or is not what was written.
+        """
+        return read_chunk(self._sound(number, key)[1])
+
+    def _sound(self, number: int, key: str) -> tuple[Marker, bytes]:
+        found = sound_content(chunk_path(self.path, number), key)
+        if found is None:
+            raise SeriesError(
+                f"{chunk_path(self.path, number)}: is missing, damaged or made with other settings; "
+                "give rtpiv evaluate again, it makes only what is missing"
+            )
+        return found
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Let nobody else evaluate into this folder.
+
+        Raises
+        ------
+        RunUnsuitable
+            Somebody does.
+        DiskError
+            The folder cannot be written to.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock = (self.path / ".lock").open("ab")
+        except OSError as error:
+            raise DiskError(f"{self.path}: {why(error)}; choose another folder with -o") from error
+        with lock as file:
+            try:
+                if flock is not None:
+                    flock(file, LOCK_EX | LOCK_NB)
+            except BlockingIOError:
+                raise RunUnsuitable(f"{self.path}: another process evaluates into it; let it finish") from None
+            yield
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """All chunks of a series in order, read and checked one by one, as often as they are gone through."""
+
+    folder: SeriesFolder
+    keys: tuple[str, ...]
+
+    @classmethod
+    def of(cls, path: Path) -> "Chunks":
+        """Chunks of the series in a folder; raises as `SeriesFolder.about`."""
+        folder = SeriesFolder(path)
+        return cls(folder, tuple(folder.about["keys"]))
+
+    def __iter__(self) -> Iterator[ChunkContent]:
+        for number, key in enumerate(self.keys):
+            yield self.folder.chunk(number, key)

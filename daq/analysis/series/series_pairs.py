@@ -1,0 +1,116 @@
+"""Pairs of a run that belong into one series: in order, a known time apart, of one view and one exposure."""
+
+from dataclasses import dataclass
+from math import isclose
+from pathlib import Path
+
+from correction.errors import PairError
+from daq.acquisition.runs.journal import Entry
+from daq.acquisition.runs.pairs import FramePair, RunPairs
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
+from daq.analysis.series.series_plan import SeriesPair
+
+FEW_PAIRS = 10  # of a stream, each of which gets a page of its own
+READ_BACK = 1e-6  # relative; of an exposure that nobody has changed
+
+
+@dataclass(frozen=True)
+class PairsOfSeries:
+    """What a run gives a series.
+
+    Parameters
+    ----------
+    pairs : tuple of SeriesPair
+        In order.
+    unseeded : tuple of SeriesPair
+        Those taken before the seeding was opened.
+    alone : int
+        Frames that lost their partner.
+    glass : bool
+        Taken through the glass.
+    """
+
+    pairs: tuple[SeriesPair, ...]
+    unseeded: tuple[SeriesPair, ...]
+    alone: int
+    glass: bool
+
+
+def is_series(run: Path, found: RunPairs) -> bool:
+    """Whether a run is a flow run, or a stream with more pairs than anybody reads pages."""
+    if any(pair.measured_mm is not None for pair in found.pairs):
+        return False
+    return any("dt_us" in step for step in RunFolder(run).about["steps"]) or len(found.pairs) > FEW_PAIRS
+
+
+def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> PairsOfSeries:
+    """Collect the pairs of a series.
+
+    Parameters
+    ----------
+    run : Path
+        The run.
+    found : RunPairs
+        Its pairs.
+    dt_us : float, optional
+        Time between the frames of a pair, for a run that does not know it.
+
+    Raises
+    ------
+    PairError
+        The time between the frames is not known, or contradicts the run's; views or exposures are mixed; or there
+        is no pair with seeding.
+    """
+    entries = {folder_name(entry): entry for entry in frame_entries(RunFolder(run).entries()).values()}
+    seeded = [pair for pair in found.pairs if not pair.is_background]
+    if not seeded:
+        raise PairError(f"{run}: holds no pair that was taken with seeding; resume the run first")
+    views = {pair.glass for pair in found.pairs}
+    if len(views) > 1:
+        raise PairError(
+            f"{run}: has pairs through the glass and without it; a series is of one view, take two runs"
+        )
+    _same_exposure(run, found.pairs, entries)
+    made = {pair.tag: _series_pair(run, pair, entries, dt_us) for pair in found.pairs}
+    pairs = tuple(made[pair.tag] for pair in seeded)
+    unseeded = tuple(made[pair.tag] for pair in found.pairs if pair.is_background)
+    return PairsOfSeries(pairs, unseeded, len(found.alone), views.pop())
+
+
+def folder_name(entry: Entry) -> str:
+    """Name of a frame's file, by which a pair finds its line."""
+    return Path(entry["file"]).name
+
+
+def _series_pair(run: Path, pair: FramePair, entries: dict[str, Entry], dt_us: float | None) -> SeriesPair:
+    given_s = None if dt_us is None else dt_us * 1e-6
+    if pair.dt_s is None and given_s is None:
+        raise PairError(
+            f"{run}: nobody knows the time between the frames of {pair.tag}, as the camera has no clock; "
+            "say it with --dt-us"
+        )
+    if pair.dt_s is not None and given_s is not None and not isclose(pair.dt_s, given_s, rel_tol=0.01):
+        raise PairError(
+            f"{run}: the frames of {pair.tag} are {1e6 * pair.dt_s:g} us apart by the run, and {dt_us:g} us by "
+            "--dt-us; leave that out"
+        )
+    dt_s = pair.dt_s if pair.dt_s is not None else given_s
+    assert dt_s is not None
+    first, second = (entries[path.name]["crc32"] for path in pair.frames)
+    return SeriesPair(pair.tag, pair.frames, (first, second), dt_s, pair.dt_sigma_s, pair.time_s)
+
+
+def _same_exposure(run: Path, pairs: tuple[FramePair, ...], entries: dict[str, Entry]) -> None:
+    """Refuse pairs of different exposure: their backgrounds and grey levels have nothing in common."""
+    for pulse, name in enumerate("AB"):
+        known: tuple[float, str] | None = None
+        for pair in pairs:
+            exposed_us = entries[pair.frames[pulse].name]["exposure_us"]
+            if exposed_us is None:
+                continue
+            known = known or (exposed_us, pair.tag)
+            if not isclose(known[0], exposed_us, rel_tol=READ_BACK):
+                raise PairError(
+                    f"{run}: exposure {name} of {pair.tag} took {exposed_us:g} us and that of {known[1]} "
+                    f"{known[0]:g} us; evaluate pairs of one exposure, from a run of their own"
+                )

@@ -1,0 +1,80 @@
+"""Chunks on all cores: processes of one thread each, that end with whoever started them.
+
+One thread a process costs least: a pair has parts that no second thread can share.  Any `concurrent.futures`
+executor will do; what it runs are plain functions of plain data.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+
+from daq.analysis.series.chunk import evaluate_chunk
+from daq.analysis.series.series_plan import ChunkJob
+
+ONE_THREAD = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def carried_out(jobs: Sequence[ChunkJob], executor: Executor | None) -> Iterator[ChunkJob]:
+    """Evaluate chunks; yield each job when its file is on the disk.
+
+    Parameters
+    ----------
+    jobs : sequence of ChunkJob
+        In the order in which they are begun.
+    executor : Executor, optional
+        Whose workers do it; without one it is done here, one after the other.
+
+    Raises
+    ------
+    DiskError, FrameError
+        As `evaluate_chunk`; what is not begun by then is not begun.
+    """
+    if executor is None:
+        for job in jobs:
+            evaluate_chunk(job)
+            yield job
+        return
+    futures = {executor.submit(evaluate_chunk, job): job for job in jobs}
+    try:
+        for future in as_completed(futures):
+            future.result()
+            yield futures[future]
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+@contextmanager
+def worker_processes(count: int) -> Iterator[Executor]:
+    """Processes of one thread each; they end at once when this process ends, however it does."""
+    kept = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))  # read by the libraries while a worker starts
+    context = multiprocessing.get_context("spawn")  # a forked copy of running threads could wait for ever
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        for name, value in kept.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def _end_with_parent() -> None:
+    """Let this worker die of Ctrl-C in silence, and with its parent, which may have been killed."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True, name="parent").start()
