@@ -1,6 +1,7 @@
 """PIV against its open peers: accuracy, speed, and agreement on real pairs, in one run on the same cores.
 
     python -m benchmarks.piv [-o FOLDER] [--peer openpiv=PYTHON] [--peer fluidimage=...] [--peer pivtools=...]
+    python -m benchmarks.piv --only cases --case 'wave *' --case 'dead *'
 
 PYTHON is the interpreter of an environment in which that peer is installed; a peer without one is skipped by
 name.  Peers run in processes of their own, one thread each, and are tools of this benchmark only.  Every
@@ -127,6 +128,9 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="folder for piv.json")
     parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON")
     parser.add_argument("--only", choices=["accuracy", "speed", "real", "cases"], action="append")
+    parser.add_argument(
+        "--case", action="append", metavar="PATTERN", help="of the cases only these, as in 'wave *'"
+    )
     arguments = parser.parse_args()
     peers = dict(item.split("=", 1) for item in arguments.peer)
     contenders = {"rtpiv": (sys.executable, OWN, "")}
@@ -148,7 +152,7 @@ def main() -> None:
         if "accuracy" in parts:
             result["accuracy"] = accuracy(contenders, folder, generator())
         if "cases" in parts:
-            result["cases"] = hard_cases(contenders, folder, generator())
+            result["cases"] = hard_cases(contenders, folder, generator(), arguments.case or ["*"])
         if "real" in parts:
             result["real"] = real_pairs(contenders, folder)
     text = json.dumps(result, indent=2)

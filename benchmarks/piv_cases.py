@@ -4,7 +4,8 @@ Generator and flows are those of the evaluator's tests, which share nothing with
 """
 
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,12 @@ Table = dict[str, Any]
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def of_the_tests(name: str) -> Any:  # noqa: ANN401
-    """Return a module beside the evaluator's tests: its generator of pairs and its flows share nothing with it."""
-    file = ROOT / "tests" / "correction" / "evaluate" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(f"evaluator_{name}", file)
+def of_the_tests(file: str) -> Any:  # noqa: ANN401
+    """Return a module of the evaluator's tests: its generator of pairs and its flows share nothing with it."""
+    path = ROOT / "tests" / "correction" / file
+    spec = importlib.util.spec_from_file_location(f"evaluator_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise FileNotFoundError(file)
+        raise FileNotFoundError(path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -30,7 +31,7 @@ def of_the_tests(name: str) -> Any:  # noqa: ANN401
 
 def generator() -> Callable[..., Pair]:
     """Return the pair generator of the tests."""
-    return of_the_tests("conftest").make_pair  # type: ignore[no-any-return]
+    return of_the_tests("conftest.py").make_pair  # type: ignore[no-any-return]
 
 
 WAVES_PX = (24, 32, 48, 64, 96, 128, 192, 256)
@@ -39,7 +40,7 @@ SIDE = 512  # of the frames of the cases below
 
 def cases() -> dict[str, tuple[Truth, dict[str, float]]]:
     """Flow and image of each case: what is hard about it stands in its name."""
-    flows = of_the_tests("flows")
+    flows = of_the_tests("piv/flows.py")
     found: dict[str, tuple[Truth, dict[str, float]]] = {"all fractions": (flows.mix, {})}
     for diameter in (1.0, 1.2, 1.5, 2.0, 5.0, 8.0):
         found[f"particles of {diameter:g} px"] = (flows.mix, {"diameter_px": diameter})
@@ -49,6 +50,8 @@ def cases() -> dict[str, tuple[Truth, dict[str, float]]]:
         found[f"loss {100 * loss:g} %"] = (flows.mix, {"loss": loss})
     for ppp in (0.005, 0.05, 0.1):
         found[f"{ppp:g} particles per px"] = (flows.mix, {"ppp": ppp})
+    for dead in (0.05, 0.2, 0.3):
+        found[f"dead pixels {100 * dead:g} %"] = (flows.mix, {"dead": dead})
     found["hard"] = (flows.mix, {"diameter_px": 2.0, "ppp": 0.015, "loss": 0.2, "noise": 0.08})
     found["shot noise"] = (flows.mix, {"noise": 0.0, "shot": 0.01})
     found["static stripes"] = (flows.mix, {"stripes": 0.15})
@@ -63,8 +66,8 @@ def cases() -> dict[str, tuple[Truth, dict[str, float]]]:
 
 
 def drawn(make_pair: Callable[..., Pair], truth: Truth, image: dict[str, float]) -> Pair:
-    """Pair of a case; shot noise and stripes come on top of what the generator knows."""
-    plain = {name: value for name, value in image.items() if name not in ("shot", "stripes")}
+    """Pair of a case; shot noise, stripes and dead pixels (NaN) come on top of what the generator knows."""
+    plain = {name: value for name, value in image.items() if name not in ("shot", "stripes", "dead")}
     pair = make_pair(truth, (SIDE, SIDE), seed=7, **plain)
     rng = np.random.default_rng(5)
     if "shot" in image:
@@ -72,7 +75,11 @@ def drawn(make_pair: Callable[..., Pair], truth: Truth, image: dict[str, float])
     if "stripes" in image:
         stripe = image["stripes"] * 4095.0 * (np.sin(2 * np.pi * np.arange(SIDE) / 12) > 0)
         pair = [f + stripe for f in pair]
-    return [np.clip(np.rint(f), 0, 4095).astype(np.uint16) for f in pair]
+    pair = [np.clip(np.rint(f), 0, 4095).astype(np.uint16) for f in pair]
+    if "dead" in image:
+        gaps = rng.uniform(size=(SIDE, SIDE)) < image["dead"]
+        pair = [np.where(gaps, np.float32(np.nan), f.astype(np.float32)) for f in pair]
+    return pair
 
 
 def judged(field: Field, truth: Truth, name: str, margin: int = 48) -> dict[str, float]:
@@ -100,12 +107,18 @@ def judged(field: Field, truth: Truth, name: str, margin: int = 48) -> dict[str,
     return found
 
 
-def hard_cases(contenders: Contenders, folder: Path, make_pair: Callable[..., Pair]) -> Table:
-    """All of `cases`, and turbulence once more down to 16 px where a contender can."""
+def hard_cases(
+    contenders: Contenders, folder: Path, make_pair: Callable[..., Pair], wanted: Sequence[str] = ("*",)
+) -> Table:
+    """All of `cases` whose name matches, and turbulence once more down to 16 px where a contender can."""
     table: Table = {name: {} for name in contenders}
     for case, (truth, image) in cases().items():
+        if not any(fnmatch(case, pattern) for pattern in wanted):
+            continue
         pair = drawn(make_pair, truth, image)
         for name, (python, script, mode) in contenders.items():
+            if "dead" in image and name != "rtpiv":
+                continue  # no peer takes a mask of single pixels
             table[name][case] = _tried(python, script, pair, folder, mode, truth, case)
             if case.startswith(("turbulence", "wave")) and (name == "rtpiv" or name in TO_16):
                 fine = (python, script, "16") if name == "rtpiv" else (python, TO_16[name], "")

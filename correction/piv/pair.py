@@ -32,7 +32,7 @@ from correction.piv.outliers import filled, smoothed
 from correction.piv.passes import LEAST_CORRELATION, Measured, moved, refine_pass, search
 from correction.piv.prepare import Pair, prepared
 from correction.piv.refine import window_weights
-from correction.piv.response import last_filter, noise_growth, smoothing_after, transfers_between
+from correction.piv.response import COARSE, last_filter, noise_growth, smoothing_after, transfers_between
 from correction.piv.settings import PivSettings
 from correction.piv.static import static_share, still_correlation
 from correction.piv.uncertainty import correlation_statistics, sampling_error_px
@@ -83,7 +83,10 @@ def evaluate_pair(
     field = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
     while _share(field) < DOUBTFUL_SHARE and 3 * sides[0] <= min(np.shape(frame_a)):
         sides = [2 * sides[0], *sides]
-        again = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
+        try:
+            again = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)
+        except PairError:
+            break  # no more than there was
         if _share(again) < GAIN * _share(field):
             break  # it is not for want of size
         field = again
@@ -105,6 +108,7 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
     still = still_correlation(deformed, grids[-1], settings.window_sigma, threads)
     coefficients = pair.coefficients(threads)
     valid, floor, spread_px2, nan_pixels = pair.valid, pair.floor, pair.spread_px2, pair.nan_pixels
+    doubt = pair.doubt
     del pair  # 8 bytes a pixel that nobody needs any more
     number = added = 0
     while number + 1 < len(grids):
@@ -113,7 +117,8 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
         predictor = smoothed(found.vectors_px, found.good, steps, order)
         number += 1
         del deformed  # and 12 that the next ones need
-        deformed = deform_pair(coefficients, valid, predictor, before, floor, threads)
+        known = doubt if number >= COARSE else None  # frames complete each other where they are known to match
+        deformed = deform_pair(coefficients, valid, predictor, before, floor, threads, known)
         predictor = moved(predictor, before, grid)
         least = LEAST_CORRELATION if number == 1 else 0.0
         found = refine_pass(deformed, grid, predictor, least, settings, threads)

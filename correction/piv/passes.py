@@ -59,10 +59,12 @@ def refine_pass(
     dense = raw.valid_fraction >= settings.min_valid
     shift[~dense] = np.nan
     lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
-    if lost.any():
+    if lost.any() and pair.worth is None:  # frames that complete each other match in the middle, always
         found, ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
         found[ratio[lost] < WEAK] = np.nan  # not where it was expected, and one of many
         shift[lost] = found
+    if dense.any() and not np.isfinite(shift).any():
+        raise PairError("no window shows a peak that stands out; check exposure, seeding and pairing")
     vectors = predictor + shift
     good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads)
     return Measured(vectors, raw.correlation, ratio, raw.valid_fraction, good, shift, raw)

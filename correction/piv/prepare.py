@@ -4,8 +4,8 @@
    bright background then stand in no window, and a window needs no mean of its own. Frames are divided by the
    usual deviation within a window, the median over the frame, so that counts of any size (also 1e20) fit a
    float32 and one bright reflection does not make all others small.
-2. **Masked pixels** are filled from the valid ones around them, so that the spline through the frame makes no
-   step there, and weigh nothing.
+2. **Masked pixels** are filled from the valid ones around them (`correction.piv.fill`), so that the spline through
+   the frame makes no step there, and weigh nothing; single dead pixels as little as their filling is unsure.
 3. **Coefficients.** A frame is sampled through its quintic B-spline. Particle images below 3 px are
    undersampled: beyond what the pixels hold the spline invents, always towards the pixel centres (peak locking).
    The smoothing spline, whose coefficients are the pixels themselves, damps all that lies near the sampling limit
@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import FrameError, PairError
+from correction.piv.fill import Doubt, Texture, blurred, without_gaps
 from correction.resample.sample import MIN_SIDE_PX, prefilter
 
 NO_TEXTURE = 0.01  # of the usual deviation in a window; less is no particles, not even noise
 SHARPEST, SMOOTHEST = 0.25, 0.8  # variance of a particle image [px^2]: smoothing spline below, plain spline above
 TINY, TINIEST, BLUR = 0.215, 0.175, 0.8  # below TINY pixels are blurred too, by up to BLUR [px^2]
-HOLE, SCATTERED, FILLINGS, HOLE_PX = 0.4, 0.002, 10, 0.7  # masked pixels with so much valid around; see `_filled`
-FILL_PX = 1.0  # standard deviation of the weights that fill masked pixels
+MOST_NOISE = 0.9  # of a frame's variance
 
 Floats = NDArray[np.float32]
 
@@ -43,13 +43,15 @@ class Pair:
     a, b : ndarray of float32, shape (H, W)
         Levelled frames, masked pixels filled.
     valid : ndarray of float32, shape (H, W)
-        1 where both frames show the flow, else 0.
+        1 where both frames show the flow, or single pixels have been filled, else 0.
     floor : float
         Mean square up to which a window counts as constant.
     spread_px2 : float
         Variance of a particle image.
     nan_pixels : int
         Pixels that the mask calls valid and that are not finite.
+    doubt : Doubt, optional
+        How unsure what stands in single pixels is.
     """
 
     a: Floats
@@ -58,13 +60,15 @@ class Pair:
     floor: float
     spread_px2: float
     nan_pixels: int
+    doubt: Doubt | None = None
 
     def coefficients(self, threads: int | None = None) -> tuple[Floats, Floats]:
         """Coefficients (H, W) of both frames, see 3. above."""
         share = np.float32(np.clip((SMOOTHEST - self.spread_px2) / (SMOOTHEST - SHARPEST), 0.0, 1.0))
         if share == 1.0:
             blur = BLUR * min(1.0, max(0.0, (TINY - self.spread_px2) / (TINY - TINIEST)))
-            return (_blurred(self.a, blur), _blurred(self.b, blur)) if blur > 0.02 else (self.a, self.b)
+            pair = self.a, self.b
+            return (blurred(self.a, blur**0.5), blurred(self.b, blur**0.5)) if blur > 0.02 else pair
         spline = prefilter(self.a, threads=threads), prefilter(self.b, threads=threads)
         if share > 0.0:
             for coefficients, frame in zip(spline, (self.a, self.b), strict=True):
@@ -120,7 +124,13 @@ def prepared(
     side_px = window_px | 1
     a = _levelled(frames[0], weight, whole, side_px, "A")
     b = _levelled(frames[1], weight, whole, side_px, "B")
-    return Pair(a, b, weight, NO_TEXTURE**2, _spread_px2(a), int(np.count_nonzero(mask & ~seen)))
+    texture, doubt = _texture(a, weight, whole), None
+    if not whole:
+        doubt = without_gaps(a, b, seen, texture)
+        if doubt is not None:
+            weight[doubt.variance > 0.0] = 1.0
+    nan_pixels = int(np.count_nonzero(mask & ~seen))
+    return Pair(a, b, weight, NO_TEXTURE**2, texture.spread_px2, nan_pixels, doubt)
 
 
 def _numbers(frame: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -137,7 +147,7 @@ def _numbers(frame: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
 
 
 def _levelled(frame: NDArray[Any], weight: Floats, whole: bool, side_px: int, name: str) -> Floats:
-    """Frame without the mean of its surroundings, of unit deviation, filled where it is masked; see the top."""
+    """Frame without the mean of its surroundings, of unit deviation, 0 where it is masked; see the top."""
     inside = frame if whole else frame[weight > 0]
     low, high = inside.min(), inside.max()
     if low == high:
@@ -156,33 +166,8 @@ def _levelled(frame: NDArray[Any], weight: Floats, whole: bool, side_px: int, na
         mean /= np.maximum(_mean_around(weight, side_px), np.float32(1e-6))
     values = values - mean
     if not whole:
-        values = _filled(values * weight, weight)
-    return np.ascontiguousarray(
-        values * np.float32(1.0 / _usual_deviation(values * weight if not whole else values, side_px))
-    )
-
-
-def _filled(values: Floats, weight: Floats) -> Floats:
-    """Put what their surroundings say into masked pixels; single ones get what a smooth particle image would be.
-
-    Holes are filled again and again from the picture without its highest frequencies (Papoulis, IEEE Trans. CAS
-    22, 735 (1975); Gerchberg): the error of a single pixel falls from 0.6 to 0.35 of a frame's deviation.
-    """
-    share = _blurred(weight, FILL_PX**2)
-    result: Floats = np.where(
-        weight > 0, values, _blurred(values, FILL_PX**2) / np.maximum(share, np.float32(0.05))
-    )
-    holes = (weight == 0) & (share > HOLE)
-    if np.count_nonzero(holes) < SCATTERED * weight.size:
-        return result
-    for _ in range(FILLINGS):
-        rest, smooth = result, np.zeros_like(result)
-        for _ in range(4):
-            part = _blurred(rest, HOLE_PX**2)
-            smooth += part
-            rest = rest - part
-        result = np.where(holes, smooth, result)
-    return result
+        values *= weight
+    return np.ascontiguousarray(values * np.float32(1.0 / _usual_deviation(values, side_px)))
 
 
 def _usual_deviation(values: Floats, side_px: int) -> float:
@@ -196,21 +181,24 @@ def _usual_deviation(values: Floats, side_px: int) -> float:
     return float(np.sqrt(np.median(seen))) if seen.size else 1.0
 
 
-def _blurred(frame: Floats, variance_px2: float) -> Floats:
-    result: Any = cv2.GaussianBlur(frame, (0, 0), variance_px2**0.5)
-    return np.asarray(result, np.float32)
-
-
 def _mean_around(values: Floats, side_px: int) -> Floats:
     mean: Any = cv2.blur(values, (side_px, side_px), borderType=cv2.BORDER_REFLECT)
     return np.asarray(mean, np.float32)
 
 
-def _spread_px2(frame: Floats) -> float:
-    """Variance of a particle image [px^2] from the correlation of a frame with itself at 1 and 2 px."""
-    rows = frame[:: max(1, frame.shape[0] // 256)]
-    one = float(np.mean(rows[:, 1:] * rows[:, :-1], dtype=np.float64))
-    two = float(np.mean(rows[:, 2:] * rows[:, :-2], dtype=np.float64))
+def _texture(frame: Floats, weight: Floats, whole: bool) -> Texture:
+    """What a frame looks like, from its correlation with itself at 0, 1 and 2 px."""
+    every = slice(None, None, max(1, frame.shape[0] // 256))
+    rows, seen = frame[every], weight[every]
+
+    def alike(lag: int) -> float:
+        end = rows.shape[1] - lag
+        mean = float(np.mean(rows[:, lag:] * rows[:, :end], dtype=np.float64))
+        return mean if whole else mean / max(float(np.mean(seen[:, lag:] * seen[:, :end])), 1e-6)
+
+    one, two = alike(1), alike(2)
     if one <= 0.0:
-        return SHARPEST  # hardly more than single pixels
-    return 0.75 / max(float(np.log(one / max(two, 1e-3 * one))), 1e-3)
+        return Texture(SHARPEST, MOST_NOISE / (1.0 - MOST_NOISE))  # hardly more than single pixels
+    fall = max(float(np.log(one / max(two, 1e-3 * one))), 1e-3)
+    noise = float(np.clip(1.0 - one * np.exp(fall / 3.0) / alike(0), 0.0, MOST_NOISE))
+    return Texture(0.75 / fall, noise / (1.0 - noise))

@@ -14,16 +14,25 @@ from correction.piv.kernels.lags import SUMS, lag_sums, read_lags
 from correction.piv.windows import WindowGrid
 from ground.rows import run_rows
 
+LEAST_GAIN = 0.02  # beyond which a window knows nothing of its own, and its sigma says so
+LEAST_MATCH = (
+    0.25  # correlation where frames complete each other: strangers have less, and nothing can be searched
+)
 Floats = NDArray[np.float64]
 
 
 class Refined(NamedTuple):
-    """What the middle of the correlation says: shift_px (ny, nx, 2), the others (ny, nx), sums (ny, nx, SUMS)."""
+    """What the middle of the correlation says: shift_px (ny, nx, 2), the others (ny, nx), sums (ny, nx, SUMS).
+
+    `gain` is what differences between the frames are worth, see `DeformedPair`: as much of a displacement is seen,
+    and shift_px is already corrected for it. valid_fraction counts filled pixels among the valid ones.
+    """
 
     shift_px: Floats
     correlation: Floats
     valid_fraction: Floats
     sums: Floats
+    gain: Floats
 
 
 def window_weights(size_px: int, window_sigma: float, half: bool = False) -> Floats:
@@ -77,4 +86,18 @@ def refine(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: i
             read_lags(sums[j], total, pair.floor, shift[j], correlation[j], share[j])
 
     run_rows(rows, grid.shape[0], block=2, threads=threads)
-    return Refined(shift, correlation, share, sums)
+    if pair.worth is None:
+        return Refined(shift, correlation, share, sums, np.ones(grid.shape))
+    whole = whole / whole.sum()
+    gain = np.maximum(_means(pair.worth, grid, whole), LEAST_GAIN)
+    # Frames that complete each other match there, whatever they show: what is left of their difference counts.
+    power, squares = sums[..., 8] + sums[..., 9], _means(np.square(pair.worth), grid, whole)
+    apart = np.divide(power - 2.0 * sums[..., 0], power * squares, out=np.ones_like(power), where=power > 0.0)
+    shift[~(1.0 - apart > LEAST_MATCH)] = np.nan
+    return Refined(np.clip(shift / gain[..., None], -1.0, 1.0), 1.0 - apart, share, sums, gain)
+
+
+def _means(values: NDArray[np.float32], grid: WindowGrid, weights: Floats) -> Floats:
+    """Weighted means (ny, nx) of values (H, W) over windows."""
+    lines = np.stack([weights @ values[row : row + grid.size_px] for row in grid.row])
+    return np.stack([lines[:, column : column + grid.size_px] @ weights for column in grid.column], axis=-1)

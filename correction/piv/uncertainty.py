@@ -109,7 +109,7 @@ def correlation_statistics(
         variance /= np.maximum(1.0 - LOST / _pieces(by_shift, along), LEAST_LEFT)
         c = refined.sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1)
         sigma[..., axis] = _peak_sigma(refined.sums[..., 0], c, np.sqrt(variance))
-    return sigma
+    return sigma / refined.gain[..., None]
 
 
 def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigma: float) -> NDArray[np.float32]:

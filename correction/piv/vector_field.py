@@ -48,7 +48,7 @@ class VectorField:
     sigma_u_px, sigma_v_px : ndarray of float64, shape (ny, nx)
         Random standard uncertainty; NaN where not estimated or not VALID.
     valid_fraction : ndarray of float64, shape (ny, nx)
-        Share of valid pixels in the window.
+        Share of valid pixels in the window, single dead ones that could be filled among them.
     window_px, step_px : int
         Size and spacing of the last windows.
     nan_pixels : int

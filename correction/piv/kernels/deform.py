@@ -151,3 +151,42 @@ def deform_rows(
                 if masked:
                     out_valid[row, k] *= share_at(valid, k + shift, row + rise, fraction[0, k], fraction[1, k])
             start = stop
+
+
+@kernel
+def agree_rows(
+    a: Array,
+    b: Array,
+    variance: Array,
+    noise: np.float32,
+    refined: Array,
+    cell: Array,
+    weight: Array,
+    first: int,
+    last: int,
+    offset: Array,
+    fraction: Array,
+    doubt: Array,
+    worth: Array,
+) -> None:
+    """Draw rows first..last-1 of two deformed frames to each other by their doubt, see `correction.piv.deform`.
+
+    a, b (H, W) float32 are changed in place; variance (H, W) float32 of what undeformed frames were filled with;
+    noise, the usual variance; refined, cell, weight, offset and fraction as in `deform_rows`; doubt (2, W) float32
+    is scratch; worth (H, W) float32 becomes the weight of what is left of the difference.
+    """
+    width = a.shape[1]
+    for row in range(first, last):
+        c = cell[row]
+        for n in range(2):
+            scale = np.float32(n - 0.5)
+            row_offsets(refined[0, c : c + 4], refined[1, c : c + 4], weight[row], scale, offset, fraction)
+            for k in range(width):
+                i, j = k + offset[0, k], row + offset[1, k]
+                doubt[n, k] = share_at(variance, i, j, fraction[0, k], fraction[1, k])
+        for k in range(width):
+            share = _ONE / (doubt[0, k] + doubt[1, k] + noise)
+            apart = (b[row, k] - a[row, k]) * share
+            a[row, k] += doubt[0, k] * apart
+            b[row, k] -= doubt[1, k] * apart
+            worth[row, k] = noise * share

@@ -70,15 +70,6 @@ def test_peak_locking_stays_below_4_thousandths(particle_pair, diameter_px):
     assert abs(2 * np.mean(off * np.sin(phase))) < 0.0042
 
 
-def test_scattered_dead_pixels_cost_little(particle_pair):
-    """20 % of them in each frame: 44 % of all products are lost or made up."""
-    pair = particle_pair(mix, seed=7)
-    valid = np.random.default_rng(3).uniform(size=(512, 512)) >= 0.2
-    field = evaluate_pair(*pair, valid)
-    assert field.valid.mean() > 0.99
-    assert rms(errors(field, mix)) < 0.015
-
-
 @pytest.mark.parametrize("shift_px", [36.3, 60.2])
 def test_a_displacement_beyond_the_first_window_is_found_without_being_told(particle_pair, shift_px):
     truth = uniform(shift_px, 0.0)
