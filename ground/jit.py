@@ -34,16 +34,18 @@ from numba.extending import intrinsic, overload
 from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
-PACKAGES = ("tracer", "correction", "daq")  # that have kernels
+PACKAGES = ("tracer", "correction", "daq", "sim")  # that have kernels
 Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def _digest(root: Path) -> str:
-    """Digest of our kernel sources below `root`, those of bodies included, and of the version of numba."""
+    """Digest of our kernel sources below `root`, with those of bodies and renderer, and of numba's version."""
     digest = hashlib.sha256(numba.__version__.encode())
     sources = [path for package in PACKAGES for path in (root / package).glob("**/kernels/*.py")]
-    for path in sorted([*sources, *root.glob("tracer/bodies/*.py"), Path(__file__)]):
+    for path in sorted(
+        [*sources, *root.glob("tracer/bodies/*.py"), *root.glob("sim/renderer/*.py"), Path(__file__)]
+    ):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
 

@@ -55,7 +55,7 @@ def pixel_shift(seed: int, row: int, column: int) -> tuple[float, float, float]:
 
 
 @compiled
-def to_plane(
+def last_way(
     ox: float,
     oy: float,
     oz: float,
@@ -65,14 +65,16 @@ def to_plane(
     spheres: Float64,
     rods: Float64,
     plane: Float64,
-) -> tuple[float, float, float]:
-    """Follow one ray to the plane: (x, y, transmittance) in the plane's own axes; T = 0 if it does not arrive.
+) -> tuple[float, float, float, float, float, float, float, int]:
+    """Follow one ray to the straight way on which it meets the plane: its origin, direction, transmittance, chain.
 
-    Rows of `spheres`: centre, radius, n / n_ambient, opaque, then cores, see `through_cores`.  Rows of `plane`:
-    origin, x axis, y axis, normal.
+    T = 0 if it does not arrive.  `chain` tells rays apart that went through other bodies or in another order; 0
+    went through none.  Rows of `spheres`: centre, radius, n / n_ambient, opaque, then cores, see `through_cores`.
+    Rows of `plane`: origin, x axis, y axis, normal.
     """
     transmittance = 1.0
     last = -1
+    chain = 0
     for _ in range(2 * spheres.shape[0] + 2):
         fall = dx * plane[3, 0] + dy * plane[3, 1] + dz * plane[3, 2]
         height = (
@@ -88,21 +90,12 @@ def to_plane(
                     nearest, body = t, index
         for index in range(rods.shape[0]):
             if entry_rod(ox, oy, oz, dx, dy, dz, rods[index]) < nearest:
-                return 0.0, 0.0, BLOCKED
+                return ox, oy, oz, dx, dy, dz, BLOCKED, chain
         if body < 0:
-            if nearest == np.inf:
-                return 0.0, 0.0, BLOCKED
-            x, y, z = (
-                ox + nearest * dx - plane[0, 0],
-                oy + nearest * dy - plane[0, 1],
-                oz + nearest * dz - plane[0, 2],
-            )
-            u = x * plane[1, 0] + y * plane[1, 1] + z * plane[1, 2]
-            v = x * plane[2, 0] + y * plane[2, 1] + z * plane[2, 2]
-            return u, v, transmittance
+            return ox, oy, oz, dx, dy, dz, transmittance if nearest < np.inf else BLOCKED, chain
         s = spheres[body]
         if s[5] != 0.0:
-            return 0.0, 0.0, BLOCKED
+            return ox, oy, oz, dx, dy, dz, BLOCKED, chain
         # In: the outward normal is against the ray.
         ox, oy, oz = ox + nearest * dx, oy + nearest * dy, oz + nearest * dz
         nx, ny, nz = (ox - s[0]) / s[3], (oy - s[1]) / s[3], (oz - s[2]) / s[3]
@@ -117,13 +110,39 @@ def to_plane(
         dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, s[4])
         transmittance *= part
         if transmittance <= 0.0:
-            return 0.0, 0.0, BLOCKED
+            return ox, oy, oz, dx, dy, dz, BLOCKED, chain
         last = body
-    return 0.0, 0.0, BLOCKED
+        chain = chain * (spheres.shape[0] + 1) + body + 1
+    return ox, oy, oz, dx, dy, dz, BLOCKED, chain
 
 
 @compiled
-def _camera_ray(
+def to_plane(
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    spheres: Float64,
+    rods: Float64,
+    plane: Float64,
+) -> tuple[float, float, float]:
+    """Follow one ray to the plane: (x, y, transmittance) in the plane's own axes, arguments as of `last_way`."""
+    ox, oy, oz, dx, dy, dz, transmittance, _ = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, plane)
+    if transmittance <= 0.0:
+        return 0.0, 0.0, BLOCKED
+    x, y, z = ox - plane[0, 0], oy - plane[0, 1], oz - plane[0, 2]
+    fall = dx * plane[3, 0] + dy * plane[3, 1] + dz * plane[3, 2]
+    t = max(-(x * plane[3, 0] + y * plane[3, 1] + z * plane[3, 2]) / fall, 0.0)
+    x, y, z = x + t * dx, y + t * dy, z + t * dz
+    u = x * plane[1, 0] + y * plane[1, 1] + z * plane[1, 2]
+    v = x * plane[2, 0] + y * plane[2, 1] + z * plane[2, 2]
+    return u, v, transmittance
+
+
+@compiled
+def camera_ray(
     u: float, v: float, lens_u: float, lens_v: float, camera: Float64
 ) -> tuple[float, float, float, float, float, float]:
     """Origin and unit direction in the world of the ray through an acquired pixel and a point of the pupil.
@@ -150,9 +169,9 @@ def _camera_ray(
 
 
 @compiled
-def _may_meet(u: float, v: float, camera: Float64, bounds: Float64) -> bool:
+def may_meet(u: float, v: float, camera: Float64, bounds: Float64) -> bool:
     """Whether a ray of this pixel may meet a ball of `bounds` (x, y, z, radius); errs on the safe side."""
-    ox, oy, oz, dx, dy, dz = _camera_ray(u, v, 0.0, 0.0, camera)
+    ox, oy, oz, dx, dy, dz = camera_ray(u, v, 0.0, 0.0, camera)
     for index in range(bounds.shape[0]):
         x, y, z = bounds[index, 0] - ox, bounds[index, 1] - oy, bounds[index, 2] - oz
         depth = dx * x + dy * y + dz * z
@@ -190,7 +209,7 @@ def trace_pixels(
     for index in range(pixels.shape[0]):
         row, column = pixels[index, 0], pixels[index, 1]
         shift_u, shift_v, turn = pixel_shift(seed, row, column)
-        meets = bounds.shape[0] > 0 and _may_meet(float(column), float(row), camera, bounds)
+        meets = bounds.shape[0] > 0 and may_meet(float(column), float(row), camera, bounds)
         low_x = low_y = np.inf
         high_x = high_y = -np.inf
         arrived = 0
@@ -206,7 +225,7 @@ def trace_pixels(
                     radius = camera[20] * np.sqrt((pupil_order[k] + turn) / count)
                     angle = GOLDEN_ANGLE_RAD * pupil_order[k] + 2.0 * np.pi * turn
                     lens_u, lens_v = radius * np.cos(angle), radius * np.sin(angle)
-                ox, oy, oz, dx, dy, dz = _camera_ray(u, v, lens_u, lens_v, camera)
+                ox, oy, oz, dx, dy, dz = camera_ray(u, v, lens_u, lens_v, camera)
                 if meets:
                     x, y, part = to_plane(ox, oy, oz, dx, dy, dz, spheres, rods, plane)
                 else:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
-from sim.prints.patterns import Pattern
+from sim.prints.patterns import Pattern, Pose
 from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
 from sim.renderer.surfaces import SOLID
@@ -56,7 +56,7 @@ class Aperture:
 
 
 @dataclass(frozen=True)
-class _Tables:
+class SceneTables:
     """A scene as the compiled loops want it."""
 
     camera: NDArray[np.float64]
@@ -122,7 +122,7 @@ def render_irradiance(
     """
     if samples < 1:
         raise SceneError("samples must be at least 1")
-    tables = _tables(scene, pattern, aperture)
+    tables = tables_of(scene, pattern.pose, aperture)
     height, width = scene.camera.shape
     out = np.empty((height, width), np.float32)
 
@@ -140,7 +140,7 @@ def render_irradiance(
 
 
 def _sample(
-    tables: _Tables, pattern: Pattern, pixels: NDArray[np.int64], n: int, seed: int
+    tables: SceneTables, pattern: Pattern, pixels: NDArray[np.int64], n: int, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Light (N,) and spread of the seen points (N,) [mm] of pixels (N, 2), by n x n rays each."""
     count = len(pixels)
@@ -161,18 +161,24 @@ def _pupil_order(n: int) -> NDArray[np.int64]:
     return np.random.default_rng(n).permutation(n * n)
 
 
-def _tables(scene: Scene, pattern: Pattern, aperture: Aperture | None) -> _Tables:
-    """Translate scene, pose and aperture into arrays."""
+def tables_of(scene: Scene, pose: Pose, aperture: Aperture | None) -> SceneTables:
+    """Translate scene, place of the sheet and aperture into arrays.
+
+    Raises
+    ------
+    SceneError
+        A body crosses the sheet, or is neither sphere nor rod.
+    """
     camera, lens = scene.camera, scene.camera.lens
-    plane = pattern.pose.axes()
+    plane = pose.axes()
     bodies = [body for body in scene.bodies if _in_front(body, plane)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
     if unknown := [body for body in bodies if body not in (*spheres, *rods)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
-    pose = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
-    return _Tables(
-        camera=np.array([*pose, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
+    lens_and_place = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
+    return SceneTables(
+        camera=np.array([*lens_and_place, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
         spheres=_balls(scene, spheres),
         rods=_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
         bounds=_rows([[*s.centre_mm, s.radius_mm] for s in spheres] + [_ball(r) for r in rods], 4),

@@ -9,7 +9,7 @@ from sim.demo.scenes import at_size, misaligned, named_scene
 from sim.prints import reflectance as prints
 from sim.prints.patterns import Chessboard, Image, ParticleSheet, Pose, printed_particles
 from sim.renderer import rays
-from sim.renderer.render import Aperture, _tables, render, render_irradiance
+from sim.renderer.render import Aperture, render, render_irradiance, tables_of
 from sim.renderer.sensor import SILENT, Sensor
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
@@ -26,7 +26,7 @@ def small(name="two_spheres_500", size=200):
 @pytest.mark.parametrize("aperture", [None, Aperture(60.0, 4.0, 500.0)])
 def test_compiled_loops_do_what_the_python_says(aperture):
     scene = misaligned(small("tilted", 40), 1)
-    tables, n, count = _tables(scene, Chessboard(), aperture), 3, 60
+    tables, n, count = tables_of(scene, Pose(), aperture), 3, 60
     pixels = np.random.default_rng(0).integers(8, 30, (count, 2))
     world = (tables.camera, tables.spheres, tables.rods, tables.bounds, tables.plane)
     results = []

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sim.demo.scenes import SCENES, misaligned, named_scene
-from sim.prints.patterns import Chessboard, Pose
-from sim.renderer.rays import _camera_ray, to_plane
-from sim.renderer.render import _tables
+from sim.prints.patterns import Pose
+from sim.renderer.rays import camera_ray, to_plane
+from sim.renderer.render import tables_of
 from sim.renderer.surfaces import entry_rod, entry_sphere, snell
 from tracer.bodies import Core, Rod, Sphere
 from tracer.camera import Camera, Lens, look_at
@@ -151,22 +151,22 @@ def test_lens_terms_follow_the_documented_equation():
     pose = look_at((0.0, 0.0, 400.0), (0.0, 0.0, 0.0))
     lens = Lens(k1=0.2, k2=-0.1, k3=0.05, p1=0.01, p2=-0.02)
     camera = Camera(1000.0, (500.0, 400.0), (1001, 801), (0.0, 0.0, 400.0), pose, lens)
-    tables = _tables(Scene(camera), Chessboard(), None)
+    tables = tables_of(Scene(camera), Pose(), None)
     x, y = 0.3, -0.2  # r^2 = 0.13
     gain = 1.0 + 0.2 * 0.13 - 0.1 * 0.0169 + 0.05 * 0.002197
     right = x * gain + 2 * 0.01 * x * y - 0.02 * (0.13 + 2 * 0.09)
     down = y * gain + 0.01 * (0.13 + 2 * 0.04) + 2 * -0.02 * x * y
-    *_, dx, dy, dz = _camera_ray(800.0, 200.0, 0.0, 0.0, tables.camera)
+    *_, dx, dy, dz = camera_ray(800.0, 200.0, 0.0, 0.0, tables.camera)
     assert (dx / -dz, dy / -dz) == pytest.approx((right, -down), abs=1e-14)
 
 
 def test_pupil_rays_of_a_pixel_meet_in_the_focus_plane():
     camera = SCENES["tilted"]().camera
-    tables = _tables(Scene(camera), Chessboard(), None)
+    tables = tables_of(Scene(camera), Pose(), None)
     tables.camera[20:] = 10.0, 430.0
     meeting = []
     for lens in ((0.0, 0.0), (10.0, 0.0), (-3.0, 7.0)):
-        ray = np.array(_camera_ray(300.0, 1500.0, *lens, tables.camera))
+        ray = np.array(camera_ray(300.0, 1500.0, *lens, tables.camera))
         depth = camera.rotation_matrix[2] @ ray[3:]
         behind = camera.rotation_matrix[2] @ (ray[:3] - camera.position_mm)
         meeting.append(ray[:3] + ray[3:] * (430.0 - behind) / depth)
@@ -184,12 +184,12 @@ def test_two_formulations_agree(name, cores):
               for ball in scene.spheres]  # fmt: skip
     scene = scene.with_bodies(bodies)
     scene = scene.with_bodies([*scene.bodies, Rod("support", (-62.0, -62.0, 10.0), (-62.0, -50.0, 40.0), 3.0)])
-    tables = _tables(scene, Chessboard(), None)
+    tables = tables_of(scene, Pose(), None)
     pixels = np.random.default_rng(1).uniform(0.0, 2015.0, (3000, 2))
     traced = trace(scene, pixels)
     ours = np.array(
         [
-            to_plane(*_camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.plane)
+            to_plane(*camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.plane)
             for u, v in pixels
         ]
     )
@@ -205,14 +205,14 @@ def test_two_formulations_agree(name, cores):
 def test_a_target_that_cuts_a_body_is_refused():
     scene = named_scene("two_spheres_500")
     with pytest.raises(SceneError, match="cuts through body 'sphere1'"):
-        _tables(scene, Chessboard(pose=Pose((0.0, 0.0, 10.0))), None)
-    behind = _tables(scene, Chessboard(pose=Pose((0.0, 0.0, 50.0))), None)
+        tables_of(scene, Pose((0.0, 0.0, 10.0)), None)
+    behind = tables_of(scene, Pose((0.0, 0.0, 50.0)), None)
     assert len(behind.spheres) == 1  # the nearer to the camera; the other is behind the target
-    assert len(_tables(scene, Chessboard(pose=Pose((0.0, 0.0, -20.0))), None).spheres) == 2
+    assert len(tables_of(scene, Pose((0.0, 0.0, -20.0)), None).spheres) == 2
 
 
 def test_index_is_taken_against_the_room():
     camera = named_scene("one_sphere_500").camera
     ball = Sphere("ball", (0.0, 0.0, 30.0), 20.0, GLASS)
     scene = Scene(camera, (ball,), ambient=ConstantMedium(1.25))
-    assert _tables(scene, Chessboard(), None).spheres[0, 4] == pytest.approx(1.2)
+    assert tables_of(scene, Pose(), None).spheres[0, 4] == pytest.approx(1.2)

@@ -1,0 +1,1 @@
+"""A flow for the simulated bench: known fields, particles in a light sheet, their images through glass."""

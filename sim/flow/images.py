@@ -1,0 +1,203 @@
+"""Frames of a flow: pairs of pictures of one sheet of particles through glass, with background and noise.
+
+    scene = named_scene("two_spheres_500")
+    for first, second in rendered_pairs(scene, Flow(Jet()), dt_s=500e-6, count=10):
+        ...
+
+A pair is a pure function of its number: made alone, in another order or in another process it has the same bits,
+so a thousand pairs can be made on all cores by `benchmarks.flow`.  Defaults are the paper's: 12 bit, floor 30 to
+40 counts, particles of a few dozen to 300 counts, 0.03 per pixel, a sheet of 1 mm.
+"""
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.flow.fields import Flow
+from sim.flow.particles import LightSheet, ParticlePair, Seeding, particle_pair
+from sim.flow.reflections import Reflections
+from sim.flow.view import ParticleView
+from sim.renderer.render import Aperture
+from sim.renderer.sensor import Sensor
+from tracer.errors import SceneError
+from tracer.scene import Scene
+
+Frame = NDArray[np.uint16]
+
+FLOW_SENSOR = Sensor(white_counts=1.0, read_noise_counts=2.0, offset_counts=35.0, blur_px=0.0)
+MARGIN_MM = 0.5  # seeded beyond the view, besides the way that particles go between pulses
+
+
+@dataclass(frozen=True)
+class FlowCamera:
+    """A camera that looks at a flow.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and glass, as they truly are.
+    flow : Flow
+        What moves the particles.
+    sheet, seeding, reflections, sensor
+        Light, particles, what stands still, and the sensor, whose irradiance is counted in counts.
+    particle_counts : float
+        On the brightest pixel of an average particle in the middle of the sheet, seen without glass.
+    aperture : Aperture, optional
+        A finite pupil; None is a pinhole.
+    points_of_pupil : int
+        7, 19, ...
+    spot_px : float
+        Diameter (e^-2) of a particle's image by diffraction.
+    seed : int
+        Of particles and noise.
+    """
+
+    scene: Scene
+    flow: Flow
+    sheet: LightSheet = field(default_factory=LightSheet)
+    seeding: Seeding = field(default_factory=Seeding)
+    reflections: Reflections | None = field(default_factory=Reflections)
+    sensor: Sensor = FLOW_SENSOR
+    particle_counts: float = 70.0
+    aperture: Aperture | None = None
+    points_of_pupil: int = 7
+    spot_px: float = 2.4
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.particle_counts >= 0.0:
+            raise SceneError("particle_counts must not be negative")
+
+    def pair(self, number: int, dt_s: float, time_s: float, *, is_seeded: bool = True) -> tuple[Frame, Frame]:
+        """Frames (H, W) of pulses A and B.
+
+        Parameters
+        ----------
+        number : int
+            Of the pair: another number has other particles and other noise.
+        dt_s : float
+            Time between the pulses.
+        time_s : float
+            Of pulse A, in the flow's own time.
+        is_seeded : bool
+            False gives what stands still alone: a background frame.
+        """
+        particles = self.particles(number, dt_s, time_s) if is_seeded else None
+
+        def frame(pulse: int) -> Frame:
+            return self._frame(number, pulse, particles)
+
+        with ThreadPoolExecutor(2) as both:
+            first, second = both.map(frame, (0, 1))
+        return first, second
+
+    def dark(self, number: int, pulse: int = 0) -> Frame:
+        """A frame (H, W) without light."""
+        light = np.zeros(self.scene.camera.shape, np.float32)
+        return self.sensor.expose(light, seed=self._seed(number, 10 + pulse))
+
+    def particles(self, number: int, dt_s: float, time_s: float) -> ParticlePair:
+        """The particles of a pair."""
+        low, high = self._view.corners_mm
+        middle = 0.5 * (low + high)
+        probe = np.array(
+            [
+                [x, y, self.sheet.offset_mm]
+                for x in np.linspace(low[0], high[0], 33)
+                for y in np.linspace(low[1], high[1], 33)
+            ]
+        )
+        fastest = float(np.abs(self.flow.velocity(probe, time_s)).max())
+        half = 0.5 * (high - low) + MARGIN_MM + fastest * abs(dt_s)
+        return particle_pair(
+            self.flow,
+            self.sheet,
+            self.seeding,
+            corners_mm=np.array([middle - half, middle + half]),
+            px_mm=self.px_mm,
+            time_s=time_s,
+            dt_s=dt_s,
+            rng=np.random.default_rng(self._seed(number, 2)),
+        )
+
+    @property
+    def px_mm(self) -> float:
+        """Width that a pixel sees without glass."""
+        return float(self.scene.camera.position_mm[2]) / self.scene.camera.focal_px
+
+    def _frame(self, number: int, pulse: int, particles: ParticlePair | None) -> Frame:
+        light = self._still(pulse)
+        if particles is not None:
+            seen = self._view.light(particles.places_mm[pulse], particles.light[pulse])
+            light = light + np.float32(self.particle_counts / self._view.peak()) * seen
+        return self.sensor.expose(light, seed=self._seed(number, pulse))
+
+    def _seed(self, number: int, what: int) -> int:
+        return int(np.random.SeedSequence((self.seed, number, what)).generate_state(1, np.uint64)[0])
+
+    @cached_property
+    def _view(self) -> ParticleView:
+        """The rays, traced once for all pairs; a sheet that is tilted needs them over a greater depth."""
+        height, width = self.scene.camera.shape
+        tilt = 0.7 * max(height, width) * self.px_mm * (abs(self.sheet.slope_x) + abs(self.sheet.slope_y))
+        reach = self.sheet.reach_mm + tilt
+        low, high = self.sheet.offset_mm - reach, self.sheet.offset_mm + reach
+        return ParticleView(
+            self.scene,
+            (min(low, -0.01), max(high, 0.01)),
+            aperture=self.aperture,
+            points_of_pupil=self.points_of_pupil,
+            spot_px=self.spot_px,
+        )
+
+    @cached_property
+    def _stills(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        if self.reflections is None:
+            nothing = np.zeros(self.scene.camera.shape, np.float32)
+            return nothing, nothing
+        first, second = (self.reflections.light(self.scene, self.sheet, pulse) for pulse in (0, 1))
+        return first, second
+
+    def _still(self, pulse: int) -> NDArray[np.float32]:
+        return self._stills[pulse]
+
+
+def rendered_pairs(
+    scene: Scene,
+    flow: Flow,
+    *,
+    dt_s: float,
+    count: int,
+    rate_hz: float = 10.0,
+    first: int = 0,
+    seed: int = 0,
+    camera: FlowCamera | None = None,
+) -> Iterator[tuple[Frame, Frame]]:
+    """Yield pairs of frames (A, B), uint16 (H, W), of a flow behind glass.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and glass as they truly are.
+    flow : Flow
+        The flow.
+    dt_s : float
+        From A to B.
+    count : int
+        How many pairs.
+    rate_hz : float
+        Of the pairs: pair i is taken at i / rate_hz.
+    first : int
+        Number of the first pair; the same number gives the same bits.
+    seed : int
+        Of particles and noise.
+    camera : FlowCamera, optional
+        Light, seeding, aperture and sensor other than the defaults; its scene, flow and seed count then.
+    """
+    made = camera or FlowCamera(scene, flow, seed=seed)
+    for number in range(first, first + count):
+        yield made.pair(number, dt_s, number / rate_hz)

@@ -1,0 +1,168 @@
+"""A free round jet from a pipe: core, mixing layer and self-similar jet in one formula, free of divergence.
+
+Momentum spreads like heat (Reichardt, VDI-Forschungsheft 414 (1942)): U^2 behind an opening of radius R with exit
+speed U_0 is the top hat U_0^2 blurred by a Gaussian whose width grows with the distance s,
+
+    U^2(r, s) = U_0^2 P(r/R, sigma(s)/R),   P(a, b) = chance that a Gaussian step of
+    deviation b from a ends inside the unit circle,     sigma = sqrt((c_0 R)^2 + (c s)^2)
+
+so the flux of momentum is the same at every s, the core is gone some five diameters from the exit, and far away
+U -> U_0 (R / (sqrt(2) sigma)) exp(-r^2/(4 sigma^2)): half width sqrt(4 ln 2) c s, which is 0.094 s (Pope,
+Turbulent Flows, ch. 5) for c = 0.0565, and decay as 1/s.  The radial velocity follows from mass: with H(r, s), the
+mean of U over the disc of radius r,
+
+    U = H + (r/2) dH/dr,    V_r = -(r/2) dH/ds
+
+which has no divergence for ANY smooth H; H is tabulated once and interpolated with slopes that go on from cell
+to cell.
+
+Fluctuations, in the frame (along the axis s, radial r, around): e is their standard deviation along the axis,
+
+    e^2 = (i U_c(s) g(s) exp(-r^2/(6 sigma^2)))^2 + (j sigma dU/dr)^2,    g = 1 - exp(-s / (4 D))
+    R_ss = e^2,   R_rr = R_tt = (0.8 e)^2,   R_sr = 0.8 e^2 rho(r),   rho = 0.8 x/(1 + x^2),  x = r/(2 sigma)
+
+so u'v' is zero on the axis and carries momentum outwards beside it.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import ncx2
+
+from ground.rows import run_rows
+from sim.flow.kernels.jet import at_points
+from tracer.camera import Vector3
+from tracer.errors import SceneError
+
+Float64 = NDArray[np.float64]
+
+GROWTH = 0.0565  # c
+EXIT_GROWTH = 0.08  # c_0: boundary layer of the pipe
+ROWS, COLUMNS = 240, 1200
+BLOCK_POINTS = 4096
+
+
+@dataclass(frozen=True)
+class Jet:
+    """A round jet that rises along +y.
+
+    Parameters
+    ----------
+    exit_mm : Vector3
+        Middle of the pipe's end.
+    diameter_mm : float
+        Inner diameter of the pipe.
+    exit_mm_s : float
+        Speed at the exit.
+    intensity : float
+        i: standard deviation along the axis over the speed of the axis, far from the exit.
+    layer_intensity : float
+        j: what the mixing layer adds.
+    reach_mm : float
+        The flow is tabulated so far from the exit, along and across; nothing is asked beyond.
+    """
+
+    exit_mm: Vector3 = (0.0, -88.0, 0.0)
+    diameter_mm: float = 5.0
+    exit_mm_s: float = 1940.0
+    intensity: float = 0.25
+    layer_intensity: float = 0.2
+    reach_mm: float = 260.0
+
+    def __post_init__(self) -> None:
+        if not (self.diameter_mm > 0.0 and self.reach_mm > self.diameter_mm):
+            raise SceneError("diameter_mm of a jet must be positive and below reach_mm")
+
+    def mean(self, points_mm: Float64) -> Float64:
+        """U (N, 3) [mm/s]; below the exit the jet is that of the exit."""
+        s, r, radial = self._frame(points_mm)
+        along, outwards = self._velocity(s, r)
+        velocity = outwards[:, None] * radial
+        velocity[:, 1] = along
+        return velocity
+
+    def amplitude(self, points_mm: Float64) -> Float64:
+        """A (N, 3, 3) [mm/s], in the world's axes."""
+        s, r, radial = self._frame(points_mm)
+        sigma = self._sigma_mm(s)
+        centre, _ = self._velocity(s, np.zeros_like(r))
+        growth = -np.expm1(-np.maximum(s, 0.0) / (4.0 * self.diameter_mm))
+        wide = self.intensity * centre * growth * np.exp(-np.square(r / sigma) / 6.0)
+        e = np.hypot(wide, self.layer_intensity * sigma * self._slope(s, r))
+        x = 0.5 * r / sigma
+        correlation = 0.8 * x / (1.0 + x * x)
+        axis = np.array([0.0, 1.0, 0.0])
+        around = np.cross(axis, radial)
+        around[r == 0.0] = (0.0, 0.0, 1.0)
+        one, other = 0.8 * e * correlation, 0.8 * e * np.sqrt(1.0 - np.square(correlation))
+        # Columns: what each unit turbulence does.  radial is zero on the axis, where any two directions serve.
+        safe = np.where((r == 0.0)[:, None], np.array([1.0, 0.0, 0.0]), radial)
+        out = np.empty((len(r), 3, 3))
+        out[:, :, 0] = e[:, None] * axis + one[:, None] * safe
+        out[:, :, 1] = other[:, None] * safe
+        out[:, :, 2] = (0.8 * e)[:, None] * around
+        return out
+
+    def holds(self, points_mm: Float64) -> NDArray[np.bool_]:
+        """Everywhere: the seeded room is larger than the jet."""
+        return np.ones(len(points_mm), np.bool_)
+
+    def _frame(self, points_mm: Float64) -> tuple[Float64, Float64, Float64]:
+        """Distance along the axis, radius, unit vector outwards (zero on the axis)."""
+        x, y, z = (points_mm - np.array(self.exit_mm)).T
+        r = np.hypot(x, z)
+        safe = np.where(r > 0.0, r, 1.0)
+        return y, r, np.column_stack((x / safe, np.zeros_like(x), z / safe))
+
+    def _sigma_mm(self, s: Float64) -> Float64:
+        return np.hypot(EXIT_GROWTH * 0.5 * self.diameter_mm, GROWTH * np.maximum(s, 0.0))
+
+    @cached_property
+    def _tables(self) -> tuple[Float64, Float64, Float64, Float64]:
+        """H/U_0 and U/U_0 over (log sigma/R, log(1 + r/R)), first coordinates, steps.
+
+        A cell more on either side: in r the flow is even, so the column before the axis mirrors the one behind.
+        """
+        ends = np.log(EXIT_GROWTH), np.log(2.0 * GROWTH * self.reach_mm / self.diameter_mm) + 0.05
+        widths, step = np.linspace(*ends, ROWS, retstep=True)
+        widths = np.concatenate(([widths[0] - step], widths, [widths[-1] + step]))
+        places = np.linspace(0.0, np.log1p(2.0 * self.reach_mm / self.diameter_mm) + 0.02, COLUMNS)
+        squared = np.square(np.expm1(places))
+        disc, speed = np.empty((2, len(widths), len(places) + 1))
+        for i, width in enumerate(np.exp(widths)):
+            # Chance to end inside the unit circle: non-central chi-square with two degrees of freedom.
+            speed[i, 1:] = np.sqrt(ncx2.cdf(1.0 / width**2, 2, squared / width**2))
+            # Mean over the disc by Simpson's rule in r^2.
+            middle = np.sqrt(ncx2.cdf(1.0 / width**2, 2, 0.5 * (squared[1:] + squared[:-1]) / width**2))
+            parts = (speed[i, 2:] + 4.0 * middle + speed[i, 1:-1]) * np.diff(squared) / 6.0
+            disc[i, 1] = speed[i, 1]
+            disc[i, 2:] = np.cumsum(parts) / squared[1:]
+        disc[:, 0], speed[:, 0] = disc[:, 2], speed[:, 2]
+        return disc, speed, np.array([widths[0], -places[1]]), np.array([step, places[1]])
+
+    def _at(self, table: Float64, s: Float64, r: Float64) -> Float64:
+        """Value and slopes (N, 3) of a table, in its own coordinates."""
+        start, step = self._tables[2:]
+        radius = 0.5 * self.diameter_mm
+        width, place = np.log(self._sigma_mm(s) / radius), np.log1p(r / radius)
+        out = np.empty((len(s), 3))
+
+        def block(first: int, last: int) -> None:
+            at_points(width[first:last], place[first:last], table, start, step, out[first:last])
+
+        run_rows(block, len(s), BLOCK_POINTS)
+        return out
+
+    def _velocity(self, s: Float64, r: Float64) -> tuple[Float64, Float64]:
+        """Along the axis and outwards [mm/s]."""
+        h, by_width, by_place = self._at(self._tables[0], s, r).T
+        across = by_place / (0.5 * self.diameter_mm + r)  # dH/dr
+        # d(log sigma)/ds = c^2 s / sigma^2
+        along = by_width * GROWTH**2 * np.maximum(s, 0.0) / np.square(self._sigma_mm(s))
+        return self.exit_mm_s * (h + 0.5 * r * across), self.exit_mm_s * (-0.5 * r * along)
+
+    def _slope(self, s: Float64, r: Float64) -> Float64:
+        """dU/dr [1/s]; zero on the axis."""
+        return np.asarray(self.exit_mm_s * self._at(self._tables[1], s, r)[:, 2] / (0.5 * self.diameter_mm + r))

@@ -1,0 +1,262 @@
+"""Images of point particles at any depth of a light sheet, through glass, by the renderer's own optics.
+
+A point of light at P is seen in pixel (u, v) if a ray of that pixel runs through P behind the last glass.  For
+each of K points of the entrance pupil the rays of a grid of pixels are traced once; at P's height their places
+form a grid of cells in the plane, and every cell that holds P is an image of it: one beside the glass, one or
+several behind it, two that meet at a fold, none behind a rod.
+
+How bright is it?  The beam between a patch dA_p of the pupil and the pixel's solid angle dW at the lens keeps its
+throughput through glass (etendue), so the patch gathers from P the solid angle
+
+    dW_P = dA_p cos_c dW / (cos_P |d(x, y)/d(u, v)|)
+
+with cos_P the angle of the ray at P and the determinant taken in P's own plane.  Light is counted against a point
+seen without glass in the same pixel: transmittance times (cos |det|)_bare / (cos |det|).  So images behind glass
+are bright where the lens magnifies, blurred where pupil points disagree, and dim by what Fresnel takes.  At a fold
+the determinant is zero and geometrical optics gives infinite light; it is cut at `BRIGHTEST` times the bare view.
+
+A spot is a Gaussian (diffraction) integrated over the pixel.  Nothing here comes from the tracer's kernels or the
+correction: the same room that renders the bench's targets traces these rays.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from ground.rows import run_rows
+from sim.flow.kernels.splat import count_bands, order_by_band, splat
+from sim.flow.kernels.views import NUMBERS, cell_bins, find_images, judge_cells, trace_nodes
+from sim.prints.patterns import Pose
+from sim.renderer.render import Aperture, SceneTables, tables_of
+from tracer.errors import SceneError
+from tracer.scene import Scene
+
+Float64 = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+
+STEP_PX = 2.0
+BRIGHTEST = 30.0
+BLOCK_POINTS = 4096
+BAND_ROWS = 64
+PHASES = 64
+REACH_SIGMAS = 4.0
+MARGIN_PX = 12.0  # images whose middle lies beside the sensor still reach into it
+BIN_CELLS = 2.0
+
+
+def pupil_points(count: int) -> Float64:
+    """Points (K, 2) of equal weight in the unit disc: 1, or a middle and rings of 6, 12, ... points: 7, 19, 37.
+
+    Rings lie so that their shares of the area, and the second moment of the disc, are right.
+
+    Raises
+    ------
+    SceneError
+        `count` is not one of these numbers.
+    """
+    points, ring = [(0.0, 0.0)], 0
+    while len(points) < count:
+        ring += 1
+        radius2 = (len(points) + 3 * ring) / count
+        for k in range(6 * ring):
+            angle = 2.0 * np.pi * (k + 0.5 * (ring % 2)) / (6 * ring)
+            points.append((float(np.sqrt(radius2) * np.cos(angle)), float(np.sqrt(radius2) * np.sin(angle))))
+    if len(points) != count:
+        raise SceneError(f"a pupil has 1, 7, 19, 37 ... points, not {count}")
+    out = np.array(points)
+    if count > 1:
+        out *= np.sqrt(0.5 / np.mean(np.sum(np.square(out), axis=1)))
+    return out
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The rays of one point of the pupil, and the bins that find their cells."""
+
+    ways: Float32
+    tops: Float32
+    cells: NDArray[np.uint8]
+    starts: NDArray[np.int64]
+    entries: NDArray[np.int32]
+
+
+class ParticleView:
+    """What a camera sees of points of light between two heights.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and glass.
+    heights_mm : (float, float)
+        Lowest and highest z of the points; the plane z = 0 lies between them.
+    aperture : Aperture, optional
+        A finite pupil; None is a pinhole.
+    points_of_pupil : int
+        K: 7, 19, ... with an aperture; a pinhole has one.
+    step_px : float
+        Edge of a cell of the ray grid.
+    spot_px : float
+        Diameter (e^-2) of a point's image by diffraction.
+
+    Raises
+    ------
+    SceneError
+        A body crosses z = 0 or is neither sphere nor rod.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        heights_mm: tuple[float, float],
+        *,
+        aperture: Aperture | None = None,
+        points_of_pupil: int = 7,
+        step_px: float = STEP_PX,
+        spot_px: float = 2.4,
+    ) -> None:
+        low_mm, high_mm = heights_mm
+        if not low_mm < high_mm or not step_px > 0.0 or not spot_px > 0.0:
+            raise SceneError("a view needs two heights that differ, and positive step_px and spot_px")
+        self.shape = scene.camera.shape
+        self.heights_mm = heights_mm
+        self._step_px = step_px
+        self._tables = tables_of(scene, Pose(), aperture)
+        self._spots = _spot_table(0.25 * spot_px)
+        self._camera_z_mm = float(scene.camera.position_mm[2])
+        radius_mm = aperture.pupil_radius_mm if aperture is not None else 0.0
+        places = radius_mm * pupil_points(points_of_pupil if aperture is not None else 1)
+        rows, columns = (int(np.ceil((side + 2.0 * MARGIN_PX) / step_px)) + 1 for side in self.shape)
+        traced = [self._trace(rows, columns, place) for place in places]
+        self.corners_mm = _extent(traced, self._bare_mm(), heights_mm)
+        self._edge_mm = BIN_CELLS * step_px * self._tables.px_mm
+        (x0, y0), (x1, y1) = self.corners_mm
+        counts = [max(1.0, np.ceil((high - low) / self._edge_mm)) for low, high in ((y0, y1), (x0, x1))]
+        self._corner = np.array([x0, y0, *counts])
+        self._views = [self._binned(*parts) for parts in traced]
+
+    def images(self, points_mm: Float64, shine: Float64) -> Float32:
+        """All images (M, 3) of points (N, 3): u, v [px], light; `shine` (N,) is that of each without glass."""
+        points, weights = np.ascontiguousarray(points_mm, np.float64), np.ascontiguousarray(shine, np.float64)
+        share = weights / len(self._views)
+        blocks = -(-len(points) // BLOCK_POINTS)
+        found: list[list[Float32]] = [[] for _ in range(blocks)]
+
+        def block(first: int, last: int) -> None:
+            for index in range(first, last):
+                part = slice(index * BLOCK_POINTS, (index + 1) * BLOCK_POINTS)
+                found[index] = [self._images_by(view, points[part], share[part]) for view in self._views]
+
+        run_rows(block, blocks, 1)
+        return np.concatenate([part for parts in found for part in parts] or [np.empty((0, 3), np.float32)])
+
+    def light(self, points_mm: Float64, shine: Float64) -> Float32:
+        """Light of points (N, 3) on the pixels, float32 (H, W): a point of shine 1 gives 1 in all, seen bare."""
+        images = self.images(points_mm, shine)
+        height, width = self.shape
+        bands = -(-height // BAND_ROWS)
+        counts = np.zeros(bands + 2, np.int64)
+        count_bands(images, BAND_ROWS, counts)
+        ends = np.cumsum(counts)
+        ordered = np.empty_like(images)
+        order_by_band(images, BAND_ROWS, ends - counts, ordered)
+        out = np.zeros((height, width), np.float32)
+
+        def band(first: int, last: int) -> None:
+            for index in range(first, last):
+                rows = slice(index * BAND_ROWS, min((index + 1) * BAND_ROWS, height))
+                near = ordered[ends[index] - counts[index] : ends[index + 2]]  # the bands above and below, too
+                splat(near, rows.start, rows.stop, self._spots, out)
+
+        run_rows(band, bands, 1)
+        return out
+
+    def peak(self) -> float:
+        """Light on the brightest pixel of a point of shine 1 that is seen bare, in the middle of a pixel."""
+        return float(self._spots[0].max() ** 2)
+
+    def _images_by(self, view: _Table, points: Float64, shine: Float64) -> Float32:
+        room = 2 * len(points) + 16
+        while True:
+            out = np.empty((room, 3), np.float32)
+            found = find_images(
+                points,
+                shine,
+                view.ways,
+                view.tops,
+                view.cells,
+                view.starts,
+                view.entries,
+                self._corner,
+                self._edge_mm,
+                self._camera_z_mm,
+                -MARGIN_PX,
+                self._step_px,
+                BRIGHTEST,
+                out,
+            )
+            if found <= room:
+                return out[:found]
+            room = found
+
+    def _trace(self, rows: int, columns: int, place_mm: Float64) -> tuple[Float32, Float32, NDArray[np.uint8]]:
+        ways = np.empty((rows, columns, NUMBERS), np.float32)
+        tops = np.empty((rows, columns), np.float32)
+        chains = np.empty((rows, columns), np.int64)
+        t: SceneTables = self._tables
+        world = (t.camera, t.spheres, t.rods, t.bounds, t.plane)
+
+        def block(first: int, last: int) -> None:
+            grid = (-MARGIN_PX, self._step_px, float(place_mm[0]), float(place_mm[1]))
+            trace_nodes(first, last, *grid, *world, ways, tops, chains)
+
+        run_rows(block, rows, 8)
+        cells = np.empty((rows - 1, columns - 1), np.uint8)
+        judge_cells(chains, cells)
+        return ways, tops, cells
+
+    def _binned(self, ways: Float32, tops: Float32, cells: NDArray[np.uint8]) -> _Table:
+        bins = int(self._corner[2] * self._corner[3])
+        counts = np.zeros(bins, np.int64)
+        about = (ways, cells, *self.heights_mm, self._corner, self._edge_mm)
+        cell_bins(*about, counts, np.empty(0, np.int32))
+        starts = np.concatenate(([0], np.cumsum(counts)))
+        entries = np.empty(int(starts[-1]), np.int32)
+        cell_bins(*about, starts[:-1].copy(), entries)
+        return _Table(ways, tops, cells, starts, entries)
+
+    def _bare_mm(self) -> Float64:
+        """Corners of the view without glass at z = 0: (2, 2), low and high, x and y."""
+        height, width = self.shape
+        camera = self._tables.camera
+        focal, cu, cv = camera[:3]
+        rotation = camera[6:15].reshape(3, 3)
+        corners = np.array([[u, v] for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])
+        rays = np.column_stack(((corners - (cu, cv)) / focal, np.ones(4))) @ rotation
+        places = camera[3:5] - rays[:, :2] / rays[:, 2:] * camera[5]
+        return np.array([places.min(axis=0), places.max(axis=0)])
+
+
+def _extent(
+    traced: list[tuple[Float32, Float32, NDArray[np.uint8]]], bare_mm: Float64, heights_mm: tuple[float, float]
+) -> Float64:
+    """Corners (2, 2) of what is seen between two heights, at most an eighth beyond the bare view."""
+    room = 0.125 * (bare_mm[1] - bare_mm[0])
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for ways, tops, _ in traced:
+        seen = ways[tops > max(heights_mm)]
+        for z in heights_mm:
+            places = seen[:, :2] + np.float32(z) * seen[:, 2:4]
+            if len(places):
+                low, high = np.minimum(low, places.min(axis=0)), np.maximum(high, places.max(axis=0))
+    return np.array([np.maximum(low, bare_mm[0] - room), np.minimum(high, bare_mm[1] + room)])
+
+
+def _spot_table(sigma_px: float) -> Float64:
+    """Light on pixels k - r (phases + 1, 2 r + 2) of a Gaussian that lies a phase beyond the middle of pixel 0."""
+    reach = int(np.ceil(REACH_SIGMAS * sigma_px + 0.5))
+    place = np.arange(PHASES + 1)[:, None] / PHASES
+    edges = np.arange(-reach, reach + 3)[None, :] - 0.5
+    parts = np.diff(ndtr((edges - place) / sigma_px), axis=1)
+    return np.asarray(parts / parts.sum(axis=1, keepdims=True))
