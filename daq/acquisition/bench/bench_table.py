@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from correction.board import Chessboard
+from daq.acquisition.bench.pairs_section import PairsSection
 from daq.acquisition.cameras.camera import Setting
 from ground.config import Document, Table
 from stages.config import AxisTable, Name, Positive, StagesTable
@@ -34,6 +35,7 @@ class CameraSection(Table):
     timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0
     retakes: Annotated[int, Field(ge=0, le=100)] = 3  # of a software-triggered frame that did not arrive whole
     back_within_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 20.0  # patience with a camera that was lost
+    pairs: PairsSection | None = None  # of double-frame cameras
 
 
 class GlassSection(Table):
