@@ -43,7 +43,9 @@ class PairsSection(Table):
     line: Annotated[int, Field(ge=0, le=63)] | None = None
     counter: Annotated[str, Field(min_length=1)] | None = None
     first: Annotated[int, Field(ge=0, le=1_000_000)] = 1
-    gap_us: Positive | None = None  # start of exposure A to start of exposure B
+    dead_us: Annotated[float, Field(ge=0.0, le=1e6)]  # from the end of exposure A to the start of exposure B
+    start_delay_us: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0  # from the trigger to the start of exposure A
+    margin_us: Annotated[float, Field(ge=0.0, le=1e5)] = 2.0  # between light and either end of an exposure
     second_exposure_us: Positive | None = None  # of B, where the camera decides it
     most_hz: Positive | None = None  # pairs a second that the camera can take
 
@@ -56,7 +58,7 @@ class PairsSection(Table):
             raise ValueError(
                 f"nothing tells A from B; give a marker of {self.shape} frames: line_status, counter or spacing"
             )
-        for marker, key in (("line_status", "line"), ("counter", "counter"), ("spacing", "gap_us")):
+        for marker, key in (("line_status", "line"), ("counter", "counter")):
             if self.marker == marker and getattr(self, key) is None:
                 raise ValueError(f"marker {marker} needs {key}")
         if self.shape in ("straddling", "burst") and self.second_exposure_us is not None:

@@ -1,18 +1,17 @@
 """Frames in the order of their arrival to pairs that are sure; a pair that is not sure is none, and is counted.
 
-The camera shows A, B, A, B ... at a known rate, and anything may happen on the way: first frames are skipped, later
-ones too, with or without an id; frames come twice, too late or not at all; a trigger bounces and exposes once more.
-Two frames are a pair only if everything that is known says so:
+The camera shows A, B, A, B ... at a known rate, and anything may happen on the way: first frames are skipped,
+later ones too, with or without an id; frames come twice, too late or not at all; a trigger bounces and exposes
+once more.  Two frames are a pair only if everything that is known says so:
 
-* the marker calls the first one A and the second one B, and no frame between them, by their ids;
-* they are as far apart as A and B are: less than `longest_gap` of the period, which no two exposures of different
-  pulses can be, for B of the next pulse comes a whole period later;
-* every pair has the same gap, that of the settings or of the first pair;
+* the marker calls the first one A and the second one B, and no frame came between them, by their ids;
+* they are as far apart as the camera is set to take A and B, and nearer than two exposures of different pulses can
+  be: B of the next pulse comes a whole period later;
 * no other frame was exposed within their period, so the frame behind them is waited for.
 
-What is doubtful is dropped with all that it touches.  A frame is told by its own marker and time, so nothing has to
-be learnt by counting, and no fault can swap the pairs behind it.  The one thing that no stream of frames can show is
-a marker wired to exposure B of evenly spaced frames.
+What is doubtful is dropped with all that it touches.  A frame is told by its own marker and time, so nothing has
+to be learnt by counting, and no fault can swap the pairs behind it.  What no stream of frames can show is a marker
+that is wired to exposure B of evenly spaced frames.
 """
 
 from collections import Counter
@@ -27,7 +26,7 @@ T = TypeVar("T")
 Exposure = Literal["A", "B"]
 OTHER_PULSE = 0.9  # of a period: what is farther apart than that shows another pulse
 STRADDLING = 0.6  # evenly spaced frames are half a period apart
-SAME_GAP = 0.05  # of a period, by which the gaps of pairs may differ
+GAP_OFF_NS, GAP_OFF = 100_000, 0.01  # by which the gap of a pair may differ from the settings, and a share of it
 
 LATE, DOUBLED, UNMARKED = "came late", "came twice", "not marked"
 ALONE, UNSURE, NO_CLOCK = "without its partner", "in doubt", "without a time stamp"
@@ -49,15 +48,17 @@ class PairFinder(Generic[T]):
         How pairs come and are marked.
     rate_hz : float
         Pairs a second.
+    gap_us : float
+        From the start of exposure A to the start of exposure B.
     reject : callable
         Gets every item that is in no pair, once.
     """
 
-    def __init__(self, section: PairsSection, rate_hz: float, reject: Callable[[T], None]) -> None:
+    def __init__(self, section: PairsSection, rate_hz: float, gap_us: float, reject: Callable[[T], None]) -> None:
         self._section = section
-        self._period_ns = 1e9 / rate_hz
+        self._period_ns, self._gap_ns = 1e9 / rate_hz, 1e3 * gap_us
         self._longest_ns = longest_gap(section) * self._period_ns
-        self._gap_ns = None if section.gap_us is None else 1e3 * section.gap_us
+        self._off_ns = GAP_OFF_NS + GAP_OFF * self._gap_ns
         self._reject_item = reject
         self._first: _Held[T] | None = None  # an A that waits for its B
         self._pair: tuple[_Held[T], _Held[T]] | None = None  # waits for the frame behind it
@@ -74,8 +75,8 @@ class PairFinder(Generic[T]):
         if last is not None and meta.sequence <= last.sequence:
             self._reject(held, DOUBLED if meta.timestamp_ns == last.timestamp_ns else LATE)
             return None
-        if last is not None and meta.timestamp_ns == last.timestamp_ns and self._section.told_by != "halves":
-            self._reject(held, DOUBLED)  # the same exposure with an id of its own
+        if last is not None and self._is_copy(meta, last):  # the same exposure with an id of its own
+            self._reject(held, DOUBLED)
             self._last = meta
             return None
         exposure, self._last = self._exposure(meta), meta
@@ -116,7 +117,9 @@ class PairFinder(Generic[T]):
             self._doubt(held.meta)
             held.is_doubtful = True
         if self._first is not None:
-            held.is_doubtful |= self._is_near(self._first.meta, held.meta)
+            # by its spacing alone a B without its A looks like another A
+            is_spaced = self._section.told_by == "spacing"
+            held.is_doubtful |= not is_spaced and self._is_near(self._first.meta, held.meta)
             self._reject(self._first, UNSURE if self._first.is_doubtful else ALONE)
         self._first = held
         return self._release()
@@ -139,17 +142,22 @@ class PairFinder(Generic[T]):
         self._pair = (first, held)
         return found
 
+    def _is_copy(self, meta: FrameMeta, last: FrameMeta) -> bool:
+        """Whether a frame is the one before once more; the halves of a buffer have one stamp."""
+        is_second_half = (
+            self._section.told_by == "halves" and meta.sequence == last.sequence + 1 and meta.sequence % 2
+        )
+        return meta.timestamp_ns == last.timestamp_ns != 0 and not is_second_half
+
     def _is_the_gap(self, first: FrameMeta, second: FrameMeta) -> bool:
         if self._section.told_by == "halves":
             return True
         gap_ns = second.timestamp_ns - first.timestamp_ns
-        if gap_ns > self._longest_ns:
-            return False
-        return self._gap_ns is None or abs(gap_ns - self._gap_ns) <= SAME_GAP * self._period_ns
+        return gap_ns <= self._longest_ns and abs(gap_ns - self._gap_ns) <= self._off_ns
 
     def _is_near(self, one: FrameMeta, other: FrameMeta) -> bool:
         """Whether two exposures are nearer than two A of different pulses can be."""
-        if self._section.told_by == "halves":
+        if other.timestamp_ns == 0:  # halves of a buffer are a pair without any clock
             return False
         return abs(other.timestamp_ns - one.timestamp_ns) < OTHER_PULSE * self._period_ns
 
@@ -169,8 +177,6 @@ class PairFinder(Generic[T]):
         pair, self._pair = self._pair, None
         if pair is None:
             return None
-        if self._gap_ns is None:
-            self._gap_ns = float(pair[1].meta.timestamp_ns - pair[0].meta.timestamp_ns)
         self.pairs += 1
         return pair[0].item, pair[1].item
 
