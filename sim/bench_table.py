@@ -34,6 +34,9 @@ class FaultsTable(Table):
 
     incomplete: list[int] = Field(default_factory=list)
     dropped: list[int] = Field(default_factory=list)
+    skipped: list[int] = Field(default_factory=list)
+    doubled: list[int] = Field(default_factory=list)
+    first_skipped: Annotated[int, Field(ge=0, le=100)] = 0
     late_s: dict[str, float] = Field(default_factory=dict)
     lost_at: int | None = None
     back_after_s: float | None = None
@@ -99,6 +102,9 @@ def fault_plan(table: FaultsTable, exposures_before: int) -> FaultPlan:
     return FaultPlan(
         incomplete=tuple(here(number) for number in table.incomplete if here(number) >= 0),
         dropped=tuple(here(number) for number in table.dropped if here(number) >= 0),
+        skipped=tuple(here(number) for number in table.skipped if here(number) >= 0),
+        doubled=tuple(here(number) for number in table.doubled if here(number) >= 0),
+        first_skipped=table.first_skipped,
         late_s=late,
         lost_at=one(table.lost_at),
         back_after_s=table.back_after_s,

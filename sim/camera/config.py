@@ -36,6 +36,10 @@ class CameraConfig:
         Whether the clock can be read (TimestampLatch); frames are stamped all the same.
     stamp_offset_ns : int
         By how much the stamps of frames are ahead of the clock that can be read: another clock.
+    wires : str
+        Socket of `sim.camera.wires.Wires`, over which pulses come to the input lines; "" where none is wired.
+    has_chunks : bool
+        Whether frames can carry chunk data.
     faults : FaultPlan
         Scheduled faults.
     """
@@ -53,6 +57,8 @@ class CameraConfig:
     delivers: str = ""
     has_clock: bool = True
     stamp_offset_ns: int = 0
+    wires: str = ""
+    has_chunks: bool = True
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def to_json(self) -> str:
@@ -64,6 +70,6 @@ class CameraConfig:
         """Inverse of `to_json`; an unknown name is a TypeError."""
         data = json.loads(text)
         faults = dict(data.pop("faults", {}))
-        for name in ("incomplete", "dropped"):
+        for name in ("incomplete", "dropped", "skipped", "doubled"):
             faults[name] = tuple(faults.get(name, ()))
         return cls(faults=FaultPlan(**faults), **data)

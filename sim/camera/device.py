@@ -8,18 +8,26 @@ Frame numbers and ids rise from power-up and are not reset by AcquisitionStart, 
 """
 
 import logging
+import random
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.camera.chunks import tail, tail_bytes
 from sim.camera.config import CameraConfig
 from sim.camera.darkroom import Darkroom, Picture
 from sim.camera.exposure import Exposure, Shutter
+from sim.camera.features import CHUNK_FEATURES, CHUNKS
+from sim.camera.lines import RESET_LINE, Lines
 from sim.camera.packing import payload_bytes
 from sim.camera.registers import RegisterMap, Value, WriteProtected
-from sim.camera.source import FrameSource, PatternSource, load_source
+from sim.camera.source import FrameSource, PatternSource, image_of, load_source
+from sim.camera.wires import listen
 
 log = logging.getLogger(__name__)
 VENDOR = "rtpiv"
@@ -41,12 +49,25 @@ class SimFrame:
     timestamp_ns: int
     picture: Picture
     is_incomplete: bool
+    chunks: Mapping[str, int] = field(default_factory=dict)  # by name, in the order in which they are sent
+
+    @property
+    def tail(self) -> bytes:
+        """What is sent behind the pixels."""
+        return tail(self.picture.payload.size, self.chunks)
 
 
 @dataclass(frozen=True, slots=True)
 class _Pending:
+    """A frame that is to be read out: one exposure, or A and B of a double-height frame."""
+
     trigger_index: int
-    exposure: Exposure
+    exposures: tuple[Exposure, ...]
+    of_trigger: int  # its number among the frames of its trigger, 1 first
+
+    @property
+    def read_ns(self) -> int:
+        return self.exposures[-1].read_ns
 
 
 class SimCamera:
@@ -62,7 +83,9 @@ class SimCamera:
 
     def __init__(self, config: CameraConfig, source: FrameSource | None = None) -> None:
         self.config = config
-        self.registers = RegisterMap(VENDOR, MODEL, () if config.has_clock else CLOCK)
+        without_chunks = () if config.has_chunks else tuple(feature.name for feature in CHUNK_FEATURES)
+        without_clock = () if config.has_clock else CLOCK
+        self.registers = RegisterMap(VENDOR, MODEL, (*without_clock, *without_chunks))
         self.sink: Callable[[SimFrame], None] | None = None
         self.on_lost: Callable[[], None] | None = None
         self._source = source or _source_of(config)
@@ -80,12 +103,19 @@ class SimCamera:
         self._frames_left = -1
         self._missed_before = 0
         self._next_free_run_ns = 0
+        self._exposures = 0  # that were asked for, whether they were made or skipped
+        self._skip = 0
+        self._random = random.Random(config.faults.seed)
+        self._lines = Lines()
+        self._chunks_on: set[str] = set()
         self._darkroom = Darkroom(self.registers, config.bits, config.delivers)
         self.registers.on_write = self._written
         self.registers.before_read = self._refresh
         self._power_up_settings()
         self._thread = threading.Thread(target=self._run, name=f"camera {config.serial}", daemon=True)
         self._thread.start()
+        if config.wires:
+            listen(config.wires, self.line_pulse)
 
     @property
     def is_lost(self) -> bool:
@@ -125,9 +155,15 @@ class SimCamera:
 
     def line_edge(self) -> None:
         """Rising edge on Line1, from a simulated synchroniser."""
+        now_ns = time.monotonic_ns()
+        self.line_pulse(1, now_ns, now_ns)
+
+    def line_pulse(self, line: int, rise_ns: int, fall_ns: int) -> None:
+        """Take a pulse on an input line, with its edges on the host's monotonic clock."""
         with self._wake:
-            if self.registers.entry("TriggerSource") == "Line1":
-                self._trigger()
+            self._lines.note(line, rise_ns, fall_ns)
+            if self.registers.entry("TriggerSource") == f"Line{line}":
+                self._trigger(rise_ns)
 
     def stop(self) -> None:
         """Stop the acquisition (a client left)."""
@@ -148,6 +184,7 @@ class SimCamera:
     def _power_up_settings(self) -> None:
         put = self.registers.put
         self.registers.reset()
+        self._chunks_on.clear()
         put("DeviceVendorName", VENDOR)
         put("DeviceModelName", MODEL)
         put("DeviceVersion", "1.0")
@@ -161,19 +198,33 @@ class SimCamera:
         registers = self.registers
         for size, offset, sensor in (
             ("Width", "OffsetX", self.config.width),
-            ("Height", "OffsetY", self.config.height),
+            ("Height", "OffsetY", self.config.height * (2 if self._is_stacked else 1)),
         ):
             registers.put(f"{size}Max", sensor - registers.integer(offset))
             registers.put(f"{offset}Max", sensor - registers.integer(size))
         size_bytes = payload_bytes(
             registers.entry("PixelFormat"), registers.integer("Width"), registers.integer("Height")
         )
-        registers.put("PayloadSize", size_bytes)
+        registers.put("PayloadSize", size_bytes + tail_bytes(len(self._chunk_names())))
+
+    @property
+    def _is_stacked(self) -> bool:
+        """Whether A and B of a double frame are sent as one picture, A on top."""
+        registers = self.registers
+        return registers.integer("DoubleFrameEnable") == 1 and registers.entry("DoubleFrameLayout") == "OneBuffer"
+
+    def _chunk_names(self) -> list[str]:
+        """Chunks that frames carry now."""
+        if not (self.config.has_chunks and self.registers.integer("ChunkModeActive")):
+            return []
+        return [name for name in CHUNKS if name in self._chunks_on]
 
     def _refresh(self, name: str) -> None:
         if name == "CounterValue":
             counts = self.registers.entry("CounterEventSource") == "FrameTriggerMissed"
             self.registers.put(name, self._shutter.missed - self._missed_before if counts else 0)
+        if name == "ChunkEnable":
+            self.registers.put(name, int(self.registers.entry("ChunkSelector") in self._chunks_on))
 
     def _written(self, name: str, value: Value) -> None:
         commands = {
@@ -189,7 +240,14 @@ class SimCamera:
             return
         if self._is_acquiring and name in ("Width", "Height", "OffsetX", "OffsetY", "PixelFormat"):
             raise WriteProtected(f"{name} while the acquisition runs")
+        was_stacked = self._is_stacked
         self.registers.put(name, value)
+        if name == "ChunkEnable":
+            change = self._chunks_on.add if value else self._chunks_on.discard
+            change(self.registers.entry("ChunkSelector"))
+        if self._is_stacked != was_stacked:
+            self.registers.put("OffsetY", 0)
+            self.registers.put("Height", self.config.height * (2 if self._is_stacked else 1))
         self._update_derived()
         if name in ("AcquisitionFrameRate", "AcquisitionFrameRateEnable", "TriggerMode"):
             self._next_free_run_ns = time.monotonic_ns()
@@ -216,6 +274,7 @@ class SimCamera:
         }
         self._frames_left = counts[mode]
         self._pending.clear()
+        self._skip = self._random.randint(0, self.config.faults.first_skipped)
         self._is_acquiring = True
         self._next_free_run_ns = time.monotonic_ns()
         self._wake.notify_all()
@@ -229,27 +288,42 @@ class SimCamera:
         if self.registers.entry("TriggerSource") == "Software":
             self._trigger()
 
-    def _trigger(self) -> None:
+    def _trigger(self, at_ns: int | None = None) -> None:
         if not self._is_acquiring or self.registers.entry("TriggerMode") != "On":
             self._shutter.missed += 1
             return
-        self._expose(time.monotonic_ns())
+        self._expose(time.monotonic_ns() if at_ns is None else at_ns)
 
     def _expose(self, now_ns: int) -> None:
         registers = self.registers
         exposure_ns = round(registers.number("ExposureTime") * 1e3)
-        readout_ns = round(registers.integer("Height") * self.config.row_time_us * 1e3)
-        is_double = registers.integer("DoubleFrameEnable") == 1
+        is_double, is_stacked = registers.integer("DoubleFrameEnable") == 1, self._is_stacked
+        rows = registers.integer("Height") // (2 if is_stacked else 1)
+        readout_ns = round(rows * self.config.row_time_us * 1e3)
         interval_ns = round(registers.number("DoubleFrameInterval") * 1e3) if is_double else None
-        exposures = self._shutter.fire(now_ns, exposure_ns, readout_ns, interval_ns)
+        is_burst = (
+            registers.entry("TriggerMode") == "On" and registers.entry("TriggerSelector") == "FrameBurstStart"
+        )
+        burst = registers.integer("AcquisitionBurstFrameCount") if is_burst else 1
+        exposures = self._shutter.fire(now_ns, exposure_ns, readout_ns, interval_ns, burst)
         if not exposures:
             return
-        for exposure in exposures:
-            if self._frames_left != 0:
-                self._pending.append(_Pending(self._triggers, exposure))
-                self._frames_left -= 1 if self._frames_left > 0 else 0
+        frames = [exposures] if is_stacked else [(exposure,) for exposure in exposures]
+        made = 0
+        for frame in frames:
+            if self._frames_left == 0 or self._is_skipped():
+                continue
+            made += 1
+            self._pending.append(_Pending(self._triggers, frame, made))
+            self._frames_left -= 1 if self._frames_left > 0 else 0
         self._triggers += 1
         self._wake.notify_all()
+
+    def _is_skipped(self) -> bool:
+        """Whether the next exposure is not made, though nothing says so."""
+        number, self._exposures = self._exposures, self._exposures + 1
+        is_first, self._skip = self._skip > 0, max(0, self._skip - 1)
+        return is_first or number in self.config.faults.skipped
 
     def _run(self) -> None:
         while True:
@@ -262,7 +336,7 @@ class SimCamera:
                     self._wake.wait(max(0.0, wait_s))
                     continue
                 pending = self._pending.popleft() if self._pending else None
-                if pending is not None and pending.exposure.read_ns > time.monotonic_ns():
+                if pending is not None and pending.read_ns > time.monotonic_ns():
                     self._pending.appendleft(pending)  # what was due is the next free-running exposure
                     continue
             if pending is not None:
@@ -276,13 +350,13 @@ class SimCamera:
             exposure_ns = round(self.registers.number("ExposureTime") * 1e3)
             start_ns = max(self._next_free_run_ns, self._shutter.earliest_ns(exposure_ns))
             if start_ns > now_ns:
-                return min(start_ns, self._pending[0].exposure.read_ns) if self._pending else start_ns
+                return min(start_ns, self._pending[0].read_ns) if self._pending else start_ns
             self._expose(now_ns)
             limited = self.registers.integer("AcquisitionFrameRateEnable") == 1
             period_ns = round(1e9 / self.registers.number("AcquisitionFrameRate")) if limited else 0
             late = now_ns - self._next_free_run_ns > 5 * period_ns
             self._next_free_run_ns = (now_ns if late else self._next_free_run_ns) + period_ns
-        return self._pending[0].exposure.read_ns if self._pending else None
+        return self._pending[0].read_ns if self._pending else None
 
     def _finish(self, pending: _Pending) -> None:
         """Read the sensor out: faults first, then pixels, then the transport."""
@@ -302,25 +376,50 @@ class SimCamera:
             self._restart()
             return
         try:
-            sensor = self._source.frame(pending.trigger_index, pending.exposure.start_ns)
+            sensor = self._picture(pending)
         except OSError as error:  # a remote world that ended takes its camera along
             log.error("no picture for frame %d: %s", number, error)
             self._lose()
             return
         if not self._is_acquiring:
             return
+        start_ns = pending.exposures[0].start_ns
         frame = SimFrame(
             number,
             frame_id,
             pending.trigger_index,
-            pending.exposure.start_ns - self._power_up_ns + self.config.stamp_offset_ns,
+            start_ns - self._power_up_ns + self.config.stamp_offset_ns,
             self._darkroom.develop(sensor),
             number in faults.incomplete,
+            self._chunk_values(start_ns, pending.of_trigger),
         )
         time.sleep(float(faults.late_s.get(str(number), 0.0)))
         sink = self.sink
         if sink is not None and number not in faults.dropped:
             sink(frame)
+            if number in faults.doubled:
+                frame_id, self._next_id = self._next_id, self._next_id + 1
+                sink(replace(frame, frame_id=frame_id))
+
+    def _picture(self, pending: _Pending) -> NDArray[np.uint16]:
+        """What the sensor has seen; of a double-height frame both images, A on top."""
+        images = [
+            image_of(self._source, pending.trigger_index, exposure.start_ns, exposure.end_ns)
+            for exposure in pending.exposures
+        ]
+        return images[0] if len(images) == 1 else np.vstack(images)
+
+    def _chunk_values(self, start_ns: int, of_trigger: int) -> dict[str, int]:
+        """Chunk data of a frame whose exposure began then."""
+        with self._wake:
+            names = self._chunk_names()
+            self._lines.expose(start_ns)
+            values = {
+                "LineStatusAll": self._lines.status(start_ns),
+                "CounterValue": self._lines.exposures_since(RESET_LINE, start_ns),
+                "FramesPerTriggerCounter": of_trigger,
+            }
+        return {name: values[name] for name in names}
 
     def _restart(self) -> None:
         """Begin anew, and go on acquiring with the settings after power-up."""

@@ -33,7 +33,7 @@ class Shutter:
         return max(self._exposed_ns, self._read_ns - exposure_ns)
 
     def fire(
-        self, now_ns: int, exposure_ns: int, readout_ns: int, interval_ns: int | None = None
+        self, now_ns: int, exposure_ns: int, readout_ns: int, interval_ns: int | None = None, burst: int = 1
     ) -> tuple[Exposure, ...]:
         """Take a trigger.
 
@@ -45,11 +45,13 @@ class Shutter:
             Exposure time, and time to read the sensor out.
         interval_ns : int, optional
             Time from the start of A to the start of B; None for single images.
+        burst : int
+            Images of one trigger that follow each other as soon as the sensor can.
 
         Returns
         -------
         tuple of Exposure
-            One or two exposures; empty if the trigger was ignored.
+            Exposures of this trigger; empty if it was ignored.
         """
         if now_ns < self.earliest_ns(exposure_ns):
             self.missed += 1
@@ -61,4 +63,7 @@ class Shutter:
             start = max(now_ns + interval_ns, first_end)
             last = Exposure(start, first.read_ns, first.read_ns + readout_ns)
         self._exposed_ns, self._read_ns = last.end_ns, last.read_ns
-        return (first,) if interval_ns is None else (first, last)
+        taken: tuple[Exposure, ...] = (first,) if interval_ns is None else (first, last)
+        for _ in range(burst - 1):
+            taken += self.fire(self.earliest_ns(exposure_ns), exposure_ns, readout_ns)
+        return taken

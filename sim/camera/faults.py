@@ -17,6 +17,12 @@ class FaultPlan:
         Frames that arrive with a part of their pixels missing.
     dropped : tuple of int
         Frames whose id is used up but which never leave the camera.
+    skipped : tuple of int
+        Exposures, counted from power-up, that are never made: no frame, no id.
+    doubled : tuple of int
+        Frames that are sent a second time, with an id of their own.
+    first_skipped : int
+        Most exposures that are skipped whenever the acquisition starts; how many is drawn anew each time.
     late_s : mapping of str to float
         Extra delay before a frame leaves [s], by frame number (a string, as JSON has it).
     lost_at : int, optional
@@ -31,11 +37,14 @@ class FaultPlan:
     packet_loss : float
         Share of GigE stream packets that get lost on the way, 0 to 1.
     seed : int
-        Seed of the packet loss.
+        Seed of the packet loss, and of how many first exposures are skipped.
     """
 
     incomplete: tuple[int, ...] = ()
     dropped: tuple[int, ...] = ()
+    skipped: tuple[int, ...] = ()
+    doubled: tuple[int, ...] = ()
+    first_skipped: int = 0
     late_s: Mapping[str, float] = field(default_factory=dict)
     lost_at: int | None = None
     back_after_s: float | None = None

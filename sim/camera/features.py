@@ -22,7 +22,7 @@ class Feature:
     name, category : str
         SFNC name and category.
     kind : str
-        "int", "float", "enum", "bool", "string" or "command".
+        "int", "float", "enum", "bool", "string" or "command"; "chunk" for an integer that comes with frames.
     default : int, float or str
         Value after power-up; an enumeration's value is an entry's number.
     low, high : float or str
@@ -81,6 +81,15 @@ def _command(name: str, category: str) -> Feature:
     return Feature(name, category, "command")
 
 
+CHUNKS = ("LineStatusAll", "CounterValue", "FramesPerTriggerCounter")  # their ids are CHUNK_ID_BASE and up
+CHUNK_ID_BASE, CHUNK_BYTES = 0xC001, 8
+IMAGE_CHUNK_ID = 0xC000
+CHUNK_FEATURES = (
+    Feature("ChunkModeActive", "ChunkDataControl", "bool", 0, 0, 1, locked=True),
+    _enum("ChunkSelector", "ChunkDataControl", *CHUNKS, selects=("ChunkEnable",)),
+    Feature("ChunkEnable", "ChunkDataControl", "bool", 0, 0, 1, locked=True),
+    *(Feature(f"Chunk{name}", "ChunkDataControl", "chunk", high=2**63 - 1, access="RO") for name in CHUNKS),
+)
 _FORMAT_ENTRIES = tuple((name, code) for name, (code, _, _) in FORMATS.items())
 
 FEATURES: tuple[Feature, ...] = (
@@ -117,13 +126,16 @@ FEATURES: tuple[Feature, ...] = (
         "TriggerSelector",
         "AcquisitionControl",
         "FrameStart",
+        "FrameBurstStart",
         selects=("TriggerMode", "TriggerSource", "TriggerActivation", "TriggerSoftware"),
     ),
+    Feature("AcquisitionBurstFrameCount", "AcquisitionControl", "int", 2, 1, 255),
     _enum("TriggerMode", "AcquisitionControl", "Off", "On"),
     _enum("TriggerSource", "AcquisitionControl", "Software", "Line1"),
     _enum("TriggerActivation", "AcquisitionControl", "RisingEdge", "FallingEdge"),
     _command("TriggerSoftware", "AcquisitionControl"),
-    Feature("DoubleFrameEnable", "AcquisitionControl", "bool", 0, 0, 1),
+    Feature("DoubleFrameEnable", "AcquisitionControl", "bool", 0, 0, 1, locked=True),
+    _enum("DoubleFrameLayout", "AcquisitionControl", "TwoBlocks", "OneBuffer", locked=True),
     _number("DoubleFrameInterval", "AcquisitionControl", 25.0, 1.0, 1e6, "us"),
     _enum("GainSelector", "AnalogControl", "All", selects=("Gain",)),
     _number("Gain", "AnalogControl", 0.0, 0.0, 24.0, "dB"),
@@ -131,6 +143,7 @@ FEATURES: tuple[Feature, ...] = (
     _enum("CounterEventSource", "CounterAndTimerControl", "Off", "FrameTriggerMissed"),
     _read_only("CounterValue", "CounterAndTimerControl"),
     _command("CounterReset", "CounterAndTimerControl"),
+    *CHUNK_FEATURES,
     _read_only("PayloadSize", "TransportLayerControl"),
     Feature("GevSCPSPacketSize", "TransportLayerControl", "int", 1400, 576, 9000, address=0x0D04),
     Feature("GevSCPD", "TransportLayerControl", "int", 0, 0, 0x7FFFFFFF, address=0x0D08),

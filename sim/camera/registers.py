@@ -41,7 +41,7 @@ class RegisterMap:
     def __init__(self, vendor: str, model: str, without: Container[str] = ()) -> None:
         features = tuple(feature for feature in FEATURES if feature.name not in without)
         self._features = {feature.name: feature for feature in features}
-        self.addresses = _lay_out(features)
+        self.addresses = _lay_out(tuple(feature for feature in features if feature.kind != "chunk"))
         self._at = {address: self._features[name] for name, address in self.addresses.items()}
         top = max(address + self._at[address].length for address in self._at)
         self.bootstrap = bytearray(BOOTSTRAP_BYTES)
@@ -53,8 +53,12 @@ class RegisterMap:
 
     def reset(self) -> None:
         """Give every feature its value after power-up."""
-        for feature in self._features.values():
-            self.put(feature.name, feature.default)
+        for name in self.addresses:
+            self.put(name, self._features[name].default)
+
+    def has(self, name: str) -> bool:
+        """Whether this camera has a feature."""
+        return name in self._features
 
     def get(self, name: str) -> Value:
         """Value of a feature; an enumeration's value is its number."""

@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.camera.source import FrameSource
+from sim.camera.source import FrameSource, image_of
 
 SOCKET_NAME, FRAME_NAME = "frames.sock", "frame.bin"
 DEADLINE_S = 120.0  # a renderer may think for a while
 MAX_LINE_BYTES = 4096
+ASKED = ("trigger_index", "start_ns", "end_ns")
 
 
 class FrameServer:
@@ -87,7 +88,7 @@ class FrameServer:
         try:
             asked = json.loads(line)
             with self._drawing:
-                image = self._source.frame(int(asked["trigger_index"]), int(asked["time_ns"]))
+                image = image_of(self._source, *(int(asked[name]) for name in ASKED))
                 self._frame[:] = image
         except Exception as error:  # the camera's process shall know why there is no frame
             return {"error": f"{type(error).__name__}: {error}"}
@@ -113,8 +114,12 @@ class RemoteSource:
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
     def frame(self, trigger_index: int, time_ns: int) -> NDArray[np.uint16]:
+        """Ask the server for one short exposure; OSError if it is gone or cannot draw."""
+        return self.exposed(trigger_index, time_ns, time_ns)
+
+    def exposed(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
         """Ask the server for one exposure; OSError if it is gone or cannot draw."""
-        request = {"trigger_index": trigger_index, "time_ns": time_ns}
+        request = dict(zip(ASKED, (trigger_index, start_ns, end_ns), strict=True))
         self._socket.sendall(json.dumps(request).encode() + b"\n")
         line = self._lines.readline(MAX_LINE_BYTES)
         answer = json.loads(line) if line else {"error": "the frame server is gone"}

@@ -7,7 +7,7 @@ are named by "package.module:factory" with JSON arguments, because the camera ma
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,30 @@ class FrameSource(Protocol):
             only once.
         """
         ...
+
+
+@runtime_checkable
+class LitSource(Protocol):
+    """A source that needs to know how long the shutter was open, because light comes in pulses."""
+
+    def exposed(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
+        """Return the sensor's image of one exposure, as `FrameSource.frame` does.
+
+        Parameters
+        ----------
+        trigger_index : int
+            As there.
+        start_ns, end_ns : int
+            Of the exposure, on the host's monotonic clock.
+        """
+        ...
+
+
+def image_of(source: FrameSource, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
+    """One exposure of a source that may want to know its end."""
+    if isinstance(source, LitSource):
+        return source.exposed(trigger_index, start_ns, end_ns)
+    return source.frame(trigger_index, start_ns)
 
 
 class PatternSource:

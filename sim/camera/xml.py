@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from xml.sax.saxutils import escape
 
-from sim.camera.features import Feature
+from sim.camera.features import CHUNK_BYTES, CHUNK_ID_BASE, CHUNKS, Feature
 
 _HEADER = (
     '<?xml version="1.0" encoding="utf-8"?>\n'
@@ -38,6 +38,17 @@ def _register(feature: Feature, address: int) -> str:
     )
 
 
+def _chunk(feature: Feature) -> str:
+    """Register within the data that came with the last frame, and the port that finds it by its id."""
+    number = CHUNK_ID_BASE + CHUNKS.index(feature.name.removeprefix("Chunk"))
+    return (
+        f'<IntReg Name="{feature.name}_Reg"><Address>0x0</Address><Length>{CHUNK_BYTES}</Length>'
+        f"<AccessMode>RO</AccessMode><pPort>{feature.name}_Port</pPort><Cachable>NoCache</Cachable>"
+        "<Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>\n"
+        f'<Port Name="{feature.name}_Port"><ChunkID>{number:08X}</ChunkID></Port>\n'
+    )
+
+
 def _selected(feature: Feature) -> str:
     return "".join(f"<pSelected>{name}</pSelected>" for name in feature.selects)
 
@@ -56,6 +67,8 @@ def _node(feature: Feature) -> str:
             f'<EnumEntry Name="{entry}"><Value>{number}</Value></EnumEntry>' for entry, number in feature.entries
         )
         return f'<Enumeration Name="{feature.name}">{locked}{entries}{value}{_selected(feature)}</Enumeration>\n'
+    if feature.kind == "chunk":
+        return f'<Integer Name="{feature.name}">{value}</Integer>\n'
     limits = _limit("Min", feature.low) + _limit("Max", feature.high)
     if feature.kind == "float":
         unit = f"<Unit>{escape(feature.unit)}</Unit>" if feature.unit else ""
@@ -90,7 +103,8 @@ def describe(features: Iterable[Feature], addresses: Mapping[str, int], vendor: 
     for feature in features:
         if feature.kind != "string":
             parts.append(_node(feature))
-        parts.append(_register(feature, addresses[feature.name]))
+        is_chunk = feature.kind == "chunk"
+        parts.append(_chunk(feature) if is_chunk else _register(feature, addresses[feature.name]))
     parts.append(
         '<Integer Name="TLParamsLocked"><Visibility>Invisible</Visibility><Value>0</Value><Min>0</Min>'
         "<Max>1</Max></Integer>\n"

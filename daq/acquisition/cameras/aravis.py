@@ -13,7 +13,7 @@ Discovery would broadcast on all interfaces of the machine, so the device is mad
 import ctypes
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -29,7 +29,13 @@ from daq.acquisition.cameras.ids import IdTracker
 from daq.acquisition.cameras.libaravis import CHECK_ENABLED, STATUS_SUCCESS, AravisError, call, functions
 from daq.acquisition.cameras.pixels import unpack, warm_up
 from daq.acquisition.cameras.ring import FrameRing
-from daq.acquisition.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
+from daq.acquisition.cameras.sfnc import (
+    apply_or_restore,
+    count_missed_triggers,
+    enable_chunks,
+    exposure_us,
+    verify_settings,
+)
 from daq.acquisition.cameras.waiting import PROBE_MIN_S, wait_for_frame
 from daq.errors import (
     BadFrame,
@@ -67,6 +73,8 @@ class AravisCamera:
         self._stream = 0
         self._info: CameraInfo | None = None
         self._configured: dict[str, Setting] = {}
+        self._chunks: tuple[str, ...] = ()
+        self._parser = 0
         self._ring: FrameRing | None = None
         self._free: deque[int] = deque()
         self._memory: list[NDArray[np.uint8]] = []
@@ -125,7 +133,7 @@ class AravisCamera:
             self.close()
             raise
 
-    def configure(self, settings: Mapping[str, Setting]) -> dict[str, Setting]:
+    def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set SFNC features in a safe order; returns what the camera reads back.
 
         CameraUsageError if it is armed.
@@ -135,7 +143,9 @@ class AravisCamera:
             raise CameraUsageError("the camera is armed; disarm it first")
         with self._errors("configure"):
             readback = apply_or_restore(nodes, settings, self._configured)
-        self._configured.update(readback)
+            self._configured.update(readback)
+            self._configured.update(enable_chunks(nodes, chunks))
+        self._chunks = tuple(chunks)
         return readback
 
     def verify(self) -> None:
@@ -264,6 +274,9 @@ class AravisCamera:
         """Give the camera back; harmless when repeated."""
         self._drop_stream()
         device, self._device = self._device, 0
+        parser, self._parser = self._parser, 0
+        if parser:
+            call("g_object_unref", parser)
         if device:
             call("g_object_unref", device)
         self._info = None
@@ -348,10 +361,24 @@ class AravisCamera:
         if timestamp_ns == int(call("arv_buffer_get_system_timestamp", buffer)):
             timestamp_ns = 0  # the camera has no clock, and libaravis stamps with this computer's, on arrival
         meta = FrameMeta(
-            frame_id, sequence, timestamp_ns, received_ns, self._exposure_us, form.name, form.significant_bits
-        )
+            frame_id, sequence, timestamp_ns, received_ns, self._exposure_us, form.name, form.significant_bits,
+            chunks=self._chunks_of(buffer),
+        )  # fmt: skip
         ring, free = self._ring, self._free
         return Frame(pixels, meta, lambda: free.append(slot) if self._ring is ring else None, slot)
+
+    def _chunks_of(self, buffer: int) -> dict[str, int]:
+        """Chunk data that came with a frame, by SFNC name."""
+        found: dict[str, int] = {}
+        if not self._chunks or not call("arv_buffer_has_chunks", buffer):
+            return found
+        if not self._parser:
+            self._parser = call("arv_device_create_chunk_parser", self._device) or 0
+        for name in self._chunks:
+            with suppress(AravisError):  # not among those of this frame
+                text = f"Chunk{name}".encode()
+                found[name] = int(call("arv_chunk_parser_get_integer_value", self._parser, buffer, text))
+        return found
 
     def _count(self, ignored: int | None = None) -> Counters:
         resent, packets = self._statistics()

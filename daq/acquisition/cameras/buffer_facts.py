@@ -4,14 +4,17 @@ Nearly every answer is optional in the standard, so each has a default that does
 with a reason.  Frames of several parts or with chunks before the image give no plain size here and are refused.
 """
 
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from genicam import gentl
+from genicam import genapi, gentl
 from numpy.typing import NDArray
 
 from daq.acquisition.cameras.formats import PixelFormat, pixel_format
+from daq.acquisition.cameras.sfnc import Nodes
 from daq.errors import BadFrame
 
 BIG_ENDIAN = 2  # PIXELENDIANNESS_BIG
@@ -76,6 +79,29 @@ def timestamp_ns(buffer: Any) -> int:  # noqa: ANN401
         return found
     ticks, per_s = _told(buffer, "timestamp"), _told(buffer.parent.parent, "timestamp_frequency")
     return round(ticks * 1e9 / per_s) if ticks and per_s else 0
+
+
+def chunks_of(buffer: Any, nodes: Nodes, names: Iterable[str]) -> dict[str, int]:  # noqa: ANN401
+    """Chunk data that came with a frame, by SFNC name.
+
+    The node map keeps the chunks of an earlier buffer where this one has none, so the buffer is asked first.
+    Harvesters has attached this buffer to the node map when it was fetched.
+    """
+    names = tuple(names)
+    if not names or not _has_chunks(buffer):
+        return {}
+    found = {}
+    for name in names:
+        with suppress(genapi.GenericException, gentl.GenericException):  # not among those of this frame
+            found[name] = int(nodes.get(f"Chunk{name}"))
+    return found
+
+
+def _has_chunks(buffer: Any) -> bool:  # noqa: ANN401
+    try:
+        return bool(buffer.is_containing_chunk_data())
+    except gentl.GenericException:  # a producer before GenTL 1.5
+        return bool(_told(buffer, "num_chunks"))
 
 
 def _told(module: Any, *names: str) -> int | None:  # noqa: ANN401

@@ -17,7 +17,7 @@ unused             frames that arrived whole and were not handed over: not fetch
 =================  ==================================================================================
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -92,10 +92,17 @@ class Camera(Protocol):
         """
         ...
 
-    def configure(self, settings: Mapping[str, Setting]) -> dict[str, Setting]:
+    def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set SFNC features in a safe order and return what the camera reads back.
 
         The camera may round a float.
+
+        Parameters
+        ----------
+        settings : mapping
+            By SFNC name.
+        chunks : sequence of str
+            Chunk data that every frame has to carry, by SFNC name; it is found in the frame's `meta.chunks`.
 
         Raises
         ------

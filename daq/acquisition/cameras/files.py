@@ -8,7 +8,7 @@ hole in a recorded run is a hole here too; without numbers the files are counted
 import re
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -82,9 +82,11 @@ class FilesCamera:
         }
         self._is_open = True
 
-    def configure(self, settings: Mapping[str, Setting]) -> dict[str, Setting]:
-        """Take settings that make sense for files; sizes must be those of the files."""
+    def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
+        """Take settings that make sense for files; sizes must be those of the files, and they carry no chunks."""
         self._require_open()
+        if chunks:
+            raise SettingRefused(f"files carry no chunk {', '.join(chunks)}; nothing tells exposure A from B")
         for name, value in settings.items():
             self._check(name, value)
         self._values.update(settings)

@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -97,10 +97,10 @@ class HarvestersCamera:
         self._id_bits = 16 if found["tl_type"] == "GEV" else 64
         self._info = CameraInfo("harvesters", found["vendor"], found["model"], found["serial"], str(self._cti))
 
-    def configure(self, settings: Mapping[str, Setting]) -> dict[str, Setting]:
+    def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set SFNC features in a safe order; returns what the camera reads back."""
         self._require_disarmed()
-        readback: dict[str, Setting] = self._call("configure", settings=dict(settings))
+        readback: dict[str, Setting] = self._call("configure", settings=dict(settings), chunks=list(chunks))
         return readback
 
     def verify(self) -> None:
@@ -230,6 +230,7 @@ class HarvestersCamera:
             form.name,
             form.significant_bits,
             id_told=bool(message["id_told"]),
+            chunks=message["chunks"],
         )
         self._delivered += 1
         ring = self._ring

@@ -27,7 +27,13 @@ from daq.acquisition.cameras.camera_clock import CameraClock
 from daq.acquisition.cameras.genapi_nodes import GenApiNodes, one_line
 from daq.acquisition.cameras.quiet import without_complaints
 from daq.acquisition.cameras.ring import FrameRing
-from daq.acquisition.cameras.sfnc import apply_or_restore, count_missed_triggers, exposure_us, verify_settings
+from daq.acquisition.cameras.sfnc import (
+    apply_or_restore,
+    count_missed_triggers,
+    enable_chunks,
+    exposure_us,
+    verify_settings,
+)
 from daq.acquisition.cameras.wire import Message, pack_error, receive, send
 from daq.errors import BadFrame, CameraBusy, CameraError, CameraLost, CameraSetupError
 
@@ -59,6 +65,7 @@ class Worker:
         self._ring: FrameRing | None = None
         self._free: deque[int] = deque()
         self._configured: dict[str, Setting] = {}
+        self._chunks: list[str] = []
         self._incomplete = _CountIncomplete()
         self._underrun_before = 0
         self._grabbed = 0
@@ -155,9 +162,11 @@ class Worker:
         info = found[0]
         return {"vendor": info.vendor, "model": info.model, "serial": info.serial_number, "tl_type": info.tl_type}
 
-    def _configure(self, settings: dict[str, Setting]) -> dict[str, Setting]:
+    def _configure(self, settings: dict[str, Setting], chunks: list[str]) -> dict[str, Setting]:
         readback = apply_or_restore(self._nodes, settings, self._configured)
         self._configured.update(readback)
+        self._configured.update(enable_chunks(self._nodes, chunks))
+        self._chunks = chunks
         return readback
 
     def _settings(self) -> dict[str, Setting]:
@@ -247,6 +256,7 @@ class Worker:
         # A producer that tells no ids hides what was lost on the link; what it counts itself still makes gaps.
         message["id"] = self._grabbed + self._incomplete.count + underrun if told is None else told
         message["id_told"] = told is not None
+        message["chunks"] = buffer_facts.chunks_of(buffer, self._nodes, self._chunks)
         self._grabbed += 1
         message |= {"timestamp_ns": buffer_facts.timestamp_ns(buffer), "received_ns": received_ns}
         message |= {"exposure_us": self._exposure_us, "incomplete": self._incomplete.count}

@@ -103,6 +103,42 @@ def apply_or_restore(
         raise
 
 
+def enable_chunks(nodes: Nodes, chunks: Iterable[str]) -> dict[str, Setting]:
+    """Let every frame carry chunk data; return what has to read back for that.
+
+    Parameters
+    ----------
+    nodes : Nodes
+        The camera's features.
+    chunks : iterable of str
+        SFNC names, such as LineStatusAll.
+
+    Raises
+    ------
+    SettingRefused
+        The camera has no such chunk.
+    """
+    wanted = tuple(chunks)
+    if not wanted:
+        return {}
+    known = list(nodes.entries("ChunkSelector")) if nodes.has("ChunkSelector") else []
+    missing = [name for name in wanted if name not in known]
+    if missing or not nodes.has("ChunkModeActive"):
+        names = ", ".join(missing or wanted)
+        raise SettingRefused(
+            f"the camera sends no chunk {names}, so nothing would tell exposure A from B; choose another marker "
+            f"(it sends {', '.join(known) or 'none'})"
+        )
+    nodes.set("ChunkModeActive", True)
+    for name in wanted:
+        nodes.set("ChunkSelector", name)
+        if nodes.has("ChunkEnable") and nodes.get("ChunkEnable") is not True:
+            nodes.set("ChunkEnable", True)
+        if nodes.has("ChunkEnable") and nodes.get("ChunkEnable") is not True:
+            raise SettingRefused(f"the camera does not switch its chunk {name} on")
+    return {"ChunkModeActive": True}
+
+
 def verify_settings(nodes: Nodes, expected: Mapping[str, Setting]) -> None:
     """Compare the camera with what it read back when it was configured; SettingsChanged if it differs."""
     readback = {asked: nodes.get(_known_name(nodes, asked)) for asked in expected}

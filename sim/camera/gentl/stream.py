@@ -54,7 +54,7 @@ class Buffer:
             5: (Kind.BOOL8, int(self.is_queued)),
             6: (Kind.BOOL8, 0),
             8: (Kind.STRING, tl_type),
-            30: (Kind.BOOL8, 0),
+            30: (Kind.BOOL8, int(frame is not None and bool(frame.chunks))),
             31: (Kind.BOOL8, 0),
         }
         if command in always:
@@ -81,7 +81,10 @@ class Buffer:
             26: (Kind.INT32, LITTLE_ENDIAN_PIXELS),
             27: (Kind.SIZET, self.filled),
             28: (Kind.UINT64, frame.timestamp_ns),
-            29: (Kind.BOOL8, int(self.filled < frame.picture.payload.size and not frame.is_incomplete)),
+            29: (
+                Kind.BOOL8,
+                int(self.filled < frame.picture.payload.size + len(frame.tail) and not frame.is_incomplete),
+            ),
         }
         if command not in of_frame:
             raise GenTLError(Status.NOT_AVAILABLE, f"buffer info {command}")
@@ -123,6 +126,9 @@ class Stream:
         whole = min(buffer.size, frame.picture.payload.size)
         filled = whole // 2 if frame.is_incomplete else whole
         ctypes.memmove(buffer.address, frame.picture.payload.ctypes.data, filled)
+        if frame.chunks and filled + len(frame.tail) <= buffer.size and not frame.is_incomplete:
+            ctypes.memmove(buffer.address + filled, frame.tail, len(frame.tail))
+            filled += len(frame.tail)
         with self.ready:
             buffer.frame, buffer.filled, buffer.is_queued = frame, filled, False
             buffer.received_ns = time.monotonic_ns()

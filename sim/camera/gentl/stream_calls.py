@@ -5,8 +5,10 @@ the return value.
 """
 
 import ctypes
+import struct
 from contextlib import suppress
 
+from sim.camera.chunks import places
 from sim.camera.gentl import memory
 from sim.camera.gentl.abi import EVENT_NEW_BUFFER, GenTLError, Kind, Status
 from sim.camera.gentl.modules import Device, Event, Handles, StreamModule
@@ -168,9 +170,18 @@ class StreamCalls:
     ) -> None:
         memory.give_answer(self._stream(handle).find(buffer).answer(command, "Custom"), kind, out, size)
 
-    def DSGetBufferChunkData(self, handle: int, buffer: int, chunks: int, number: int) -> None:  # noqa: D102, N802
-        self._stream(handle).find(buffer)
-        raise GenTLError(Status.NO_DATA, "frames carry no chunks")
+    def DSGetBufferChunkData(self, handle: int, buffer: int, chunk_list: int, number: int) -> None:  # noqa: D102, N802
+        found = self._stream(handle).find(buffer)
+        frame = found.frame
+        chunks = [] if frame is None else places(frame.picture.payload.size, frame.chunks)
+        if not chunks:
+            raise GenTLError(Status.NO_DATA, "the frame carries no chunks")
+        if chunk_list:  # without a list only their number is asked for
+            if memory.read_size(number) < len(chunks):
+                raise GenTLError(Status.BUFFER_TOO_SMALL, f"{len(chunks)} chunks")
+            packed = [struct.pack("<QqQ", chunk.id, chunk.offset, chunk.length) for chunk in chunks]
+            memory.put(b"".join(packed), chunk_list)
+        memory.write_size(number, len(chunks))
 
     def DSGetParentDev(self, handle: int, result: int) -> None:  # noqa: D102, N802
         memory.write_size(result, self.handles.get(handle, StreamModule).device.handle)

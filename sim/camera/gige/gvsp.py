@@ -14,6 +14,7 @@ from sim.camera.device import SimFrame
 OVERHEAD_BYTES = 20 + 8 + 8  # IP, UDP and stream header count into the packet size
 LEADER, TRAILER, DATA = 1, 2, 3
 IMAGE = 1
+WITH_CHUNKS = 0x4000  # of the payload type: chunks follow the image (GigE Vision 2.0, extended chunk mode)
 UNAVAILABLE = 0x800C
 
 
@@ -45,7 +46,7 @@ class Block:
     @property
     def last_packet(self) -> int:
         """Number of the trailer."""
-        return -(-self.frame.picture.payload.size // self.data_bytes) + 1
+        return -(-(self.frame.picture.payload.size + len(self.frame.tail)) // self.data_bytes) + 1
 
     def is_unsent(self, packet: int) -> bool:
         """Whether this packet is never sent: the second half of a frame that is to arrive incomplete."""
@@ -59,7 +60,7 @@ class Block:
             content = struct.pack(
                 ">HHIIIIIIIHH",
                 0,
-                IMAGE,
+                self._payload_type,
                 stamp >> 32 & 0xFFFFFFFF,
                 stamp & 0xFFFFFFFF,
                 frame.picture.format_code,
@@ -72,9 +73,20 @@ class Block:
             )
             return _header(self.id, LEADER, 0), content
         if number == self.last_packet:
-            return _header(self.id, TRAILER, number), struct.pack(">HHI", 0, IMAGE, frame.picture.height)
+            return _header(self.id, TRAILER, number), struct.pack(
+                ">HHI", 0, self._payload_type, frame.picture.height
+            )
         start = (number - 1) * self.data_bytes
-        return _header(self.id, DATA, number), frame.picture.payload.data[start : start + self.data_bytes]
+        pixels = frame.picture.payload.data[start : start + self.data_bytes]
+        if len(pixels) == self.data_bytes or not frame.chunks:
+            return _header(self.id, DATA, number), pixels
+        behind = max(0, start - frame.picture.payload.size)
+        rest = frame.tail[behind : behind + self.data_bytes - len(pixels)]
+        return _header(self.id, DATA, number), bytes(pixels) + rest
+
+    @property
+    def _payload_type(self) -> int:
+        return IMAGE | (WITH_CHUNKS if self.frame.chunks else 0)
 
 
 def unavailable(block: int, packet: int) -> bytes:

@@ -1,0 +1,81 @@
+"""Wires from a simulated timing unit to the input lines of simulated cameras in other processes.
+
+A pulse is told whole, with the times of both edges on the machine's monotonic clock, so the camera exposes at the
+edge itself and not when the word of it arrives.  Pulses may be told a little ahead of their time; those that other
+pulses are judged by, such as a marker, are told first.
+"""
+
+import json
+import socket
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+NAME = "wires.sock"
+MAX_LINE_BYTES = 4096
+Pulse = Callable[[int, int, int], None]  # line, rise and fall [ns]
+
+
+class Wires:
+    """The end at the timing unit.
+
+    Parameters
+    ----------
+    folder : path
+        Folder for the socket; its path must be shorter than about 90 characters.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self.path = Path(folder) / NAME
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(self.path))
+        self.path.chmod(0o600)
+        self._listener.listen(4)
+        self._cameras: list[socket.socket] = []
+        self._lock = threading.Lock()
+        threading.Thread(target=self._accept, name="wires", daemon=True).start()
+
+    def pulse(self, line: int, rise_ns: int, fall_ns: int) -> None:
+        """Tell every camera of a pulse on an input line."""
+        data = json.dumps([line, rise_ns, fall_ns]).encode() + b"\n"
+        with self._lock:
+            for camera in list(self._cameras):
+                try:
+                    camera.sendall(data)
+                except OSError:  # unplugged
+                    self._cameras.remove(camera)
+
+    def close(self) -> None:
+        """Cut every wire."""
+        self._listener.close()
+        with self._lock:
+            for camera in self._cameras:
+                with suppress(OSError):
+                    camera.shutdown(socket.SHUT_RDWR)
+                camera.close()
+            self._cameras.clear()
+        self.path.unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                camera, _ = self._listener.accept()
+            except OSError:
+                return
+            with self._lock:
+                self._cameras.append(camera)
+
+
+def listen(path: str, pulse: Pulse) -> None:
+    """Call `pulse` for every pulse from now on, from a thread of its own, until the other end closes."""
+    end = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    end.connect(path)
+
+    def serve() -> None:
+        with end, end.makefile("rb") as lines, suppress(OSError):
+            while line := lines.readline(MAX_LINE_BYTES):
+                number, rise_ns, fall_ns = json.loads(line)
+                pulse(int(number), int(rise_ns), int(fall_ns))
+
+    threading.Thread(target=serve, name="input lines", daemon=True).start()
