@@ -101,7 +101,7 @@ class Uniform:
 
     def mean(self, points_mm: Float64) -> Float64:
         """U (N, 3)."""
-        return np.zeros((len(points_mm), 3)) + np.array(self.velocity_mm_s)
+        return np.asarray(np.zeros((len(points_mm), 3)) + np.array(self.velocity_mm_s))
 
     def amplitude(self, points_mm: Float64) -> Float64:
         """A (N, 3, 3)."""
