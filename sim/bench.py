@@ -77,8 +77,11 @@ class SimulatedBench:
         return self.world.true_mm()
 
     def secrets(self) -> dict[str, str]:
-        """The true scene, to score a run by."""
-        return {"truth.yaml": dump_scene(self.world.scene)}
+        """The true scene, and the flow if one was shown: to score a run by."""
+        truths = {"truth.yaml": dump_scene(self.world.scene)}
+        if self.world.lit is not None:
+            truths["flow_truth.yaml"] = self.world.flow_truth()
+        return truths
 
     def close(self) -> None:
         """Take everything down."""

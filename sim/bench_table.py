@@ -12,6 +12,8 @@ rail_z: {lead_mm: 5.0, steps_per_rev: 1600, travel_mm: 300.0, backlash_um: 50.0,
 firmware: {portal: {"23": 0}} # Grbl's $23: home towards the high switches
 prints_truth: true            # optional: a corner of every frame says what it shows; see frame_truth.py
 ring: frames/                 # optional: replay .npy frames instead of rendering
+aperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}    # optional: a pupil, sharp so far ahead of the camera
+flow: {field: jet}            # what flow runs see; see sim.flow.table
 faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.faults
 """
 
@@ -23,7 +25,9 @@ from pydantic import Field
 from daq.acquisition.bench.bench_table import Bench
 from ground.config import Document, Table, validate
 from sim.camera.faults import FaultPlan
+from sim.flow.table import FlowTable
 from sim.prints.frame_truth import WIDTH_PX, height_px
+from sim.renderer.render import Aperture
 from sim.stages import ScrewTable
 from stages.config import Name
 from tracer.errors import SceneError
@@ -43,6 +47,14 @@ class FaultsTable(Table):
     reset_at: int | None = None
 
 
+class ApertureTable(Table):
+    """The pupil of the camera's lens; without it the camera is a pinhole."""
+
+    f_mm: Annotated[float, Field(gt=0.0)]
+    f_number: Annotated[float, Field(gt=0.0)]
+    focus_mm: Annotated[float, Field(gt=0.0)]
+
+
 class SimulationTable(Table):
     """The `simulation` section of a bench file."""
 
@@ -57,7 +69,15 @@ class SimulationTable(Table):
     firmware: dict[Name, dict[str, float]] = Field(default_factory=dict)  # Grbl's $ settings, by controller
     prints_truth: bool = False
     ring: str | None = None
+    aperture: ApertureTable | None = None
+    flow: FlowTable = FlowTable()
     faults: FaultsTable = FaultsTable()
+
+    @property
+    def pupil(self) -> Aperture | None:
+        """The lens; None for a pinhole."""
+        lens = self.aperture
+        return None if lens is None else Aperture(lens.f_mm, lens.f_number, lens.focus_mm)
 
 
 def simulation_of(bench: Bench) -> SimulationTable:

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from daq.acquisition.bench.bench_table import Bench
 from sim.bench_table import SimulationTable
 from sim.demo.scenes import misaligned
+from sim.flow.images import FlowCamera
+from sim.flow.lit import LitFlow
+from sim.flow.prepared import PreparedPairs
 from sim.prints.frame_truth import WORLDS, FrameTruth, with_truth
 from sim.prints.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
 from sim.renderer.render import render_irradiance
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
+KEPT_FLOW_VIEWS = 2  # the glass in and out
+FLOW = "flow"  # what a flow run shows: no print, but light on particles
 
 
 class World:
@@ -63,10 +68,16 @@ class World:
         self._table = table
         self._stages = stages
         self._exposures = exposures_before
-        self.scene = misaligned(bench.scene, table.seed) if table.is_misaligned else bench.scene
+        self.scene = true_scene(bench, table)
+        self.lit = LitFlow(table.flow.seeded_from_pair) if shows == FLOW else None
         self._print = _print_of(bench, table.seed, shows)
         self._sensor = Sensor()
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
+        self._flow_cameras: dict[tuple[float, ...], FlowCamera] = {}
+        self._prepared: PreparedPairs | None = None
+        if self.lit is not None and table.flow.prepared is not None:
+            folder = bench.path.parent / table.flow.prepared
+            self._prepared = PreparedPairs(folder, self.scene.content_hash())
         self._number = secrets.randbelow(WORLDS)
         self._lock = threading.Lock()
 
@@ -86,6 +97,33 @@ class World:
             truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
             return with_truth(image, truth, self._sensor.bits)
 
+    def exposed(self, trigger_index: int, start_ns: int, end_ns: int) -> NDArray[np.uint16]:
+        """One exposure (H, W) uint16; a flow is seen by the light that falls while the shutter is open."""
+        if self.lit is None:
+            return self.frame(trigger_index, start_ns)
+        with self._lock:
+            true_mm = self.true_mm()
+            image = self.lit.exposed(self._flow_camera(true_mm), start_ns, end_ns, self._prepared)
+            number, self._exposures = self._exposures, self._exposures + 1
+            if not self._table.prints_truth:
+                return image
+            truth = FrameTruth(trigger_index, number, true_mm, self._stages.is_moving, self._number)
+            return with_truth(image, truth, self._sensor.bits)
+
+    def _flow_camera(self, true_mm: Mapping[str, float]) -> FlowCamera:
+        """The camera that looks at the flow from where it stands."""
+        key = tuple(true_mm.values())
+        if key not in self._flow_cameras:
+            while len(self._flow_cameras) >= KEPT_FLOW_VIEWS:
+                self._flow_cameras.pop(next(iter(self._flow_cameras)))
+            scene, _ = self._arranged(true_mm)
+            self._flow_cameras[key] = self._table.flow.camera(scene, self._table.seed, self._table.pupil)
+        return self._flow_cameras[key]
+
+    def flow_truth(self) -> str:
+        """Every number of the flow as YAML, in the words of `simulation.flow`."""
+        return self._table.flow.as_text(self._table.seed)
+
     def _light(self, true_mm: Mapping[str, float]) -> NDArray[np.float32]:
         key = tuple(true_mm.values())
         if key not in self._views:
@@ -93,7 +131,11 @@ class World:
                 self._views.pop(next(iter(self._views)))
             scene, pattern = self._arranged(true_mm)
             self._views[key] = render_irradiance(
-                scene, pattern, samples=self._table.samples, seed=self._table.seed
+                scene,
+                pattern,
+                samples=self._table.samples,
+                seed=self._table.seed,
+                aperture=self._table.pupil,
             )
         return self._views[key]
 
@@ -110,6 +152,11 @@ class World:
         if isinstance(self._print, Chessboard):
             return scene, placed(self._print, pose)
         return scene, placed(self._print, pose)
+
+
+def true_scene(bench: Bench, table: SimulationTable) -> Scene:
+    """Return where everything really is while every axis stands where the scene file holds."""
+    return misaligned(bench.scene, table.seed) if table.is_misaligned else bench.scene
 
 
 def _print_of(bench: Bench, seed: int, shows: str) -> Chessboard | ParticleSheet:

@@ -9,10 +9,11 @@ so a thousand pairs can be made on all cores by `benchmarks.flow`.  Defaults are
 40 counts, particles of a few dozen to 300 counts, 0.03 per pixel, a sheet of 1 mm.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,15 @@ from tracer.scene import Scene
 Frame = NDArray[np.uint16]
 
 FLOW_SENSOR = Sensor(white_counts=1.0, read_noise_counts=2.0, offset_counts=35.0, blur_px=0.0)
-MARGIN_MM = 0.5  # seeded beyond the view, besides the way that particles go between pulses
+
+
+class Flashed(NamedTuple):
+    """A flash within an exposure: its pair, pulse 0 (A) or 1 (B), time since pulse A, and the time of A."""
+
+    pair: int
+    pulse: int
+    since_first_s: float
+    time_s: float
 
 
 @dataclass(frozen=True)
@@ -52,6 +61,8 @@ class FlowCamera:
         7, 19, ...
     spot_px : float
         Diameter (e^-2) of a particle's image by diffraction.
+    margin_mm : float
+        Seeded beyond the view; particles that go further between pulses leave an empty edge.
     seed : int
         Of particles and noise.
     """
@@ -66,6 +77,7 @@ class FlowCamera:
     aperture: Aperture | None = None
     points_of_pupil: int = 7
     spot_px: float = 2.4
+    margin_mm: float = 2.0
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -95,6 +107,17 @@ class FlowCamera:
             first, second = both.map(frame, (0, 1))
         return first, second
 
+    def flashed(self, lit: Sequence["Flashed"], *, is_seeded: bool = True) -> Frame:
+        """A frame (H, W) of an exposure that holds these flashes."""
+        light = np.zeros(self.scene.camera.shape, np.float32)
+        for flash in lit:
+            light += self._still(flash.pulse)
+            if is_seeded:
+                particles = self.particles(flash.pair, flash.since_first_s, flash.time_s)
+                light += self._seen(particles, flash.pulse)
+        first = lit[0]
+        return self.sensor.expose(light, seed=self._seed(first.pair, first.pulse))
+
     def dark(self, number: int, pulse: int = 0) -> Frame:
         """A frame (H, W) without light."""
         light = np.zeros(self.scene.camera.shape, np.float32)
@@ -103,21 +126,11 @@ class FlowCamera:
     def particles(self, number: int, dt_s: float, time_s: float) -> ParticlePair:
         """The particles of a pair."""
         low, high = self._view.corners_mm
-        middle = 0.5 * (low + high)
-        probe = np.array(
-            [
-                [x, y, self.sheet.offset_mm]
-                for x in np.linspace(low[0], high[0], 33)
-                for y in np.linspace(low[1], high[1], 33)
-            ]
-        )
-        fastest = float(np.abs(self.flow.velocity(probe, time_s)).max())
-        half = 0.5 * (high - low) + MARGIN_MM + fastest * abs(dt_s)
         return particle_pair(
             self.flow,
             self.sheet,
             self.seeding,
-            corners_mm=np.array([middle - half, middle + half]),
+            corners_mm=np.array([low - self.margin_mm, high + self.margin_mm]),
             px_mm=self.px_mm,
             time_s=time_s,
             dt_s=dt_s,
@@ -132,9 +145,13 @@ class FlowCamera:
     def _frame(self, number: int, pulse: int, particles: ParticlePair | None) -> Frame:
         light = self._still(pulse)
         if particles is not None:
-            seen = self._view.light(particles.places_mm[pulse], particles.light[pulse])
-            light = light + np.float32(self.particle_counts / self._view.peak()) * seen
+            light = light + self._seen(particles, pulse)
         return self.sensor.expose(light, seed=self._seed(number, pulse))
+
+    def _seen(self, particles: ParticlePair, pulse: int) -> NDArray[np.float32]:
+        """Counts (H, W) of particles."""
+        seen = self._view.light(particles.places_mm[pulse], particles.light[pulse])
+        return np.asarray(np.float32(self.particle_counts / self._view.peak()) * seen)
 
     def _seed(self, number: int, what: int) -> int:
         return int(np.random.SeedSequence((self.seed, number, what)).generate_state(1, np.uint64)[0])

@@ -1,10 +1,10 @@
 """Particles of a seeded gas between two pulses of a light sheet: where they are, and how brightly they shine.
 
 Every pair has particles of its own, as in a flow that has gone by since the last one.  They lie evenly in a slab
-that is thicker than the sheet, at the moment between the pulses, and are carried back to pulse A and on to pulse B
-by the flow (third order Runge-Kutta each way), in three dimensions: what moves along z leaves the light, or comes
-into it, and is seen once only.  Starting in the middle keeps displacements free of the bias to where particles
-gather.
+that is thicker than the sheet at pulse A, and are carried on to pulse B by the flow (Runge-Kutta, fourth order) in
+three dimensions: what moves along z leaves the light, or comes into it, and is seen once only.  A flow without
+divergence keeps them even; where fluctuations have some (`sim.flow.fields`), the mean displacement is biased by
+dt^2/2 times their stress gradient, 0.003 px in the jet.
 
 The sheet is Gaussian across its plane,  I = E exp(-8 d^2 / w^2)  with the full thickness w at e^-2, as laser
 optics counts it.  The two pulses may differ in energy and place: two cavities never overlap perfectly.  Light
@@ -102,11 +102,12 @@ class ParticlePair:
 
 
 def moved(flow: Flow, points_mm: Float64, time_s: float, dt_s: float) -> Float64:
-    """Carry points (N, 3) for a time, which may be negative: Kutta's third order."""
+    """Carry points (N, 3) for a time, which may be negative: Runge-Kutta, fourth order."""
     k1 = flow.velocity(points_mm, time_s)
     k2 = flow.velocity(points_mm + 0.5 * dt_s * k1, time_s + 0.5 * dt_s)
-    k3 = flow.velocity(points_mm + dt_s * (2.0 * k2 - k1), time_s + dt_s)
-    return np.asarray(points_mm + dt_s / 6.0 * (k1 + 4.0 * k2 + k3))
+    k3 = flow.velocity(points_mm + 0.5 * dt_s * k2, time_s + 0.5 * dt_s)
+    k4 = flow.velocity(points_mm + dt_s * k3, time_s + dt_s)
+    return np.asarray(points_mm + dt_s / 6.0 * (k1 + 2.0 * (k2 + k3) + k4))
 
 
 def particle_pair(
@@ -120,7 +121,7 @@ def particle_pair(
     dt_s: float,
     rng: np.random.Generator,
 ) -> ParticlePair:
-    """Seed a slab and carry its particles to both pulses.
+    """Seed a slab at pulse A and carry its particles to pulse B.
 
     Parameters
     ----------
@@ -144,8 +145,7 @@ def particle_pair(
     points = points[order]
     points[:, 2] += sheet.middle_mm(points[:, 0], points[:, 1]) - 0.5 * thick
     points = points[flow.holds(points)]
-    middle_s = time_s + 0.5 * dt_s
-    places = (moved(flow, points, middle_s, -0.5 * dt_s), moved(flow, points, middle_s, 0.5 * dt_s))
+    places = (points, moved(flow, points, time_s, dt_s) if dt_s else points)
     size = np.exp(seeding.spread * np.clip(rng.standard_normal(len(points)), -2.0, 2.0))
     lights = [size * sheet.light(place, pulse) * flow.holds(place) for pulse, place in enumerate(places)]
     return ParticlePair(places, (lights[0], lights[1]))

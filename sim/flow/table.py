@@ -1,0 +1,131 @@
+"""The `flow` part of a bench file's `simulation` section: which flow, how it is lit, and frames made beforehand.
+
+simulation:
+  flow:
+    field: jet                          # uniform shear vortex jet channel turbulent_channel
+    parameters: {exit_mm_s: 1940.0}     # of the field, by the names in sim/flow/fields.py, jet.py, channel.py
+    turbulence: {length_mm: 8.0, memory_s: 0.02}     # none: a steady flow
+    sheet: {thickness_mm: 1.0, offset_mm: 0.0, energies: [1.0, 1.0], apart_mm: 0.0}
+    seeding: {per_px: 0.03, spread: 0.35}
+    reflections: {sheet_counts: 40.0, glint_counts: 900.0}
+    particle_counts: 70.0
+    seeded_from_pair: 0                 # so many pairs of a run are lit before the seeding is opened
+    prepared: frames/                   # optional: pairs made by sim.flow.prepared, replayed
+"""
+
+from dataclasses import asdict, fields
+from typing import Annotated, Any, Literal, cast
+
+import yaml
+from pydantic import Field, TypeAdapter, model_validator
+
+from ground.config import Table
+from sim.flow.channel import LaminarChannel, TurbulentChannel
+from sim.flow.fields import Flow, Shear, Uniform, Vortex
+from sim.flow.images import FlowCamera
+from sim.flow.jet import Jet
+from sim.flow.modes import RandomModes
+from sim.flow.particles import LightSheet, Seeding
+from sim.flow.reflections import Reflections
+from sim.renderer.render import Aperture
+from tracer.errors import SceneError
+from tracer.scene import Scene
+
+FIELDS: dict[str, Any] = {
+    "uniform": Uniform,
+    "shear": Shear,
+    "vortex": Vortex,
+    "jet": Jet,
+    "channel": LaminarChannel,
+    "turbulent_channel": TurbulentChannel,
+}
+
+
+class FlowTable(Table):
+    """What flows on the simulated bench."""
+
+    field: Literal["uniform", "shear", "vortex", "jet", "channel", "turbulent_channel"] = "jet"
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    turbulence: dict[str, Any] | None = Field(default_factory=lambda: {"length_mm": 8.0})
+    sheet: dict[str, Any] = Field(default_factory=dict)
+    seeding: dict[str, Any] = Field(default_factory=dict)
+    reflections: dict[str, Any] = Field(default_factory=dict)
+    particle_counts: Annotated[float, Field(ge=0.0, le=65535.0)] = 70.0
+    seeded_from_pair: Annotated[int, Field(ge=0)] = 0
+    prepared: str | None = None
+
+    @model_validator(mode="after")
+    def _can_be_made(self) -> "FlowTable":
+        try:
+            self.flow(0)
+            _made("sheet", LightSheet, self.sheet)
+            _made("seeding", Seeding, self.seeding)
+            _made("reflections", Reflections, self.reflections)
+        except SceneError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def flow(self, seed: int) -> Flow:
+        """The flow; `seed` is that of its turbulence unless the section says one.
+
+        Raises
+        ------
+        SceneError
+            A number is wrong.
+        """
+        base = _made("parameters", FIELDS[self.field], self.parameters)
+        if self.turbulence is None:
+            return Flow(base)
+        return Flow(base, _made("turbulence", RandomModes, {"seed": seed, **self.turbulence}))
+
+    def as_text(self, seed: int) -> str:
+        """Every number as YAML that this table reads again, defaults written out."""
+        flow = self.flow(seed)
+        numbers = {
+            "field": self.field,
+            "parameters": asdict(cast("Any", flow.base)),
+            "turbulence": None if flow.modes is None else asdict(flow.modes),
+            "sheet": asdict(_made("sheet", LightSheet, self.sheet)),
+            "seeding": asdict(_made("seeding", Seeding, self.seeding)),
+            "reflections": asdict(_made("reflections", Reflections, self.reflections)),
+            "particle_counts": self.particle_counts,
+        }
+        return yaml.safe_dump(_plain(numbers), sort_keys=False)
+
+    def camera(self, scene: Scene, seed: int, aperture: Aperture | None) -> FlowCamera:
+        """A camera that looks at the flow through a scene."""
+        return FlowCamera(
+            scene,
+            self.flow(seed),
+            sheet=_made("sheet", LightSheet, self.sheet),
+            seeding=_made("seeding", Seeding, self.seeding),
+            reflections=_made("reflections", Reflections, self.reflections),
+            particle_counts=self.particle_counts,
+            aperture=aperture,
+            seed=seed,
+        )
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - a tree of numbers
+    """Tuples as lists."""
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    return [_plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _made(name: str, kind: Any, values: dict[str, Any]) -> Any:  # noqa: ANN401 - any of the classes above
+    """One of the dataclasses above from plain numbers.
+
+    Raises
+    ------
+    SceneError
+        A name is unknown, or a value of the wrong type.
+    """
+    known = [field.name for field in fields(kind)]
+    if unknown := sorted(set(values) - set(known)):
+        raise SceneError(f"{name}: {unknown[0]} is not known; there are {', '.join(known)}")
+    try:
+        return TypeAdapter(kind).validate_python(values)
+    except ValueError as error:
+        first = str(error).splitlines()[1:3]
+        raise SceneError(f"{name}: {' '.join(line.strip() for line in first)}") from None

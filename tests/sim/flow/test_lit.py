@@ -1,0 +1,128 @@
+"""Light that falls while a shutter is open, and only then; pairs that were made beforehand."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ground.config import Document, validate
+from ground.errors import ConfigError
+from sim.flow.fields import Flow, Uniform
+from sim.flow.images import FlowCamera
+from sim.flow.lit import LitFlow
+from sim.flow.prepared import PreparedPairs, prepare
+from sim.flow.table import FlowTable
+from tests.sim.flow.test_view import flow_scene
+from tracer.errors import SceneError
+
+MS = 1_000_000
+DT_NS = 500_000
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return FlowCamera(flow_scene(size=160), Flow(Uniform((0.0, 400.0, 0.0))), seed=3)
+
+
+def test_a_frame_shows_the_flash_that_fell_into_it(camera):
+    lit = LitFlow()
+    lit.flash(0, 100 * MS)
+    lit.flash(1, 100 * MS + DT_NS)
+    first, second = camera.pair(0, 1e-9 * DT_NS, 0.0)
+    dark = lit.exposed(camera, 90 * MS, 99 * MS)
+    np.testing.assert_array_equal(lit.exposed(camera, 99 * MS, 100 * MS + DT_NS), first)
+    np.testing.assert_array_equal(lit.exposed(camera, 100 * MS + DT_NS, 110 * MS), second)
+    assert dark.max() < 60 < first.max()
+
+
+def test_both_flashes_in_one_exposure_show_both(camera):
+    lit = LitFlow()
+    lit.flash(0, 100 * MS)
+    lit.flash(1, 100 * MS + DT_NS)
+    both = lit.exposed(camera, 99 * MS, 110 * MS).astype(float)
+    first, second = (frame.astype(float) for frame in camera.pair(0, 1e-9 * DT_NS, 0.0))
+    assert (both - 35.0).sum() == pytest.approx((first - 35.0).sum() + (second - 35.0).sum(), rel=0.03)
+
+
+def test_every_light_1_begins_a_pair_and_light_2_alone_shows_another(camera):
+    lit = LitFlow()
+    for k in range(3):
+        lit.flash(0, (100 + 100 * k) * MS)
+        if k != 1:
+            lit.flash(1, (100 + 100 * k) * MS + DT_NS)
+    lit.flash(1, 400 * MS)  # the first cavity did not fire
+    third, _ = camera.pair(2, 1e-9 * DT_NS, 0.2)
+    np.testing.assert_array_equal(lit.exposed(camera, 299 * MS, 300 * MS + 1), third)
+    lone = lit.exposed(camera, 399 * MS, 401 * MS)
+    assert not np.array_equal(lone, lit.exposed(camera, 300 * MS + 1, 301 * MS))
+
+
+def test_without_a_laser_light_falls_at_the_start_of_exposures(camera):
+    lit = LitFlow()
+    first, second = camera.pair(0, 1e-9 * DT_NS, 0.0)
+    np.testing.assert_array_equal(lit.exposed(camera, 7 * MS, 8 * MS), first)
+    np.testing.assert_array_equal(lit.exposed(camera, 7 * MS + DT_NS, 9 * MS), second)
+    later = lit.exposed(camera, 107 * MS, 108 * MS)
+    np.testing.assert_array_equal(later, camera.pair(1, 0.0, 0.1)[0])
+
+
+def test_before_the_seeding_is_open_only_reflections_are_seen(camera):
+    lit = LitFlow(seeded_from_pair=1)
+    lit.flash(0, 100 * MS)
+    lit.flash(0, 200 * MS)
+    np.testing.assert_array_equal(
+        lit.exposed(camera, 99 * MS, 101 * MS), camera.pair(0, 0.0, 0.0, is_seeded=False)[0]
+    )
+    assert lit.exposed(camera, 199 * MS, 201 * MS).mean() > 37.5
+
+
+def test_prepared_pairs_come_round_and_refuse_another_dt_or_scene(camera, tmp_path):
+    prepare(camera, tmp_path, pairs=2, dt_s=1e-9 * DT_NS, rate_hz=10.0)
+    pairs = PreparedPairs(tmp_path, camera.scene.content_hash())
+    lit = LitFlow()
+    for k in range(4):
+        lit.flash(0, 100 * k * MS)
+        lit.flash(1, 100 * k * MS + DT_NS)
+    for k in range(4):
+        for pulse, frame in enumerate(camera.pair(k % 2, 1e-9 * DT_NS, 0.1 * (k % 2))):
+            start_ns = 100 * k * MS + pulse * DT_NS
+            np.testing.assert_array_equal(lit.exposed(camera, start_ns, start_ns + DT_NS, pairs), frame)
+    lit.flash(0, 900 * MS)
+    lit.flash(1, 901 * MS)
+    with pytest.raises(SceneError, match=r"made for dt = 500 us, not 1000\.0 us"):
+        lit.exposed(camera, 901 * MS, 902 * MS, pairs)
+    with pytest.raises(SceneError, match="another scene"):
+        PreparedPairs(tmp_path, "0" * 16)
+    (tmp_path / "pairs.json").write_text("{}")
+    with pytest.raises(SceneError, match="no prepared pairs"):
+        PreparedPairs(tmp_path, camera.scene.content_hash())
+
+
+def flow_table(**values):
+    return validate(Document(Path("bench.yaml"), values, {(): 1}), FlowTable)
+
+
+def test_the_truth_of_a_flow_reads_back_as_the_same_flow():
+    import yaml
+
+    table = flow_table(field="vortex", parameters={"core_mm": 5.0}, turbulence={"length_mm": 3.0})
+    again = flow_table(**yaml.safe_load(table.as_text(7)))
+    assert again.flow(0) == table.flow(7)
+    assert again.as_text(0) == table.as_text(7)
+    assert json.dumps(yaml.safe_load(table.as_text(7)))
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"parameters": {"exit_m_s": 1.0}}, "exit_m_s is not known"),
+        ({"parameters": {"exit_mm_s": "fast"}}, "valid number"),
+        ({"sheet": {"thickness_mm": 0.0}}, "must be positive"),
+        ({"seeding": {"per_px": -1.0}}, "per_px"),
+        ({"field": "shear", "parameters": {"gradient_per_s": [[1, 0, 0], [0, 0, 0], [0, 0, 0]]}}, "diagonal"),
+    ],
+)
+def test_a_wrong_flow_is_refused_with_its_place(values, text):
+    with pytest.raises(ConfigError, match=text):
+        flow_table(**values)
