@@ -85,7 +85,18 @@ def _parser() -> argparse.ArgumentParser:
     _route_option(evaluate, "image")
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
     evaluate.add_argument("--figures", action="store_true", help="write each figure as SVG and as PNG")
+    _series_options(evaluate)
     _piv_options(evaluate)
+
+    mean = verbs.add_parser("mean", help="mean flow, Reynolds stresses and their uncertainty from many pairs")
+    mean.add_argument("path", type=Path, metavar="RUN_OR_SERIES", help="flow run, or the folder of its series")
+    mean.add_argument("--scene", type=Path, help="scene.yaml, best a fitted one (default: the run's own)")
+    mean.add_argument("-o", "--out", type=Path, help="folder of the series (default: RUN/series)")
+    mean.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
+    mean.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
+    mean.add_argument("--figures", action="store_true", help="write each figure as SVG and as PNG")
+    _series_options(mean)
+    _piv_options(mean)
 
     report = verbs.add_parser("report", help="a run as one page: pictures, vectors, errors, books, provenance")
     report.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
@@ -120,7 +131,22 @@ def _piv_options(parser: argparse.ArgumentParser) -> None:
     piv.add_argument("--passes", type=_count, metavar="N", help="passes (default 4)")
     piv.add_argument("--overlap", type=_finite, metavar="SHARE", help="of neighbouring windows (default 0.5)")
     piv.add_argument("--window", choices=("gaussian", "square"), help="weights of the windows (default gaussian)")
+    piv.add_argument(
+        "--prepare",
+        type=_steps,
+        metavar="STEPS",
+        help="what is done to frames, such as sliding-minimum,min-max (the default of a flow run is "
+        "sliding-minimum), or none",
+    )
     piv.add_argument("--denoise", type=_finite, metavar="BETA", help="0 keeps all detail (default 2)")
+
+
+def _series_options(parser: argparse.ArgumentParser) -> None:
+    """What only a series of many pairs has."""
+    parser.add_argument(
+        "--dt-us", type=_positive, metavar="US", help="time between the frames, if the run does not know"
+    )
+    parser.add_argument("--workers", type=_count, metavar="N", help="processes (default: one a core)")
 
 
 def _route_option(parser: argparse.ArgumentParser, default: str) -> None:
@@ -200,6 +226,10 @@ def _positive(text: str) -> float:
     if (value := _finite(text)) <= 0.0:
         raise argparse.ArgumentTypeError(f"should be above 0, not {text}")
     return value
+
+
+def _steps(text: str) -> tuple[str, ...]:
+    return () if text == "none" else tuple(word.strip() for word in text.split(","))
 
 
 def _count(text: str) -> int:

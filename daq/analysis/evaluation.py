@@ -7,8 +7,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.background.preparation import Preparation
 from correction.corrector import Corrector
-from correction.errors import FrameError
+from correction.errors import FrameError, PairError
 from correction.evaluate.regions import Regions, regions_of
 from correction.evaluate.routes import Routes, compare_routes, joined
 from correction.evaluate.shift import ShiftResult, evaluate_shift
@@ -114,6 +115,7 @@ def evaluate_task(
     stage_sigma_um: float,
     route: Route,
     settings: PivSettings | None = None,
+    preparation: Preparation | None = None,
 ) -> Evaluation:
     """Evaluate one pair.
 
@@ -131,8 +133,19 @@ def evaluate_task(
         Image route alone; the velocity route beside it; or each where it is better.
     settings : PivSettings, optional
         Of the correlation.
+    preparation : Preparation, optional
+        What is done to the corrected frames; two frames have no background.
+
+    Raises
+    ------
+    PairError, FrameError, RunDamaged
+        The frames cannot be read, or are no pair.
     """
-    settings = settings or PivSettings()
+    settings, preparation = settings or PivSettings(), preparation or Preparation()
+    if preparation.background is not None:
+        raise PairError(
+            f"{preparation.background} needs a series of pairs, and here are single ones; leave it out of prepare"
+        )
     scene = task.scene
     frame_a, frame_b = (read_acquired(path, scene.camera.shape) for path in task.frames)
     corrector = prepared.corrector
@@ -140,7 +153,8 @@ def evaluate_task(
     corrected_a, corrected_b = (
         _corrected(corrector, *named) for named in zip(task.frames, (frame_a, frame_b), strict=True)
     )
-    field = evaluate_pair(corrected_a, corrected_b, corrector.recovered, settings)
+    ready_a, ready_b = (preparation.finished(each, corrector.recovered) for each in (corrected_a, corrected_b))
+    field = evaluate_pair(ready_a, ready_b, corrector.recovered, settings)
     regions = regions_of(field, corrector.map, scene)
     truth = None
     if task.shift_mm is not None:

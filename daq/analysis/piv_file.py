@@ -3,16 +3,20 @@
     final_window_px: 16
     overlap: 0.75
     window: gaussian
+    prepare: [sliding-minimum, min-max]
 
 Windows are named by the first, the last, and how many passes there are: the side is halved from pass to pass
-until it is the last one's, which then repeats.
+until it is the last one's, which then repeats.  `prepare` names what is done to frames, in order (see
+`correction.background.preparation`); left out, each kind of run has its own.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypedDict, Unpack
 
 from pydantic import Field
 
+from correction.background.preparation import Preparation
 from correction.errors import PairError
 from correction.piv.settings import SMALLEST_WINDOW_PX, PivSettings
 from ground.config import Document, Table, load_yaml, validate
@@ -21,6 +25,45 @@ from ground.errors import ConfigError, Problem
 Window = Literal["gaussian", "square"]
 Side = Annotated[int, Field(ge=SMALLEST_WINDOW_PX, le=1024)]
 LARGEST_FIRST = 2  # times the last window at least: a first window as small as that finds next to nothing
+
+
+class PivOptions(TypedDict, total=False):
+    """What every verb that correlates takes, one by one, in place of what the file says.
+
+    Parameters
+    ----------
+    piv : Path, optional
+        Settings of the correlation (docs/files.md).
+    first_window, final_window : int, optional
+        Side of the first and of the last windows [px].
+    passes : int, optional
+        How many.
+    overlap : float, optional
+        Of neighbouring windows.
+    window : {"gaussian", "square"}, optional
+        Their weights.
+    denoise : float, optional
+        0 keeps all detail.
+    prepare : tuple of str, optional
+        What is done to frames, in order; empty for nothing.
+    """
+
+    piv: Path | None
+    first_window: int | None
+    final_window: int | None
+    passes: int | None
+    overlap: float | None
+    window: Window | None
+    denoise: float | None
+    prepare: tuple[str, ...] | None
+
+
+@dataclass(frozen=True)
+class PivChoice:
+    """How pairs are evaluated, and what is done to their frames; None: as is usual for the kind of run."""
+
+    settings: PivSettings
+    preparation: Preparation | None
 
 
 class PivTable(Table):
@@ -39,10 +82,11 @@ class PivTable(Table):
     outlier_threshold: Annotated[float, Field(gt=0.0)] = PivSettings.outlier_threshold
     outlier_epsilon_px: Annotated[float, Field(gt=0.0)] = PivSettings.outlier_epsilon_px
     peak_ratios: bool = False
+    prepare: list[str] | None = None
 
     def settings(self) -> PivSettings:
         """Return what the evaluation takes."""
-        apart = {"first_window_px", "final_window_px", "passes", "window", "window_sigma"}
+        apart = {"first_window_px", "final_window_px", "passes", "window", "window_sigma", "prepare"}
         return PivSettings(
             windows_px=windows_of(self.first_window_px, self.final_window_px, self.passes),
             window_sigma=self.window_sigma if self.window == "gaussian" else 0.0,
@@ -81,31 +125,35 @@ def windows_of(first_px: int | None, final_px: int, passes: int | None) -> tuple
     return (*sides, *[final_px] * (count - len(sides)))
 
 
-def piv_settings(
-    file: Path | None = None,
-    first_window_px: int | None = None,
-    final_window_px: int | None = None,
-    passes: int | None = None,
-    overlap: float | None = None,
-    window: Window | None = None,
-    denoise: float | None = None,
-) -> PivSettings:
+def piv_choice(**options: Unpack[PivOptions]) -> PivChoice:
     """Settings from a file, with what is given besides in their place.
+
+    Parameters
+    ----------
+    **options
+        See `PivOptions`.
 
     Raises
     ------
     ConfigError
         The file, or a value, is not what it should be.
     """
+    file = options.get("piv")
     document = load_yaml(file) if file is not None else Document(Path("settings"), {})
+    prepare = options.get("prepare")
     given = {
-        "first_window_px": first_window_px, "final_window_px": final_window_px, "passes": passes,
-        "overlap": overlap, "window": window, "denoise": denoise,
-    }  # fmt: skip
+        "first_window_px": options.get("first_window"),
+        "final_window_px": options.get("final_window"),
+        "passes": options.get("passes"),
+        "overlap": options.get("overlap"),
+        "window": options.get("window"),
+        "denoise": options.get("denoise"),
+        "prepare": None if prepare is None else list(prepare),
+    }
     if isinstance(document.tree, dict):
         document.tree |= {name: value for name, value in given.items() if value is not None}
     table = validate(document, PivTable)
     try:
-        return table.settings()
+        return PivChoice(table.settings(), None if table.prepare is None else Preparation(tuple(table.prepare)))
     except PairError as error:
         raise ConfigError(document.path, [Problem(0, str(error))]) from None

@@ -71,6 +71,7 @@ def tasks_of(
     if run is None and (len(paths) != 2 or scene is None):
         raise PairError("give two frames and --scene, or the folder of a run whose frames form pairs")
     given = pairs_of(run) if run is not None else RunPairs((), ())
+    given = RunPairs(tuple(pair for pair in given.pairs if not pair.is_background), given.alone)
     if scene is None:
         scene = scene_file(paths[0], out)
     fitted = load_scene(scene)
@@ -79,7 +80,7 @@ def tasks_of(
     tasks = [_task(pair, fitted, out) for pair in given.pairs] or [_two_frames(paths, fitted, out, shift_mm)]
     for path in [path for task in tasks for path in task.frames]:
         read_acquired(path, fitted.camera.shape)
-    sigma = _scene_sigma(scene, fitted, target_clear is not None)
+    sigma = scene_sigma_beside(scene, fitted, target_clear is not None)
     return Tasks(tuple(tasks), dewarp, sigma, len(given.alone))
 
 
@@ -103,7 +104,7 @@ def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
     return replace(task, shift_mm=(x, y))
 
 
-def _scene_sigma(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str:
+def scene_sigma_beside(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str:
     """Uncertainty of the scene from the fit beside its file, or why there is none."""
     if not scene.with_name(FIT_FILE).is_file():
         return "there is no fit beside the scene; run rtpiv calibrate"

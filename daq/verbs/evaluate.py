@@ -1,15 +1,22 @@
 """`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
 from pathlib import Path
+from typing import Unpack
 
 from correction.errors import PairError
 from correction.prepared import PreparedCorrections
+from daq.acquisition.runs.pairs import pairs_of
+from daq.acquisition.runs.run_views import is_run
 from daq.analysis.evaluation import Evaluation, Route, evaluate_task
-from daq.analysis.piv_file import Window, piv_settings
+from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.report.pair_folder import write_pair
+from daq.analysis.report.series import write_series_page
+from daq.analysis.series.run_series import SeriesBooks, run_series
+from daq.analysis.series.series_input import series_input
+from daq.analysis.series.series_pairs import is_series
 from daq.analysis.tasks import tasks_of
 from daq.terminal import console
-from daq.verbs.show import show_evaluation
+from daq.verbs.show import show_evaluation, show_series
 
 
 def evaluate(
@@ -25,13 +32,74 @@ def evaluate(
     route: Route = "image",
     vtk: bool = False,
     figures: bool = False,
-    piv: Path | None = None,
-    first_window: int | None = None,
-    final_window: int | None = None,
-    passes: int | None = None,
-    overlap: float | None = None,
-    window: Window | None = None,
-    denoise: float | None = None,
+    dt_us: float | None = None,
+    workers: int | None = None,
+    **options: Unpack[PivOptions],
+) -> list[Evaluation] | SeriesBooks:
+    """Correct pairs of frames and measure their displacements: a page for each, or the series of a flow run.
+
+    A flow run, or a stream of more than ten pairs, becomes a series (`daq.analysis.series`): files of chunks in
+    m/s and one page.  The same call goes on where an earlier one stopped.
+
+    Parameters
+    ----------
+    paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm
+        See `evaluate_pairs`.
+    shift_mm, stage_sigma_um, route, vtk, figures
+        See `evaluate_pairs`; what only concerns single pairs is refused for a series.
+    dt_us : float, optional
+        Time between the frames of a pair, for a run that does not know it; of a series only.
+    workers : int, optional
+        Processes that evaluate a series; default one a core.
+    **options
+        How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
+
+    Returns
+    -------
+    list of Evaluation, or SeriesBooks
+        One a pair; or what became of the pairs of a series.
+
+    Raises
+    ------
+    ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
+        As `evaluate_pairs`; SeriesError and DiskError as `daq.analysis.series.run_series`.
+    """
+    run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
+    if run is None or not is_series(run, pairs_of(run)):
+        if dt_us is not None or workers is not None:
+            raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
+        return evaluate_pairs(
+            paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, stage_sigma_um, route,
+            vtk, figures, **options,
+        )  # fmt: skip
+    if shift_mm is not None or route != "image" or vtk:
+        raise PairError(
+            "--shift-mm, --route and --vtk are for single pairs, and this run is a series; leave them out"
+        )
+    choice = piv_choice(**options)
+    given = series_input(run, out, choice, scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us)
+    books = run_series(run.resolve().name, out, given.given, given.method, workers)
+    write_series_page(out / "report.html", given, books, figures)
+    screen = console()
+    show_series(screen, books)
+    screen.print(f"look at {out / 'report.html'}; average with: rtpiv mean {out}")
+    return books
+
+
+def evaluate_pairs(
+    paths: list[Path],
+    out: Path,
+    scene: Path | None = None,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
+    shift_mm: tuple[float, float] | None = None,
+    stage_sigma_um: float = 10.0,
+    route: Route = "image",
+    vtk: bool = False,
+    figures: bool = False,
+    **options: Unpack[PivOptions],
 ) -> list[Evaluation]:
     """Correct pairs of frames, measure their displacements, and write a page for each.
 
@@ -59,10 +127,8 @@ def evaluate(
         Also write VTK text.
     figures : bool
         Write every figure as SVG and as PNG, not only as it stands in the page.
-    piv : Path, optional
-        Settings of the correlation (docs/files.md).
-    first_window, final_window, passes, overlap, window, denoise
-        The same one by one, in place of what the file says; windows in px.
+    **options
+        How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
 
     Returns
     -------
@@ -79,7 +145,7 @@ def evaluate(
         raise PairError(
             "the velocity route traces raw pixels; give the camera's lens terms in the scene, no dewarp"
         )
-    settings = piv_settings(piv, first_window, final_window, passes, overlap, window, denoise)
+    choice = piv_choice(**options)
     screen = console()
     given = tasks_of(paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm)
     if given.alone:
@@ -90,7 +156,9 @@ def evaluate(
     for task in given.tasks:
         prepared = corrections.of(task.scene, given.dewarp)
         try:
-            evaluation = evaluate_task(task, prepared, given.sigma, stage_sigma_um, route, settings)
+            evaluation = evaluate_task(
+                task, prepared, given.sigma, stage_sigma_um, route, choice.settings, choice.preparation
+            )
         except PairError as error:
             if len(given.tasks) == 1:
                 raise

@@ -1,6 +1,7 @@
 """`rtpiv report`: a run as one page that goes into a lab book."""
 
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import first_view, scene_file
 from daq.analysis.evaluation import Evaluation, Route
 from daq.analysis.pictures.before_after import before_after
-from daq.analysis.piv_file import Window
+from daq.analysis.piv_file import PivOptions
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
 from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
 from daq.errors import RunUnsuitable
 from daq.terminal import console
-from daq.verbs.evaluate import evaluate
+from daq.verbs.evaluate import evaluate_pairs
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
@@ -35,13 +36,7 @@ def report(
     dewarp_order: int = 2,
     stage_sigma_um: float = 10.0,
     route: Route = "compare",
-    piv: Path | None = None,
-    first_window: int | None = None,
-    final_window: int | None = None,
-    passes: int | None = None,
-    overlap: float | None = None,
-    window: Window | None = None,
-    denoise: float | None = None,
+    **options: Unpack[PivOptions],
 ) -> Path:
     """Evaluate a run and write its page.
 
@@ -56,8 +51,10 @@ def report(
         scene.yaml, best a fitted one; default the one that the run was corrected with, else the bench's.
     target_clear, dewarp_order
         As for `correct`.
-    stage_sigma_um, route, piv, first_window, final_window, passes, overlap, window, denoise
+    stage_sigma_um, route
         As for `evaluate`.
+    **options
+        How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
 
     Returns
     -------
@@ -80,11 +77,9 @@ def report(
     page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
     if (run / MOVED).is_file():
         chosen = route if target_clear is None else "image"
-        found = evaluate(
-            [run], out, scene, target_clear, dewarp_order, stage_sigma_um=stage_sigma_um, route=chosen, piv=piv,
-            first_window=first_window, final_window=final_window, passes=passes, overlap=overlap, window=window,
-            denoise=denoise,
-        )  # fmt: skip
+        found = evaluate_pairs(
+            [run], out, scene, target_clear, dewarp_order, stage_sigma_um=stage_sigma_um, route=chosen, **options
+        )
         shown = _most_telling(found)
         page.tiles(pair_tiles(shown))
         pairs_chapter(page, found)

@@ -1,5 +1,7 @@
 """What a person sees of results: all printing of figures, so that what computes them prints nothing."""
 
+from pathlib import Path
+
 import numpy as np
 from rich.console import Console
 from rich.table import Table
@@ -7,6 +9,10 @@ from rich.table import Table
 from daq.analysis.calibration import Calibration
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
+from daq.analysis.series.mean_flow import MeanFlow
+from daq.analysis.series.run_series import SeriesBooks
+
+SHOWN = 10  # pairs that are named one by one
 
 
 def show_evaluation(screen: Console, evaluation: Evaluation) -> None:
@@ -30,6 +36,43 @@ def show_evaluation(screen: Console, evaluation: Evaluation) -> None:
             table.add_row(*row)
         screen.print(table)
     screen.print(f"look at {evaluation.task.out / 'report.html'}")
+
+
+def show_series(screen: Console, books: SeriesBooks) -> None:
+    """Say what became of the pairs of a series."""
+    done = f"{books.pairs - len(books.failed)} of {books.pairs} pairs have vectors"
+    screen.print(done + (f"; {books.kept} of them had been evaluated before" if books.kept else ""))
+    for tag, why in list(books.failed.items())[:SHOWN]:
+        screen.print(f"{tag} is left out: {why}", style="bold red")
+    if len(books.failed) > SHOWN:
+        screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
+
+
+def show_mean(screen: Console, mean: MeanFlow, page: Path) -> None:
+    """Say how well a mean flow is known."""
+    seen = mean.count > 0
+    screen.print(f"mean of {mean.used} pairs; {len(mean.left_out)} are left out")
+    table = Table(title="median over the plane")
+    for name in ("", "u", "v"):
+        table.add_column(name, justify="right" if name else "left")
+    rows = [
+        ("mean [m/s]", mean.mean_m_s),
+        ("its random sigma [m/s]", mean.sigma_m_s),
+        ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
+        ("fluctuation, without noise [m2/s2]", mean.stresses_m2_s2[..., :2]),
+        ("effective samples", mean.effective.samples),
+    ]
+    if mean.map_sigma_m_s is not None:
+        rows.insert(3, ("sigma by the fitted map [m/s]", mean.map_sigma_m_s))
+    for name, values in rows:
+        u, v = np.nanmedian(np.where(seen[..., None], values, np.nan), axis=(0, 1))
+        table.add_row(name, f"{u:.4g}", f"{v:.4g}")
+    screen.print(table)
+    if mean.no_map_sigma:
+        screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
+    if not mean.effective.converged:
+        screen.print("the series is too short for its slowest motion: sigma is a lower limit", style="bold red")
+    screen.print(f"look at {page}")
 
 
 def show_calibration(screen: Console, found: Calibration) -> None:

@@ -2,9 +2,10 @@
 
 import pytest
 
+from correction.background.preparation import Preparation
 from correction.errors import PairError
 from correction.piv.settings import PivSettings
-from daq.analysis.piv_file import piv_settings, windows_of
+from daq.analysis.piv_file import piv_choice, windows_of
 from ground.errors import ConfigError
 
 
@@ -31,15 +32,16 @@ def test_windows_that_cannot_be(first, final, passes):
 
 
 def test_nothing_given_is_the_default():
-    assert piv_settings() == PivSettings()
+    assert piv_choice().settings == PivSettings()
+    assert piv_choice().preparation is None
 
 
 def test_the_command_line_wins(tmp_path):
     path = tmp_path / "piv.yaml"
     path.write_text("final_window_px: 16\noverlap: 0.75\nwindow: square\n")
-    from_file = piv_settings(path)
+    from_file = piv_choice(piv=path).settings
     assert (from_file.windows_px, from_file.overlap, from_file.window_sigma) == ((64, 32, 16, 16, 16), 0.75, 0.0)
-    both = piv_settings(path, overlap=0.25, window="gaussian")
+    both = piv_choice(piv=path, overlap=0.25, window="gaussian").settings
     assert (both.windows_px[-1], both.overlap, both.window_sigma) == (16, 0.25, PivSettings.window_sigma)
 
 
@@ -51,16 +53,27 @@ def test_the_command_line_wins(tmp_path):
         ("smoothing_px: .nan\n", "finite"),
         ("final_window_px: 4\n", "final_window_px"),
         ("first_window_px: 16\n", "smaller than the last"),
+        ("prepare: [clahe]\n", "moves correlation peaks"),
+        ("prepare: sliding-minimum\n", "prepare"),
+        ("prepare: [min-max, sliding-minimum]\n", "raw frames come first"),
     ],
 )
 def test_what_makes_no_sense_is_refused_with_its_file(tmp_path, text, said):
     path = tmp_path / "piv.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=said) as caught:
-        piv_settings(path)
+        piv_choice(piv=path)
     assert "piv.yaml" in str(caught.value)
 
 
 def test_a_senseless_option_is_refused_by_name():
     with pytest.raises(ConfigError, match="overlap"):
-        piv_settings(overlap=1.5)
+        piv_choice(overlap=1.5)
+
+
+def test_what_is_done_to_frames_comes_from_the_file_or_the_line(tmp_path):
+    path = tmp_path / "piv.yaml"
+    path.write_text("prepare: [sliding-minimum, min-max]\n")
+    assert piv_choice(piv=path).preparation == Preparation(("sliding-minimum", "min-max"))
+    assert piv_choice(piv=path, prepare=("pod",)).preparation == Preparation(("pod",))
+    assert piv_choice(piv=path, prepare=()).preparation == Preparation(())

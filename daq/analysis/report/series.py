@@ -1,0 +1,112 @@
+"""The page of a series: what was done to its frames, one pair of it, and every pair that has no vectors."""
+
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from daq.analysis.report.figures import vector_figure
+from daq.analysis.report.page import Page
+from daq.analysis.report.pair import image_table, scene_chapter
+from daq.analysis.report.tables import mask_rows
+from daq.analysis.series.light_file import make_light
+from daq.analysis.series.preview import Preview, preview
+from daq.analysis.series.run_series import SeriesBooks
+from daq.analysis.series.series_input import SeriesInput
+from daq.analysis.series.series_plan import jobs_of
+
+SHOWN_PAIRS = 60
+
+
+def write_series_page(path: Path, given: SeriesInput, books: SeriesBooks, figures: bool = False) -> None:
+    """Write the page of a series that was evaluated."""
+    page = Page(f"{given.run.resolve().name}: a flow through glass", f"{books.pairs} pairs", twice=figures)
+    shown = shown_pair(given, books)
+    page.tiles(series_tiles(given, books, shown))
+    series_chapters(page, given, books, shown)
+    page.write(path)
+
+
+def shown_pair(given: SeriesInput, books: SeriesBooks) -> Preview | None:
+    """The pair nearest to the middle of the series that has vectors."""
+    method, pairs = given.method, given.given.pairs
+    light = make_light(
+        given.out, method.preparation.background, pairs, given.given.unseeded, method.scene.camera.shape
+    )
+    jobs = jobs_of(given.out, pairs, method, light, 1)
+    middle = len(jobs) // 2
+    for job in sorted(jobs, key=lambda job: abs(job.number - middle)):
+        if job.pairs[0].tag not in books.failed:
+            return preview(job)
+    return None
+
+
+def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> list[tuple[str, str, str]]:
+    """The figures that matter most: value, name, what it is measured against."""
+    tiles = [(f"{books.pairs - len(books.failed)}", "pairs with vectors", f"of {books.pairs} pairs")]
+    times_us = 1e6 * np.array([pair.dt_s for pair in given.given.pairs])
+    spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
+    tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
+    if shown is not None:
+        counts, share = shown.field.counts, shown.seen.recovered
+        asked = shown.field.flags.size - counts["masked"]
+        tiles.append((f"{counts['valid']}", "valid vectors in one pair", f"of {asked} that the glass shows"))
+        tiles.append((f"{100 * share:.1f} %", "of the plane recovered", "share of the corrected frame"))
+    return tiles
+
+
+def series_chapters(page: Page, given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> None:
+    """Add what was done to the frames, one pair, the pairs left out, the scene and where all this comes from."""
+    if shown is not None:
+        _frames(page, shown)
+        _one_pair(page, given, shown)
+    _left_out(page, given, books)
+    scene_chapter(page, given.method.scene)
+    _provenance(page, given)
+
+
+def _frames(page: Page, shown: Preview) -> None:
+    page.heading("Frames, step by step")
+    page.slider(shown.seen.layers, f"Frame A of {shown.tag}. Drag to compare. Mask: {shown.seen.legend}.")
+    if shown.steps:
+        page.table(
+            ("step", "what it does"), shown.steps, "In this order; the background goes before the correction"
+        )
+    else:
+        page.text("Nothing was done to the frames but the correction.")
+    page.table(("nodes of the corrected frame", "share"), mask_rows(shown.seen.shares))
+    image_table(page, shown.seen)
+
+
+def _one_pair(page: Page, given: SeriesInput, shown: Preview) -> None:
+    field, grid = shown.field, shown.grid
+    page.heading("One pair")
+    if field.doubt:
+        page.warning(field.doubt + ".")
+    m_s_per_px = 1e-3 * grid.pitch_mm / shown.dt_s
+    speed = np.hypot(field.u_px, field.v_px) * m_s_per_px
+    figure = vector_figure(field, grid, given.method.scene, speed, "speed [m/s]")
+    page.figure("pair", figure, f"Pair {shown.tag}: every second vector, its speed in colour.", dense=True)
+    page.facts([("time between the frames", f"{shown.dt_s * 1e6:.3f} us"),
+                ("1 px of displacement is", f"{m_s_per_px:.6g} m/s")])  # fmt: skip
+    page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
+
+
+def _left_out(page: Page, given: SeriesInput, books: SeriesBooks) -> None:
+    page.heading("Every pair accounted for")
+    said = f"{books.pairs} pairs, {len(books.failed)} without vectors"
+    page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")
+    rows = list(books.failed.items())
+    if rows:
+        more = (
+            f"; {len(rows) - SHOWN_PAIRS} more are in the markers of the chunks" if len(rows) > SHOWN_PAIRS else ""
+        )
+        page.table(("pair", "why it has no vectors"), rows[:SHOWN_PAIRS], f"Pairs that are left out{more}")
+
+
+def _provenance(page: Page, given: SeriesInput) -> None:
+    page.heading("Provenance")
+    content = given.method.content
+    settings = ", ".join(f"{name} {value}" for name, value in content["settings"].items())
+    page.facts([("run", given.run.resolve().name), ("scene", given.method.scene.content_hash()),
+                ("correlation", settings), ("rtpiv", version("rtpiv"))])  # fmt: skip

@@ -1,0 +1,103 @@
+"""From a run to what its series needs: pairs, scene, dewarp, settings; the folder keeps a copy of the scene."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from correction.background.preparation import SLIDING_MINIMUM, Preparation
+from daq.acquisition.runs.bare_target import dewarp_of
+from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.pairs import pairs_of
+from daq.acquisition.runs.run_views import scene_file
+from daq.analysis.piv_file import PivChoice
+from daq.analysis.series.series_pairs import PairsOfSeries, pairs_of_series
+from daq.analysis.series.series_plan import Method
+from daq.analysis.tasks import FIT_FILE
+from daq.errors import DiskError
+from daq.whole_text import why
+from ground.whole_file import whole_file
+from tracer.scene_file import load_scene
+
+SCENE_FILE = "scene.yaml"
+
+
+@dataclass(frozen=True)
+class SeriesInput:
+    """A series that can be evaluated.
+
+    Parameters
+    ----------
+    run : Path
+        The run.
+    out : Path
+        Folder of the series.
+    given : PairsOfSeries
+        Its pairs.
+    method : Method
+        How each is evaluated.
+    """
+
+    run: Path
+    out: Path
+    given: PairsOfSeries
+    method: Method
+
+
+def series_input(
+    run: Path,
+    out: Path,
+    choice: PivChoice,
+    scene: Path | None = None,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
+    dt_us: float | None = None,
+) -> SeriesInput:
+    """Collect what the series of a run needs.
+
+    Parameters
+    ----------
+    run : Path
+        A flow run, or a stream with a group.
+    out : Path
+        Folder of the series.
+    choice : PivChoice
+        How pairs are evaluated; unless it says otherwise, a sliding minimum is taken off.
+    scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us
+        As for the verb `evaluate`.
+
+    Raises
+    ------
+    PairError, ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
+        What pairs, scene, target or run make impossible.
+    DiskError
+        The folder cannot be written to.
+    """
+    given = pairs_of_series(run, pairs_of(run), dt_us)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
+    scene = scene or scene_file(run, out)
+    fitted = load_scene(scene)
+    board = board_of([run, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
+    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+    _keep(scene, out / SCENE_FILE)
+    if scene.with_name(FIT_FILE).is_file():
+        _keep(scene.with_name(FIT_FILE), out / FIT_FILE)
+    usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
+    through = fitted if given.glass else fitted.with_bodies(())
+    method = Method(through, dewarp, choice.settings, choice.preparation or usual)
+    return SeriesInput(run, out, given, method)
+
+
+def _keep(source: Path, copy: Path) -> None:
+    """Copy a file that the statistics of the series will ask for."""
+    if source.resolve() == copy.resolve():
+        return
+    try:
+        with source.open("rb") as given, whole_file(copy) as stream:
+            shutil.copyfileobj(given, stream)
+    except OSError as error:
+        raise DiskError(f"{copy}: {why(error)}; make room, then give the same command again") from error

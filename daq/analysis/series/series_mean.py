@@ -1,0 +1,69 @@
+"""The statistics of a series from its folder to mean.nc."""
+
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from correction.grid import PlaneGrid, grid_of
+from correction.piv.windows import WindowGrid, window_grid
+from correction.prepared import prepare
+from daq.analysis.series.map_sigma import with_map_sigma
+from daq.analysis.series.mean_file import write_mean
+from daq.analysis.series.mean_flow import MeanFlow, mean_flow
+from daq.analysis.series.series_folder import Chunks, SeriesFolder
+from daq.analysis.series.series_input import SCENE_FILE
+from daq.analysis.tasks import scene_sigma_beside
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+FILE = "mean.nc"
+
+
+def mean_of_series(folder: Path) -> MeanFlow:
+    """Average a series and write its mean.nc.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the series.
+
+    Raises
+    ------
+    SeriesError
+        A chunk is missing, damaged or made with other settings; or no pair has a vector.
+    RunUnsuitable
+        The folder is no series.
+    ConfigError
+        Its scene cannot be read.
+    DiskError
+        The file cannot be written.
+    """
+    about = SeriesFolder(folder).about
+    mean = mean_flow(Chunks.of(folder))
+    through = scene_of(folder)
+    sigma = scene_sigma_beside(folder / SCENE_FILE, load_scene(folder / SCENE_FILE), about["dewarped"])
+    if isinstance(sigma, str):
+        mean = replace(mean, no_map_sigma=sigma)
+    else:
+        prepared = prepare(through, maps=folder / "maps")
+        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma)
+    said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
+    write_mean(folder / FILE, mean, said)
+    return mean
+
+
+def scene_of(folder: Path) -> Scene:
+    """Scene that the camera of a series looked through."""
+    scene = load_scene(folder / SCENE_FILE)
+    return scene if SeriesFolder(folder).about["glass"] else scene.with_bodies(())
+
+
+def grid_of_series(folder: Path) -> PlaneGrid:
+    """Nodes of its corrected frames."""
+    return grid_of(scene_of(folder).camera)
+
+
+def windows_of(folder: Path) -> WindowGrid:
+    """Where the vectors of a series lie on its corrected image."""
+    settings = SeriesFolder(folder).about["content"]["settings"]
+    return window_grid(grid_of_series(folder).shape, int(settings["windows_px"][-1]), float(settings["overlap"]))

@@ -1,0 +1,82 @@
+"""`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
+
+from pathlib import Path
+from typing import Unpack
+
+from correction.errors import PairError
+from daq.acquisition.runs.run_views import is_run
+from daq.analysis.piv_file import PivOptions, piv_choice
+from daq.analysis.report.mean import write_mean_page
+from daq.analysis.series.mean_flow import MeanFlow
+from daq.analysis.series.run_series import run_series
+from daq.analysis.series.series_folder import FILE
+from daq.analysis.series.series_input import series_input
+from daq.analysis.series.series_mean import mean_of_series
+from daq.errors import RunUnsuitable
+from daq.terminal import console
+from daq.verbs.show import show_mean, show_series
+
+
+def mean(
+    path: Path,
+    out: Path | None = None,
+    scene: Path | None = None,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    figures: bool = False,
+    dt_us: float | None = None,
+    workers: int | None = None,
+    **options: Unpack[PivOptions],
+) -> MeanFlow:
+    """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.
+
+    Parameters
+    ----------
+    path : Path
+        A flow run, whose pairs are evaluated where that has not been done with these settings; or the folder of a
+        series that `evaluate` has made.
+    out : Path, optional
+        Folder of the series, default ``series`` inside the run: ``mean.nc`` and ``mean.html``, beside what
+        `evaluate` writes there.
+    scene, target_clear, dewarp_order, figures, dt_us, workers
+        As for `evaluate`; of a run only.
+    **options
+        How pairs are correlated, see `daq.analysis.piv_file.PivOptions`; of a run only.
+
+    Returns
+    -------
+    MeanFlow
+        The statistics.
+
+    Raises
+    ------
+    PairError, SeriesError
+        What the run or its series make impossible: no pair with vectors, a chunk that is missing or damaged.
+    RunUnsuitable
+        The folder is neither a run nor a series.
+    ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunDamaged, DiskError
+        As for `evaluate`.
+    """
+    screen = console()
+    if is_run(path):
+        folder = out if out is not None else path / "series"
+        choice = piv_choice(**options)
+        given = series_input(path, folder, choice, scene, target_clear, dewarp_order, dt_us=dt_us)
+        books = run_series(path.resolve().name, folder, given.given, given.method, workers)
+        show_series(screen, books)
+    elif (path / FILE).is_file():
+        folder = path
+        if (
+            out is not None
+            or scene is not None
+            or target_clear is not None
+            or dt_us is not None
+            or any(value is not None for value in options.values())
+        ):
+            raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
+    else:
+        raise RunUnsuitable(f"{path}: is neither a run nor the folder of a series; evaluate a flow run first")
+    found = mean_of_series(folder)
+    write_mean_page(folder / "mean.html", folder, found, figures)
+    show_mean(screen, found, folder / "mean.html")
+    return found
