@@ -12,6 +12,8 @@ from daq.acquisition.runs.displacement import Moved
 from daq.acquisition.runs.done_file import DoneFile
 from daq.acquisition.runs.journal_lines import Line
 from daq.acquisition.runs.run_file import RunFile
+from daq.analysis.piv_file import PivTable
+from daq.analysis.series.series_folder import SeriesFile
 from daq.timing.timing_table import TimingTable
 from ground.config import load_yaml, validate
 from sim.bench_table import SimulationTable
@@ -31,6 +33,7 @@ def keys_of(model: object) -> set[str]:
     "model",
     [
         *(SceneTable, BenchTable, SimulationTable, TimingTable, RunFile, Line, DoneFile, Moved),
+        *(PivTable, SeriesFile),
         *map(plan_table, EXPERIMENTS),
     ],
 )
