@@ -137,8 +137,8 @@ def fit_row(
     """Fit a row of windows.
 
     planes (L, n) float64; lags (L, 2) float64; free (7,) bool: without its place free, the peak stands at no
-    displacement (autocorrelation); variance (n,) float64, of a round peak to start from; work (20, 7) and line (L,)
-    float64 scratch; fits (n, 7) float64 becomes the parameters, NaN where there is no peak; slopes (n, 7, 7)
+    displacement (autocorrelation); variance (n,) float64, of a round peak to start from; work (20, 7) and line
+    (L,) float64 scratch; fits (n, 7) float64 becomes the parameters, NaN where there is no peak; slopes (n, 7, 7)
     float64 those of `template_slopes`.
     """
     for i in range(fits.shape[0]):
