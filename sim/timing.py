@@ -29,6 +29,11 @@ from sim.world import World
 TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
 
 
+def emulator_of(box: str) -> type[QuantumComposersEmulator]:
+    """Firmware of the box that a bench file names."""
+    return QuantumComposersEmulator
+
+
 class SimulatedTiming:
     """One timing unit.
 

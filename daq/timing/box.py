@@ -17,7 +17,7 @@ from typing import ClassVar
 from daq.timing.errors import LaserDoubt, LaserStopped
 from daq.timing.pulses import Role, Schedule
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.errors import DeviceLost, MotionStopped, PortError, ProtocolViolation
+from stages.errors import CommandRejected, DeviceLost, MotionStopped, PortError, ProtocolViolation
 from stages.link import QUIET_S, Link
 from stages.port import Port
 from stages.stop_latch import StopLatch
@@ -211,4 +211,4 @@ class TimingBox(Link):
             raise LaserStopped(f"{self.name} was switched off meanwhile") from None
 
 
-UNREADABLE = (PortError, ProtocolViolation, LaserDoubt)
+UNREADABLE = (PortError, ProtocolViolation, CommandRejected, LaserDoubt)

@@ -140,6 +140,7 @@ class QuantumComposersEmulator(Emulator):
     def next_s(self) -> float | None:
         """When the next tick or pulse is due."""
         moments = [self._coming[0][0]] if self._coming else []
+        moments += self._due_s[:1]
         if self._next_tick_s is not None:
             moments.append(self._next_tick_s)
         return min(moments, default=None)
@@ -171,8 +172,10 @@ class QuantumComposersEmulator(Emulator):
             self.event_s = due_s
             if self._coming and self._coming[0][0] <= due_s:
                 self.outputs.emit(heapq.heappop(self._coming)[2])
-            else:
+            elif self._next_tick_s is not None and self._next_tick_s <= due_s:
                 self._tick_t0(due_s)
+            else:
+                break  # power comes back; the base knows
         super().advance()
 
     def _tick_t0(self, time_s: float) -> None:
@@ -204,6 +207,12 @@ class QuantumComposersEmulator(Emulator):
         else:
             self._coming = [each for each in self._coming if each[1] != number - 1]
             heapq.heapify(self._coming)
+
+    def switch_off(self) -> None:
+        """Power fails: no tick, no pulse."""
+        super().switch_off()
+        self._next_tick_s = None
+        self._coming.clear()
 
     def _power_up(self) -> None:
         self._stream = CommandStream()

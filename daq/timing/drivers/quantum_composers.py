@@ -18,6 +18,7 @@ echoed are skipped. What was refused is refused for good: nothing that switches 
 import math
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 
 from daq.timing.box import TimingBox
 from daq.timing.errors import LaserDoubt, PulsesRefused, WrongBox
@@ -59,14 +60,15 @@ class QuantumComposersBox(TimingBox):
         return [SPOILS + b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
 
     def silence(self) -> None:
-        """Every output there is, wired or not, off and read back."""
+        """Every output there is, wired or not, off and read back; what reads back is what counts."""
         with self._lock:
             self.drop()
             wired = [*self._numbers(*Q_SWITCHES), *self._numbers(*LAMPS)]
             others = [number for number in range(1, self._outputs + 1) if number not in wired]
             order = [*wired, T0, *others]
             for number in order:
-                self._repeated(lambda number=number: self._set(number, "STAT", "0"))  # type: ignore[misc]
+                with suppress(CommandRejected):
+                    self._off(number)
             if on := [_name(number) for number in order if self._flag(number, "STAT")]:
                 raise LaserDoubt(f"{self.name}: {', '.join(on)} of the box cannot be switched off")
 
@@ -76,6 +78,9 @@ class QuantumComposersBox(TimingBox):
             self._require_dark()
             for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), ("GATE:MOD", "DIS")):
                 self._keep(T0, keyword, value)
+            for role in self.wiring:  # all: a mixed output gives the pulses of another one
+                for word, value in self._settings(role):
+                    self._keep(self._number(role), word, value)
             period_us = 1e6 * self._put_seconds(T0, "PER", schedule.period_us * 1e-6, 9)
             pulses = {}
             for role, pulse in schedule.pulses.items():
@@ -95,20 +100,14 @@ class QuantumComposersBox(TimingBox):
             self._require_dark()
             self._require_unlocked_clock()
             for number in [T0, *self._numbers(*LAMPS)]:
-                if self._flag(number, "STAT") is not lamps:
-                    is_now = "off" if lamps else "on"
-                    raise LaserDoubt(f"{self.name}: {_name(number)} is {is_now}; was the box restarted?")
-            found: dict[str, object] = {"T0": 1e6 * self._seconds(T0, "PER")}
-            wanted: dict[str, object] = {"T0": schedule.period_us}
+                self._require(number, "STAT", "1" if lamps else "0")
+            self._require_seconds(T0, "PER", schedule.period_us * 1e-6)
             for role, pulse in schedule.pulses.items():
                 number = self._number(role)
-                delay_us, width_us = (1e6 * self._seconds(number, word) for word in ("DEL", "WIDT"))
-                settings = {word: self._text(number, word) for word, _ in self._settings(role)}
-                found[role] = (Pulse(delay_us, width_us), settings)
-                wanted[role] = (pulse, dict(self._settings(role)))
-            if found != wanted:
-                changed = ", ".join(name for name in wanted if found.get(name) != wanted[name])
-                raise LaserDoubt(f"{self.name} no longer holds what it was loaded with ({changed})")
+                for word, value in self._settings(role):
+                    self._require(number, word, value)
+                self._require_seconds(number, "DEL", pulse.delay_us * 1e-6)
+                self._require_seconds(number, "WIDT", pulse.width_us * 1e-6)
 
     def begin(self, pairs: int, camera: bool = True) -> None:
         """Counts first, then on: camera, marker, Q-switches; T0 last where no lamp needs it."""
@@ -120,8 +119,11 @@ class QuantumComposersBox(TimingBox):
                 if not 1 <= count <= LARGEST_COUNT:
                     raise PulsesRefused(f"{self.name} counts to {LARGEST_COUNT}, not to {count}")
                 self._repeated(lambda n=number, c=count: self._set(n, "BCO", str(c)))  # type: ignore[misc]
-                if self._whole(number, "BCO") != count or self._text(number, "CMOD") != "BURS":
+                if self._whole(number, "BCO") != count:
                     raise LaserDoubt(f"{self.name}: {_name(number)} does not take its count")
+            for role in self.wiring:
+                for word, value in self._settings(role)[:3]:  # the last look at what would give other pulses
+                    self._require(self._number(role), word, value)
             for number in [*seen, *lit]:
                 self._set(number, "STAT", "1", moves=True)
             if not self._has_lamps:
@@ -145,7 +147,7 @@ class QuantumComposersBox(TimingBox):
             roles = (*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
             numbers = self._numbers(*roles) + ([] if self._has_lamps else [T0])
             for number in numbers:
-                self._repeated(lambda number=number: self._set(number, "STAT", "0"))  # type: ignore[misc]
+                self._off(number)
             if any(self._flag(number, "STAT") for number in numbers):
                 raise LaserDoubt(f"{self.name} does not end its burst")
 
@@ -195,8 +197,6 @@ class QuantumComposersBox(TimingBox):
 
     def _load_pulse(self, role: Role, pulse: Pulse) -> Pulse:
         number = self._number(role)
-        for word, value in self._settings(role):
-            self._keep(number, word, value)
         width_us = 1e6 * self._put_seconds(number, "WIDT", pulse.width_us * 1e-6, 11)
         delay_us = 1e6 * self._put_seconds(number, "DEL", pulse.delay_us * 1e-6, 11)
         return Pulse(delay_us, width_us)
@@ -208,7 +208,23 @@ class QuantumComposersBox(TimingBox):
         if role is Role.CAMERA and Role.CAMERA_B in self.wiring:
             mux |= 1 << (self._number(Role.CAMERA_B) - 1)
         mode = "NORM" if role in LAMPS else "BURS"
-        return [("CMOD", mode), ("SYNC", "T0"), ("MUX", str(mux)), ("POL", "NORM"), ("CGAT", "DIS"), ("WCO", "0")]
+        return [("CMOD", mode), ("MUX", str(mux)), ("POL", "NORM"), ("SYNC", "T0"), ("CGAT", "DIS"), ("WCO", "0")]
+
+    def _off(self, number: int) -> None:
+        self._repeated(lambda: self._set(number, "STAT", "0"))
+
+    def _require(self, number: int, keyword: str, value: str) -> None:
+        """Raise if something has not (any more) the value that it must have."""
+        if self._repeated(lambda: self._ask(f":PULSE{number}:{keyword}")) == value:
+            return
+        if (found := self._text(number, keyword)) != value:
+            what = f"{_name(number)} {keyword} is {found}, not {value}"
+            raise LaserDoubt(f"{self.name} no longer holds what it was loaded with ({what}); was it restarted?")
+
+    def _require_seconds(self, number: int, keyword: str, seconds: float) -> None:
+        if abs(self._seconds(number, keyword) - seconds) > 1e-12:
+            what = f"{_name(number)} {keyword} is not {seconds} s"
+            raise LaserDoubt(f"{self.name} no longer holds what it was loaded with ({what})")
 
     def _keep(self, number: int, keyword: str, value: str) -> None:
         """See that something has a value, and write it only if it has not."""

@@ -1,0 +1,260 @@
+"""Random sequences of verbs, faults and persons over a laser, before a judge who counts its pulses.
+
+    python -m tests.safety.laser_fuzz --sequences 20000 --seed 1
+
+The judge hangs on the Q-switch outputs of the emulated box and knows the state of the laser at the moment of
+every pulse. A pulse is allowed while it is FIRING or ALIGNING, at most as many for each Q-switch as were asked
+for; and in UNKNOWN only what is left of a burst whose cable has been pulled, which nobody can stop but the box.
+"""
+
+import argparse
+import random
+import time
+from collections import Counter
+from contextlib import suppress
+from typing import ClassVar
+
+from daq.errors import DaqError
+from daq.timing.conditions import Conditions
+from daq.timing.drivers.quantum_composers import QuantumComposersBox
+from daq.timing.laser import AlignRules, Laser, Rules
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
+from daq.timing.states import EMITS, LaserState
+from sim.clock import VirtualClock
+from sim.emulators.faults import KINDS, Fault
+from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
+from sim.emulators.quantum_composers import QuantumComposersEmulator
+from stages.errors import StageError
+
+GOOD = Conditions(True, True, True, 5.0, 10_000, True)
+LAMPS = {Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH_2: "D", Role.CAMERA: "E"}
+PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.MARKER: "D"}
+RULES = Rules(warmup_s=5.0, align=AlignRules(q_switch_delay_us=300.0, pulse_us=5.0))
+FIELDS = {
+    "camera_armed": False, "at_rest": False, "sheet_clearance_mm": 1.0, "shutter_open": None, "frames_fit": -1,
+}  # fmt: skip
+NUDGES = (("PER", "0.05"), ("CMOD", "NORM"), ("BCO", "77"), ("MUX", "3"), ("POL", "COMP"), ("DEL", "0.001"))
+
+
+class WatchedClock(VirtualClock):
+    """Lets the box live while time passes."""
+
+    lives = staticmethod(lambda: None)
+
+    def sleep_s(self, duration_s):
+        super().sleep_s(duration_s)
+        self.lives()
+
+    def advance_to(self, time_s):
+        super().advance_to(time_s)
+        self.lives()
+
+
+class Story:
+    """One laser, and what happens to it."""
+
+    def __init__(self, seed):
+        self.rng = random.Random(seed)
+        self.clock = WatchedClock()
+        self.has_lamps = self.rng.random() < 0.5
+        wiring = LAMPS if self.has_lamps else PUMPED
+        self.box_options = {"outputs": 8 if self.has_lamps else 4, "echo": self.rng.random() < 0.2}
+        self.emulator = QuantumComposersEmulator({}, self.clock, **self.box_options)
+        self.line = Line(self.emulator, self.clock)
+        self.address = f"fuzz-{id(self):x}"
+        LINES[self.address] = self.line
+        self.clock.lives = self.emulator.advance
+        head = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 182.0)) if self.has_lamps else None
+        head = head or LaserHead(max_rate_hz=200.0)
+        self.laser = Laser("laser", QuantumComposersBox("laser", wiring, self.clock), head, RULES, self.clock)
+        self.q_switches = {wiring[Role.Q_SWITCH_1], wiring[Role.Q_SWITCH_2]}
+        self.emulator.outputs.listen(self.judge)
+        self.left = Counter()
+        self.cut = False  # the cable was pulled while a burst went on
+        self.log, self.found = [], []
+        self.pulses = self.firings = 0
+
+    def judge(self, pulse):
+        if pulse.output not in self.q_switches:
+            return
+        self.pulses += 1
+        state = self.laser._state  # without its clock
+        self.left[pulse.output] -= 1
+        if self.left[pulse.output] < 0:
+            self.found.append(f"one pulse too many on {pulse.output} at {pulse.rises_s:.4f} s")
+        if state not in EMITS and not (state is LaserState.UNKNOWN and self.cut):
+            self.found.append(f"a pulse on {pulse.output} at {pulse.rises_s:.4f} s while {state.value}")
+
+    # ---- what may happen -----------------------------------------------------------------------------
+
+    def asked_for(self, pairs):
+        for output in self.q_switches:
+            self.left[output] = pairs
+        self.firings += 1
+
+    def fire(self):
+        pairs = self.rng.choice((1, 3, 20, 50))
+        self.cut = self.cut and self.line.dead
+        if self.laser.state is LaserState.ARMED:
+            self.asked_for(pairs)
+        self.laser.fire(pairs)
+
+    def align(self):
+        if self.laser.state is LaserState.SAFE:
+            self.asked_for(20)
+            self.cut = self.cut and self.line.dead
+        word = self.laser.challenge if self.rng.random() < 0.8 else "1"
+        self.laser.align(word, self.rng.choice((2.0, 10.0, 11.0)), self.rng.choice((1.0, 2.0)))
+
+    def set(self):
+        timing = PulseTiming(self.rng.choice((20.0, 30.0, 1e6)), self.rng.choice((10.0, 10.0, 12.0, 500.0)))
+        self.laser.set(timing, PairExposures(100.0, 20_000.0, 2.0))
+
+    def arm(self):
+        word = self.laser.challenge if self.rng.random() < 0.9 else "word"
+        self.laser.arm(self.conditions(), word)
+
+    def conditions(self):
+        if self.rng.random() < 0.85:
+            return GOOD
+        name = self.rng.choice(list(FIELDS))
+        values = {field: getattr(GOOD, field) for field in GOOD.__dataclass_fields__}
+        return Conditions(**{**values, name: FIELDS[name]})
+
+    def sleep(self):
+        for _ in range(self.rng.choice((1, 5, 30, 110))):
+            self.clock.sleep_s(0.05)
+
+    def fault(self):
+        self.line.faults.strike(Fault(self.rng.choice(KINDS[:-1]), 0, delay_s=self.rng.choice((0.01, 0.6, 2.0))))
+
+    def later_fault(self):
+        number = self.line.faults._count + self.rng.randrange(40)
+        self.line.faults._by_answer[number] = Fault(self.rng.choice(KINDS[:-1]), number, delay_s=0.7)
+
+    def refuse(self):
+        self.emulator.refuse = self.rng.choice((1, 1, 2, 5))
+
+    def later_refuse(self):
+        self.line.hooks.after(self.rng.randrange(1, 25), "write", lambda: setattr(self.emulator, "refuse", 1))
+
+    def unplug(self):
+        self.emulator.advance()
+        self.cut = self.cut or self.laser.state in EMITS
+        self.line.unplug()
+
+    def later_unplug(self):
+        self.line.hooks.after(self.rng.randrange(1, 30), "answer", self.unplug)
+
+    def plug_in(self):
+        self.line.plug_in()
+
+    def power(self):
+        self.line.power_cycle(self.rng.choice((0.05, 0.5)))
+
+    def keys(self):
+        number = self.rng.randrange(len(self.emulator._all))
+        words = [each for each in NUDGES if each[0] in self.emulator._all[number].words]
+        keyword, value = self.rng.choice(words)
+        if self.laser.state in EMITS or (keyword == "MUX" and self.emulator.is_on_at(0)):
+            return  # somebody who turns a knob while pulses leave is out of our reach
+        self.emulator.set_inside(number, keyword, value)
+
+    def stop_key(self):
+        self.emulator.person_stops()
+
+    def stop_at_any_byte(self):
+        """Another thread stops it at some byte of what comes next."""
+
+        def stop():
+            with suppress(StageError):
+                self.laser.stop("another thread")
+
+        what = self.rng.choice(("write", "answer"))
+        self.line.hooks.press(self.rng.randrange(1, 30), what, stop, lambda: False)
+
+    VERBS = (
+        ("safe", 4, lambda s: s.laser.safe()),
+        ("warm", 8, lambda s: s.laser.warm(s.rng.choice((10.0, 10.0, 16.0)))),
+        ("sleep", 6, sleep), ("set", 8, set), ("arm", 8, arm), ("fire", 10, fire),
+        ("wait", 4, lambda s: s.laser.wait()), ("look", 3, lambda s: s.laser.look()),
+        ("watch", 3, lambda s: s.laser.watch(s.conditions())), ("stop", 2, lambda s: s.laser.stop("asked")),
+        ("align", 2, align), ("confirm", 2, lambda s: s.laser.confirm_off()),
+        ("disarm", 1, lambda s: s.laser.disarm()), ("fault", 3, fault), ("later_fault", 3, later_fault),
+        ("refuse", 2, refuse), ("later_refuse", 2, later_refuse), ("unplug", 1, unplug),
+        ("later_unplug", 1, later_unplug), ("plug_in", 3, plug_in), ("power", 1, power), ("keys", 2, keys),
+        ("stop_key", 1, stop_key), ("stop_at_any_byte", 2, stop_at_any_byte),
+    )  # fmt: skip
+    USUAL: ClassVar = {  # what a person does next, so that sequences get as far as light
+        LaserState.SAFE: ("warm",), LaserState.WARM: ("sleep",), LaserState.ARMED: ("fire",),
+        LaserState.FAULT: ("safe",), LaserState.UNKNOWN: ("safe", "sleep", "confirm"),
+        LaserState.FIRING: ("wait", "sleep", "stop", "watch", "later_fault"),
+        LaserState.ALIGNING: ("wait", "sleep"),
+    }  # fmt: skip
+
+    def next_verb(self):
+        verbs = {name: do for name, _, do in self.VERBS}
+        state = self.laser.state
+        if self.rng.random() < 0.5:
+            usual = self.rng.choice(self.USUAL.get(state, ("set" if self.laser.schedule is None else "arm",)))
+            return usual, verbs[usual]
+        name, _, do = self.rng.choices(self.VERBS, [weight for _, weight, _ in self.VERBS])[0]
+        return name, do
+
+    def tell(self, length):
+        """Play; what was found is in `found`."""
+        try:
+            with suppress(DaqError, StageError):
+                self.laser.open(f"sim://{self.address}")
+            for _ in range(length):
+                name, do = self.next_verb()
+                self.log.append(f"{self.clock.now_s():9.3f} {self.laser.state.value:9s} {name}")
+                try:
+                    do(self)
+                except (DaqError, StageError) as error:
+                    self.log[-1] += f" -> {type(error).__name__}: {error}"
+                if self.found:
+                    return
+            self.line.hooks.clear()
+            with suppress(DaqError, StageError):
+                self.laser.close()
+            if not self.line.dead and not self.line.faults.met and self.emulator.is_on:
+                on = [number for number in range(len(self.emulator._all)) if self.emulator.is_on_at(number)]
+                if on and not self.cut and not self.line.plugged:
+                    self.found.append(f"{on} are on after the end")
+        finally:
+            LINES.pop(self.address)
+
+
+def play(sequences, seed, length=14, until_s=None):
+    """Tell stories; return their books, and the log of the first in which something was found."""
+    books = Counter()
+    for number in range(sequences):
+        story = Story(f"{seed}-{number}")
+        story.tell(length)
+        books["sequences"] += 1
+        books["pulses"] += story.pulses
+        books["bursts"] += story.firings
+        if story.found:
+            return books, [f"seed {seed}-{number}", *story.log, *story.found]
+        if until_s is not None and time.monotonic() > until_s:
+            break
+    return books, []
+
+
+def main():
+    """Run from the command line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--sequences", type=int, default=20_000)
+    parser.add_argument("--seed", default="1")
+    parser.add_argument("--length", type=int, default=14)
+    options = parser.parse_args()
+    begun_s = time.monotonic()
+    books, found = play(options.sequences, options.seed, options.length)
+    print(dict(books), f"{time.monotonic() - begun_s:.0f} s")
+    print("\n".join(found) or "nothing found")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""A laser that somebody else uses at random: no pulse in a state that has none, whatever happens to its line."""
+
+import pytest
+
+from daq.timing.box import TimingBox
+from daq.timing.laser import Laser
+from daq.timing.states import Event, LaserState
+from tests.safety.laser_fuzz import play
+
+
+def test_no_pulse_that_was_not_asked_for():
+    books, found = play(150, "ci")
+    assert not found, "\n".join(found)
+    assert books["pulses"] > 500
+    assert books["bursts"] > 30
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+def test_no_pulse_in_20_000_sequences():
+    books, found = play(20_000, "1")
+    assert not found, "\n".join(found)
+    assert books["sequences"] == 20_000
+
+
+def says_nothing(self, *_):
+    """A stop that reaches nobody."""
+
+
+def test_the_judge_sees_a_stop_that_does_not_switch_off(monkeypatch):
+    monkeypatch.setattr(TimingBox, "drop", says_nothing)
+    _, found = play(200, "blind")
+    assert any("while unknown" in line for line in found)
+
+
+def test_the_judge_sees_a_state_that_goes_ahead_of_the_box(monkeypatch):
+    monkeypatch.setattr(Laser, "look", ends_early)
+    _, found = play(200, "early")
+    assert any("while ready" in line for line in found)
+
+
+def ends_early(laser):
+    if laser.state is LaserState.FIRING:
+        laser._enter(Event.DONE)
+    return False

@@ -1,0 +1,42 @@
+"""A program that fires chunk after chunk: python -m tests.system.laser_client PORT BOX LAMPS PAIRS RATE_HZ."""
+
+import os
+import sys
+
+from daq.timing.conditions import Conditions
+from daq.timing.opened import open_laser
+from daq.timing.pulses import PairExposures, PulseTiming
+from daq.timing.timing_table import HeadTable, TimingTable
+from daq.timing.vigil import Vigil
+from stages.clock import SYSTEM_CLOCK
+
+GOOD = Conditions(True, True, True, 5.0, 10_000, True)
+WIRED = {"q_switch_1": "B", "q_switch_2": "D", "camera": "E"}
+LAMPS = {"lamp_1": "A", "lamp_2": "C"}
+PIVLAB = {"q_switch_1": "2", "camera": "1"}
+
+
+def table(port, box, has_lamps, rate_hz):
+    head = HeadTable(max_rate_hz=rate_hz, warmup_s=0.0, lamp_to_q_switch_us=[180.0, 182.0] if has_lamps else None)
+    wired = PIVLAB if box.startswith("pivlab") else WIRED | (LAMPS if has_lamps else {})
+    return TimingTable(box=box, port=port, channels=wired, head=head, uncounted=box.startswith("pivlab"))
+
+
+def main():
+    port, box, has_lamps, pairs, rate_hz = sys.argv[1:]
+    with open_laser(table(port, box, has_lamps == "lamps", float(rate_hz))) as laser:
+        print("open", laser.box.watchdog.pid, os.getpid(), flush=True)
+        laser.warm(float(rate_hz))
+        exposures = PairExposures(500.0, 2_000.0, 2.0, two_triggers=False)
+        laser.set(PulseTiming(100.0, float(rate_hz)), exposures)
+        while True:
+            laser.arm(GOOD, laser.challenge)
+            laser.fire(int(pairs))
+            print("fires", flush=True)
+            with Vigil(laser, lambda: GOOD, SYSTEM_CLOCK, SYSTEM_CLOCK) as vigil:
+                vigil.wait()
+            print("done", flush=True)
+
+
+if __name__ == "__main__":
+    main()
