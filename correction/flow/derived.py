@@ -132,7 +132,7 @@ def profile(field: PlaneField, start: tuple[float, float], end: tuple[float, flo
     """Vectors along the line from `start` to `end` (x, y), interpolated linearly at steps of the raster."""
     first, last = np.array(start, float), np.array(end, float)
     length = float(np.hypot(*(last - first)))
-    count = max(int(round(length / float(field.x[1] - field.x[0]))) + 1, 2)
+    count = max(round(length / float(field.x[1] - field.x[0])) + 1, 2)
     points = first + np.linspace(0.0, 1.0, count)[:, None] * (last - first)
     values = np.concatenate((field.uv, field.sigma), axis=-1)
     found = RegularGridInterpolator((field.y, field.x), values, bounds_error=False)(points[:, ::-1])
