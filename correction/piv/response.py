@@ -1,14 +1,15 @@
 """What an evaluation makes of waves and of noise: the linear theory of its passes.
 
-A pass adds to the predictor what its windows see of the rest. With the response K of window and interpolation,
-and S the smoothing before the next pass, a field and the noise n of one correlation come out of P passes as
+A pass adds to the predictor what its windows see of the rest. With the response R of the windows to the flow, K to
+what is interpolated between nodes, and S the smoothing before the next pass, a field and the noise n of one
+correlation come out of P passes as
 
-    gain:  g = K + (1 - K) S g,         noise:  n (1 + (1 - K) S (1 + (1 - K) S (...))),
+    gain:  g = R + (1 - K) S g,         noise:  n (1 + (1 - K) S (1 + (1 - K) S (...))),
 
 since the same windows see the same noise again in every pass and take back K of what they had added. A last
-filter (`correction.piv.denoise`) multiplies both. What a window of weights w(x) makes of a wave is its
-transform; of a field that is given at nodes, the transform of its averages of the interpolation (Keys) around
-each node, which is what K is here. The noise of windows that share pixels correlates as their weights do.
+filter (`correction.piv.denoise`) multiplies both. R is the transform of the window's weights w(x), K that of
+their averages of the spline around each node. The noise of windows that share pixels correlates as their weights
+do.
 
 Astarita, Exp. Fluids 43, 859 (2007), on the response; in the limit of dense windows the noise of any such
 evaluation is the integral of gain^2 over all waves: who wants more of the short ones pays for it.
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from correction.piv.denoise import ORDER, SMOOTH
 from correction.piv.refine import window_weights
 from correction.piv.settings import PivSettings
-from correction.piv.windows import keys_weights
+from correction.piv.windows import spline_weights
 
 COARSE = 2  # passes after which the predictor is smoothed more
 SMOOTH_COARSE, SMOOTH_FINE = 0.35, 0.25  # of the window's side: standard deviation of the predictor's smoothing
@@ -116,9 +117,10 @@ def gain(
     x = np.arange(len(weights)) - (len(weights) - 1) / 2
     seen: Floats = (weights * np.cos(np.multiply.outer(k, x))).sum(axis=-1) / weights.sum()
     wave = np.stack((k * step_px, np.zeros_like(k)), axis=-1)
+    between_nodes = 1.0 - _node_line(weights, step_px, k * step_px)
     result: Floats = seen
     for transfer in between:
-        result = seen + (1.0 - seen) * transfer(wave) * result
+        result = seen + between_nodes * transfer(wave) * result
     return result * last(wave) if last is not None else result
 
 
@@ -130,10 +132,15 @@ def _waves() -> Floats:
 
 def _node_response(weights: Floats, step_px: int) -> Floats:
     """What windows see of a field given at their nodes, for each wave of `_waves`."""
+    line = _node_line(weights, step_px, _waves()[0, :, 0])
+    return np.outer(line, line)
+
+
+def _node_line(weights: Floats, step_px: int, wave: Floats) -> Floats:
+    """The same along one axis, for waves (n,) [rad a step]."""
     x = (np.arange(len(weights)) - (len(weights) - 1) / 2) / step_px
-    first, shares = keys_weights(x)
+    first, shares = spline_weights(x)
     node = (first[:, None] + np.arange(4)).ravel()
     share = (weights[:, None] * shares).ravel() / weights.sum()
-    wave = _waves()[0, :, 0]
-    line = (share[:, None] * np.cos(np.multiply.outer(node, wave))).sum(axis=0)
-    return np.outer(line, line)
+    seen: Floats = (share[:, None] * np.cos(np.multiply.outer(node, wave))).sum(axis=0)
+    return seen / ((4.0 + 2.0 * np.cos(wave)) / 6.0)  # coefficients over nodes

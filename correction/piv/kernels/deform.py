@@ -1,8 +1,8 @@
 """Deform a frame by a dense displacement field, the innermost loop of the window deformation.
 
-The displacement of a pixel comes from a coarse grid by the cubic convolution of Keys (IEEE Trans. ASSP 29,
-1153 (1981), a = -1/2), which reproduces quadratic fields; along u the grid has been refined beforehand
-(`refined`, one line a grid row), so a frame row needs four multiplications a pixel.
+The displacement of a pixel comes from a coarse grid by a cubic B-spline (`correction.piv.windows`); along u the
+grid has been refined beforehand (`refined`, one line a grid row), so a frame row needs four multiplications a
+pixel.
 
 Neighbouring pixels move almost alike: in a row the integer parts of the displacement stay constant over
 runs of many pixels.  Within a run the 6 x 6 footprints are consecutive in memory, so the spline is evaluated

@@ -22,7 +22,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@pytest.mark.parametrize(("length_px", "least", "most"), [(48, 0.70, 1.1), (64, 0.88, 1.06), (96, 0.97, 1.03)])
+@pytest.mark.parametrize(("length_px", "least", "most"), [(48, 0.93, 1.03), (64, 0.97, 1.03), (96, 0.98, 1.02)])
 def test_gain_of_waves_of_one_and_a_half_two_and_three_windows(particle_pair, length_px, least, most):
     truth = wave(length_px)
     field = evaluate_pair(*particle_pair(truth, seed=3, ppp=0.05))
@@ -42,8 +42,8 @@ def test_noise_of_a_uniform_flow(particle_pair):
 @pytest.mark.parametrize(
     ("flow", "window", "median_px", "wrong"),
     [
-        (turbulence(2, 2.5, 300, 40), 32, 0.15, 0.02),
-        (turbulence(3, 2.0, 200, 30), 32, 0.22, 0.05),
+        (turbulence(2, 2.5, 300, 40), 32, 0.07, 0.02),
+        (turbulence(3, 2.0, 200, 30), 32, 0.17, 0.05),
         (turbulence(3, 2.0, 200, 30), 16, 0.09, 0.005),
     ],
 )
@@ -132,9 +132,12 @@ def test_beside_a_step_vectors_stay_what_they_are(particle_pair, step_px):
     def truth(u, v):
         return np.where(v > 256, step_px, 0.0) + 0 * u, 0 * v
 
-    pair = particle_pair(truth, seed=4, ppp=0.05)
-    plain = errors(evaluate_pair(*pair, settings=PivSettings(denoise=0.0)), truth)
-    kept = errors(evaluate_pair(*pair), truth)
+    plain, kept = [], []
+    for seed in (4, 5, 6):
+        pair = particle_pair(truth, seed=seed, ppp=0.05)
+        plain.append(errors(evaluate_pair(*pair, settings=PivSettings(denoise=0.0)), truth))
+        kept.append(errors(evaluate_pair(*pair), truth))
+    plain, kept = np.concatenate(plain), np.concatenate(kept)
     on_step = np.linalg.norm(plain, axis=-1) > 1.0
     assert rms(kept[~on_step]) < 1.15 * rms(plain[~on_step])
     assert np.mean(np.linalg.norm(kept, axis=-1) > 1.0) < 0.04

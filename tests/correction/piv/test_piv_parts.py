@@ -257,11 +257,15 @@ def test_smoothing_keeps_planes_and_damps_noise():
 
 def test_interpolation_between_nodes_is_exact_for_quadratics_and_continues_linearly():
     nodes = np.arange(8) * 16.0 + 15.5
-    inside = np.linspace(nodes[1], nodes[-2], 50)
+    inside = np.linspace(nodes[0], nodes[-1], 50)
     values = 0.01 * nodes**2 - nodes
     assert interpolated(values, 0, nodes, inside, 16) == pytest.approx(0.01 * inside**2 - inside, abs=1e-9)
     outside = np.array([0.0, 7.0, 140.0])
     assert interpolated(3 * nodes + 1, 0, nodes, outside, 16) == pytest.approx(3 * outside + 1)
+    two = interpolated(np.array([4.0, 6.0]), 0, np.array([15.5, 31.5]), np.array([7.5, 15.5, 23.5, 39.5]), 16)
+    assert two == pytest.approx([3.0, 4.0, 5.0, 7.0])
+    values = np.random.default_rng(3).normal(size=8)
+    assert interpolated(values, 0, nodes, nodes, 16) == pytest.approx(values)
     one = interpolated(np.array([4.0]), 0, np.array([15.5]), np.arange(32.0), 16)
     assert one == pytest.approx(np.full(32, 4.0))
 
