@@ -12,12 +12,13 @@ from sim.emulators.isel_dnc import IselEmulator
 from sim.motion import Mechanics, Motor
 from stages.drivers import DRIVERS
 
+TIMING = ("quantum_composers",)
 FOLDER = Path(__file__).parent / "dialogues"
 SCREW = Mechanics(lead_mm=5.0, steps_per_rev=1600, high_switch_mm=200.0, index_mm=100.0, power_up_mm=60.0)
 
 
 def dialogues():
-    for protocol in DRIVERS:
+    for protocol in (*DRIVERS, *TIMING):
         path = FOLDER / f"{protocol}.txt"
         assert path.exists(), f"{protocol} has no documented dialogue"
         head, *parts = path.read_text().split("\n== ")

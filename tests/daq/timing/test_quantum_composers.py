@@ -1,0 +1,251 @@
+"""The driver on firmware: what it believes, what it refuses, and what any one fault makes of it."""
+
+import itertools
+from contextlib import contextmanager
+
+import pytest
+
+from daq.errors import DaqError
+from daq.timing.conditions import Conditions
+from daq.timing.drivers.quantum_composers import QuantumComposersBox
+from daq.timing.errors import LaserDoubt, LaserStopped, WrongBox
+from daq.timing.laser import Laser, Rules
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
+from daq.timing.states import LaserState
+from sim.clock import VirtualClock
+from sim.emulators.faults import KINDS, Fault, FaultSchedule
+from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
+from sim.emulators.quantum_composers import QuantumComposersEmulator
+from stages.errors import CommandRejected, StageError
+
+WIRING = {
+    Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH_2: "D", Role.CAMERA: "E",
+    Role.MARKER: "F",
+}  # fmt: skip
+PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.CAMERA_B: "D"}
+HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
+EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
+GOOD = Conditions(True, True, True, 5.0, 1000, True)
+
+
+class Desk:
+    """A box on a line in memory, and a laser."""
+
+    def __init__(self, wiring=WIRING, head=HEAD, faults=(), **firmware):
+        self.clock = VirtualClock()
+        self.emulator = QuantumComposersEmulator({}, self.clock, **firmware)
+        self.line = Line(self.emulator, self.clock, FaultSchedule(faults))
+        self.box = QuantumComposersBox("laser", wiring, self.clock)
+        self.laser = Laser("laser", self.box, head, Rules(warmup_s=1.0), self.clock)
+
+    def to_armed(self, dt_us=20.0, rate_hz=10.0, exposures=EXPOSURES):
+        self.laser.open("sim://desk")
+        if self.laser.state is LaserState.UNKNOWN:
+            self.laser.safe()
+        self.laser.warm(rate_hz)
+        self.clock.sleep_s(1.1)
+        self.laser.set(PulseTiming(dt_us, rate_hz), exposures)
+        self.laser.arm(GOOD, self.laser.challenge)
+
+    def burst(self, pairs=5):
+        self.to_armed()
+        self.laser.fire(pairs)
+        self.laser.wait()
+
+    def pulses(self, role):
+        self.emulator.advance()
+        return self.emulator.outputs.count[self.box.wiring[role]]
+
+
+@contextmanager
+def desk(**options):
+    made = Desk(**options)
+    LINES["desk"] = made.line
+    try:
+        yield made
+    finally:
+        LINES.pop("desk")
+
+
+@pytest.mark.parametrize("echo", [False, True])
+@pytest.mark.parametrize("step_s", [5e-9, 1e-11, 1e-8])
+def test_pulses_leave_where_they_were_placed(echo, step_s):
+    with desk(echo=echo, step_s=step_s) as d:
+        d.burst()
+        last_s = {pulse.output: pulse.rises_s for pulse in d.emulator.outputs.recent}
+        for early, late, us in (("B", "D", 20.0), ("A", "B", 180.0), ("C", "D", 185.0)):
+            assert ((last_s[late] - last_s[early]) % 0.1) * 1e6 == pytest.approx(us, abs=0.011)
+        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 5
+        assert d.pulses(Role.CAMERA) == d.laser.camera_triggers == 11
+        assert d.laser.dt_us == pytest.approx(20.0, abs=0.011)
+
+
+def test_every_lit_period_is_seen_by_the_camera():
+    with desk() as d:
+        d.burst(7)
+        seen = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output == "E"]
+        lit = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output in "BD"]
+        assert all(any(0.0 <= light_s - camera_s < 0.05 for camera_s in seen) for light_s in lit)
+
+
+def test_without_lamps_a_burst_begins_together_and_t0_ends_with_it():
+    exposures = PairExposures(900.0, 900.0, 100.0, two_triggers=True)
+    with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=400.0), outputs=4) as d:
+        d.to_armed(200.0, 300.0, exposures)
+        d.laser.fire(30)
+        d.laser.wait()
+        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 30
+        assert d.pulses(Role.CAMERA) == 60  # both triggers come out at one plug
+        assert not d.emulator.is_on_at(0)
+
+
+def test_lamps_do_not_miss_a_beat_from_chunk_to_chunk():
+    with desk() as d:
+        d.burst()
+        d.laser.set(PulseTiming(30.0, 10.0), EXPOSURES)
+        d.laser.arm(GOOD, d.laser.challenge)
+        d.laser.fire(5)
+        d.laser.wait()
+        beats = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output == "A"]
+        assert all(0.0999 < late - soon < 0.1001 for soon, late in itertools.pairwise(beats))
+
+
+def test_what_ran_before_us_is_off_before_a_word_is_asked():
+    with desk() as d:
+        d.emulator.set_inside(2, "CMOD", "NORM")
+        for number in (2, 7, 0):
+            d.emulator.set_inside(number, "STAT", "1")
+        d.clock.sleep_s(1.0)
+        before = d.pulses(Role.Q_SWITCH_1)
+        assert before > 0
+        d.laser.open("sim://desk")
+        d.clock.sleep_s(1.0)
+        assert d.laser.state is LaserState.SAFE
+        assert d.pulses(Role.Q_SWITCH_1) <= before + 1
+        assert not any(d.emulator.is_on_at(number) for number in range(9))
+
+
+@pytest.mark.parametrize(
+    ("firmware", "words"),
+    [
+        ({"autorun": True}, "set to run by itself"),
+        ({"outputs": 4}, "marker hangs on output F|camera hangs on output E"),
+    ],
+)
+def test_a_box_that_must_not_be_used(firmware, words):
+    with desk(**firmware) as d, pytest.raises(WrongBox, match=words):
+        d.laser.open("sim://desk")
+    assert d.laser.state is LaserState.UNKNOWN
+    assert not any(d.emulator.is_on_at(number) for number in range(len(d.emulator._all)))
+
+
+def test_a_clock_that_is_not_locked_is_refused_at_opening_and_before_arming():
+    with desk() as d:
+        d.emulator.set_inside(0, "ICL:MOD", "XPL")
+        d.emulator.locked = False
+        with pytest.raises(WrongBox, match="XPL"):
+            d.laser.open("sim://desk")
+        d.emulator.locked = True
+        d.laser.open("sim://desk")
+        d.laser.warm(10.0)
+        d.clock.sleep_s(1.1)
+        d.laser.set(PulseTiming(20.0, 10.0), EXPOSURES)
+        d.emulator.locked = False
+        with pytest.raises(WrongBox, match="XPL"):
+            d.laser.arm(GOOD, d.laser.challenge)
+        assert d.pulses(Role.Q_SWITCH_1) == 0
+
+
+@pytest.mark.parametrize(
+    ("number", "keyword", "value"),
+    [(0, "PER", "0.05"), (2, "DEL", "0.001"), (2, "WIDT", "0.001"), (2, "MUX", "3"), (4, "POL", "COMP"),
+     (4, "CMOD", "NORM"), (2, "SYNC", "CHA"), (5, "CGAT", "OUTP"), (1, "STAT", "0"), (4, "STAT", "1")],
+)  # fmt: skip
+def test_somebody_at_its_keys_is_found_before_it_is_armed(number, keyword, value):
+    with desk() as d:
+        d.laser.open("sim://desk")
+        d.laser.warm(10.0)
+        d.clock.sleep_s(1.1)
+        d.laser.set(PulseTiming(20.0, 10.0), EXPOSURES)
+        d.emulator.set_inside(number, keyword, value)
+        with pytest.raises(LaserDoubt):
+            d.laser.arm(GOOD, d.laser.challenge)
+        assert d.laser.confirm_off()
+        assert d.laser.state is LaserState.FAULT
+
+
+def test_a_restart_while_it_fires_is_not_taken_for_the_end():
+    with desk() as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(1.0)
+        d.line.power_cycle(0.2)
+        d.clock.sleep_s(6.0)
+        with pytest.raises((LaserDoubt, StageError)):
+            d.laser.wait()
+        assert d.laser.state is LaserState.UNKNOWN
+
+
+def test_a_refusal_while_it_begins_switches_off():
+    with desk() as d:
+        d.to_armed()
+        d.line.hooks.after(33, "write", lambda: setattr(d.emulator, "refuse", 1))
+        for _ in range(3):  # wherever the refusal falls
+            if d.laser.state is LaserState.ARMED:
+                with pytest.raises(CommandRejected, match="not in this state"):
+                    d.laser.fire(5)
+        d.clock.sleep_s(3.0)
+        assert d.laser.state is LaserState.UNKNOWN
+        assert not d.emulator.is_on_at(0)
+
+
+def answers_of_a_burst():
+    with desk() as d:
+        d.burst(3)
+        return d.line.faults._count
+
+
+@pytest.mark.parametrize("every", [61, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_fault_at_any_answer(kind, every):
+    """Whatever one fault does, light is that of the burst or none, and dt is right or it is not armed."""
+    for answer in range(1, answers_of_a_burst(), every):
+        with desk(faults=[Fault(kind, answer, delay_s=0.7)]) as d:
+            try:
+                d.burst(3)
+                assert d.laser.dt_us == pytest.approx(20.0, abs=0.011)
+                assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 3
+            except (DaqError, StageError):
+                d.clock.sleep_s(5.0)
+                assert d.pulses(Role.Q_SWITCH_1) <= 3
+                assert d.laser.state in (LaserState.UNKNOWN, LaserState.FAULT)
+                if not d.line.dead:
+                    d.laser.safe()
+                    assert d.laser.state is LaserState.SAFE
+
+
+def test_a_number_without_all_its_digits_is_not_believed(mocker):
+    with desk() as d:
+        d.to_armed()
+        whole = d.emulator._shown
+        mocker.patch.object(d.emulator, "_shown", lambda *words: whole(*words)[:-4])
+        with pytest.raises((LaserDoubt, StageError)):
+            d.box.confirm(d.laser.schedule, lamps=True)
+
+
+def test_off_is_written_while_another_thread_waits_for_an_answer():
+    """The stop comes in the middle of a conversation, and is the next thing that the box hears."""
+    with desk() as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(1.0)
+        d.line.faults.strike(Fault("lost"))
+        d.line.hooks.press(1, "write", lambda: d.laser.stop("another thread"), lambda: False)
+        with pytest.raises((DaqError, StageError)):
+            d.laser.box.running()
+        with pytest.raises(LaserStopped, match="another thread"):
+            d.laser.wait()
+        d.clock.sleep_s(10.0)
+        assert d.pulses(Role.Q_SWITCH_1) <= 11
+        assert d.laser.state is LaserState.UNKNOWN
