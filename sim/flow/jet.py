@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.stats import ncx2
 
 from ground.rows import run_rows
-from sim.flow.kernels.jet import at_points
+from sim.flow.kernels.jet import jet_at
 from tracer.camera import Vector3
 from tracer.errors import SceneError
 
@@ -77,47 +77,15 @@ class Jet:
 
     def mean(self, points_mm: Float64) -> Float64:
         """U (N, 3) [mm/s]; below the exit the jet is that of the exit."""
-        s, r, radial = self._frame(points_mm)
-        along, outwards = self._velocity(s, r)
-        velocity = outwards[:, None] * radial
-        velocity[:, 1] = along
-        return velocity
+        return self._at(points_mm, has_amplitude=False)[0]
 
     def amplitude(self, points_mm: Float64) -> Float64:
         """A (N, 3, 3) [mm/s], in the world's axes."""
-        s, r, radial = self._frame(points_mm)
-        sigma = self._sigma_mm(s)
-        centre, _ = self._velocity(s, np.zeros_like(r))
-        growth = -np.expm1(-np.maximum(s, 0.0) / (4.0 * self.diameter_mm))
-        wide = self.intensity * centre * growth * np.exp(-np.square(r / sigma) / 6.0)
-        e = np.hypot(wide, self.layer_intensity * sigma * self._slope(s, r))
-        x = 0.5 * r / sigma
-        correlation = 0.8 * x / (1.0 + x * x)
-        axis = np.array([0.0, 1.0, 0.0])
-        around = np.cross(axis, radial)
-        around[r == 0.0] = (0.0, 0.0, 1.0)
-        one, other = 0.8 * e * correlation, 0.8 * e * np.sqrt(1.0 - np.square(correlation))
-        # Columns: what each unit turbulence does.  radial is zero on the axis, where any two directions serve.
-        safe = np.where((r == 0.0)[:, None], np.array([1.0, 0.0, 0.0]), radial)
-        out = np.empty((len(r), 3, 3))
-        out[:, :, 0] = e[:, None] * axis + one[:, None] * safe
-        out[:, :, 1] = other[:, None] * safe
-        out[:, :, 2] = (0.8 * e)[:, None] * around
-        return out
+        return self._at(points_mm, has_amplitude=True)[1]
 
     def holds(self, points_mm: Float64) -> NDArray[np.bool_]:
         """Everywhere: the seeded room is larger than the jet."""
         return np.ones(len(points_mm), np.bool_)
-
-    def _frame(self, points_mm: Float64) -> tuple[Float64, Float64, Float64]:
-        """Distance along the axis, radius, unit vector outwards (zero on the axis)."""
-        x, y, z = (points_mm - np.array(self.exit_mm)).T
-        r = np.hypot(x, z)
-        safe = np.where(r > 0.0, r, 1.0)
-        return y, r, np.column_stack((x / safe, np.zeros_like(x), z / safe))
-
-    def _sigma_mm(self, s: Float64) -> Float64:
-        return np.hypot(EXIT_GROWTH * 0.5 * self.diameter_mm, GROWTH * np.maximum(s, 0.0))
 
     @cached_property
     def _tables(self) -> tuple[Float64, Float64, Float64, Float64]:
@@ -142,27 +110,25 @@ class Jet:
         disc[:, 0], speed[:, 0] = disc[:, 2], speed[:, 2]
         return disc, speed, np.array([widths[0], -places[1]]), np.array([step, places[1]])
 
-    def _at(self, table: Float64, s: Float64, r: Float64) -> Float64:
-        """Value and slopes (N, 3) of a table, in its own coordinates."""
-        start, step = self._tables[2:]
-        radius = 0.5 * self.diameter_mm
-        width, place = np.log(self._sigma_mm(s) / radius), np.log1p(r / radius)
-        out = np.empty((len(s), 3))
+    def _at(self, points_mm: Float64, *, has_amplitude: bool) -> tuple[Float64, Float64]:
+        points = np.ascontiguousarray(points_mm, np.float64)
+        pipe = np.array(
+            (
+                *self.exit_mm,
+                0.5 * self.diameter_mm,
+                self.exit_mm_s,
+                EXIT_GROWTH,
+                GROWTH,
+                self.intensity,
+                self.layer_intensity,
+            )
+        )
+        mean = np.empty((len(points), 3))
+        amplitude = np.empty((len(points) if has_amplitude else 0, 3, 3))
 
         def block(first: int, last: int) -> None:
-            at_points(width[first:last], place[first:last], table, start, step, out[first:last])
+            part = slice(first, last)
+            jet_at(points[part], pipe, *self._tables, mean[part], amplitude[part])
 
-        run_rows(block, len(s), BLOCK_POINTS)
-        return out
-
-    def _velocity(self, s: Float64, r: Float64) -> tuple[Float64, Float64]:
-        """Along the axis and outwards [mm/s]."""
-        h, by_width, by_place = self._at(self._tables[0], s, r).T
-        across = by_place / (0.5 * self.diameter_mm + r)  # dH/dr
-        # d(log sigma)/ds = c^2 s / sigma^2
-        along = by_width * GROWTH**2 * np.maximum(s, 0.0) / np.square(self._sigma_mm(s))
-        return self.exit_mm_s * (h + 0.5 * r * across), self.exit_mm_s * (-0.5 * r * along)
-
-    def _slope(self, s: Float64, r: Float64) -> Float64:
-        """dU/dr [1/s]; zero on the axis."""
-        return np.asarray(self.exit_mm_s * self._at(self._tables[1], s, r)[:, 2] / (0.5 * self.diameter_mm + r))
+        run_rows(block, len(points), BLOCK_POINTS)
+        return mean, amplitude

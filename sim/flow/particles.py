@@ -21,7 +21,7 @@ from tracer.errors import SceneError
 
 Float64 = NDArray[np.float64]
 
-FAINTEST = 1e-3  # of the sheet's middle: less is not drawn
+FAINTEST = 5e-3  # of the sheet's middle: a third of a count is not drawn
 SORTED_ROW_MM = 0.5  # particles lie in this order in memory, so that neighbours are looked up together
 
 

@@ -37,7 +37,7 @@ Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 STEP_PX = 2.0
-BRIGHTEST = 30.0
+BRIGHTEST = 6.0
 BLOCK_POINTS = 4096
 BAND_ROWS = 64
 PHASES = 64
