@@ -9,11 +9,12 @@ import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 
 from daq.analysis.series.chunk import evaluate_chunk
 from daq.analysis.series.series_plan import ChunkJob
+from daq.errors import RunInterrupted
 
 ONE_THREAD = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -32,6 +33,8 @@ def carried_out(jobs: Sequence[ChunkJob], executor: Executor | None) -> Iterator
     ------
     DiskError, FrameError
         As `evaluate_chunk`; what is not begun by then is not begun.
+    RunInterrupted
+        A worker was killed.
     """
     if executor is None:
         for job in jobs:
@@ -43,6 +46,11 @@ def carried_out(jobs: Sequence[ChunkJob], executor: Executor | None) -> Iterator
         for future in as_completed(futures):
             future.result()
             yield futures[future]
+    except BrokenExecutor:
+        raise RunInterrupted(
+            "a process that evaluates was killed, perhaps for want of memory; give the same command again, with"
+            " fewer --workers if that was it"
+        ) from None
     finally:
         for future in futures:
             future.cancel()
