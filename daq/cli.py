@@ -95,6 +95,10 @@ def _parser() -> argparse.ArgumentParser:
     mean.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     mean.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     mean.add_argument("--figures", action="store_true", help="write each figure as SVG and as PNG")
+    mean.add_argument(
+        "--ensemble", type=int, choices=(8, 16, 32), metavar="PX",
+        help="also by ensemble correlation, windows of 8, 16 or 32 px: for rims, walls, thin seeding",
+    )  # fmt: skip
     _series_options(mean)
     _piv_options(mean)
 

@@ -7,6 +7,8 @@ from correction.errors import PairError
 from daq.acquisition.runs.run_views import is_run
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.report.mean import write_mean_page
+from daq.analysis.series.ensemble_file import write_ensemble
+from daq.analysis.series.ensemble_series import ensemble_flow
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.run_series import run_series
 from daq.analysis.series.series_folder import FILE
@@ -26,6 +28,7 @@ def mean(
     figures: bool = False,
     dt_us: float | None = None,
     workers: int | None = None,
+    ensemble: int | None = None,
     **options: Unpack[PivOptions],
 ) -> MeanFlow:
     """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.
@@ -40,6 +43,9 @@ def mean(
         `evaluate` writes there.
     scene, target_clear, dewarp_order, figures, dt_us, workers
         As for `evaluate`; of a run only.
+    ensemble : {8, 16, 32}, optional
+        Also by ensemble correlation with windows of this side [px], into ``mean_ensemble.nc``: for rims, walls and
+        thin seeding, where single pairs fail; of a run only.
     **options
         How pairs are correlated, see `daq.analysis.piv_file.PivOptions`; of a run only.
 
@@ -58,6 +64,7 @@ def mean(
         As for `evaluate`.
     """
     screen = console()
+    given = None
     if is_run(path):
         folder = out if out is not None else path / "series"
         choice = piv_choice(**options)
@@ -71,12 +78,18 @@ def mean(
             or scene is not None
             or target_clear is not None
             or dt_us is not None
+            or ensemble is not None
             or any(value is not None for value in options.values())
         ):
             raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
     else:
         raise RunUnsuitable(f"{path}: is neither a run nor the folder of a series; evaluate a flow run first")
     found = mean_of_series(folder)
-    write_mean_page(folder / "mean.html", folder, found, figures)
+    by_ensemble = None
+    if given is not None and ensemble is not None:
+        by_ensemble = ensemble_flow(given, found, ensemble, workers)
+        said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
+        write_ensemble(folder / "mean_ensemble.nc", by_ensemble, said)
+    write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble)
     show_mean(screen, found, folder / "mean.html")
     return found

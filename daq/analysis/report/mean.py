@@ -8,7 +8,8 @@ import numpy as np
 from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import scene_chapter
-from daq.analysis.series.map_sigma import image_field
+from daq.analysis.series.ensemble_series import EnsembleFlow
+from daq.analysis.series.image_field import image_field
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_mean import grid_of_series, scene_of, windows_of
@@ -16,7 +17,9 @@ from daq.analysis.series.series_mean import grid_of_series, scene_of, windows_of
 SHOWN_PAIRS = 60
 
 
-def write_mean_page(path: Path, folder: Path, mean: MeanFlow, figures: bool = False) -> None:
+def write_mean_page(
+    path: Path, folder: Path, mean: MeanFlow, figures: bool = False, ensemble: EnsembleFlow | None = None
+) -> None:
     """Write the page of a mean flow.
 
     Parameters
@@ -29,11 +32,15 @@ def write_mean_page(path: Path, folder: Path, mean: MeanFlow, figures: bool = Fa
         Its statistics.
     figures : bool
         Write every figure as SVG and as PNG.
+    ensemble : EnsembleFlow, optional
+        The same by ensemble correlation.
     """
     about = SeriesFolder(folder).about
     page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
     page.tiles(mean_tiles(mean))
     mean_chapters(page, folder, mean)
+    if ensemble is not None:
+        ensemble_chapter(page, folder, ensemble)
     left_out_chapter(page, mean)
     scene_chapter(page, scene_of(folder))
     page.heading("Provenance")
@@ -67,7 +74,10 @@ def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
 def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
     """Add the mean, its uncertainty and the fluctuations."""
     scene = scene_of(folder)
-    grid, field = grid_of_series(folder), image_field(mean, windows_of(folder))
+    grid, field = (
+        grid_of_series(folder),
+        image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder)),
+    )
     page.heading("Mean velocity")
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)[::-1]
     said = "Every second vector of the mean, its speed in colour."
@@ -89,6 +99,19 @@ def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
         "Fluctuating velocity without the noise of the correlation; mean.nc has every stress with and without it.",
         dense=True,
     )
+
+
+def ensemble_chapter(page: Page, folder: Path, flow: EnsembleFlow) -> None:
+    """The mean by ensemble correlation."""
+    page.heading("By ensemble correlation")
+    page.text(
+        f"Correlation planes of {flow.pairs} pairs added up, windows of {flow.windows.size_px} px: for rims, "
+        "walls and thin seeding, where a window of one pair sees too few particles; mean_ensemble.nc has its stresses."
+    )
+    field = image_field(flow.mean_m_s, flow.sigma_m_s, flow.px_per_m_s, flow.windows)
+    speed = np.linalg.norm(flow.mean_m_s, axis=-1)[::-1]
+    figure = vector_figure(field, grid_of_series(folder), scene_of(folder), speed, "mean speed [m/s]")
+    page.figure("mean_ensemble", figure, "Mean velocity by ensemble correlation.", dense=True)
 
 
 def left_out_chapter(page: Page, mean: MeanFlow) -> None:

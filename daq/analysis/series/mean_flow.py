@@ -48,6 +48,8 @@ class MeanFlow:
         Independent vectors that they are worth.
     used : int
         Pairs in these statistics.
+    usual_share : float
+        Median over the pairs of the share of vectors that were measured, of those outside the mask.
     left_out : tuple of (str, str)
         Pairs that are not, by tag, and why.
     map_sigma_m_s : (ny, nx, 2) float64 or None
@@ -68,6 +70,7 @@ class MeanFlow:
     moments: Moments
     effective: EffectiveSamples
     used: int
+    usual_share: float
     left_out: tuple[tuple[str, str], ...]
     map_sigma_m_s: Floats | None = None
     map_sigma_position_mm: Floats | None = None
@@ -150,7 +153,8 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
     assert first is not None  # `_usual` has refused a series without chunks
     return MeanFlow(
         first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, moments.result(),
-        _of_series(kept) if kept else blocks.result().effective(), used, tuple(left_out),
+        _of_series(kept) if kept else blocks.result().effective(), used, usual,
+        tuple(left_out),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from correction.background.preparation import SLIDING_MINIMUM
 from correction.errors import PairError
-from daq.analysis.series.chunk import correction_of
+from daq.analysis.series.chunk import correction_of, evaluate_chunk
 from daq.analysis.series.light_file import make_light
 from daq.analysis.series.marker import sound_content
 from daq.analysis.series.series_folder import SeriesFile, SeriesFolder
@@ -98,7 +98,7 @@ def run_series(
             own = executor is None and len(missing) > 1 and (workers or thread_count()) > 1
             count = min(workers or thread_count(), len(missing))
             with worker_processes(count) if own else nullcontext(executor) as pool:
-                done = _pair_by_pair(carried_out(missing, pool))
+                done = _pair_by_pair(carried_out(evaluate_chunk, missing, pool))
                 for _ in progress(done, sum(len(job.pairs) for job in missing), "pairs"):
                     pass
         reasons = _failures(folder, jobs)

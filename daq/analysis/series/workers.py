@@ -8,23 +8,27 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from typing import TypeVar
 
-from daq.analysis.series.chunk import evaluate_chunk
-from daq.analysis.series.series_plan import ChunkJob
 from daq.errors import RunInterrupted
 
+Job = TypeVar("Job")
 ONE_THREAD = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def carried_out(jobs: Sequence[ChunkJob], executor: Executor | None) -> Iterator[ChunkJob]:
-    """Evaluate chunks; yield each job when its file is on the disk.
+def carried_out(
+    function: Callable[[Job], object], jobs: Sequence[Job], executor: Executor | None
+) -> Iterator[Job]:
+    """Call ``function(job)`` for all jobs; yield each one that is done.
 
     Parameters
     ----------
-    jobs : sequence of ChunkJob
+    function : callable
+        Of a module's top, such as `evaluate_chunk`.
+    jobs : sequence
         In the order in which they are begun.
     executor : Executor, optional
         Whose workers do it; without one it is done here, one after the other.
@@ -32,16 +36,16 @@ def carried_out(jobs: Sequence[ChunkJob], executor: Executor | None) -> Iterator
     Raises
     ------
     DiskError, FrameError
-        As `evaluate_chunk`; what is not begun by then is not begun.
+        What the function raises; what is not begun by then is not begun.
     RunInterrupted
         A worker was killed.
     """
     if executor is None:
         for job in jobs:
-            evaluate_chunk(job)
+            function(job)
             yield job
         return
-    futures = {executor.submit(evaluate_chunk, job): job for job in jobs}
+    futures = {executor.submit(function, job): job for job in jobs}
     try:
         for future in as_completed(futures):
             future.result()
