@@ -106,7 +106,7 @@ def ensemble_chapter(page: Page, folder: Path, flow: EnsembleFlow) -> None:
     page.heading("By ensemble correlation")
     page.text(
         f"Correlation planes of {flow.pairs} pairs added up, windows of {flow.windows.size_px} px: for rims, "
-        "walls and thin seeding, where a window of one pair sees too few particles; mean_ensemble.nc has its stresses."
+        "walls and thin seeding, where a window of one pair sees too few particles. Stresses: mean_ensemble.nc."
     )
     field = image_field(flow.mean_m_s, flow.sigma_m_s, flow.px_per_m_s, flow.windows)
     speed = np.linalg.norm(flow.mean_m_s, axis=-1)[::-1]
