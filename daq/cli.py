@@ -197,6 +197,17 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     stage.add_argument("--home", action="store_true", help="home every axis first, in the configured order")
     _bench_options(stage)
 
+    laser = verbs.add_parser(
+        "laser", help="switch a laser off from anywhere, look at it, or align with weak pulses"
+    )
+    laser.add_argument(
+        "action", nargs="?", choices=("off", "state", "align"), default="state", help="default: state"
+    )
+    laser.add_argument("--name", help="which device of kind timing, if the bench has several")
+    laser.add_argument("--rate-hz", type=_positive, default=5.0, help="of align (default 5)")
+    laser.add_argument("--for-s", type=_positive, default=5.0, help="of align (default 5)")
+    _bench_options(laser)
+
     camera = verbs.add_parser("camera", help="list cameras, or take a frame")
     camera.add_argument("action", choices=("list", "snap"))
     _bench_options(camera)

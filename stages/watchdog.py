@@ -224,6 +224,9 @@ def stop(about: Word) -> None:
                 return  # unplugged; what has this name next may be another box
             port = None
             time.sleep(RETRY_S)
+    if port is not None:
+        with contextlib.suppress(Exception):
+            port.close()
 
 
 def _opened(about: Word) -> Any:  # noqa: ANN401 - pyserial's object, or a bare file
