@@ -48,7 +48,7 @@ def vector_figure(
     limit : float, optional
         End of the colour scale; default the 99th percentile of `colour`.
     """
-    figure, axes = _figure(6.2, 5.3)
+    figure, axes = bare_figure(6.2, 5.3)
     x_mm, y_mm = _axes_mm(field, grid)
     half = 0.5 * field.step_px * grid.pitch_mm
     extent = (x_mm[0] - half, x_mm[-1] + half, y_mm[-1] - half, y_mm[0] + half)
@@ -92,7 +92,7 @@ def radius_figure(
     image: Mapping[tuple[float, float], Scatter], velocity: Mapping[tuple[float, float], Scatter]
 ) -> Figure:
     """Draw the errors of both routes behind the glass against r / R; `velocity` may be empty."""
-    figure, axes = _figure(5.6, 3.3)
+    figure, axes = bare_figure(5.6, 3.3)
     for rings, name, colour in ((image, "image route", SERIES[0]), (velocity, "velocity route", SERIES[1])):
         if not rings:
             continue
@@ -102,14 +102,14 @@ def radius_figure(
         axes.plot(radius, sigma, "--", color=colour, linewidth=1.0, label=f"{name}, its own sigma")
     axes.set(xlabel="r / R", ylabel="error [px]", yscale="log", xlim=(0.0, None))
     axes.grid(True, which="both", color=NOTHING, linewidth=0.5)
-    _plain_decades(axes)
+    plain_decades(axes)
     axes.legend(frameon=False, fontsize=8)
     return figure
 
 
 def error_histogram(errors: Mapping[str, Floats]) -> Figure:
     """Draw how the errors (N, 2) of regions are spread, per axis together."""
-    figure, axes = _figure(5.6, 3.0)
+    figure, axes = bare_figure(5.6, 3.0)
     reach = max((float(np.percentile(np.abs(e), 99)) for e in errors.values() if e.size), default=1.0)
     edges = np.linspace(-reach, reach, 61)
     for colour, (name, values) in zip(SERIES, errors.items(), strict=False):
@@ -123,17 +123,17 @@ def error_histogram(errors: Mapping[str, Floats]) -> Figure:
 
 def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
     """Draw intensity histograms (edges, pixels) by name on a logarithmic axis."""
-    figure, axes = _figure(5.6, 2.8)
+    figure, axes = bare_figure(5.6, 2.8)
     for colour, (name, (edges, values)) in zip(SERIES, counts.items(), strict=False):
         axes.stairs(values, edges, label=name, color=colour)
     filled = [float(edges[np.nonzero(values)[0][-1] + 1]) for edges, values in counts.values() if values.any()]
     axes.set(yscale="log", xlabel="grey level", ylabel="pixels", xlim=(0.0, max(filled, default=None)))
-    _plain_decades(axes)
+    plain_decades(axes)
     axes.legend(frameon=False, fontsize=8)
     return figure
 
 
-def _plain_decades(axes: Axes) -> None:
+def plain_decades(axes: Axes) -> None:
     """Label decades, and 2 and 5 between few, as plain numbers: formulas would take longer than the curves."""
     axes.yaxis.set_major_formatter("{x:g}")
     low, high = axes.get_ylim()
@@ -146,7 +146,8 @@ def _axes_mm(field: VectorField, grid: PlaneGrid) -> tuple[Floats, Floats]:
     return x_mm, grid.origin_mm[1] - field.y_px * grid.pitch_mm
 
 
-def _figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+def bare_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes, without frame."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")
     axes = figure.add_subplot()
     for side in ("top", "right"):

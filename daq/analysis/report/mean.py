@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.analysis.report.figures import vector_figure
+from daq.analysis.report.flow import flow_chapters
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import scene_chapter
 from daq.analysis.series.ensemble_series import EnsembleFlow
@@ -39,6 +40,7 @@ def write_mean_page(
     page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
     page.tiles(mean_tiles(mean))
     mean_chapters(page, folder, mean)
+    flow_chapters(page, folder, mean)
     if ensemble is not None:
         ensemble_chapter(page, folder, ensemble)
     left_out_chapter(page, mean)
