@@ -158,6 +158,8 @@ def judged(case: Case, found: Moments) -> dict[str, Any]:
     jet = (camera.flow.mean(points)[:, :2] * flip * px).reshape(shape)
     stresses = windowed_stresses(camera.flow, points, places, weights) * px * px
     wanted = np.stack((stresses[:, 0, 0], stresses[:, 1, 1], -stresses[:, 0, 1]), axis=-1).reshape(*shape[:2], 3)
+    point = camera.flow.stresses(points) * px * px
+    unfiltered = np.stack((point[:, 0, 0], point[:, 1, 1], -point[:, 0, 1]), axis=-1).reshape(*shape[:2], 3)
     enough = found.count >= max(2, 0.5 * found.count.max())
     inside = minimum_filter(enough, 3, mode="constant") if case.window_px >= 32 else enough
     parts = {
@@ -180,6 +182,7 @@ def judged(case: Case, found: Moments) -> dict[str, Any]:
             "against_jet_rms_px": float(np.sqrt(np.mean(np.square(found.mean_uv[use] - jet[use])))),
             "covered_share": float(np.mean(np.abs(error) < noise[use])),
             "stress_ratio": _slope(found.reynolds_stresses[use], wanted[use]),
+            "stress_ratio_unfiltered": _slope(found.reynolds_stresses[use], unfiltered[use]),
         }
     return out
 

@@ -88,6 +88,10 @@ def _parser() -> argparse.ArgumentParser:
     _series_options(evaluate)
     _piv_options(evaluate)
 
+    focus = verbs.add_parser("focus", help="where a view through glass is sharp, and which f-number it needs")
+    focus.add_argument("run", type=Path, metavar="RUN", help="run of a plan of experiment: focus")
+    focus.add_argument("-o", "--out", type=Path, help="folder for its page (default: the run's)")
+
     mean = verbs.add_parser("mean", help="mean flow, Reynolds stresses and their uncertainty from many pairs")
     mean.add_argument("path", type=Path, metavar="RUN_OR_SERIES", help="flow run, or the folder of its series")
     mean.add_argument("--scene", type=Path, help="scene.yaml, best a fitted one (default: the run's own)")

@@ -1,5 +1,6 @@
 """What a person sees of results: all printing of figures, so that what computes them prints nothing."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from rich.table import Table
 
 from daq.analysis.calibration import Calibration
 from daq.analysis.evaluation import Evaluation
+from daq.analysis.report.focus import HEAD as FOCUS_HEAD
 from daq.analysis.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.run_series import SeriesBooks
@@ -46,6 +48,18 @@ def show_series(screen: Console, books: SeriesBooks) -> None:
         screen.print(f"{tag} is left out: {why}", style="bold red")
     if len(books.failed) > SHOWN:
         screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
+
+
+def show_focus(screen: Console, rows: Sequence[Row], said: str, page: Path) -> None:
+    """Say where a view is sharp."""
+    table = Table(title="best focus")
+    for number, column in enumerate(FOCUS_HEAD):
+        table.add_column(column, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*row)
+    screen.print(table)
+    screen.print(said)
+    screen.print(f"look at {page}")
 
 
 def show_mean(screen: Console, mean: MeanFlow, page: Path) -> None:

@@ -6,7 +6,7 @@ A plan file names its experiment; see ``plans.experiments`` for the keys of each
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.acquisition.bench.bench_table import DIRECTIONS, TARGET, Bench
+from daq.acquisition.bench.bench_table import CAMERA, DIRECTIONS, TARGET, Bench
 from daq.acquisition.plans.experiments import EXPERIMENTS, plan_table
 from daq.acquisition.plans.plan_table import PlanTable, Pose
 from daq.acquisition.plans.steps import CLEAR, Step, steps_hash
@@ -85,7 +85,7 @@ def expand(table: PlanTable, bench: Bench) -> tuple[Step, ...]:
                 frames=table.frames,
                 view=pose.view,
                 shows=table.shows,
-                on_plane=abs(pose.target_mm[2]) < ON_PLANE_MM,
+                on_plane=abs(pose.target_mm[2]) < ON_PLANE_MM and not any(pose.camera_mm),
                 reference=pose.reference,
                 group=table.frames_together,
                 gaps_at_most=table.share_of_gaps,
@@ -105,9 +105,10 @@ def _positions(bench: Bench, pose: Pose) -> dict[str, float]:
         positions |= glass.retract_mm | glass.out_mm
     if pose.view != CLEAR and not bench.has_glass:
         raise PlanError(f"{pose.tag}: the scene has no glass; plan the clear view, or name a scene with bodies")
-    for direction, way_mm in zip(DIRECTIONS, pose.target_mm, strict=True):
-        if way_mm:
-            positions[_axis(bench, TARGET, direction, pose.tag)] += way_mm
+    for element, ways_mm in ((TARGET, pose.target_mm), (CAMERA, pose.camera_mm)):
+        for direction, way_mm in zip(DIRECTIONS, ways_mm, strict=True):
+            if way_mm:
+                positions[_axis(bench, element, direction, pose.tag)] += way_mm
     return positions
 
 

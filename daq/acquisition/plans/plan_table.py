@@ -28,12 +28,15 @@ class Pose:
         ``clear`` or ``glass``.
     reference : int or None
         Number, within the poses, of the pose that this one is displaced from.
+    camera_mm : (float, float, float)
+        Displacement of the camera from its place in the scene.
     """
 
     tag: str
     target_mm: Vector = (0.0, 0.0, 0.0)
     view: str = CLEAR
     reference: int | None = None
+    camera_mm: Vector = (0.0, 0.0, 0.0)
 
 
 class PlanTable(Table):

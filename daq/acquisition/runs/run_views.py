@@ -53,7 +53,7 @@ def bench_scene(path: Path) -> str:
     return RunFolder.open(path).about["scene"]
 
 
-def load_kept(folder: RunFolder, what: Literal["bench", "scene"], load: Callable[[Path], T]) -> T:
+def load_kept(folder: RunFolder, what: Literal["bench", "scene", "plan"], load: Callable[[Path], T]) -> T:
     """Load the text of a file that the run keeps in its record.
 
     Raises

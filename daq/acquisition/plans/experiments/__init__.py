@@ -12,6 +12,7 @@ EXPERIMENTS = {
     "target": "daq.acquisition.plans.experiments.target:TargetPlan",
     "shift": "daq.acquisition.plans.experiments.shift:ShiftPlan",
     "stream": "daq.acquisition.plans.experiments.stream:StreamPlan",
+    "focus": "daq.acquisition.plans.experiments.focus:FocusPlan",
 }
 
 

@@ -1,0 +1,56 @@
+"""How wide the images of particles are in a part of a frame.
+
+The autocorrelation of many small spots is that of one spot, however they overlap: for Gaussians of standard
+deviation s it falls with the lag l like  exp(-l^2 / (4 s^2)),  so
+
+    s^2 = -l^2 / (4 ln rho(l)),     diameter = 4 s   (e^-2)
+
+from the ratio rho of the covariance at lag l to that at no lag.  Covariances are taken between two frames of one
+place, whose noise differs: only what both show counts.  Shapes that are not Gaussian change the scale of s and not
+where it is smallest.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+Float64 = NDArray[np.float64]
+
+LAG_PX = 2
+LEVEL_PX = 65  # light that varies slower than this is not detail
+FEWEST_PX = 400  # below, a part says nothing
+
+
+def spot_variance_px2(first: NDArray[np.generic], second: NDArray[np.generic], part: NDArray[np.bool_]) -> float:
+    """Mean of s^2 over rows and columns in a part of two frames (H, W) of one place; NaN if it shows no spots."""
+    a, b = (_detail(frame, part) for frame in (first, second))
+    whole = _covariance(a, b, part, 0, 0)
+    if not whole > 0.0:
+        return float("nan")
+    ratios = [
+        0.5 * (_covariance(a, b, part, rows, columns) + _covariance(b, a, part, rows, columns)) / whole
+        for rows, columns in ((LAG_PX, 0), (0, LAG_PX))
+    ]
+    if not all(0.0 < ratio < 1.0 for ratio in ratios):
+        return float("nan")
+    return float(np.mean([-(LAG_PX**2) / (4.0 * np.log(ratio)) for ratio in ratios]))
+
+
+def _detail(frame: NDArray[np.generic], part: NDArray[np.bool_]) -> Float64:
+    """What differs from the mean light around, which is taken within the part alone."""
+    inside = part.astype(np.float64)
+    values = np.where(part, frame.astype(np.float64), 0.0)
+    share = uniform_filter(inside, LEVEL_PX, mode="constant")
+    level = uniform_filter(values, LEVEL_PX, mode="constant") / np.maximum(share, 1e-9)
+    return np.asarray(np.where(part, values - level, 0.0))
+
+
+def _covariance(a: Float64, b: Float64, part: NDArray[np.bool_], rows: int, columns: int) -> float:
+    """Mean product of a and b shifted by a lag, where both lie in the part."""
+    height, width = part.shape
+    here, there = np.s_[: height - rows, : width - columns], np.s_[rows:, columns:]
+    both = part[here] & part[there]
+    count = int(np.count_nonzero(both))
+    if count < FEWEST_PX:
+        return float("nan")
+    return float(np.sum(a[here] * b[there] * both) / count)

@@ -1,0 +1,206 @@
+"""A focus scan evaluated: the best place of each part of the view, and the aperture that covers them all.
+
+Blur adds to a spot's own size like variances, and grows with the distance from the best place,
+
+    s^2(z) = s_0^2 + b (z - z_0)^2,
+
+a parabola, with s counted on the plane: as the camera goes back everything shrinks.  It is fitted to the places
+around the smallest s where s^2 is at most `WIDEST` times the smallest.  z_0 is the best place, and its standard
+deviation comes from the scatter about the parabola.
+
+The depth that the scene needs is the distance between its first and its last best place.  Eq. 1 of the paper turns
+it into an f-number, and the planned f-number into a depth (`tracer.depth_of_field`).
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.bench.bench_table import CAMERA, TARGET, BenchTable
+from daq.acquisition.plans.experiments.focus import FocusPlan
+from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.records import CURE
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
+from daq.acquisition.runs.run_views import load_kept
+from daq.analysis.focus.blur import spot_variance_px2
+from daq.analysis.focus.parts import parts_of
+from daq.errors import RunDamaged, RunUnsuitable
+from ground.config import load_yaml, read
+from tracer.depth_of_field import depth_of_field_mm, f_number_for_depth
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+Float64 = NDArray[np.float64]
+
+WIDEST = 5.0
+FEWEST = 4  # places that a parabola and its uncertainty are taken from
+
+
+@dataclass(frozen=True)
+class BestFocus:
+    """Where a part of the view is sharpest.
+
+    Parameters
+    ----------
+    part : str
+        Which part.
+    z_mm, sigma_mm : float
+        Best place and its standard deviation; NaN if the scan does not hold it.
+    diameter_px : float
+        Of a spot there (e^-2).
+    why : str
+        Why there is none; empty if there is.
+    """
+
+    part: str
+    z_mm: float
+    sigma_mm: float
+    diameter_px: float
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class FocusScan:
+    """What a scan says.
+
+    Parameters
+    ----------
+    moves : str
+        What travelled: ``camera`` or ``target``.
+    z_mm : ndarray
+        Measured places (N,), ascending.
+    variance_px2 : dict of str to ndarray
+        s^2 (N,) of each part in pixels of the scene's own place; NaN where it shows no spots.
+    best : tuple of BestFocus
+        Of every part.
+    magnification, f_number, wavelength_nm : float
+        Of the measurement that is planned.
+    """
+
+    moves: str
+    z_mm: Float64
+    variance_px2: dict[str, Float64]
+    best: tuple[BestFocus, ...]
+    magnification: float
+    f_number: float
+    wavelength_nm: float
+
+    @property
+    def needed_mm(self) -> float:
+        """Depth between the first and the last best place; NaN below two."""
+        found = [each.z_mm for each in self.best if not each.why]
+        return max(found) - min(found) if len(found) > 1 else float("nan")
+
+    @property
+    def needed_sigma_mm(self) -> float:
+        """Its standard deviation."""
+        found = sorted((each.z_mm, each.sigma_mm) for each in self.best if not each.why)
+        return float(np.hypot(found[0][1], found[-1][1])) if len(found) > 1 else float("nan")
+
+    @property
+    def depth_mm(self) -> float:
+        """Depth of field at the planned f-number."""
+        return depth_of_field_mm(self.magnification, self.f_number, self.wavelength_nm)
+
+    @property
+    def needed_f_number(self) -> float:
+        """F-number whose depth of field is what the scene needs; NaN if that is not known."""
+        if not self.needed_mm > 0.0:
+            return float("nan")
+        return f_number_for_depth(self.needed_mm, self.magnification, self.wavelength_nm)
+
+
+def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
+    """Vertex of the parabola through the places around the sharpest one."""
+    nan = float("nan")
+    known = np.isfinite(variance_px2)
+    if np.count_nonzero(known) < FEWEST:
+        return BestFocus(part, nan, nan, nan, "too few places show spots")
+    z, s2 = z_mm[known], variance_px2[known]
+    least = int(np.argmin(s2))
+    if least in (0, len(z) - 1):
+        return BestFocus(part, nan, nan, nan, f"it is sharpest at {z[least]:+.1f} mm, the end of the scan; go on")
+    near = s2 <= WIDEST * s2[least]
+    first, last = least, least  # one run of places about the sharpest
+    while first > 0 and near[first - 1]:
+        first -= 1
+    while last < len(z) - 1 and near[last + 1]:
+        last += 1
+    first, last = max(0, min(first, least - 1)), min(len(z) - 1, max(last, least + 1))
+    while last - first + 1 < FEWEST:
+        if last < len(z) - 1 and (first == 0 or s2[last + 1] <= s2[first - 1]):
+            last += 1
+        else:
+            first -= 1
+    z, s2 = z[first : last + 1], s2[first : last + 1]
+    middle = z.mean()
+    design = np.vander(z - middle, 3)
+    weights = 1.0 / s2  # a width is known to a share of itself
+    (a, b, c), *_ = np.linalg.lstsq(design * weights[:, None], s2 * weights, rcond=None)
+    if not a > 0.0:
+        return BestFocus(part, nan, nan, nan, "its sharpness has no peak")
+    vertex = -b / (2.0 * a)
+    if not z[0] <= middle + vertex <= z[-1]:
+        return BestFocus(part, nan, nan, nan, "its sharpness has no peak among these places; go on")
+    scatter = (design @ (a, b, c) - s2) * weights
+    freedom = max(len(z) - 3, 1)
+    inverse = np.linalg.inv((design * weights[:, None]).T @ (design * weights[:, None]))
+    slope = np.array([b / (2.0 * a * a), -1.0 / (2.0 * a), 0.0])
+    sigma = float(np.sqrt(slope @ inverse @ slope * (scatter @ scatter) / freedom))
+    smallest = max(c - b * b / (4.0 * a), 0.0)
+    return BestFocus(part, float(middle + vertex), sigma, float(4.0 * np.sqrt(smallest)))
+
+
+def focus_scan(run: Path) -> FocusScan:
+    """Evaluate the run of a focus plan.
+
+    Raises
+    ------
+    RunUnsuitable
+        The run is no focus scan, or is not far enough.
+    RunDamaged
+        What it says is not what was written.
+    """
+    folder = RunFolder.open(run)
+    about, entries = folder.about, frame_entries(folder.entries())
+    document = load_kept(folder, "plan", load_yaml)
+    if not isinstance(document.tree, dict) or document.tree.get("experiment") != "focus":
+        raise RunUnsuitable(f"{run}: is no focus scan; take one with a plan of experiment: focus")
+    plan = load_kept(folder, "plan", lambda file: read(file, FocusPlan))
+    table = load_kept(folder, "bench", lambda file: read(file, BenchTable))
+    scene: Scene = load_kept(folder, "scene", load_scene)
+    if plan.view == "clear":
+        scene = scene.with_bodies(())
+    places: list[float] = []
+    found: list[dict[str, float]] = []
+    for step in about["steps"]:
+        numbers = [n for n in range(step["first_frame"], step["first_frame"] + step["frames"]) if n in entries]
+        if not numbers:
+            continue
+        try:
+            camera_mm, target_mm = (
+                table.offset_mm(element, entries[numbers[0]]["measured_mm"]) for element in (CAMERA, TARGET)
+            )
+        except KeyError as error:
+            raise RunDamaged(f"{run}: frame {numbers[0]} does not say where {error} was; {CURE}") from None
+        x, y, z = (float(c) for c in np.add(scene.camera.position_mm, camera_mm))
+        stood = scene.with_camera(replace(scene.camera, position_mm=(x, y, z)))
+        shown = [read_acquired(folder.inside(entries[n]["file"]), scene.camera.shape) for n in numbers[:2]]
+        parts = parts_of(stood)
+        places.append(camera_mm[2] if plan.moves == "camera" else target_mm[2])
+        further = (z - target_mm[2]) / scene.camera.position_mm[2]
+        found.append(
+            {name: further**2 * spot_variance_px2(shown[0], shown[-1], part) for name, part in parts.items()}
+        )
+    if len(places) < FEWEST:
+        raise RunUnsuitable(f"{run}: has {len(places)} places, {FEWEST} are needed; rtpiv resume takes the rest")
+    order = np.argsort(places)
+    z_mm = np.array(places)[order]
+    names = sorted({name for each in found for name in each}, key=lambda name: (name != "beside", name))
+    variance = {name: np.array([found[k].get(name, np.nan) for k in order]) for name in names}
+    best = tuple(best_focus(name, z_mm, variance[name]) for name in names)
+    scale = scene.camera.focal_px / abs(scene.camera.position_mm[2] / scene.camera.rotation_matrix[2][2])
+    magnification = scale * plan.pixel_pitch_um * 1e-3
+    return FocusScan(plan.moves, z_mm, variance, best, magnification, plan.f_number, scene.wavelength_nm)

@@ -1,0 +1,55 @@
+"""`rtpiv focus`: where a view through glass is sharp, and which aperture makes all of it sharp."""
+
+import json
+from pathlib import Path
+
+from daq.analysis.focus.scan import FocusScan, focus_scan
+from daq.analysis.report.focus import best_rows, said_of, write_focus_page
+from daq.terminal import console
+from daq.verbs.show import show_focus
+from daq.whole_text import write_text
+
+
+def focus(run: Path, out: Path | None = None) -> FocusScan:
+    """Evaluate a focus scan.
+
+    Parameters
+    ----------
+    run : Path
+        Run of a plan of ``experiment: focus``.
+    out : Path, optional
+        Folder for ``focus.html`` and ``focus.json``, default the run's.
+
+    Returns
+    -------
+    FocusScan
+        Best places, depth needed and had.
+
+    Raises
+    ------
+    RunUnsuitable
+        The run is no focus scan, or is not far enough.
+    RunDamaged, FrameError
+        A record or frame is not what was written.
+    """
+    scan = focus_scan(run)
+    folder = out if out is not None else run
+    folder.mkdir(parents=True, exist_ok=True)
+    write_focus_page(folder / "focus.html", run.resolve().name, scan)
+    found = {
+        each.part: {"z_mm": each.z_mm, "sigma_mm": each.sigma_mm, "diameter_px": each.diameter_px}
+        for each in scan.best
+        if not each.why
+    }
+    tree = {
+        "moves": scan.moves,
+        "best": found,
+        "not_found": {each.part: each.why for each in scan.best if each.why},
+        "needed_mm": scan.needed_mm if len(found) > 1 else None,
+        "needed_f_number": scan.needed_f_number if scan.needed_mm > 0.0 else None,
+        "f_number": scan.f_number,
+        "depth_mm": scan.depth_mm,
+    }
+    write_text(folder / "focus.json", json.dumps(tree, indent=1) + "\n")
+    show_focus(console(), best_rows(scan), said_of(scan), folder / "focus.html")
+    return scan
