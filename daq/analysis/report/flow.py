@@ -43,9 +43,8 @@ Floats = NDArray[np.float64]
 def flow_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
     """Add the chapters of the mean of the series in a folder."""
     scene = scene_of(folder)
-    seen = regions_of(
-        image_field(mean, windows_of(folder)), prepare(scene, maps=folder / "maps").corrector.map, scene
-    )
+    known = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
+    seen = regions_of(known, prepare(scene, maps=folder / "maps").corrector.map, scene)
     upwards = Regions(seen.region[::-1], seen.radius[::-1])
     checks_of(page, mean, history(Chunks.of(folder), mean), scene, upwards)
 
