@@ -21,6 +21,7 @@ from sim.clock import VirtualClock
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
 from sim.emulators.outputs import Outputs, Pulse
+from sim.emulators.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
 from sim.emulators.quantum_composers import QuantumComposersEmulator
@@ -29,9 +30,13 @@ from sim.world import World
 TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
 
 
-def emulator_of(box: str) -> type[QuantumComposersEmulator]:
+Firmware = QuantumComposersEmulator | OltSyncEmulator
+
+
+def emulator_of(box: str) -> type[Firmware]:
     """Firmware of the box that a bench file names."""
-    return QuantumComposersEmulator
+    synchronisers = {"pivlab_oltsync": OltSyncEmulator, "pivlab_xmsync": XmSyncEmulator}
+    return synchronisers.get(box, QuantumComposersEmulator)
 
 
 class SimulatedTiming:
@@ -47,7 +52,9 @@ class SimulatedTiming:
 
     def __init__(self, table: TimingTable, clock: Clock) -> None:
         self.wiring = table.wiring
-        emulator = QuantumComposersEmulator({}, clock, **QuantumComposersEmulator.individual(table.port))
+        made = emulator_of(table.box)
+        options = {"name": table.identity} if issubclass(made, OltSyncEmulator) else made.individual(table.port)
+        emulator = made({}, clock, **options)
         self.line = Line(emulator, clock)
         self.outputs: Outputs = emulator.outputs
         self._ended = threading.Event()

@@ -51,6 +51,7 @@ class TimingBox(Link):
         self.latch = latch or StopLatch()
         self.token = self.latch.count  # of what may be switched on now; set by the laser
         self.watchdog: Watchdog | None = None  # set by whoever opens a port that outlives the process
+        self.address = ""  # of boxes that have to be called by their name; from the bench file
         self._url, self._baud = "", 0
 
     # ---- life ----------------------------------------------------------------------------------

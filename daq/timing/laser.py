@@ -316,7 +316,7 @@ class Laser:
             self._exposures = exposures
             self.box.token = self._begin()
             self.schedule = self.box.load(schedule)
-            if not math.isclose(self.schedule.dt_us, timing.dt_us, abs_tol=2.0 * self.box.least_step_us):
+            if not math.isclose(self.schedule.dt_us, timing.dt_us, abs_tol=1.01 * self.box.least_step_us):
                 raise LaserDoubt(f"{self.name} was set to dt = {timing.dt_us} us and says {self.schedule.dt_us}")
             return self.schedule
 
@@ -391,8 +391,11 @@ class Laser:
             self.pairs = pairs
             self._ends_s = math.inf
             self._enter(Event.FIRE)
+            begun_s = self._clock.now_s()
             self.box.begin(pairs)
-            self._ends_s = self._clock.now_s() + self.camera_triggers / self.schedule.rate_hz
+            if self.box.counts:  # it counts from when the last output was switched on
+                begun_s = self._clock.now_s()
+            self._ends_s = begun_s + self.camera_triggers / self.schedule.rate_hz
 
     @property
     def camera_triggers(self) -> int:

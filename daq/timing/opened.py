@@ -56,6 +56,7 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
         The box is not there, or must not be used.
     """
     box = driver_class(table.box)(f"laser on {table.port}", table.wiring, clock)
+    box.address = table.identity or ""
     laser = Laser(box.name, box, table.head.head(), table.rules(), clock)
     watchdog = Watchdog() if needs_watchdog([table.port]) else None
     try:

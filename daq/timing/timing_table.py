@@ -94,6 +94,8 @@ class TimingTable(Table):
         has_lamps = [role in self.channels for role in LAMPS]
         if any(has_lamps) != (self.head.lamp_to_q_switch_us is not None):
             raise ValueError("lamp channels and head.lamp_to_q_switch_us belong together; say both or none")
+        if self.box.startswith("pivlab") and not self.identity:
+            raise ValueError("identity: a synchroniser is called by its name; say the one on its sticker")
         if any(has_lamps) and has_lamps != [role in self.channels for role in Q_SWITCHES]:
             raise ValueError("channels: each lamp needs its Q-switch")
         if any(has_lamps) and self.align is not None and self.align.q_switch_delay_us is None:

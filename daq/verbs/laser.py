@@ -94,6 +94,7 @@ def _device(bench: Bench, name: str | None) -> tuple[str, TimingTable]:
 def _say_off(section: TimingTable) -> None:
     """Say it several times without asking whose port it is."""
     box = driver_class(section.box)("laser", section.wiring)
+    box.address = section.identity or ""
     said = [data.hex() for data in box.off_bytes()]
     stop({"url": section.port, "baud": section.baud or box.default_baud, "hold_dtr": False, "stop": said})
 

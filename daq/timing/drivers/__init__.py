@@ -13,6 +13,8 @@ DRIVERS = {
     "qc9530": _QC,
     "bnc575": _QC,
     "bnc577": _QC,
+    "pivlab_oltsync": "daq.timing.drivers.pivlab_synchroniser:OltSyncBox",
+    "pivlab_xmsync": "daq.timing.drivers.pivlab_synchroniser:XmSyncBox",
 }
 
 

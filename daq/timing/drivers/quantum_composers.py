@@ -49,7 +49,7 @@ class QuantumComposersBox(TimingBox):
 
     default_baud = 38_400
     counts = True
-    least_step_us = 0.005
+    least_step_us = 0.01
 
     _outputs = 8
 

@@ -12,7 +12,7 @@ from sim.emulators.isel_dnc import IselEmulator
 from sim.motion import Mechanics, Motor
 from stages.drivers import DRIVERS
 
-TIMING = ("quantum_composers",)
+TIMING = ("quantum_composers", "pivlab_synchroniser")
 FOLDER = Path(__file__).parent / "dialogues"
 SCREW = Mechanics(lead_mm=5.0, steps_per_rev=1600, high_switch_mm=200.0, index_mm=100.0, power_up_mm=60.0)
 

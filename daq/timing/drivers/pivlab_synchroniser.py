@@ -1,0 +1,220 @@
+"""Drivers for the synchronisers of PIVlab: oltSync and xmSync, which trigger modulated diodes and cameras.
+
+**Neither box counts.** A chunk is ended by us, by the clock, and after our death by the watchdog, some tenths of
+a second later; if that is gone too, the box goes on until somebody turns its key. So `pairs` is a wish here, a
+few more may leave, and a bench file has to say ``uncounted: true`` before such a box is armed at all.
+
+**Neither box can be read.** An oltSync takes a sequence as a whole or refuses it, and says what its laser is
+when it is started and stopped; an xmSync says the latter after every line. So what is confirmed is that it is
+off, and that it has taken the numbers; they are sent again before it is armed, because nobody can ask for them.
+Times are whole microseconds.
+
+Off is said to the box by its name (`address`, the bench file's `identity`): a box that has not said who it is
+would not take it from a stranger.
+"""
+
+import itertools
+from abc import abstractmethod
+from collections.abc import Sequence as Several
+from typing import ClassVar
+
+from daq.timing.box import TimingBox
+from daq.timing.errors import LaserDoubt, PulsesRefused, WrongBox
+from daq.timing.protocols.pivlab_synchroniser import (
+    AnswerStream,
+    Identity,
+    LaserIs,
+    Question,
+    Report,
+    Sequence,
+    Settings,
+    Switch,
+    Verdict,
+)
+from daq.timing.pulses import LAMPS, Pulse, Role, Schedule
+from stages.errors import CommandRejected, ProtocolViolation
+
+SPOILS = b"!\r\n"  # ends a line that somebody has left half written, and makes it one that nobody obeys
+PINS = ("1", "2", "3", "4")
+MARK = "oltSync:"
+
+
+class _Synchroniser(TimingBox):
+    """What both have in common."""
+
+    default_baud = 9600
+    counts = False
+    least_step_us = 1.0
+    reply_timeout_s = 1.5  # PIVlab waits 0.3 s, and asks three times
+
+    is_new: ClassVar[bool]
+
+    def off_bytes(self) -> Several[bytes]:
+        """Off by name, twice; nothing to say to a box whose name is not known."""
+        return [SPOILS + 2 * self._off_line()] if self.address else []
+
+    def silence(self) -> None:
+        """Say off until the box says that it is."""
+        with self._lock:
+            self.drop()
+            if self._repeated(lambda: self._switched(self._off_line())):
+                raise LaserDoubt(f"{self.name} says that its laser is still on")
+
+    def start_lamps(self) -> None:
+        """There are none."""
+        raise WrongBox(f"{self.name} has no outputs for lamps")
+
+    def confirm(self, schedule: Schedule, lamps: bool) -> None:
+        """Send everything again, laser off: nobody can ask for it."""
+        self.load(schedule)
+
+    def running(self) -> bool:
+        """Nobody can ask for that."""
+        return False
+
+    def end(self) -> None:
+        """Off, and confirmed."""
+        self.silence()
+
+    # ---- inside ------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _off_line(self) -> bytes: ...
+
+    def _identify(self) -> str:
+        def accept(answer: object) -> str | None:
+            return answer.text if isinstance(answer, Identity) else None  # others are older answers
+
+        return self._transact(Question("WhoAreYou?").to_bytes(), accept)
+
+    def _set_up(self) -> None:
+        if (MARK in self.identity) is not self.is_new:
+            other = "pivlab_oltsync" if MARK in self.identity else "pivlab_xmsync"
+            raise WrongBox(f"{self.name}: {self.identity!r} is a {other}; say that in the bench file")
+        if wrong := [role for role, pin in self.wiring.items() if role in LAMPS or pin not in PINS]:
+            raise WrongBox(f"{self.name}: {wrong[0]} cannot hang on a synchroniser's pin")
+        self.address = self.identity
+
+    def _switched(self, line: bytes, moves: bool = False) -> bool:
+        """Send what is answered by the state of the laser; return it."""
+
+        def accept(answer: object) -> bool | None:
+            if isinstance(answer, LaserIs | Report):
+                return answer.on
+            raise ProtocolViolation(f"{self.name}: {answer!r} does not say whether the laser is on")
+
+        return self._transact(line, accept, moves=moves)
+
+    def _stream(self) -> AnswerStream:
+        return AnswerStream()
+
+
+class OltSyncBox(_Synchroniser):
+    """An oltSync: pulses on its pins at any moments of a cycle."""
+
+    is_new = True
+
+    _sequence: Sequence | None = None
+
+    def load(self, schedule: Schedule) -> Schedule:
+        """Round to microseconds, send, and believe the verdict."""
+        with self._lock:
+            self.silence()
+            rounded = _rounded(schedule)
+            pins = {pin: self._moments(rounded, pin) for pin in PINS}
+            last = max((number for number, pin in enumerate(PINS, 1) if pins[pin]), default=0)
+            for pin in PINS[:last]:  # a pin has to have something; who is not armed takes no notice
+                pins[pin] = pins[pin] or (0, 1)
+            cycle_us = round(rounded.period_us)
+            sequence = Sequence(self.address, cycle_us, tuple(pins[pin] for pin in PINS[:last]))
+
+            def accept(answer: object) -> bool | None:
+                if isinstance(answer, Verdict):
+                    return answer.accepted
+                raise ProtocolViolation(f"{self.name}: {answer!r} is no verdict on a sequence")
+
+            if not self._repeated(lambda: self._transact(sequence.to_bytes(), accept)):
+                raise CommandRejected(f"{self.name} refused the sequence as a whole", "Sequence:Error")
+            self._sequence = sequence
+            return rounded
+
+    def begin(self, pairs: int, camera: bool = True) -> None:
+        """Start what was loaded; for alignment the camera has no pulses in it."""
+        with self._lock:
+            if self._sequence is None:
+                raise LaserDoubt(f"{self.name} has nothing to start")
+            if not self._switched(Switch(self.address, True).to_bytes(), moves=True):
+                raise LaserDoubt(f"{self.name} does not start")
+
+    def _moments(self, schedule: Schedule, pin: str) -> tuple[int, ...]:
+        """When a pin goes on and off, in order; pulses of a role without a pin of its own join its partner's."""
+        partners = {Role.Q_SWITCH_2: Role.Q_SWITCH_1, Role.CAMERA_B: Role.CAMERA}
+        pulses = []
+        for role, pulse in schedule.pulses.items():
+            home = role if role in self.wiring else partners.get(role, role)
+            if self.wiring.get(home) == pin:
+                pulses.append((round(pulse.delay_us), round(pulse.end_us)))
+        pulses.sort()
+        if any(late[0] <= soon[1] for soon, late in itertools.pairwise(pulses)):
+            raise PulsesRefused(f"{self.name}: pulses on pin {pin} run into each other")
+        return tuple(moment for pulse in pulses for moment in pulse)
+
+    def _off_line(self) -> bytes:
+        return Switch(self.address, False).to_bytes()
+
+
+class XmSyncBox(_Synchroniser):
+    """An xmSync with a camera that straddles frames: the box places the pulses itself, from dt and frame rate."""
+
+    is_new = False
+
+    _settings: Settings | None = None
+
+    def load(self, schedule: Schedule) -> Schedule:
+        """Send dt, frame rate and energy, laser off."""
+        with self._lock:
+            if Role.CAMERA_B not in schedule.pulses:
+                raise PulsesRefused(f"{self.name}: an xmSync is driven here for cameras with two triggers a pair")
+            frames_hz = 2.0 * schedule.rate_hz
+            if abs(frames_hz - round(frames_hz)) > 1e-6:
+                raise PulsesRefused(f"{self.name} knows whole frames/s, not {frames_hz:g}")
+            dt_us = round(schedule.dt_us)
+            energy = round(100.0 * schedule.pulses[Role.Q_SWITCH_1].width_us / dt_us)
+            if not 1 <= energy <= 100:
+                raise PulsesRefused(f"{self.name}: light must last 1 to 100 % of dt, not {energy} %")
+            self._settings = Settings(self.address, round(frames_hz), 0, 0, energy, 0, dt_us, 0, 0, False)
+            if self._repeated(lambda: self._switched(self._line(False))):
+                raise LaserDoubt(f"{self.name} says that its laser is on")
+            return _rounded(schedule)
+
+    def begin(self, pairs: int, camera: bool = True) -> None:
+        """Send the same with the laser on."""
+        with self._lock:
+            if self._settings is None:
+                raise LaserDoubt(f"{self.name} has nothing to start")
+            if not self._switched(self._line(True), moves=True):
+                raise LaserDoubt(f"{self.name} does not start")
+
+    def _line(self, laser: bool) -> bytes:
+        s = self._settings
+        assert s is not None
+        words = (s.frequency_hz, 0, 0, s.energy_percent, 0, s.interframe_us, 0, 0)
+        return Settings(self.address, *words, laser).to_bytes()
+
+    def _off_line(self) -> bytes:
+        return Settings(self.address, 1, 1, 0, 0, 100, 1234, -1, 0, False).to_bytes()
+
+
+def _rounded(schedule: Schedule) -> Schedule:
+    """Whole microseconds; dt is kept to its nearest one, whatever the pulses before it are rounded to."""
+    pulses = {
+        role: Pulse(float(round(pulse.delay_us)), float(max(1, round(pulse.width_us))))
+        for role, pulse in schedule.pulses.items()
+    }
+    if Role.Q_SWITCH_2 in pulses:
+        early_us = schedule.light_delay_us[0] - schedule.light_delay_us[1]
+        second_us = pulses[Role.Q_SWITCH_1].delay_us + round(schedule.dt_us) + early_us
+        if second_us != round(second_us):
+            raise PulsesRefused(f"the delays from trigger to light differ by {early_us:g} us, not by whole ones")
+        pulses[Role.Q_SWITCH_2] = Pulse(second_us, pulses[Role.Q_SWITCH_2].width_us)
+    return Schedule(float(round(schedule.period_us)), pulses, schedule.light_delay_us)
