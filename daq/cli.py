@@ -222,7 +222,9 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
 
     emulate = verbs.add_parser("emulate", help="the simulated bench for other programs, until Ctrl-C")
     emulate.add_argument("bench", type=Path, metavar="BENCH", help="bench.yaml with a simulation section")
-    emulate.add_argument("--shows", choices=("chessboard", "particles"), default="chessboard", help="on the stage")
+    emulate.add_argument(
+        "--shows", choices=("chessboard", "particles", "flow"), default="chessboard", help="what is seen"
+    )
     emulate.add_argument("--for-s", type=_positive, help="end by itself after this time")
 
 
