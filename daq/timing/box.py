@@ -167,6 +167,9 @@ class TimingBox(Link):
             It does not: a restart, or somebody at its keys.
         """
 
+    def require_lamps(self, on: bool) -> None:  # noqa: B027 - not every box has any
+        """Ask whether the lamps run, or do not; LaserDoubt if it is the other way."""
+
     @abstractmethod
     def begin(self, pairs: int, camera: bool = True) -> None:
         """Give that many pulses on each Q-switch output; the box counts them where it can.

@@ -485,8 +485,7 @@ class Laser:
                     return True
                 if state is LaserState.FIRING:
                     self.box.end()
-                    assert self.schedule is not None
-                    self.box.confirm(self.schedule, lamps=self._rate_hz is not None)  # a restart ends bursts too
+                    self.box.require_lamps(self._rate_hz is not None)  # a restart ends bursts too
                     self._enter(Event.DONE)
                 else:
                     self._silence()

@@ -99,8 +99,7 @@ class QuantumComposersBox(TimingBox):
         with self._lock:
             self._require_dark()
             self._require_unlocked_clock()
-            for number in [T0, *self._numbers(*LAMPS)]:
-                self._require(number, "STAT", "1" if lamps else "0")
+            self.require_lamps(lamps)
             self._require_seconds(T0, "PER", schedule.period_us * 1e-6)
             for role, pulse in schedule.pulses.items():
                 number = self._number(role)
@@ -108,6 +107,12 @@ class QuantumComposersBox(TimingBox):
                     self._require(number, word, value)
                 self._require_seconds(number, "DEL", pulse.delay_us * 1e-6)
                 self._require_seconds(number, "WIDT", pulse.width_us * 1e-6)
+
+    def require_lamps(self, on: bool) -> None:
+        """Ask for the states of T0 and of the lamps' outputs."""
+        with self._lock:
+            for number in [T0, *self._numbers(*LAMPS)]:
+                self._require(number, "STAT", "1" if on else "0")
 
     def begin(self, pairs: int, camera: bool = True) -> None:
         """Counts first, then on: camera, marker, Q-switches; T0 last where no lamp needs it."""
