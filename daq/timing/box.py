@@ -167,7 +167,7 @@ class TimingBox(Link):
             It does not: a restart, or somebody at its keys.
         """
 
-    def require_lamps(self, on: bool) -> None:  # noqa: B027 - not every box has any
+    def require_lamps(self, on: bool) -> None:
         """Ask whether the lamps run, or do not; LaserDoubt if it is the other way."""
 
     @abstractmethod
