@@ -64,13 +64,14 @@ def mean(
         As for `evaluate`.
     """
     screen = console()
-    given = None
+    series = None
     if is_run(path):
         folder = out if out is not None else path / "series"
         choice = piv_choice(**options)
         given = series_input(path, folder, choice, scene, target_clear, dewarp_order, dt_us=dt_us)
         books = run_series(path.resolve().name, folder, given.given, given.method, workers)
         show_series(screen, books)
+        series = given, books
     elif (path / FILE).is_file():
         folder = path
         if (
@@ -86,10 +87,11 @@ def mean(
         raise RunUnsuitable(f"{path}: is neither a run nor the folder of a series; evaluate a flow run first")
     found = mean_of_series(folder)
     by_ensemble = None
-    if given is not None and ensemble is not None:
+    if series is not None and ensemble is not None:
+        given = series[0]
         by_ensemble = ensemble_flow(given, found, ensemble, workers)
         said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
         write_ensemble(folder / "mean_ensemble.nc", by_ensemble, said)
-    write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble)
+    write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
     show_mean(screen, found, folder / "mean.html")
     return found

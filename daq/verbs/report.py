@@ -5,12 +5,14 @@ from typing import Unpack
 
 import numpy as np
 
+from correction.errors import PairError
 from correction.evaluate.target_error import target_error
 from correction.prepared import prepare
 from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.displacement import FILE as MOVED
+from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import first_view, scene_file
 from daq.analysis.evaluation import Evaluation, Route
@@ -19,9 +21,11 @@ from daq.analysis.piv_file import PivOptions
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
 from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
+from daq.analysis.series.series_pairs import is_series
 from daq.errors import RunUnsuitable
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate_pairs
+from daq.verbs.mean import mean
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
@@ -43,8 +47,8 @@ def report(
     Parameters
     ----------
     run : Path
-        Folder of a run.  Pairs of a shift run are evaluated (each also gets a folder with its vectors); of any
-        other run the first frame through the glass is shown corrected.
+        Folder of a run.  Pairs of a shift run are evaluated (each also gets a folder with its vectors); a flow run
+        is averaged as by `mean`; of any other run the first frame through the glass is shown corrected.
     out : Path, optional
         Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair.
     scene : Path, optional
@@ -71,6 +75,9 @@ def report(
     folder = RunFolder.open(run)
     about = folder.about
     out = out if out is not None else run / "report"
+    if _is_flow(run):
+        mean(run, out, scene, target_clear, dewarp_order, **options)
+        return out / "mean.html"
     out.mkdir(parents=True, exist_ok=True)
     scene = scene or scene_file(run, out)
     loaded = load_scene(scene)
@@ -95,6 +102,14 @@ def report(
     page.write(path)
     console().print(f"look at {path}", style="bold")
     return path
+
+
+def _is_flow(run: Path) -> bool:
+    """Whether a run is a series of pairs; one that has none, or not yet, is shown by its frames."""
+    try:
+        return is_series(run, pairs_of(run))
+    except (PairError, RunUnsuitable):
+        return False
 
 
 def _most_telling(found: list[Evaluation]) -> Evaluation:

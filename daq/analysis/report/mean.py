@@ -5,21 +5,31 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.acquisition.runs.run_folder import RunFolder
 from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.flow import flow_chapters
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import scene_chapter
+from daq.analysis.report.run import books_chapter
+from daq.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from daq.analysis.series.ensemble_series import EnsembleFlow
 from daq.analysis.series.image_field import image_field
 from daq.analysis.series.mean_flow import MeanFlow
+from daq.analysis.series.run_series import SeriesBooks
 from daq.analysis.series.series_folder import SeriesFolder
+from daq.analysis.series.series_input import SeriesInput
 from daq.analysis.series.series_mean import grid_of_series, scene_of, windows_of
 
 SHOWN_PAIRS = 60
 
 
 def write_mean_page(
-    path: Path, folder: Path, mean: MeanFlow, figures: bool = False, ensemble: EnsembleFlow | None = None
+    path: Path,
+    folder: Path,
+    mean: MeanFlow,
+    figures: bool = False,
+    ensemble: EnsembleFlow | None = None,
+    series: tuple[SeriesInput, SeriesBooks] | None = None,
 ) -> None:
     """Write the page of a mean flow.
 
@@ -35,15 +45,22 @@ def write_mean_page(
         Write every figure as SVG and as PNG.
     ensemble : EnsembleFlow, optional
         The same by ensemble correlation.
+    series : (SeriesInput, SeriesBooks), optional
+        What it was evaluated from, if that is at hand: frames and one pair are shown, and the run's books.
     """
     about = SeriesFolder(folder).about
     page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
     page.tiles(mean_tiles(mean))
+    if series is not None and (shown := shown_pair(*series)) is not None:
+        frames_chapter(page, shown)
+        pair_chapter(page, series[0], shown)
     mean_chapters(page, folder, mean)
     flow_chapters(page, folder, mean)
     if ensemble is not None:
         ensemble_chapter(page, folder, ensemble)
     left_out_chapter(page, mean)
+    if series is not None:
+        books_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene_of(folder))
     page.heading("Provenance")
     content = about["content"]

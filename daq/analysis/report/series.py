@@ -58,14 +58,15 @@ def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) 
 def series_chapters(page: Page, given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> None:
     """Add what was done to the frames, one pair, the pairs left out, the scene and where all this comes from."""
     if shown is not None:
-        _frames(page, shown)
-        _one_pair(page, given, shown)
+        frames_chapter(page, shown)
+        pair_chapter(page, given, shown)
     _left_out(page, given, books)
     scene_chapter(page, given.method.scene)
     _provenance(page, given)
 
 
-def _frames(page: Page, shown: Preview) -> None:
+def frames_chapter(page: Page, shown: Preview) -> None:
+    """Frame A of a pair after every step."""
     page.heading("Frames, step by step")
     page.slider(shown.seen.layers, f"Frame A of {shown.tag}. Drag to compare. Mask: {shown.seen.legend}.")
     if shown.steps:
@@ -78,7 +79,8 @@ def _frames(page: Page, shown: Preview) -> None:
     image_table(page, shown.seen)
 
 
-def _one_pair(page: Page, given: SeriesInput, shown: Preview) -> None:
+def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
+    """The vectors of one pair."""
     field, grid = shown.field, shown.grid
     page.heading("One pair")
     if field.doubt:

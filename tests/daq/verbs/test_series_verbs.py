@@ -40,6 +40,12 @@ def test_mean_takes_a_run_and_then_its_series(run, capsys):
     assert noise > 0.0
     page = (out / "mean.html").read_text()
     assert "pairs in the mean" in page
+    assert "without background" not in page  # of the series alone: its frames may be elsewhere
+    report = run / "report"
+    assert main(["report", str(run), "-o", str(report), "--first-window", "32", "--final-window", "16"]) == DONE
+    page = (report / "mean.html").read_text()
+    for text in ("pairs in the mean", "<i>without background</i>", "Every frame accounted for"):
+        assert text in page
 
 
 def test_evaluate_of_a_flow_run_leaves_one_page_that_shows_every_step(run, tmp_path, capsys):
