@@ -6,6 +6,43 @@ from typing import Any
 import numpy as np
 
 
+@dataclass(frozen=True)
+class LiveVectors:
+    """What windows of 64 px say of one pair while the run goes on.
+
+    Parameters
+    ----------
+    number : int
+        Number of its first frame.
+    age_ms : float
+        Time from the second frame's arrival to its vectors.
+    median_px : (float, float)
+        Median displacement, to the right and UP [px of the corrected image]; NaN without vectors.
+    largest_px : float
+        What 98 % of the displacements stay below.
+    valid_share : float
+        Measured vectors of those outside the mask, 0 to 1.
+    remark : str
+        What speaks against them, or why there are none.
+    """
+
+    number: int
+    age_ms: float
+    median_px: tuple[float, float] = (float("nan"), float("nan"))
+    largest_px: float = float("nan")
+    valid_share: float = 0.0
+    remark: str = ""
+
+    def sentence(self) -> str:
+        """The same for a person."""
+        if not np.isfinite(self.largest_px):
+            return f"none: {self.remark or 'no window has a peak'}"
+        right, up = self.median_px
+        words = f"median {right:+.2f}, {up:+.2f} px, up to {self.largest_px:.1f} px"
+        words += f", {100 * self.valid_share:.0f} % valid"
+        return f"{words}; {self.remark}" if self.remark else words
+
+
 @dataclass
 class Flow:
     """What the lanes have done so far; read by anybody, written by the lanes."""
@@ -21,6 +58,8 @@ class Flow:
     raw_latency_ms: list[float] = field(default_factory=list)
     raw_waiting_most: int = 0
     submit_wait_s: float = 0.0
+    vectors: LiveVectors | None = None
+    vectors_live: int = 0
 
     def summary(self) -> dict[str, Any]:
         """Figures for done.json."""
@@ -36,6 +75,7 @@ class Flow:
             "correct_ms_mean": _mean_ms(self.correct_s, self.corrected),
             "latency_ms": _percentiles(self.latency_ms),
             "skipped_live": len(self.skipped),
+            "vectors_live": self.vectors_live,
         }
 
 

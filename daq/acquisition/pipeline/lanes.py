@@ -2,6 +2,7 @@
 
     next_frame -> submit --> raw lane:  checksum, TIFF, fsync, rename, journal
                         `-> live lane: correct  -> store lane: corrected TIFF
+                                               `-> vectors of the last pair (`live_pairs`)
 
 A frame stays in the camera's shared memory until both lanes are through with it; nobody copies it.
 
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.flow import Flow
+from daq.acquisition.pipeline.live_pairs import LivePairs
 from daq.acquisition.pipeline.priority import lower_priority
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.journal import Journal
@@ -122,6 +124,7 @@ class Pipeline:
         self._error: DaqError | None = None
         self._bug: Exception | None = None
         self._flow_lock = threading.Lock()
+        self._pairs = LivePairs(self.flow) if corrections is not None else None
         lanes = [("raw", self._raw_lane)] * RAW_WRITERS
         if corrections is not None:
             lanes += [("live", self._live_lane), ("store", self._store_lane)]
@@ -183,6 +186,8 @@ class Pipeline:
             self._live_wake.notify()
         for thread in self._threads:
             thread.join(PATIENCE_S)
+        if self._pairs is not None:
+            self._pairs.close()
         self._let_all_go()
 
     def _put(self, shared: _Shared, begun_s: float) -> None:
@@ -292,6 +297,8 @@ class Pipeline:
         self.flow.latency_ms.append((time.monotonic_ns() - job.frame.meta.received_ns) / 1e6)
         self.flow.correct_s += time.perf_counter() - begun_s
         self.flow.corrected += 1
+        if self._pairs is not None:
+            self._pairs.see(job.step, job.number, corrected, job.frame.meta.received_ns)
         self._store.put((job, corrected))
 
     def _store_lane(self) -> None:

@@ -20,6 +20,7 @@ from daq.acquisition.bench.opened import OpenBench, known_positions
 from daq.acquisition.pipeline.catch_up import correct_from_disk, uncorrected
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline
+from daq.acquisition.pipeline.live_pairs import warm_up
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.arrival import go_to, require_arrived, rest
 from daq.acquisition.runner.exposures import Exposures
@@ -151,6 +152,8 @@ class Runner:
             self.progress.planned = sum(number not in present for step in left for number in step.numbers)
             if self._corrections is not None:
                 self._corrections.prepare(step.view for step in left if step.on_plane)
+                if any(step.group == 2 and step.on_plane for step in left):
+                    warm_up()
             with self.interrupts:
                 self._session(journal, left)
             self._catch_up()

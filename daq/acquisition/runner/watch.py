@@ -29,6 +29,7 @@ def panel(progress: Progress) -> Table:
         ("waiting", f"{raw} to be written, {live} to be corrected"),
         ("latency", f"{np.median(latency):.0f} ms frame to corrected" if latency else "-"),
         ("skipped", f"{len(progress.flow.skipped)} not corrected live (done after the run)"),
+        ("vectors", progress.flow.vectors.sentence() if progress.flow.vectors else "-"),
         ("positions", "  ".join(f"{name} {mm:.3f}" for name, mm in progress.positions_mm.items()) or "-"),
         ("books", progress.ledger.sentence()),
     ]
@@ -41,6 +42,8 @@ def panel(progress: Progress) -> Table:
 def line(progress: Progress) -> str:
     """Return the state of a run as one line of a log."""
     words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}", progress.doing, progress.left()]
+    if progress.flow.vectors is not None:
+        words.append(f"vectors {progress.flow.vectors.sentence()}")
     return "; ".join([*filter(None, words), progress.ledger.sentence()])
 
 
