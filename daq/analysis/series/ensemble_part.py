@@ -92,7 +92,7 @@ def sum_part(job: PartJob) -> None:
             one, two = (method.preparation.finished(corrector(frame), corrector.recovered) for frame in (a, b))
             sums.add(one, two, corrector.recovered, _own_field(field, job.sweep, windows))
         except (PairError, FrameError):
-            continue  # its vectors came from the same frames: nobody has seen this yet
+            continue  # it gave vectors, so this does not happen; if it does, one pair is not worth the sweep
     job.path.parent.mkdir(parents=True, exist_ok=True)
     try:
         save_arrays(job.path, KIND, {"key": job.key}, sums.to_arrays())

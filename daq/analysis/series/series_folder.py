@@ -8,6 +8,7 @@ background.npz   if one of the whole series was taken off
 mean.nc       statistics, by `rtpiv mean`
 """
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ except ImportError:  # not on this system
     flock = None  # type: ignore[assignment]
 
 FILE = "series.json"
+_OURS = re.compile(r"(?P<number>[0-9]{5,9})\.(nc|json)(?P<part>\.part)?")
 
 
 @with_config(STRICT)
@@ -80,11 +82,14 @@ class SeriesFolder:
             raise SeriesError(f"{file}: is damaged ({problem}); evaluate the run again") from None
 
     def begin(self, about: SeriesFile) -> None:
-        """Write series.json; remove what a killed worker left and chunks that are no longer part of the series."""
+        """Write series.json; remove what a killed worker left and chunks that are no longer part of the series.
+
+        Nothing else in the folder is touched.
+        """
         write_json(self.path / FILE, about)
         for file in (self.path / "chunks").glob("*"):
-            number = file.name.partition(".")[0]
-            if file.suffix == ".part" or not number.isdecimal() or int(number) >= len(about["keys"]):
+            ours = _OURS.fullmatch(file.name)
+            if ours is not None and (ours["part"] or int(ours["number"]) >= len(about["keys"])):
                 file.unlink()
 
     def marker(self, number: int, key: str) -> Marker:

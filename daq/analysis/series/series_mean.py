@@ -4,6 +4,7 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
+from correction.errors import SeriesError
 from correction.grid import PlaneGrid, grid_of
 from correction.piv.windows import WindowGrid, window_grid
 from correction.prepared import prepare
@@ -64,6 +65,12 @@ def grid_of_series(folder: Path) -> PlaneGrid:
 
 
 def windows_of(folder: Path) -> WindowGrid:
-    """Where the vectors of a series lie on its corrected image."""
-    settings = SeriesFolder(folder).about["content"]["settings"]
-    return window_grid(grid_of_series(folder).shape, int(settings["windows_px"][-1]), float(settings["overlap"]))
+    """Where the vectors of a series lie on its corrected image; SeriesError if its file does not say."""
+    content = SeriesFolder(folder).about["content"]
+    try:
+        side_px, overlap = int(content["settings"]["windows_px"][-1]), float(content["settings"]["overlap"])
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise SeriesError(
+            f"{folder}: series.json does not say how its pairs were evaluated; evaluate the run again"
+        ) from None
+    return window_grid(grid_of_series(folder).shape, side_px, overlap)

@@ -62,13 +62,18 @@ def carried_out(
 
 @contextmanager
 def worker_processes(count: int) -> Iterator[Executor]:
-    """Processes of one thread each; they end at once when this process ends, however it does."""
+    """Processes of one thread each; they end at once when the caller fails or this process ends."""
+    others = set(multiprocessing.active_children())
     kept = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))  # read by the libraries while a worker starts
     context = multiprocessing.get_context("spawn")  # a forked copy of running threads could wait for ever
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
     try:
         yield pool
+    except BaseException:
+        for worker in set(multiprocessing.active_children()) - others:
+            worker.terminate()  # what it has begun is not worth waiting for: it is made anew
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         for name, value in kept.items():

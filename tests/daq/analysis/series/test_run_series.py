@@ -192,11 +192,13 @@ def test_other_settings_are_never_mixed(copy, folder, run):
     assert again(out, folder, run, "minimum").kept == PAIRS - 4
 
 
-def test_longer_chunks_leave_no_old_ones_behind(copy, folder, run):
+def test_longer_chunks_leave_no_old_ones_behind_and_nothing_else_is_touched(copy, folder, run):
     out, _ = copy
+    (out / "chunks" / "my notes.txt").write_text("mine")
     again(out, folder, run, chunk=8)
     assert sorted(markers(out)) == [0, 1]
-    assert len(list((out / "chunks").iterdir())) == 4
+    assert len(list((out / "chunks").iterdir())) == 5
+    assert (out / "chunks" / "my notes.txt").read_text() == "mine"
 
 
 def test_other_frames_or_times_are_another_series(run, folder):
