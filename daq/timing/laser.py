@@ -44,6 +44,7 @@ from stages.errors import StageError
 
 LATE_S = 1.0  # a burst that the box still calls running so long after its end is in doubt
 LOOK_S = 0.01  # between two looks of `wait`
+ARMED_S = 10.0  # how long conditions that were stated at arming may be believed
 
 _WAYS = {
     LaserState.UNKNOWN: "nobody knows what it does; only safe() is allowed",
@@ -142,6 +143,7 @@ class Laser:
         self._challenge = ""
         self._exposures: PairExposures | None = None
         self._conditions = Conditions()  # as they stood at arming
+        self._armed_s = -math.inf
         self._rate_hz: float | None = None  # of lamps that run
         self._heated_s = math.inf
         self._ends_s = math.inf
@@ -354,7 +356,7 @@ class Laser:
                 )
             self.box.token = self._begin()
             self.box.confirm(schedule, lamps=self._rate_hz is not None)
-            self._conditions = conditions
+            self._conditions, self._armed_s = conditions, self._clock.now_s()
             self._enter(Event.ARM)
 
     def disarm(self) -> None:
@@ -385,6 +387,8 @@ class Laser:
                 raise TimingUsageError(
                     f"{pairs} pairs in one chunk: 1 to {most} fit into {self.rules.chunk_s:g} s"
                 )
+            if (old_s := self._clock.now_s() - self._armed_s) > ARMED_S:
+                raise NotArmed(f"{self.name} was armed {old_s:.0f} s ago; state the conditions anew (disarm, arm)")
             if missing := self._conditions.missing(pairs, self.rules.clear_mm):
                 raise NotArmed(f"{self.name} does not fire: {missing}")
             self.box.token = self._begin()
@@ -474,6 +478,8 @@ class Laser:
         StageError
             It could not be asked; it was switched off as far as that was possible.
         """
+        if self.state in EMITS and self._clock.now_s() < self._ends_s:
+            return True  # without the lock: whoever watches must not wait for another verb
         with self._lock:
             state = self.state
             if state not in EMITS or self._clock.now_s() < self._ends_s:

@@ -19,7 +19,8 @@ PIVLAB = {"q_switch_1": "2", "camera": "1"}
 def table(port, box, has_lamps, rate_hz):
     head = HeadTable(max_rate_hz=rate_hz, warmup_s=0.0, lamp_to_q_switch_us=[180.0, 182.0] if has_lamps else None)
     wired = PIVLAB if box.startswith("pivlab") else WIRED | (LAMPS if has_lamps else {})
-    return TimingTable(box=box, port=port, channels=wired, head=head, uncounted=box.startswith("pivlab"))
+    uncounted = {"uncounted": True, "identity": "oltSync:0012"} if box.startswith("pivlab") else {}
+    return TimingTable(box=box, port=port, channels=wired, head=head, **uncounted)
 
 
 def main():

@@ -1,5 +1,6 @@
 """The state machine on a fake box: what may be asked when, and what ends it."""
 
+import threading
 import time
 
 import pytest
@@ -252,6 +253,40 @@ def test_a_box_that_cannot_count_needs_a_word_in_the_bench_file():
     laser.set(TIMING, EXPOSURES)
     with pytest.raises(NotArmed, match="uncounted"):
         laser.arm(GOOD, laser.challenge)
+
+
+def test_what_was_armed_long_ago_does_not_fire():
+    laser, box, clock = armed()
+    clock.sleep_s(11.0)
+    with pytest.raises(NotArmed, match="11 s ago"):
+        laser.fire(1)
+    assert box.burst is None
+    laser.disarm()
+    laser.arm(GOOD, laser.challenge)
+    laser.fire(1)
+
+
+def test_whoever_watches_does_not_wait_for_another_verb():
+    laser, box, _ = armed()
+    laser.fire(50)
+    held, done = threading.Event(), threading.Event()
+
+    def holds():
+        with laser._lock:
+            held.set()
+            done.wait(5.0)
+
+    thread = threading.Thread(target=holds)
+    thread.start()
+    held.wait()
+    begun_s = time.monotonic()
+    assert laser.look()
+    with pytest.raises(LaserStopped):
+        laser.watch(Conditions())
+    assert time.monotonic() - begun_s < 0.05
+    assert box.burst is None
+    done.set()
+    thread.join()
 
 
 def test_an_exposure_that_is_too_long_for_the_room_is_refused():

@@ -101,3 +101,27 @@ def test_time_passes_while_a_chunk_is_waited_for(tmp_path):
         laser.fire(100)
         laser.wait()
     assert time.monotonic() - begun_s < 5.0
+
+
+def test_a_second_box_is_data(tmp_path):
+    bench = bench_with(tmp_path)
+    text = bench.path.read_text()
+    diode = (
+        '  diode: {kind: timing, box: pivlab_oltsync, port: /dev/two, identity: "oltSync:7", uncounted: true, '
+        'channels: {camera: "1", q_switch_1: "2"}, head: {max_rate_hz: 40.0, pulse_us: 50.0}}\n'
+    )
+    bench.path.write_text(text + diode)
+    with open_bench(load_bench(bench.path), True, only={"laser", "diode"}) as hardware:
+        first, second = hardware.devices["laser"], hardware.devices["diode"]
+        pulsed, modulated = hardware.simulation.world.timing
+        assert second.box.identity == "oltSync:7"
+        second.warm()
+        second.set(PulseTiming(250.0, 40.0), PairExposures(9_900.0, 9_900.0, 100.0, two_triggers=True))
+        second.arm(GOOD, second.challenge)
+        second.fire(20)
+        first.stop("only this one")
+        assert second.state is LaserState.FIRING
+        second.wait()
+        assert modulated.pulses(Role.Q_SWITCH_1) >= 40
+        assert pulsed.pulses(Role.Q_SWITCH_1) == 0
+        assert first.state is LaserState.UNKNOWN
