@@ -183,9 +183,12 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
         "--live-queue", type=_count, default=4, metavar="N", help="frames that may wait (default 4)"
     )
 
+    operator = "who answers for the light of a flow on a simulated bench; at a real laser its word is typed"
+    acquire.add_argument("--operator", metavar="NAME", help=operator)
     resume = verbs.add_parser("resume", help="go on with a run that was interrupted")
     resume.add_argument("run", type=Path, metavar="RUN", help="folder of the run")
     resume.add_argument("--home", action="store_true", help="home every axis first, in the configured order")
+    resume.add_argument("--operator", metavar="NAME", help=operator)
 
     resume.add_argument(
         "--retake", action="store_true", help="take steps again of which a frame is missing or damaged"

@@ -25,6 +25,7 @@ from daq.acquisition.runs.gaps import gap_sentence
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.terminal import console, error_console
+from daq.verbs.operator import operator_of
 from stages.identities import confusable
 
 SHOWN_STEPS = 40
@@ -44,6 +45,7 @@ def acquire(
     dewarp_order: int = 2,
     method: Method = "quintic",
     live_queue: int = LIVE_QUEUE,
+    operator: str | None = None,
 ) -> Path | None:
     """Carry a plan out on a bench.
 
@@ -70,6 +72,8 @@ def acquire(
         Interpolation of the correction.
     live_queue : int
         Frames that may wait to be corrected; 1 for the lowest latency.
+    operator : str, optional
+        Who answers for the light of a flow run where nobody sits at a terminal; see `verbs.operator`.
 
     Returns
     -------
@@ -114,7 +118,7 @@ def acquire(
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
-    run_and_report(screen, request, loaded, steps, folder, home)
+    run_and_report(screen, request, loaded, steps, folder, home, operator=operator)
     return folder.path
 
 
@@ -126,11 +130,13 @@ def run_and_report(
     folder: RunFolder,
     home: bool,
     again: Collection[int] = (),
+    operator: str | None = None,
 ) -> dict[str, Any]:
     """Do what is left of a run, say what came of it, or how to go on."""
     try:
         with watch(error_console()) as watcher:
-            done = carry_out(request, bench, plan, folder, home, watcher, again=again)
+            person = operator_of(operator, request.simulate)
+            done = carry_out(request, bench, plan, folder, home, watcher, again=again, operator=person)
     except (BadBalance, FrameDoubt):
         print(f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed", file=sys.stderr)
         raise

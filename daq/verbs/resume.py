@@ -7,7 +7,7 @@ from daq.terminal import console, progress_if_long
 from daq.verbs.acquire import run_and_report
 
 
-def resume(run: Path, home: bool = False, retake: bool = False) -> Path:
+def resume(run: Path, home: bool = False, retake: bool = False, operator: str | None = None) -> Path:
     """Do what is left of a run: plan minus journal.
 
     Parameters
@@ -18,6 +18,8 @@ def resume(run: Path, home: bool = False, retake: bool = False) -> Path:
         Home every axis first, in the configured order; needed if a controller has lost its position.
     retake : bool
         Take steps again of which a frame is missing or damaged; also those of a finished run.
+    operator : str, optional
+        As for `acquire`.
 
     Returns
     -------
@@ -38,5 +40,5 @@ def resume(run: Path, home: bool = False, retake: bool = False) -> Path:
     screen.print(f"{run}: plan, bench and scene are those it began with, and every frame that counts is right")
     if found.again:
         screen.print(f"taken again for missing or damaged frames: {len(found.again)} steps")
-    run_and_report(screen, found.request, found.bench, found.plan, found.folder, home, found.again)
+    run_and_report(screen, found.request, found.bench, found.plan, found.folder, home, found.again, operator)
     return run

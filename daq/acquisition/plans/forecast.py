@@ -4,6 +4,7 @@ Limits and keep-out are judged by the same code that will judge the real moves (
 route, so a plan that passes here is refused later only if the start is another one.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from stages.stage import Stage
 
 FRAME_OVERHEAD_S = 0.05  # trigger, readout, hand-over
 STEP_OVERHEAD_S = 0.1  # reading the positions back, fsync of the journal
+CHUNK_OVERHEAD_S = 1.5  # arming of camera and laser, dark frames at either end, books
 FILE_OVERHEAD_BYTES = 4096
 DEFAULT_RATE_HZ = 10.0
 
@@ -83,10 +85,19 @@ def forecast(
                 travel[piece.axis] += abs(piece.end_mm - piece.start_mm)
             duration_s += stage.duration_s(here, move)
             here |= move
-        duration_s += step.settle_s + STEP_OVERHEAD_S + step.frames * _frame_s(bench.table.camera.settings)
+        duration_s += step.settle_s + STEP_OVERHEAD_S + _frames_s(bench, step)
+    duration_s += max((step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0)
     frames, frame_bytes = frame_count(steps), _frame_bytes(bench)
     on_plane = sum(step.frames for step in steps if step.on_plane)
     return Forecast(frames, travel, duration_s, frames * frame_bytes, on_plane * frame_bytes, tuple(violations))
+
+
+def _frames_s(bench: Bench, step: Step) -> float:
+    order = step.pulses
+    if order is None:
+        return step.frames * _frame_s(bench.table.camera.settings)
+    pairs = step.frames // 2
+    return pairs / order.rate_hz + math.ceil(pairs / order.chunk) * CHUNK_OVERHEAD_S
 
 
 def _frame_s(settings: Mapping[str, Setting]) -> float:

@@ -71,27 +71,37 @@ def expand(table: PlanTable, bench: Bench) -> tuple[Step, ...]:
     Raises
     ------
     PlanError
-        The bench has no axis for a displacement, or the glass cannot be moved out of the way.
+        The bench has no axis for a displacement, the glass cannot be moved out of the way, or laser and camera
+        cannot do what is asked of them.
     """
     steps: list[Step] = []
+    first_frame = 0
     for index, pose in enumerate(table.poses(bench)):
+        frames = table.frames if pose.frames is None else pose.frames
         steps.append(
             Step(
                 index=index,
                 tag=pose.tag,
                 positions_mm=tuple(_positions(bench, pose).items()),
                 settle_s=table.settle_s,
-                first_frame=index * table.frames,
-                frames=table.frames,
+                first_frame=first_frame,
+                frames=frames,
                 view=pose.view,
                 shows=table.shows,
-                on_plane=abs(pose.target_mm[2]) < ON_PLANE_MM and not any(pose.camera_mm),
+                on_plane=_is_on_plane(pose),
                 reference=pose.reference,
                 group=table.frames_together,
                 gaps_at_most=table.share_of_gaps,
+                pulses=pose.pulses,
             )
         )
+        first_frame += frames
     return tuple(steps)
+
+
+def _is_on_plane(pose: Pose) -> bool:
+    """Whether what is seen lies in the plane that the scene's camera looks at: a light sheet always does."""
+    return (pose.pulses is not None or abs(pose.target_mm[2]) < ON_PLANE_MM) and not any(pose.camera_mm)
 
 
 def _positions(bench: Bench, pose: Pose) -> dict[str, float]:

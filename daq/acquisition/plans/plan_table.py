@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from daq.acquisition.bench.bench_table import Bench, Vector
+from daq.acquisition.plans.pulse_order import PulseOrder
 from daq.acquisition.plans.steps import CLEAR
 from ground.config import Table
 
@@ -30,6 +31,10 @@ class Pose:
         Number, within the poses, of the pose that this one is displaced from.
     camera_mm : (float, float, float)
         Displacement of the camera from its place in the scene.
+    frames : int or None
+        How many; None for as many as the plan says for each stop.
+    pulses : PulseOrder or None
+        Light that it needs; the light sheet is the investigation plane then, wherever the target is.
     """
 
     tag: str
@@ -37,6 +42,8 @@ class Pose:
     view: str = CLEAR
     reference: int | None = None
     camera_mm: Vector = (0.0, 0.0, 0.0)
+    frames: int | None = None
+    pulses: PulseOrder | None = None
 
 
 class PlanTable(Table):

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 from daq.acquisition.bench.bench_table import GLASS, Bench, digest
+from daq.acquisition.plans.pulse_order import PulseOrder
 
 CLEAR, BEHIND_GLASS = "clear", "glass"
 
@@ -41,6 +42,8 @@ class Step:
     gaps_at_most : float
         Share of the frames that may be lost in one go, 0 to 1.  Above 0 the step keeps every frame that it has; at
         0 it is whole or taken again.
+    pulses : PulseOrder or None
+        Pairs of light pulses that the frames are taken by; such a step keeps the pairs that it has.
     """
 
     index: int
@@ -55,11 +58,12 @@ class Step:
     reference: int | None = None
     group: int = 1
     gaps_at_most: float = 0.0
+    pulses: PulseOrder | None = None
 
     @property
     def may_have_gaps(self) -> bool:
         """Whether the step keeps what it has, and goes on behind what it lost."""
-        return self.gaps_at_most > 0.0
+        return self.gaps_at_most > 0.0 or self.pulses is not None
 
     @property
     def targets_mm(self) -> dict[str, float]:
@@ -76,7 +80,7 @@ def steps_hash(steps: Sequence[Step]) -> str:
     """Hex digest (16 characters) of a list of steps; what a step does not say leaves no trace in it."""
     told = [asdict(step) for step in steps]
     for tree in told:
-        for name in ("group", "gaps_at_most"):  # an older version did not know them
+        for name in ("group", "gaps_at_most", "pulses"):  # an older version did not know them
             if tree[name] == Step.__dataclass_fields__[name].default:
                 del tree[name]
     return digest(told)

@@ -70,6 +70,7 @@ class Exposures:
         self.counts = Bookkeeper(self.software)
         self.discarded = 0  # frames that were written and are not wanted after all
         self.doubts: list[str] = []
+        self.settings: dict[str, Setting] = {}  # as the camera read them back
         self._latch = latch
         self._tell_doubt = tell_doubt
         self._token = 0
@@ -104,8 +105,9 @@ class Exposures:
 
     def set_up(self) -> dict[str, Setting]:
         """Configure the camera; return everything it can tell about its settings."""
-        self.camera.configure(self.section.settings)
-        settings = self.camera.settings()
+        chunks = () if self.section.pairs is None else self.section.pairs.chunks
+        self.camera.configure(self.section.settings, **({"chunks": chunks} if chunks else {}))
+        settings = self.settings = self.camera.settings()
         self._format = FrameFormat(settings)
         return settings
 
@@ -138,7 +140,7 @@ class Exposures:
         MotionStopped
             The bench was stopped.
         """
-        self._token = self._latch.begin() if self._latch is not None else 0
+        self.begin()
         places = range(begin, count)
         return single_frames(self, places) if self.software else stream(self, places, may_lose)
 
@@ -252,6 +254,20 @@ class Exposures:
         if frame is None:
             raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
         return frame
+
+    def look(self, timeout_s: float) -> Frame | None:
+        """Next whole frame within a short time, or None; BadFrame if one came that cannot be used."""
+        self.ask()
+        return self.camera.poll(timeout_s)
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the camera waits for triggers."""
+        return self._is_armed
+
+    def begin(self) -> None:
+        """Take over the stop as it is now: what is exposed from here on ends with it."""
+        self._token = self._latch.begin() if self._latch is not None else 0
 
     def hand_over(self, frame: Frame) -> Frame:
         """Count a frame as given to whoever asked for it.

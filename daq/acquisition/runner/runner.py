@@ -24,18 +24,21 @@ from daq.acquisition.pipeline.live_pairs import warm_up
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.arrival import go_to, require_arrived, rest
 from daq.acquisition.runner.exposures import Exposures
+from daq.acquisition.runner.flow_step import FlowStep
 from daq.acquisition.runner.interrupts import Interrupts
+from daq.acquisition.runner.light import Light, NoOperator, Operator
 from daq.acquisition.runner.progress import Progress, Watcher
 from daq.acquisition.runner.step_frames import StepFrames
 from daq.acquisition.runs.conservation import Ledger
 from daq.acquisition.runs.displacement import displacements, write_displacements
-from daq.acquisition.runs.gaps import booked_gaps, numbers_in
+from daq.acquisition.runs.gaps import Gaps, booked_gaps, numbers_in
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries, remaining, versions
 from daq.acquisition.runs.run_hash import run_hash
 from daq.acquisition.runs.seal import write_record
 from daq.acquisition.runs.session_books import doubts, total_ledger
 from daq.errors import BadBalance, PlanError, ResumeRefused, RunInterrupted
+from daq.timing.errors import LaserStopped
 from daq.whole_text import sync_folder, write_json
 from stages.errors import DeviceLost, NotInPosition, StageError
 
@@ -91,6 +94,8 @@ class Runner:
         See `Pipeline`.
     again : collection of int
         Finished steps that are to be taken again: a frame of theirs is damaged, see runner.retake.
+    operator : Operator, optional
+        The person at the bench, whom a laser asks for its word.
     """
 
     def __init__(
@@ -102,6 +107,7 @@ class Runner:
         watcher: Watcher | None = None,
         live_queue: int = LIVE_QUEUE,
         again: Collection[int] = (),
+        operator: Operator | None = None,
     ) -> None:
         self._hardware = hardware
         self._folder = folder
@@ -119,6 +125,8 @@ class Runner:
         self._caught_up = 0
         self.progress = Progress(steps=len(self._steps))
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
+        self._operator = operator or NoOperator()
+        self._light = Light(hardware, folder, self._operator, self.interrupts)
 
     def run(self) -> dict[str, Any]:
         """Do what is left; return the contents of done.json.
@@ -181,16 +189,23 @@ class Runner:
             self._folder, journal, pipeline, self._exposures, self._hardware, self.interrupts, self.progress,
             self._tell,
         )  # fmt: skip
+        flow: FlowStep | None = None
+        if any(step.pulses is not None for step in left):
+            flow = FlowStep(
+                self._folder, journal, pipeline, self._exposures, self._hardware, self.interrupts, self.progress,
+                self._tell, self._light,
+            )  # fmt: skip
         why, error_text = "finished", ""
         try:
             for step in left:
                 self._between_steps(len(self._steps) - step.index)
-                self._step(journal, frames, step)
+                self._step(journal, frames, step, flow)
         except BaseException as error:
             why, error_text = type(error).__name__, str(error)
             raise
         finally:
             try:
+                self._light.off()
                 self._exposures.end()
             finally:
                 pipeline.close()
@@ -217,24 +232,40 @@ class Runner:
         if self.interrupts.wanted:
             raise RunInterrupted(f"ended on request with {left} of {len(self._steps)} steps left")
 
-    def _step(self, journal: Journal, frames: StepFrames, step: Step) -> None:
+    def _step(self, journal: Journal, frames: StepFrames, step: Step, flow: FlowStep | None) -> None:
         self.progress.step, self.progress.tag = step.index, step.tag
         place = "on the way to"
         try:
             record = self._arrive(journal, step)
             place = "at"
             self._tell("exposing")
-            gaps = frames.take(step, record)
+            if flow is not None and step.pulses is not None:
+                self._open_seeding(step)
+                gaps: Gaps | None = [] if flow.take(step, record) else None
+            else:
+                gaps = frames.take(step, record)
             self._require_still_there(journal, frames, step, record)
         except StageError as error:
             if self.interrupts.wanted and not isinstance(error, DeviceLost):
                 raise RunInterrupted(f"stopped {place} step {step.index} ({step.tag}): {error}") from error
+            raise
+        except LaserStopped as error:
+            if self.interrupts.wanted:
+                raise RunInterrupted(f"stopped at step {step.index} ({step.tag}): {error}") from error
             raise
         if gaps is None:
             raise RunInterrupted(f"ended on request within step {step.index} ({step.tag}), which keeps its frames")
         record |= {"gaps": gaps} if gaps else {}
         journal.append("step", sync=True, step=step.index, tag=step.tag, utc=_utc(), **record)
         sync_folder(self._folder.path / "frames")
+
+    def _open_seeding(self, step: Step) -> None:
+        """Have the seeding opened between the background and the flow."""
+        before = self._steps[step.index - 1].pulses if step.index else None
+        is_flow = step.pulses is not None and not step.pulses.is_background
+        if is_flow and before is not None and before.is_background:
+            self._tell("waiting for the seeding")
+            self._operator.open_seeding()
 
     def _arrive(self, journal: Journal, step: Step) -> dict[str, Any]:
         """Bring everything to a step's place; return what its frames and its line will say about positions."""

@@ -19,7 +19,8 @@ from daq.acquisition.bench.opened import OpenBench, open_bench
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.plan import Plan, load_plan
-from daq.acquisition.plans.steps import frame_count
+from daq.acquisition.plans.steps import Step, frame_count
+from daq.acquisition.runner.light import Operator
 from daq.acquisition.runner.progress import Progress, Watcher
 from daq.acquisition.runner.retake import steps_to_retake
 from daq.acquisition.runner.runner import Runner
@@ -121,10 +122,17 @@ def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder
         "disc_mm": board.disc_mm,
         "steps": [{"index": s.index, "tag": s.tag, "first_frame": s.first_frame, "frames": s.frames,
                    "view": s.view, "shows": s.shows, "on_plane": s.on_plane, "reference": s.reference,
-                   "group": s.group}
+                   "group": s.group, **_pulses_of(s)}
                   for s in plan.steps],
     }  # fmt: skip
     return RunFolder.create(parent, plan.name, about)
+
+
+def _pulses_of(step: Step) -> dict[str, Any]:
+    """What those who work on finished runs need of a step's pulses."""
+    if step.pulses is None:
+        return {}
+    return {"dt_us": step.pulses.dt_us, **({"background": True} if step.pulses.is_background else {})}
 
 
 @dataclass(frozen=True)
@@ -207,6 +215,7 @@ def carry_out(
     watcher: Watcher | None = None,
     before: Callable[[OpenBench], None] | None = None,
     again: Collection[int] = (),
+    operator: Operator | None = None,
 ) -> dict[str, Any]:
     """Open the bench and do what is left of a run; return the contents of done.json.
 
@@ -222,6 +231,8 @@ def carry_out(
         Called with the open bench before anything moves.
     again : collection of int
         Finished steps that are to be taken again, see `reopen`.
+    operator : Operator, optional
+        The person at the bench, whom a laser asks for its word.
 
     Raises
     ------
@@ -260,5 +271,5 @@ def carry_out(
         if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
             for name in (DONE, MOVED):
                 (folder.path / name).unlink(missing_ok=True)
-        runner = Runner(hardware, folder, plan.steps, corrections, watcher, request.live_queue, again)
+        runner = Runner(hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator)
         return runner.run()

@@ -94,6 +94,24 @@ class ArmLine(TypedDict):
 
 
 @with_config(STRICT)
+class ChunkLine(TypedDict):
+    """Pairs that were fired in one go, and what became of them and of their frames."""
+
+    kind: Literal["chunk"]
+    step: Count
+    tag: Tag
+    utc: Text  # when the camera was armed
+    chunk: Count
+    fired: Count  # pairs of pulses, counted by the timing unit
+    triggers: Count  # pairs of frames that the camera was triggered for; more than fired where lamps run
+    pairs: Count  # kept
+    surplus: Count  # sure, and more than were wanted
+    lost: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]
+    dropped: dict[str, Count]  # frames, by reason
+    never_came: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]  # frames
+
+
+@with_config(STRICT)
 class MissLine(TypedDict):
     """Axes stood elsewhere than a step had sent them; the step has failed."""
 
@@ -177,5 +195,16 @@ class DoubtLine(TypedDict):
     doubt: Text
 
 
-Line = SessionLine | FrameLine | StepLine | ArmLine | MissLine | DiscardLine | CountsLine | EndLine | DoubtLine
+Line = (
+    SessionLine
+    | FrameLine
+    | StepLine
+    | ArmLine
+    | ChunkLine
+    | MissLine
+    | DiscardLine
+    | CountsLine
+    | EndLine
+    | DoubtLine
+)
 LINE: TypeAdapter[Any] = TypeAdapter(Annotated[Line, Field(discriminator="kind")])

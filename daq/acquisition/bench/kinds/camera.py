@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from daq.acquisition.bench.bench_table import Bench, CameraSection
 from daq.acquisition.cameras import make_camera
 from daq.acquisition.cameras.camera import Camera
+from daq.acquisition.cameras.double_height import DoubleHeightCamera
 from stages.clock import Clock
 
 
@@ -19,6 +20,8 @@ class CameraKind:
     def open(self, section: CameraSection, bench: Bench, clock: Clock) -> Iterator[Camera]:
         """Open it, not yet configured."""
         camera = make_camera(section.backend, **section.options)
+        if section.pairs is not None and section.pairs.shape == "double_height":
+            camera = DoubleHeightCamera(camera)
         try:
             camera.open()
             yield camera

@@ -1,0 +1,349 @@
+"""The pairs of a step that is lit by pulses, chunk by chunk.
+
+    camera armed and empty -> laser armed -> n pairs fired -> frames to pairs (pair_finder) -> books -> next chunk
+
+A pair is kept when it is sure, and gets the next two places of the step; what was lost is counted in the line of
+its chunk and fired again, so a step has no gaps.  A flow goes on meanwhile: the time of each pair stands in its
+record.  Frames of pairs before the first light and behind the last are dropped (brightness).
+
+    frames:  2 triggers = 2 pairs + dropped by reason + those that never came
+    pairs:   fired = kept + lost + surplus
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from daq.acquisition.bench.opened import OpenBench
+from daq.acquisition.cameras.frame import Frame
+from daq.acquisition.pipeline.lanes import Job, Pipeline
+from daq.acquisition.plans.pulse_order import PulseOrder, pairs_section
+from daq.acquisition.plans.steps import Step
+from daq.acquisition.runner.brightness import BrightnessSign, LightWatch, dark_before, mean_counts
+from daq.acquisition.runner.exposures import Exposures
+from daq.acquisition.runner.interrupts import Interrupts
+from daq.acquisition.runner.light import Light
+from daq.acquisition.runner.pair_finder import PairFinder
+from daq.acquisition.runner.progress import Progress
+from daq.acquisition.runner.shot import Shot
+from daq.acquisition.runs.journal import Journal
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
+from daq.errors import BadFrame, CameraTimeout, FramesLost, OtherFormat
+from daq.timing.laser import Laser
+from daq.timing.states import EMITS
+
+SLICE_S = 0.05
+QUIET_S = 0.3  # behind the last trigger, beyond two periods, in which late frames may come
+BARREN = 2  # chunks in a row without a pair, where one pair is fired at a time
+LOST_ANYHOW = 2  # pairs that may be lost, however few were fired
+DARK, SURPLUS, LEFT = "without light", "more than wanted", "left when the chunk ended"
+Pair = tuple[Frame, Frame]
+
+
+@dataclass
+class Chunk:
+    """Books of one chunk; frames are dropped by reason, pairs are kept."""
+
+    fired: int
+    triggers: int
+    kept: int = 0
+    surplus: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def lost(self) -> int:
+        """Pairs that were fired and are neither kept nor surplus."""
+        return self.fired - self.kept - self.surplus
+
+    @property
+    def never_came(self) -> int:
+        """Frames that were triggered and never seen whole; below 0 if the camera sent more than were asked for."""
+        return 2 * (self.triggers - self.kept) - sum(self.dropped.values())
+
+    def sentence(self) -> str:
+        """What became of the pairs that were fired."""
+        reasons = ", ".join(f"{number} frames {why}" for why, number in sorted(self.dropped.items()))
+        never = f"{self.never_came} frames never came" if self.never_came > 0 else ""
+        told = "; ".join(filter(None, (reasons, never)))
+        return f"{self.kept} of {self.fired} pairs that were fired are sure ({told or 'nothing else came'})"
+
+
+class FlowStep:
+    """Takes the pairs of one step after the other.
+
+    Parameters
+    ----------
+    folder, journal, pipeline, exposures, hardware, interrupts, progress, tell
+        As for `StepFrames`.
+    light : Light
+        The laser of the session.
+    """
+
+    def __init__(
+        self,
+        folder: RunFolder,
+        journal: Journal,
+        pipeline: Pipeline,
+        exposures: Exposures,
+        hardware: OpenBench,
+        interrupts: Interrupts,
+        progress: Progress,
+        tell: Callable[[str], None],
+        light: Light,
+    ) -> None:
+        self._folder = folder
+        self._journal = journal
+        self._pipeline = pipeline
+        self._exposures = exposures
+        self._hardware = hardware
+        self._interrupts = interrupts
+        self._progress = progress
+        self._tell = tell
+        self._light = light
+        self._section = pairs_section(hardware.bench)
+
+    def take(self, step: Step, record: Mapping[str, Any]) -> bool:
+        """Have every pair of a step on the disk; False if the end was asked for before the last one.
+
+        Parameters
+        ----------
+        step : Step
+            The step; every axis stands where it shall.
+        record : mapping
+            What its frames say about positions.
+
+        Raises
+        ------
+        FramesLost
+            Too many pairs that were fired are not sure; what was kept stays, and the run can be resumed.
+        FrameDoubt
+            A and B have changed places.
+        CameraError, TimingError, MotionStopped
+            What came between; the laser is off, and the run can be resumed.
+        """
+        order = step.pulses
+        assert order is not None
+        place = self._whole_pairs(step)
+        number = self._chunks_so_far(step)
+        laser = self._light.prepare(order, self._exposures.settings, self._tell)
+        sign, spare, barren, fired, lost = BrightnessSign(), 0, 0, 0, 0
+        while place < step.frames:
+            if self._interrupts.wanted:
+                return False
+            wanted = (step.frames - place) // 2
+            pairs = min(order.chunk, wanted + spare, laser.most_pairs)
+            chunk = Chunk(pairs, pairs)
+            utc = _utc()
+            try:
+                with closing(self._chunk(order, laser, chunk, min(wanted, pairs), sign)) as found:
+                    for first, second in found:
+                        self._keep(step, record, place, number, first, second)
+                        place += 2
+            finally:
+                self._close(step, chunk, number, utc)
+            number += 1
+            fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
+            barren = 0 if chunk.kept else barren + 1
+            too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired)
+            if barren == BARREN or (barren and pairs > 1) or too_many:
+                raise FramesLost(
+                    f"{lost} of {fired} pairs are lost, in the last chunk {chunk.sentence()}; look at the marker, "
+                    "the camera's trigger and the rate, then resume the run"
+                )
+        self._pipeline.flush()
+        self._exposures.verify()
+        return True
+
+    def _chunk(
+        self, order: PulseOrder, laser: Laser, chunk: Chunk, wanted: int, sign: BrightnessSign
+    ) -> Generator[Pair, None, None]:
+        """Fire, and yield the pairs that are sure and had light, as many as are wanted."""
+        exposures = self._exposures
+        exposures.begin()
+        before_ns, clock_ns = time.monotonic_ns(), exposures.clock_ns()
+        exposures.make_ready()
+        arm = Shot(clock_ns, before_ns, time.monotonic_ns())
+        try:
+            watch = self._light.fire(laser, chunk.fired, lambda: exposures.is_armed)
+            with watch:
+                chunk.triggers = laser.camera_triggers
+                self._tell("firing")
+                sure = self._sure_pairs(order, laser, chunk, arm)
+                with closing(sure), closing(self._lit_pairs(order, chunk, sure)) as pairs:
+                    for pair in pairs:
+                        if chunk.kept == wanted:
+                            chunk.surplus += 1
+                            self._drop(chunk, SURPLUS, *pair)
+                            continue
+                        if sign.is_flipped(*(mean_counts(frame.pixels) for frame in pair)):
+                            self._drop(chunk, LEFT, *pair)
+                            exposures.doubt("exposures A and B have changed places: the other one is brighter now")
+                        yield self._handed_over(chunk, pair)
+                watch.wait()
+        finally:
+            exposures.end()
+
+    def _handed_over(self, chunk: Chunk, pair: Pair) -> Pair:
+        """Count a pair as kept; SettingsChanged or OtherFormat if its frames are not what was set."""
+        first, second = pair
+        try:
+            first = self._exposures.hand_over(first)
+        except BaseException:
+            self._drop(chunk, LEFT, second)
+            raise
+        second = self._exposures.hand_over(second)
+        chunk.kept += 1
+        return first, second
+
+    def _sure_pairs(self, order: PulseOrder, laser: Laser, chunk: Chunk, arm: Shot) -> Generator[Pair, None, None]:
+        """Pairs as the finder lets them go, until the burst has ended and no frame comes any more."""
+        light, exposures = self._light.exposures, self._exposures
+        assert light is not None
+        gap_us = light.exposure_a_us + light.gap_us
+        finder: PairFinder[Frame] = PairFinder(
+            self._section, order.rate_hz, gap_us, lambda frame: exposures.reject(frame, True)
+        )
+        quiet_s = QUIET_S + 2.0 / order.rate_hz
+        heard_s, is_first = time.monotonic(), True
+        try:
+            while True:
+                try:
+                    frame = exposures.look(SLICE_S)
+                except OtherFormat:
+                    raise
+                except BadFrame:  # counted by the camera; its partner finds no pair
+                    continue
+                if frame is None:
+                    waited_s = time.monotonic() - heard_s
+                    if laser.state not in EMITS and waited_s > quiet_s:
+                        break
+                    if waited_s > max(quiet_s, exposures.section.timeout_s):
+                        raise CameraTimeout(f"no frame within {waited_s:.1f} s; look at the camera's trigger")
+                    continue
+                heard_s = time.monotonic()
+                if is_first and not exposures.match.is_of_arm(frame.meta, arm):
+                    exposures.reject(frame, True)  # no trigger of this chunk made it
+                    continue
+                is_first = False
+                if pair := finder.add(frame.meta, frame):
+                    yield pair
+            if pair := finder.end():
+                yield pair
+        finally:
+            if pair := finder.end():  # something came between
+                self._drop(chunk, LEFT, *pair)
+            chunk.dropped.update(finder.rejected)
+
+    def _lit_pairs(
+        self, order: PulseOrder, chunk: Chunk, pairs: Generator[Pair, None, None]
+    ) -> Generator[Pair, None, None]:
+        """Leave out what came before the first light and behind the last; see `brightness`."""
+        extra = chunk.triggers - chunk.fired
+        if extra <= 0:
+            yield from pairs
+            return
+        held: list[Pair] = []
+        is_begin, period_ns, light = True, 1e9 / order.rate_hz, LightWatch()
+        try:
+            for pair in pairs:
+                held.append(pair)
+                since_ns = pair[0].meta.timestamp_ns - held[0][0].meta.timestamp_ns
+                if is_begin and since_ns < (extra - 0.5) * period_ns:
+                    continue
+                yield from self._with_light(chunk, held, light, is_begin)
+                is_begin = False
+            yield from self._with_light(chunk, held, light, is_begin)
+        finally:
+            for pair in held:
+                self._drop(chunk, LEFT, *pair)
+
+    def _with_light(
+        self, chunk: Chunk, held: list[Pair], light: LightWatch, is_begin: bool
+    ) -> Generator[Pair, None, None]:
+        """Take pairs out of `held`; yield those with light."""
+        counts = [mean_counts(first.pixels) + mean_counts(second.pixels) for first, second in held]
+        dark = dark_before(counts) if is_begin else 0
+        for place, brightness in enumerate(counts):
+            pair = held.pop(0)
+            is_over = chunk.kept + chunk.surplus >= chunk.fired
+            if place < dark or is_over or not light.had_light(brightness):
+                self._drop(chunk, DARK, *pair)
+            else:
+                yield pair
+
+    def _keep(
+        self, step: Step, record: Mapping[str, Any], place: int, number: int, first: Frame, second: Frame
+    ) -> None:
+        """Give a pair to the lanes."""
+        order = step.pulses
+        assert order is not None
+        about: dict[str, Any] = {"chunk": number, "dt_us": order.dt_us, "marker": self._section.told_by}
+        if order.dt_measured_us is not None:
+            about["dt_measured_us"] = order.dt_measured_us
+        if order.dt_measured_us is not None and order.dt_sigma_us is not None:
+            about["dt_sigma_us"] = order.dt_sigma_us
+        if order.is_background:
+            about["background"] = True
+        for half, (letter, frame) in enumerate(zip("AB", (first, second), strict=True)):
+            placed = frame.with_positions_mm(record["measured_mm"])
+            facts = {**record, "pair": {"exposure": letter, **about}}
+            self._pipeline.submit(Job(step, step.first_frame + place + half, placed, facts))
+            self._progress.frames += 1
+        self._progress.waiting = self._pipeline.waiting
+        self._tell("exposing")
+
+    def _drop(self, chunk: Chunk, why: str, *frames: Frame) -> None:
+        chunk.dropped[why] += len(frames)
+        for frame in frames:
+            self._exposures.reject(frame, True)
+
+    def _close(self, step: Step, chunk: Chunk, number: int, utc: str) -> None:
+        """Books of a chunk, once its pairs are on the disk."""
+        self._pipeline.flush()
+        self._journal.append(
+            "chunk",
+            sync=True,
+            step=step.index,
+            tag=step.tag,
+            utc=utc,
+            chunk=number,
+            fired=chunk.fired,
+            triggers=chunk.triggers,
+            pairs=chunk.kept,
+            surplus=chunk.surplus,
+            lost=chunk.lost,
+            dropped=dict(sorted(chunk.dropped.items())),
+            never_came=chunk.never_came,
+        )
+
+    def _whole_pairs(self, step: Step) -> int:
+        """First place that is to be filled: behind the last whole pair; a frame behind it without partner goes."""
+        present = set(frame_entries(self._folder.entries()))
+        place = 0
+        while {step.first_frame + place, step.first_frame + place + 1} <= present and place < step.frames:
+            place += 2
+        loose = [number for number in step.numbers[place:] if number in present]
+        if loose:
+            self._journal.append("discard", sync=True, frames=loose, why="their pairs are not whole")
+        for number in loose:
+            self._folder.frame_path(number).unlink(missing_ok=True)
+            self._folder.corrected_path(number).unlink(missing_ok=True)
+        return place
+
+    def _chunks_so_far(self, step: Step) -> int:
+        entries = self._folder.entries()
+        told = [entry["chunk"] for entry in entries if entry["kind"] == "chunk" and entry["step"] == step.index]
+        told += [
+            entry["pair"]["chunk"]
+            for entry in entries
+            if entry["kind"] == "frame" and entry["step"] == step.index and "pair" in entry
+        ]
+        return max(told, default=-1) + 1
+
+
+def _utc() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
