@@ -14,6 +14,7 @@ from typing import cast
 
 from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
 from daq.acquisition.bench.kinds import kind_of
+from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
 from sim.bench_table import SimulationTable, fault_plan, settings_by_number, simulation_of
@@ -21,9 +22,11 @@ from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
 from sim.camera.remote import FrameServer
-from sim.clock import ScaledClock, VirtualClock
+from sim.camera.wires import Wires
+from sim.clock import PacedClock, ScaledClock
+from sim.light_wiring import connect
 from sim.stages import SimulatedStages
-from sim.world import World
+from sim.world import FLOW, World
 from stages.config import StagesTable
 from tracer.errors import SceneError
 from tracer.scene_file import dump_scene
@@ -52,7 +55,9 @@ class SimulatedBench:
     def __init__(self, bench: Bench, shows: str = "chessboard", exposures_before: int = 0) -> None:
         table = simulation_of(bench)
         pty = table.transport == "pty"
-        self.clock: ScaledClock | VirtualClock = ScaledClock(table.speed) if pty else VirtualClock()
+        # a flow is seen in real time: cameras live on the wall's clock
+        speed = 1.0 if shows == FLOW else table.speed
+        self.clock: ScaledClock | PacedClock = ScaledClock(speed) if pty else PacedClock()
         self._stack = ExitStack()
         try:
             options = {
@@ -64,10 +69,17 @@ class SimulatedBench:
                 stages.witness.look_at(bench.scene, bench.table.keep_out, bench.table.stages, bench.home_mm)
             served = self._stack.enter_context(stages.serve() if pty else stages.put_up())
             self.world = World(bench, table, stages, shows, exposures_before)
-            camera = self._camera(bench, table, exposures_before)
+            if isinstance(self.clock, PacedClock):
+                self.clock.is_paced = lambda: any(unit.triggers_camera for unit in self.world.timing)
+            folder = Path(tempfile.mkdtemp(prefix="rtpiv-"))
+            self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
+            self._wires = Wires(folder)
+            self._stack.callback(self._wires.close)
+            camera = self._camera(bench, table, exposures_before, folder)
             self.sections: dict[str, Table] = {STAGES: _any_box(served), CAMERA: camera}
             for name, device in bench.more.items():
                 self.sections[name] = self._stack.enter_context(self._more(bench, name, device))
+                self._wire(device)
         except BaseException:
             self._stack.close()
             raise
@@ -98,12 +110,17 @@ class SimulatedBench:
         put_up = getattr(import_module(module), function)
         return cast("AbstractContextManager[Table]", put_up(device.section, self.world, self.clock))
 
-    def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int) -> CameraSection:
-        folder = Path(tempfile.mkdtemp(prefix="rtpiv-"))
-        self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
+    def _wire(self, device: Device) -> None:
+        """Hang camera and light on the unit that was put up last, if the device is one."""
+        if isinstance(device.section, TimingTable):
+            connect(self.world.timing[-1], device.section, self.clock, self._wires, self.world.lit)
+
+    def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int, folder: Path) -> CameraSection:
         width, height = bench.scene.camera.sensor_px
         faults = fault_plan(table.faults, exposures_before)
-        config = CameraConfig(width, height, serial=SERIAL, row_time_us=table.row_time_us, faults=faults)
+        config = CameraConfig(
+            width, height, serial=SERIAL, row_time_us=table.row_time_us, wires=str(self._wires.path), faults=faults
+        )
         if table.ring is not None:
             ring = bench.path.parent / table.ring
             if not list(ring.glob("*.npy")):

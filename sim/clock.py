@@ -2,12 +2,14 @@
 
 A `VirtualClock` moves only when somebody waits on it: a campaign of hours takes milliseconds and is the same
 every time. Several threads may use it, but each of them then moves it on for all, so what they do at the same time
-happens in an order that differs from run to run. A `ScaledClock` runs some times faster than the wall clock;
-emulators on pseudo-terminals use it. Both satisfy `stages.clock.Clock`.
+happens in an order that differs from run to run. A `PacedClock` is one that keeps pace with the wall clock while
+a camera looks. A `ScaledClock` runs some times faster than the wall clock; emulators on pseudo-terminals use it.
+All satisfy `stages.clock.Clock`.
 """
 
 import threading
 import time
+from collections.abc import Callable
 
 
 class VirtualClock:
@@ -32,6 +34,57 @@ class VirtualClock:
             self._now_s = max(self._now_s, time_s)
 
 
+class PacedClock(VirtualClock):
+    """A virtual clock that is as slow as the wall clock while it has to be, for cameras live on that one.
+
+    Parameters
+    ----------
+    start_s : float
+        Seconds of the simulated world at the beginning.
+    """
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        super().__init__(start_s)
+        self.is_paced: Callable[[], bool] = lambda: False  # asked whenever somebody looks or waits
+        self._keeps_pace = False
+        self._ahead_s = 0.0  # of the wall's clock before the world's, while it keeps pace and since
+
+    def now_s(self) -> float:
+        """Seconds of the simulated world."""
+        with self._lock:
+            self._follow()
+            return self._now_s
+
+    def sleep_s(self, duration_s: float) -> None:
+        """Let time pass, at once or in real time."""
+        with self._lock:
+            if not self._follow():
+                self._now_s += max(duration_s, 0.0)
+                return
+        time.sleep(max(duration_s, 0.0))
+
+    def advance_to(self, time_s: float) -> None:
+        """Let time pass up to a moment; the past changes nothing."""
+        self.sleep_s(time_s - self.now_s())
+
+    def wall_ns(self, time_s: float) -> int:
+        """When a moment is on the wall's monotonic clock, by the pace that is kept or was kept last."""
+        with self._lock:
+            self._follow()
+            return round(1e9 * (time_s + self._ahead_s))
+
+    def _follow(self) -> bool:
+        """Take over the wall's time if it is to be kept pace with; whether it is."""
+        if not self.is_paced():
+            self._keeps_pace = False
+            return False
+        wall_s = time.monotonic()
+        if not self._keeps_pace:
+            self._keeps_pace, self._ahead_s = True, wall_s - self._now_s
+        self._now_s = max(self._now_s, wall_s - self._ahead_s)
+        return True
+
+
 class ScaledClock:
     """The wall clock, faster.
 
@@ -48,6 +101,11 @@ class ScaledClock:
         """Seconds of the simulated world."""
         wall_s, world_s, speed = self._last
         return world_s + (time.monotonic() - wall_s) * speed
+
+    def wall_ns(self, time_s: float) -> int:
+        """When a moment is on the wall's monotonic clock."""
+        wall_s, world_s, speed = self._last
+        return round(1e9 * (wall_s + (time_s - world_s) / speed))
 
     def set_speed(self, speed: float) -> None:
         """Go on from now at another speed."""

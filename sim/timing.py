@@ -54,9 +54,11 @@ class SimulatedTiming:
         self.wiring = table.wiring
         made = emulator_of(table.box)
         options = {"name": table.identity} if issubclass(made, OltSyncEmulator) else made.individual(table.port)
-        emulator = made({}, clock, **options)
+        self._emulator = emulator = made({}, clock, **options)
         self.line = Line(emulator, clock)
         self.outputs: Outputs = emulator.outputs
+        self._clock = clock
+        self._hears_time: list[Callable[[float], object]] = []
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="timing unit", daemon=True)
 
@@ -65,9 +67,21 @@ class SimulatedTiming:
         output = self.wiring.get(role)
         self.outputs.listen(lambda pulse: hear(pulse) if pulse.output == output else None)
 
+    def listen_to_time(self, hear: Callable[[float], object]) -> None:
+        """Call with a time [s] up to which every pulse has been given, again and again."""
+        self._hears_time.append(hear)
+
     def is_high(self, role: Role, time_s: float) -> bool:
         """Whether an output was high at a moment that is not too long ago."""
         return role in self.wiring and self.outputs.is_high(self.wiring[role], time_s)
+
+    @property
+    def triggers_camera(self) -> bool:
+        """Whether the output of the camera is on, so that frames are to be expected."""
+        if not isinstance(self._emulator, QuantumComposersEmulator):
+            return self._emulator.is_running
+        output = self.wiring.get(Role.CAMERA)
+        return output is not None and self._emulator.is_on_at(1 + ord(output) - ord("A"))
 
     def pulses(self, role: Role) -> int:
         """Pulses so far."""
@@ -85,7 +99,10 @@ class SimulatedTiming:
     def _run(self) -> None:
         while not self._ended.is_set():
             with self.line.lock:
+                now_s = self._clock.now_s()
                 self.line.emulator.advance()
+            for hear in self._hears_time:
+                hear(now_s)
             time.sleep(TICK_S)
 
 

@@ -1,8 +1,8 @@
 """Who says the word that a laser asks for: a person at the terminal, or a script where there is no light.
 
 The laser makes its word up whenever it has been switched off, so nobody can write it down before the bench is
-open.  A script can therefore answer for a simulated laser only, by `--operator NAME`; a real one wants a person who
-reads the word and types it, at the bench, once a run.
+open.  A script can therefore answer for a simulated laser only, by `--operator NAME`; a real one wants a person
+who reads the word and types it, at the bench, once a run.
 """
 
 import sys

@@ -23,7 +23,7 @@ from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.pipeline.lanes import Job, Pipeline
 from daq.acquisition.plans.pulse_order import PulseOrder, pairs_section
 from daq.acquisition.plans.steps import Step
-from daq.acquisition.runner.brightness import BrightnessSign, LightWatch, dark_before, mean_counts
+from daq.acquisition.runner.brightness import BrightnessSign, LightWatch, mean_counts
 from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runner.interrupts import Interrupts
 from daq.acquisition.runner.light import Light
@@ -37,8 +37,8 @@ from daq.timing.laser import Laser
 from daq.timing.states import EMITS
 
 SLICE_S = 0.05
-QUIET_S = 0.3  # behind the last trigger, beyond two periods, in which late frames may come
-BARREN = 2  # chunks in a row without a pair, where one pair is fired at a time
+SPARE = 2  # pairs fired beyond those that are still wanted: the first ones are lost most easily
+BARREN, MANY = 2, 10  # chunks in a row without a pair; one is enough if so many were fired
 LOST_ANYHOW = 2  # pairs that may be lost, however few were fired
 DARK, SURPLUS, LEFT = "without light", "more than wanted", "left when the chunk ended"
 Pair = tuple[Frame, Frame]
@@ -105,6 +105,7 @@ class FlowStep:
         self._tell = tell
         self._light = light
         self._section = pairs_section(hardware.bench)
+        self._watches = (LightWatch(), LightWatch())
 
     def take(self, step: Step, record: Mapping[str, Any]) -> bool:
         """Have every pair of a step on the disk; False if the end was asked for before the last one.
@@ -130,12 +131,13 @@ class FlowStep:
         place = self._whole_pairs(step)
         number = self._chunks_so_far(step)
         laser = self._light.prepare(order, self._exposures.settings, self._tell)
+        self._watches = (LightWatch(), LightWatch())
         sign, spare, barren, fired, lost = BrightnessSign(), 0, 0, 0, 0
         while place < step.frames:
             if self._interrupts.wanted:
                 return False
             wanted = (step.frames - place) // 2
-            pairs = min(order.chunk, wanted + spare, laser.most_pairs)
+            pairs = min(order.chunk, wanted + max(spare, SPARE), laser.most_pairs)
             chunk = Chunk(pairs, pairs)
             utc = _utc()
             try:
@@ -149,7 +151,7 @@ class FlowStep:
             fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
             barren = 0 if chunk.kept else barren + 1
             too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired)
-            if barren == BARREN or (barren and pairs > 1) or too_many:
+            if barren == BARREN or (barren and pairs >= MANY) or too_many:
                 raise FramesLost(
                     f"{lost} of {fired} pairs are lost, in the last chunk {chunk.sentence()}; look at the marker, "
                     "the camera's trigger and the rate, then resume the run"
@@ -207,8 +209,8 @@ class FlowStep:
         finder: PairFinder[Frame] = PairFinder(
             self._section, order.rate_hz, gap_us, lambda frame: exposures.reject(frame, True)
         )
-        quiet_s = QUIET_S + 2.0 / order.rate_hz
-        heard_s, is_first = time.monotonic(), True
+        patience_s = exposures.section.timeout_s + 1.0 / order.rate_hz
+        heard_s, is_first, seen = time.monotonic(), True, 0
         try:
             while True:
                 try:
@@ -216,19 +218,21 @@ class FlowStep:
                 except OtherFormat:
                     raise
                 except BadFrame:  # counted by the camera; its partner finds no pair
+                    seen, heard_s = seen + 1, time.monotonic()
                     continue
                 if frame is None:
-                    waited_s = time.monotonic() - heard_s
-                    if laser.state not in EMITS and waited_s > quiet_s:
+                    is_over = laser.state not in EMITS
+                    if is_over and (seen >= 2 * chunk.triggers or time.monotonic() - heard_s > patience_s):
                         break
-                    if waited_s > max(quiet_s, exposures.section.timeout_s):
-                        raise CameraTimeout(f"no frame within {waited_s:.1f} s; look at the camera's trigger")
+                    heard_s = heard_s if seen or is_over else time.monotonic()  # the first light may be far
+                    if not is_over and time.monotonic() - heard_s > patience_s:
+                        raise CameraTimeout(f"no frame within {patience_s:.1f} s; look at the camera's trigger")
                     continue
                 heard_s = time.monotonic()
                 if is_first and not exposures.match.is_of_arm(frame.meta, arm):
                     exposures.reject(frame, True)  # no trigger of this chunk made it
                     continue
-                is_first = False
+                is_first, seen = False, seen + 1
                 if pair := finder.add(frame.meta, frame):
                     yield pair
             if pair := finder.end():
@@ -247,33 +251,33 @@ class FlowStep:
             yield from pairs
             return
         held: list[Pair] = []
-        is_begin, period_ns, light = True, 1e9 / order.rate_hz, LightWatch()
+        is_begin, period_ns = True, 1e9 / order.rate_hz
         try:
             for pair in pairs:
                 held.append(pair)
                 since_ns = pair[0].meta.timestamp_ns - held[0][0].meta.timestamp_ns
                 if is_begin and since_ns < (extra - 0.5) * period_ns:
                     continue
-                yield from self._with_light(chunk, held, light, is_begin)
+                yield from self._with_light(chunk, held, is_begin)
                 is_begin = False
-            yield from self._with_light(chunk, held, light, is_begin)
+            yield from self._with_light(chunk, held, is_begin)
         finally:
             for pair in held:
                 self._drop(chunk, LEFT, *pair)
 
-    def _with_light(
-        self, chunk: Chunk, held: list[Pair], light: LightWatch, is_begin: bool
-    ) -> Generator[Pair, None, None]:
-        """Take pairs out of `held`; yield those with light."""
-        counts = [mean_counts(first.pixels) + mean_counts(second.pixels) for first, second in held]
-        dark = dark_before(counts) if is_begin else 0
-        for place, brightness in enumerate(counts):
+    def _with_light(self, chunk: Chunk, held: list[Pair], is_begin: bool) -> Generator[Pair, None, None]:
+        """Take pairs out of `held`; yield those of which both exposures had light."""
+        counts = [(mean_counts(first.pixels), mean_counts(second.pixels)) for first, second in held]
+        both = [
+            watch.are_lit(one) if is_begin else [watch.is_lit(each) for each in one]
+            for watch, one in zip(self._watches, zip(*counts, strict=True), strict=False)
+        ]
+        for lit in list(zip(*both, strict=True)):
             pair = held.pop(0)
-            is_over = chunk.kept + chunk.surplus >= chunk.fired
-            if place < dark or is_over or not light.had_light(brightness):
-                self._drop(chunk, DARK, *pair)
-            else:
+            if all(lit) and chunk.kept + chunk.surplus < chunk.fired:
                 yield pair
+            else:
+                self._drop(chunk, DARK, *pair)
 
     def _keep(
         self, step: Step, record: Mapping[str, Any], place: int, number: int, first: Frame, second: Frame

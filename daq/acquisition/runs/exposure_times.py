@@ -12,7 +12,7 @@ from datetime import datetime
 from daq.acquisition.runs.journal_lines import Entry
 from daq.acquisition.runs.run_folder import frame_entries
 
-JITTER_NS, DRIFT = 1_000_000_000, 1e-3  # by which arrivals may differ from a clock that went on
+JITTER_NS, DRIFT = 10_000_000_000, 1e-3  # by which arrivals may differ from a clock that went on: frames queue up
 
 
 def exposure_times_s(entries: Sequence[Entry], numbers: Iterable[int]) -> dict[int, float | None]:
@@ -50,7 +50,8 @@ def exposure_times_s(entries: Sequence[Entry], numbers: Iterable[int]) -> dict[i
             else:
                 by_camera = frames[number]["timestamp_ns"] - frames[before]["timestamp_ns"]
                 by_computer = arrived_ns[1] - arrived_ns[0]
-                went_on = abs(by_camera - by_computer) <= JITTER_NS + DRIFT * abs(by_computer)
+                off_ns = abs(by_camera - by_computer)
+                went_on = by_camera > 0 and off_ns <= JITTER_NS + DRIFT * abs(by_computer)
                 elapsed_ns += by_camera if went_on else by_computer
         times[number], before = elapsed_ns * 1e-9, number
     return times
