@@ -6,7 +6,7 @@ A plan file names its experiment; see ``plans.experiments`` for the keys of each
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.acquisition.bench.bench_table import CAMERA, DIRECTIONS, TARGET, Bench
+from daq.acquisition.bench.bench_table import CAMERA, DIRECTIONS, GLASS, TARGET, Bench
 from daq.acquisition.plans.experiments import EXPERIMENTS, plan_table
 from daq.acquisition.plans.plan_table import PlanTable, Pose
 from daq.acquisition.plans.steps import CLEAR, Step, steps_hash
@@ -115,7 +115,10 @@ def _positions(bench: Bench, pose: Pose) -> dict[str, float]:
         positions |= glass.retract_mm | glass.out_mm
     if pose.view != CLEAR and not bench.has_glass:
         raise PlanError(f"{pose.tag}: the scene has no glass; plan the clear view, or name a scene with bodies")
-    for element, ways_mm in ((TARGET, pose.target_mm), (CAMERA, pose.camera_mm)):
+    ways = {TARGET: pose.target_mm, CAMERA: pose.camera_mm}
+    if pose.view != CLEAR:
+        ways[GLASS] = pose.glass_mm
+    for element, ways_mm in ways.items():
         for direction, way_mm in zip(DIRECTIONS, ways_mm, strict=True):
             if way_mm:
                 positions[_axis(bench, element, direction, pose.tag)] += way_mm

@@ -35,6 +35,8 @@ class Pose:
         How many; None for as many as the plan says for each stop.
     pulses : PulseOrder or None
         Light that it needs; the light sheet is the investigation plane then, wherever the target is.
+    glass_mm : (float, float, float)
+        Displacement of the glass from its place in the scene.
     """
 
     tag: str
@@ -44,6 +46,7 @@ class Pose:
     camera_mm: Vector = (0.0, 0.0, 0.0)
     frames: int | None = None
     pulses: PulseOrder | None = None
+    glass_mm: Vector = (0.0, 0.0, 0.0)
 
 
 class PlanTable(Table):

@@ -10,6 +10,7 @@
     warm_up_s: 600.0            # at least; the laser's own time counts as well
     background: {pairs: 50}     # a short step before the seeding is opened
     target_z_mm: -30.0          # where the target waits, out of the light sheet
+    glass_z_mm: 4.0             # how far the glass stands off its place in the scene, so that the sheet is free
     lost_at_most: 0.1           # share of the fired pairs that may be lost before the run is ended
     dt_measured_us: 80.2        # if somebody measured it at this setting, such as with a photodiode
     dt_sigma_us: 0.05
@@ -54,6 +55,7 @@ class FlowPlan(PlanTable):
     warm_up_s: Annotated[float, Field(ge=0.0, le=7200.0)] = 0.0
     background: BackgroundTable | None = None
     target_z_mm: float = 0.0
+    glass_z_mm: float = 0.0
     lost_at_most: Annotated[float, Field(ge=0.0, le=1.0)] = 0.1
     dt_measured_us: Positive | None = None
     dt_sigma_us: Annotated[float, Field(ge=0.0)] | None = None
@@ -87,11 +89,11 @@ class FlowPlan(PlanTable):
 
     def poses(self, bench: Bench) -> Iterator[Pose]:
         """Yield the background if there is one, then the flow."""
-        order, target_mm = self.order, (0.0, 0.0, self.target_z_mm)
+        order, target_mm, glass_mm = self.order, (0.0, 0.0, self.target_z_mm), (0.0, 0.0, self.glass_z_mm)
         check_pulses(bench, order)
         if self.background is not None:
             before = replace(order, is_background=True)
-            yield Pose(
-                f"background_{self.view}", target_mm, self.view, frames=2 * self.background.pairs, pulses=before
-            )
-        yield Pose(f"flow_{self.view}", target_mm, self.view, frames=2 * self.pairs, pulses=order)
+            tag, frames = f"background_{self.view}", 2 * self.background.pairs
+            yield Pose(tag, target_mm, self.view, frames=frames, pulses=before, glass_mm=glass_mm)
+        tag = f"flow_{self.view}"
+        yield Pose(tag, target_mm, self.view, frames=2 * self.pairs, pulses=order, glass_mm=glass_mm)
