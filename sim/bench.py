@@ -69,7 +69,7 @@ class SimulatedBench:
                 stages.witness.look_at(bench.scene, bench.table.keep_out, bench.table.stages, bench.home_mm)
             served = self._stack.enter_context(stages.serve() if pty else stages.put_up())
             self.world = World(bench, table, stages, shows, exposures_before)
-            if isinstance(self.clock, PacedClock):
+            if isinstance(self.clock, PacedClock) and shows == FLOW:
                 self.clock.is_paced = lambda: any(unit.triggers_camera for unit in self.world.timing)
             folder = Path(tempfile.mkdtemp(prefix="rtpiv-"))
             self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
