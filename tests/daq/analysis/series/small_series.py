@@ -38,8 +38,12 @@ def frames_of(rng, shift_px, side=SIDE_PX, particles=250):
     return pair
 
 
-def flow_run(parent, pairs, shift=lambda n: (2.0, -1.0), side=SIDE_PX, unseeded=0, spoiled=None, **changed):
+def flow_run(
+    parent, pairs, shift=lambda n: (2.0, -1.0), side=SIDE_PX, unseeded=0, spoiled=None, stream=False, **changed
+):
     """A flow run on the disk: `unseeded` background pairs, then `pairs`; returns its folder.
+
+    A `stream` has the same frames, and nobody says which light pulse they are of.
 
     `spoiled` maps the number of a pair to a function of its two frames; `changed` replaces facts of frames.
     """
@@ -47,7 +51,9 @@ def flow_run(parent, pairs, shift=lambda n: (2.0, -1.0), side=SIDE_PX, unseeded=
     for tag, count, background in (("dark", unseeded, True), ("flow", pairs, False)):
         if count:
             step = planned(len(steps), tag, frames=2 * count, first_frame=first)
-            step |= {"group": 2, "dt_us": DT_US} | ({"background": True} if background else {})
+            step |= (
+                {"group": 2} | ({} if stream else {"dt_us": DT_US}) | ({"background": True} if background else {})
+            )
             steps.append(step)
             first += 2 * count
     folder = RunFolder.create(parent, "flow", about_run(steps) | {"scene": SCENE})
@@ -63,7 +69,8 @@ def flow_run(parent, pairs, shift=lambda n: (2.0, -1.0), side=SIDE_PX, unseeded=
                 number = step["first_frame"] + 2 * place + pulse
                 record = {"exposure": "AB"[pulse], "chunk": 0, "dt_us": DT_US, "marker": "halves"}
                 record |= {"background": True} if is_dark else {}
-                facts = {"step": step["index"], "tag": step["tag"], "pair": record, "sequence": number}
+                facts = {"step": step["index"], "tag": step["tag"], "sequence": number}
+                facts |= {} if stream else {"pair": record}
                 facts["timestamp_ns"] = 10**9 + 100_000_000 * (number // 2) + 50_000 * pulse
                 facts["received_ns"] = facts["timestamp_ns"] + 1000
                 facts |= {name: value(number) for name, value in changed.items()}

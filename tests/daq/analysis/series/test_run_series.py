@@ -12,13 +12,15 @@ import pytest
 from scipy.io import netcdf_file
 
 from correction.errors import PairError, SeriesError
+from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.analysis.series.marker import marker_path
 from daq.analysis.series.mean_flow import mean_flow
 from daq.analysis.series.run_series import run_series
 from daq.analysis.series.series_folder import Chunks, SeriesFolder
+from daq.analysis.series.series_pairs import is_series
 from daq.analysis.series.series_plan import chunk_path
-from daq.errors import DiskError, RunUnsuitable
+from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from tests.daq.analysis.series.small_series import (
     DT_US,
     PX_PER_MM,
@@ -272,10 +274,37 @@ def test_frames_of_another_size_cost_their_own_pair(tmp_path):
     assert "is 96 x 88 px, the scene's camera 96 x 96 px" in next(iter(books.failed.values()))
 
 
+def test_pairs_of_different_exposure_are_refused_by_name(tmp_path):
+    exposed = {"exposure_us": lambda number: 100.0 if number < 4 else 200.0}
+    with pytest.raises(RunDamaged, match="says 200 us of exposure and frame 0 100 us"):
+        given_of(flow_run(tmp_path / "a", 4, **exposed))
+    with pytest.raises(PairError, match="exposure A of flow_000004 took 200 us and that of flow_000000 100 us"):
+        given_of(flow_run(tmp_path / "b", 4, stream=True, **exposed))
+    with pytest.raises(PairError, match="so the background does not belong to the pairs"):
+        given_of(flow_run(tmp_path / "c", 2, unseeded=2, **exposed))
+    of_b = {"exposure_us": lambda number: 100.0 + 3e4 * (number % 2)}  # the second of a double frame lasts longer
+    assert len(given_of(flow_run(tmp_path / "d", 4, unseeded=1, **of_b)).pairs) == 4
+
+
+def test_a_stream_whose_camera_has_no_clock_needs_to_be_told_the_time(tmp_path):
+    run = flow_run(tmp_path, 11, stream=True, timestamp_ns=lambda _: 0)
+    assert is_series(run, pairs_of(run))
+    with pytest.raises(PairError, match="say it with --dt-us"):
+        given_of(run)
+    given = given_of(run, DT_US)
+    assert (given.pairs[0].dt_s, given.pairs[0].time_s) == (pytest.approx(DT_US * 1e-6), None)
+    run_series("stream", tmp_path / "out", given, method_of(tmp_path, "sliding-minimum"), 1)
+    with netcdf_file(chunk_path(tmp_path / "out", 0), mmap=False) as file:
+        assert file.variables["t"].units == b"pair"
+        assert file.variables["t"][:].tolist() == list(range(11))
+
+
+def test_few_pairs_of_a_stream_get_pages_of_their_own(tmp_path):
+    run = flow_run(tmp_path, 10, stream=True)
+    assert not is_series(run, pairs_of(run))
+
+
 def test_runs_that_are_no_series_are_one_sentence(tmp_path):
-    unclocked = flow_run(tmp_path / "a", 2, exposure_us=lambda n: 100.0 if n < 2 else 200.0)
-    with pytest.raises(Exception, match=r"200 us"):
-        given_of(unclocked)
     with pytest.raises(PairError, match="leave that out"):
         given_of(flow_run(tmp_path / "b", 2), dt_us=60.0)
     assert given_of(flow_run(tmp_path / "b", 2), dt_us=50.0).pairs[0].dt_s == pytest.approx(50e-6)
