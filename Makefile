@@ -33,6 +33,7 @@ SEQUENCES ?= 10000
 SEED ?= 1
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.safety.fuzz --sequences $(SEQUENCES) --seed $(SEED) --workers 2
+	$(BIN)/python -m tests.safety.laser_fuzz --sequences $(SEQUENCES) --seed $(SEED)
 
 bench: benchmark
 

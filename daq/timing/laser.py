@@ -159,6 +159,11 @@ class Laser:
             return self._state
 
     @property
+    def emits(self) -> bool:
+        """Whether light is meant to leave now; asks no lock, so a signal handler may ask it."""
+        return self._state in EMITS
+
+    @property
     def challenge(self) -> str:
         """Word that a person has to type before anything can be armed; another one after every `safe`.
 

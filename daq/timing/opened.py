@@ -27,11 +27,20 @@ from stages.stop_signals import StopSignals, StopThread
 from stages.wake_up import WakeUp
 from stages.watchdog import Watchdog, needs_watchdog
 
-ENDS = tuple(
-    getattr(signal, name)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
-    if hasattr(signal, name)
-)
+ENDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
+
+
+class _Signals(StopSignals):
+    """Those of a bench, with a Ctrl-Z that counts as Ctrl-C while light leaves."""
+
+    def __init__(self, laser: Laser) -> None:
+        super().__init__(laser.stop)
+        self._laser = laser
+
+    @property
+    def moves(self) -> bool:
+        """Whether it must not be suspended now."""
+        return self._laser.emits
 
 
 @contextmanager
@@ -81,7 +90,7 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
 @contextmanager
 def _heard_by(laser: Laser) -> Iterator[None]:
     """Switch off at any signal that ends programs, from another thread."""
-    signals = StopSignals(laser.stop)
+    signals = _Signals(laser)
     why = ["a signal"]
     says = StopThread(lambda: laser.stop(why[0]))
 

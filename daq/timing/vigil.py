@@ -1,11 +1,12 @@
 """Two threads that watch a laser while it fires, so that nobody else's waiting can postpone its end.
 
-One **asks** how things stand, again and again; what it calls may talk to a camera or to stages and take its
-time. The other **judges** the last answer every `LOOK_S`, and takes silence for a lost condition: an answer
-older than `SILENCE_S` switches off as well. It also ends bursts, and after a stop says off until it reads back
+One **asks** how things stand, every `LOOK_S`, and switches off as soon as an answer is not good; what it calls
+may talk to a camera or to stages and take its time. The other one **judges** that: an answer that has not come
+for `SILENCE_S` is a lost condition as well. It also ends bursts, and after a stop says off until it reads back
 as off.
 
-The judge waits on the laser's clock, so on a `VirtualClock` it is also what lets time pass while a burst goes on.
+The second one waits on the laser's clock, so on a `VirtualClock` it is also what lets time pass while a burst
+goes on.
 """
 
 import threading
@@ -14,12 +15,13 @@ from contextlib import suppress
 
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions
+from daq.timing.errors import LaserStopped
 from daq.timing.laser import Laser
 from daq.timing.states import EMITS, LaserState
 from stages.clock import Clock
 from stages.errors import StageError
 
-LOOK_S = 0.01  # between two judgements
+LOOK_S = 0.01  # between two questions, and between two judgements
 SILENCE_S = 1.0  # of the wall's clock, without a new answer
 CONFIRM_S = 0.2  # between two attempts to read back that everything is off
 
@@ -41,14 +43,14 @@ class Vigil:
 
     def __init__(self, laser: Laser, ask: Callable[[], Conditions], clock: Clock, wall: Clock) -> None:
         self._laser, self._ask, self._clock, self._wall = laser, ask, clock, wall
-        self._last: tuple[float, Conditions | BaseException] | None = None
+        self._heard_s = wall.now_s()
         self._ended = threading.Event()
         self._asks = threading.Thread(target=self._go_on_asking, name="conditions", daemon=True)
         self._judges = threading.Thread(target=self._go_on_judging, name="vigil", daemon=True)
         self.error: Exception | None = None  # what ended the burst before its count
 
     def __enter__(self) -> "Vigil":
-        self._begun_s = self._wall.now_s()
+        self._heard_s = self._wall.now_s()
         self._asks.start()
         self._judges.start()
         return self
@@ -71,31 +73,32 @@ class Vigil:
     def _go_on_asking(self) -> None:
         while not self._ended.is_set():
             try:
-                found: Conditions | BaseException = self._ask()
+                found = self._ask()
             except BaseException as error:  # whatever it is, nobody knows how things stand
-                found = error
-            self._last = (self._wall.now_s(), found)
+                self._stop(f"nobody knows how things stand: {error}")
+            else:
+                if self._ended.is_set():
+                    return  # an answer to this burst says nothing of the next one
+                self._heard_s = self._wall.now_s()
+                try:
+                    self._laser.watch(found)
+                except LaserStopped as lost:
+                    self.error = lost
             self._ended.wait(LOOK_S)
 
     def _go_on_judging(self) -> None:
         while not self._ended.is_set() and self._laser.state is LaserState.FIRING:
+            if self._wall.now_s() - self._heard_s > SILENCE_S:
+                self._stop("nobody has said for a while how things stand")
             try:
-                self._judge()
                 self._laser.look()
             except (DaqError, StageError) as error:
-                self.error = error
+                self.error = self.error or error
             self._clock.sleep_s(LOOK_S)
         while not self._laser.confirm_off() and not self._ended.wait(CONFIRM_S):
             pass
 
-    def _judge(self) -> None:
-        if self._last is None:
-            since_s, found = self._begun_s, None
-        else:
-            since_s, found = self._last
-        if isinstance(found, BaseException):
-            self._laser.stop(f"nobody knows how things stand: {found}")
-        elif self._wall.now_s() - since_s > SILENCE_S:
-            self._laser.stop("nobody has said for a second how things stand")
-        elif found is not None:
-            self._laser.watch(found)
+    def _stop(self, why: str) -> None:
+        with suppress(StageError):
+            if self._laser.emits and not self._ended.is_set():
+                self._laser.stop(why)

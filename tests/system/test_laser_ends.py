@@ -152,6 +152,7 @@ def signalled(*numbers):
         pytest.param(signalled(signal.SIGINT), id="Ctrl-C"),
         pytest.param(signalled(signal.SIGINT, signal.SIGINT), id="Ctrl-C twice", marks=pytest.mark.slow),
         pytest.param(signalled(signal.SIGHUP), id="SIGHUP", marks=pytest.mark.slow),
+        pytest.param(signalled(signal.SIGTSTP), id="Ctrl-Z", marks=pytest.mark.slow),
         pytest.param(signalled(signal.SIGQUIT), id="SIGQUIT", marks=pytest.mark.slow),
     ],
 )
