@@ -54,10 +54,13 @@ class QuantumComposersBox(TimingBox):
     _outputs = 8
 
     def off_bytes(self) -> Sequence[bytes]:
-        """Q-switches, T0 and with it everything, lamps, the rest; in one write."""
+        """Q-switches, T0 and with it everything, lamps, the rest; all of it twice, in one write.
+
+        A line may be damaged on its way, or refused because the box is busy with another one.
+        """
         order = [*self._numbers(*Q_SWITCHES), T0, *self._numbers(*LAMPS)]
         order += [number for number in self._numbers(*self.wiring) if number not in order]
-        return [SPOILS + b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
+        return [SPOILS + 2 * b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
 
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts."""

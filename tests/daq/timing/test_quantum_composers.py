@@ -200,6 +200,19 @@ def test_a_refusal_while_it_begins_switches_off():
         assert not d.emulator.is_on_at(0)
 
 
+def test_off_is_said_twice_to_a_box_that_refuses_it():
+    """Found by the fuzz: every line of off was answered by ?8, and the burst went on."""
+    with desk(wiring=PUMPED, head=LaserHead(max_rate_hz=100.0), outputs=4) as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(0.5)
+        before = d.pulses(Role.Q_SWITCH_1)
+        d.emulator.refuse = 5
+        d.laser.stop("now")
+        d.clock.sleep_s(5.0)
+        assert d.pulses(Role.Q_SWITCH_1) == before > 0
+
+
 def answers_of_a_burst():
     with desk() as d:
         d.burst(3)
