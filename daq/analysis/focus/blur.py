@@ -10,6 +10,8 @@ place, whose noise differs: only what both show counts.  Shapes that are not Gau
 where it is smallest.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
@@ -21,19 +23,29 @@ LEVEL_PX = 65  # light that varies slower than this is not detail
 FEWEST_PX = 400  # below, a part says nothing
 
 
-def spot_variance_px2(first: NDArray[np.generic], second: NDArray[np.generic], part: NDArray[np.bool_]) -> float:
-    """Mean of s^2 over rows and columns in a part of two frames (H, W) of one place; NaN if it shows no spots."""
+class Spots(NamedTuple):
+    """Spots of a part: mean of s^2 over rows and columns, and their contrast, the variance of the light."""
+
+    variance_px2: float
+    contrast: float
+
+
+NO_SPOTS = Spots(float("nan"), 0.0)
+
+
+def spots_in(first: NDArray[np.generic], second: NDArray[np.generic], part: NDArray[np.bool_]) -> Spots:
+    """Spots in a part (H, W) of two frames of one place; NaN and 0 if it shows none."""
     a, b = (_detail(frame, part) for frame in (first, second))
     whole = _covariance(a, b, part, 0, 0)
     if not whole > 0.0:
-        return float("nan")
+        return NO_SPOTS
     ratios = [
         0.5 * (_covariance(a, b, part, rows, columns) + _covariance(b, a, part, rows, columns)) / whole
         for rows, columns in ((LAG_PX, 0), (0, LAG_PX))
     ]
     if not all(0.0 < ratio < 1.0 for ratio in ratios):
-        return float("nan")
-    return float(np.mean([-(LAG_PX**2) / (4.0 * np.log(ratio)) for ratio in ratios]))
+        return NO_SPOTS
+    return Spots(float(np.mean([-(LAG_PX**2) / (4.0 * np.log(ratio)) for ratio in ratios])), whole)
 
 
 def _detail(frame: NDArray[np.generic], part: NDArray[np.bool_]) -> Float64:

@@ -12,6 +12,7 @@ The depth that the scene needs is the distance between its first and its last be
 it into an f-number, and the planned f-number into a depth (`tracer.depth_of_field`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.acquisition.runs.run_views import load_kept
-from daq.analysis.focus.blur import spot_variance_px2
+from daq.analysis.focus.blur import NO_SPOTS, Spots, spots_in
 from daq.analysis.focus.parts import parts_of
 from daq.errors import RunDamaged, RunUnsuitable
 from ground.config import load_yaml, read
@@ -34,7 +35,8 @@ from tracer.scene_file import load_scene
 
 Float64 = NDArray[np.float64]
 
-WIDEST = 5.0
+WIDEST = 2.5  # of the smallest s^2: farther off blur grows more slowly than the parabola says
+FAINT = 0.15  # of the highest contrast: twice as wide spots have a quarter of it
 FEWEST = 4  # places that a parabola and its uncertainty are taken from
 
 
@@ -112,6 +114,12 @@ class FocusScan:
         return f_number_for_depth(self.needed_mm, self.magnification, self.wavelength_nm)
 
 
+def trusted_px2(places: Sequence[Spots]) -> Float64:
+    """s^2 (N,) where spots have some contrast; NaN where they are so faint that fine grain outweighs them."""
+    least = FAINT * max((spots.contrast for spots in places), default=0.0)
+    return np.array([spots.variance_px2 if spots.contrast > least else np.nan for spots in places])
+
+
 def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
     """Vertex of the parabola through the places around the sharpest one."""
     nan = float("nan")
@@ -121,19 +129,21 @@ def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
     z, s2 = z_mm[known], variance_px2[known]
     least = int(np.argmin(s2))
     if least in (0, len(z) - 1):
-        return BestFocus(part, nan, nan, nan, f"it is sharpest at {z[least]:+.1f} mm, the end of the scan; go on")
+        return BestFocus(
+            part, nan, nan, nan, f"it is sharpest at {z[least]:+.1f} mm, the end of where it shows; add places"
+        )
     near = s2 <= WIDEST * s2[least]
+    if not (near[least - 1] and near[least + 1]):
+        text = f"it is sharpest near {z[least]:+.1f} mm, where places are too far apart; add some around"
+        return BestFocus(part, nan, nan, nan, text)
     first, last = least, least  # one run of places about the sharpest
     while first > 0 and near[first - 1]:
         first -= 1
     while last < len(z) - 1 and near[last + 1]:
         last += 1
-    first, last = max(0, min(first, least - 1)), min(len(z) - 1, max(last, least + 1))
-    while last - first + 1 < FEWEST:
-        if last < len(z) - 1 and (first == 0 or s2[last + 1] <= s2[first - 1]):
-            last += 1
-        else:
-            first -= 1
+    if last - first + 1 < FEWEST:
+        text = f"only {last - first + 1} places around {z[least]:+.1f} mm are nearly as sharp; add some around"
+        return BestFocus(part, nan, nan, nan, text)
     z, s2 = z[first : last + 1], s2[first : last + 1]
     middle = z.mean()
     design = np.vander(z - middle, 3)
@@ -174,7 +184,7 @@ def focus_scan(run: Path) -> FocusScan:
     if plan.view == "clear":
         scene = scene.with_bodies(())
     places: list[float] = []
-    found: list[dict[str, float]] = []
+    found: list[dict[str, Spots]] = []
     for step in about["steps"]:
         numbers = [n for n in range(step["first_frame"], step["first_frame"] + step["frames"]) if n in entries]
         if not numbers:
@@ -192,14 +202,18 @@ def focus_scan(run: Path) -> FocusScan:
         places.append(camera_mm[2] if plan.moves == "camera" else target_mm[2])
         further = (z - target_mm[2]) / scene.camera.position_mm[2]
         found.append(
-            {name: further**2 * spot_variance_px2(shown[0], shown[-1], part) for name, part in parts.items()}
+            {
+                name: spots._replace(variance_px2=further**2 * spots.variance_px2)
+                for name, part in parts.items()
+                for spots in [spots_in(shown[0], shown[-1], part)]
+            }
         )
     if len(places) < FEWEST:
         raise RunUnsuitable(f"{run}: has {len(places)} places, {FEWEST} are needed; rtpiv resume takes the rest")
     order = np.argsort(places)
     z_mm = np.array(places)[order]
     names = sorted({name for each in found for name in each}, key=lambda name: (name != "beside", name))
-    variance = {name: np.array([found[k].get(name, np.nan) for k in order]) for name in names}
+    variance = {name: trusted_px2([found[k].get(name, NO_SPOTS) for k in order]) for name in names}
     best = tuple(best_focus(name, z_mm, variance[name]) for name in names)
     scale = scene.camera.focal_px / abs(scene.camera.position_mm[2] / scene.camera.rotation_matrix[2][2])
     magnification = scale * plan.pixel_pitch_um * 1e-3

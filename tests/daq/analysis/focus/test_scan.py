@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from daq.analysis.focus.blur import spot_variance_px2
+from daq.analysis.focus.blur import Spots, spots_in
 from daq.analysis.focus.parts import parts_of
-from daq.analysis.focus.scan import BestFocus, FocusScan, best_focus
+from daq.analysis.focus.scan import BestFocus, FocusScan, best_focus, trusted_px2
 from sim.demo.scenes import at_size, named_scene
 
 
@@ -20,7 +20,7 @@ def spots(sigma_px, seed=0, side=200, share=0.02, noise=0.0):
 @pytest.mark.parametrize("noise", [0.0, 30.0])
 def test_the_width_of_overlapping_spots_in_noise_is_found(sigma_px, noise):
     part = np.ones((200, 200), np.bool_)
-    found = np.mean([spot_variance_px2(*spots(sigma_px, seed, noise=noise), part) for seed in range(6)])
+    found = np.mean([spots_in(*spots(sigma_px, seed, noise=noise), part).variance_px2 for seed in range(6)])
     assert found == pytest.approx(sigma_px**2, rel=0.15)
 
 
@@ -29,10 +29,10 @@ def test_slow_light_and_what_lies_outside_do_not_count():
     part = np.zeros((200, 200), np.bool_)
     part[40:160, 40:160] = True
     ramp = 3.0 * np.arange(200.0)[None, :]
-    clean = spot_variance_px2(first, second, part)
+    clean = spots_in(first, second, part).variance_px2
     first[:40], second[:40] = 4000.0, 0.0
-    assert spot_variance_px2(first + ramp, second + ramp, part) == pytest.approx(clean, rel=0.05)
-    assert np.isnan(spot_variance_px2(ramp * 0.0, ramp[::-1] * 0.0, part))
+    assert spots_in(first + ramp, second + ramp, part).variance_px2 == pytest.approx(clean, rel=0.05)
+    assert np.isnan(spots_in(ramp * 0.0, ramp[::-1] * 0.0, part).variance_px2)
 
 
 def test_the_vertex_is_found_with_an_honest_sigma():
@@ -49,9 +49,19 @@ def test_the_vertex_is_found_with_an_honest_sigma():
     assert errors.std() == pytest.approx(np.sqrt(np.mean(sigmas**2)), rel=0.35)
 
 
+def test_grain_far_from_focus_is_not_taken_for_sharpness():
+    places = [Spots(0.8, 1.0), Spots(9.0, 8.0), Spots(2.0, 50.0), Spots(1.5, 90.0), Spots(2.1, 40.0)]
+    np.testing.assert_array_equal(np.isfinite(trusted_px2(places)), [False, False, True, True, True])
+
+
 def test_a_scan_that_ends_too_early_says_so():
     z = np.arange(0.0, 40.0, 5.0)
-    assert "end of the scan" in best_focus("x", z, 1.0 + 0.01 * (z - 60.0) ** 2).why
+    assert "the end of where it shows" in best_focus("x", z, 1.0 + 0.01 * (z - 60.0) ** 2).why
+    gap = np.array([-20.0, -10.0, 0.0, 100.0, 110.0, 120.0])
+    assert "too far apart" in best_focus("x", gap, 1.0 + 0.01 * (gap - 95.0) ** 2).why
+    assert (
+        "only 3 places" in best_focus("x", np.arange(-20.0, 21.0, 10.0), np.array([9.0, 2.0, 1.0, 2.0, 9.0])).why
+    )
     assert "too few" in best_focus("x", z, np.full(len(z), np.nan)).why
 
 
