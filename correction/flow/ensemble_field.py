@@ -20,7 +20,7 @@ from correction.flow.ensemble import (
     windows_of,
 )
 from correction.flow.kernels.cell_planes import TEMPLATES
-from correction.flow.kernels.peak_fit import PARAMETERS, fit_row
+from correction.flow.kernels.peak_fit import OF_PEAK, PARAMETERS, fit_row
 from correction.piv.outliers import outliers
 from correction.piv.windows import WindowGrid
 from ground.rows import run_rows
@@ -85,8 +85,9 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     across = across / np.maximum(seen, 1.0)
     own = own / np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], 1.0)
     variance = windows_of(sums.sweep.variance_px2, window_px).astype(np.float64) / many**2
-    peak, slopes = _fits(across, sums.lags, variance, True, threads)
-    itself, _ = _fits(own, lags_of(OWN_REACH_PX, half=True), variance, False, threads)
+    noise = windows_of(np.moveaxis(sums.noise, 1, 0), window_px).astype(np.float64) / (sums.pairs * many**2)
+    peak, slopes = _fits(across, sums.lags, variance, None, threads)
+    itself, _ = _fits(own, lags_of(OWN_REACH_PX, half=True), variance, noise, threads)
     covariance, own_covariance = _covariance(peak), _covariance(itself)
     back = _by_templates(slopes, sums.pairs * seen[middle])
     spread = _parameter_covariance(sums, window_px, back)
@@ -130,19 +131,24 @@ def _places(lags: NDArray[np.int64], reach_px: int) -> NDArray[np.int64]:
 
 
 def _fits(
-    planes: Floats, lags: NDArray[np.int64], variance: Floats, free_place: bool, threads: int | None
+    planes: Floats, lags: NDArray[np.int64], variance: Floats, noise: Floats | None, threads: int | None
 ) -> tuple[Floats, Floats]:
-    """Parameters (ny, nx, 7) of `peak_fit` and slopes (ny, nx, 7, 7) of the templates, from planes (L, ny, nx)."""
+    """Parameters (ny, nx, 8) of `peak_fit` and slopes (ny, nx, 7, 7) of the templates, from planes (L, ny, nx).
+
+    With the shape of noise (L, ny, nx) planes are autocorrelations, whose peaks stand at no displacement.
+    """
     _, ny, nx = planes.shape
-    fits, slopes = np.empty((ny, nx, PARAMETERS)), np.empty((ny, nx, TEMPLATES, PARAMETERS))
+    fits, slopes = np.empty((ny, nx, PARAMETERS)), np.empty((ny, nx, TEMPLATES, OF_PEAK))
     at = lags.astype(np.float64)
     free = np.ones(PARAMETERS, np.bool_)
-    free[1:3] = free_place
+    free[1:3], free[7] = noise is None, noise is not None
+    shape = np.zeros(planes.shape) if noise is None else noise
 
     def rows(first: int, last: int) -> None:
-        work, line = np.empty((20, PARAMETERS)), np.empty(len(lags))
+        work, line = np.empty((22, PARAMETERS)), np.empty((2, len(lags)))
         for j in range(first, last):
-            fit_row(np.ascontiguousarray(planes[:, j]), at, free, variance[j], work, line, fits[j], slopes[j])
+            here = np.ascontiguousarray(planes[:, j]), at, np.ascontiguousarray(shape[:, j])
+            fit_row(*here, free, variance[j], work, line, fits[j], slopes[j])
 
     run_rows(rows, ny, block=1, threads=threads)
     return fits, slopes

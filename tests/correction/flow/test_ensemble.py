@@ -59,7 +59,7 @@ def test_products_are_those_of_plain_sums():
     a, b = rng.normal(size=(2, 43, 51)).astype(np.float32)
     cells, lags = cells_of(a.shape), lags_of(3)
     assert len(lags) == 49
-    assert len(lags_of(3, half=True)) == 24
+    assert len(lags_of(3, half=True)) == 25
     line, out = np.empty(51, np.float32), np.empty((len(lags), cells.shape[1]), np.float32)
     for j, row in enumerate(cells.row):
         cell_products(a, b, lags, row, cells.column[0], 8, line, out)
@@ -107,11 +107,17 @@ def test_without_fluctuations_there_are_no_stresses_and_sigma_covers():
     error = np.abs(field.mean_px - [1.4, 0.7])[field.valid]
     assert np.sqrt(np.mean(error**2)) < 0.04  # 15 particles a window in all
     assert 0.55 < np.mean(error < field.sigma_px[field.valid]) < 0.8
-    assert np.abs(np.nanmean(field.stress_px2, axis=(0, 1))).max() < 0.12  # the limit named in `ensemble`
-    clean = [frames(lambda u, v: (1.4 + 0 * u, 0.7 + 0 * u), k, (128, 128), noise=0.5) for k in range(20)]
+    assert np.abs(np.nanmean(field.stress_px2, axis=(0, 1))).max() < 0.08  # the limit named in `ensemble`
+
+
+@pytest.mark.parametrize("noise", [0.5, 30.0])
+def test_noise_of_the_camera_is_no_stress(noise):
+    """Half way between pixels, where sampling spreads it most; 30 counts are a sixth of an average particle."""
+    noisy = [frames(lambda u, v: (1.0 + 0 * u, 1.0 + 0 * u), k, (128, 128), noise=noise) for k in range(20)]
+    sums = swept(noisy, (1.0, 1.0), 0.0)
     for side in (16, 32):
-        stress = ensemble_field(swept(clean, (1.0, 1.0), 0.0), side).stress_px2
-        assert np.abs(np.nanmean(stress, axis=(0, 1))).max() < 0.015
+        stress = ensemble_field(sums, side).stress_px2
+        assert np.abs(np.nanmean(stress, axis=(0, 1))).max() < 0.03
 
 
 def test_what_stands_still_is_taken_off():
@@ -131,7 +137,8 @@ def thin_jet(u, v):
     return 0.3 + 0 * u, -1.0 - 8.0 * np.exp(-((u - MIDDLE) ** 2) / (4 * 14.0**2))
 
 
-@pytest.mark.parametrize(("count", "share"), [(40, 0.75), pytest.param(250, 0.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "share"), [(40, 0.75), (250, 0.5)])
 def test_a_rim_with_few_particles_is_seen_better_than_by_vectors(count, share):
     """r > 0.75 R: at most half the error of the mean of vectors of 32 px, at 16 px; shear layer within 0.1 px.
 
