@@ -37,8 +37,9 @@ and the flow as far as it is in h, are all in it. Pairs count as independent
 C_AB and C_AA share, are counted though they drop out.
 
 **Noise.** Sampling between pixels spreads the camera's noise to neighbours, where R_AA would count it as light.
-Its shape K(s) is known (`correction.flow.sampled_noise`), how much of it there is comes out of the fit of R_AA. What is left of it is below
-0.02 px^2 with 16 and 32 px; windows of 8 px with a dozen particles in all come out up to 0.07 px^2 too small.
+Its shape K(s) is known (`correction.flow.sampled_noise`), how much of it there is comes out of the fit of R_AA.
+What is left of it is below 0.02 px^2 with 16 and 32 px; windows of 8 px with a dozen particles in all come out
+up to 0.07 px^2 too small.
 """
 
 from collections.abc import Mapping
