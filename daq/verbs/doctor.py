@@ -17,6 +17,7 @@ from daq.acquisition.cameras import LIBRARIES
 from daq.acquisition.runs.run_folder import versions
 from daq.example_files import examples
 from daq.terminal import console
+from daq.timing.timing_table import TimingTable
 from stages.identities import confusable
 
 PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
@@ -100,15 +101,19 @@ def _disk() -> Iterator[Finding]:
 
 def _bench(bench: Bench) -> Iterator[Finding]:
     for name, controller in bench.table.stages.controllers.items():
-        path = Path(controller.port)
-        if "://" in controller.port:
-            yield f"controller {name}", None, f"{controller.driver} on {controller.port}"
-            continue
-        there = path.exists() and os.access(path, os.R_OK | os.W_OK)
-        words = f"{controller.driver} on {path}" + ("" if there else ": not there, or no permission")
-        yield f"controller {name}", there, words
+        yield _port(f"controller {name}", controller.driver, controller.port)
+    for name, device in bench.more.items():
+        if isinstance(device.section, TimingTable):
+            yield _port(f"timing unit {name}", device.section.box, device.section.port)
     for words in confusable(bench.table.stages):
         yield "identity of the boxes", False, words
     producer = bench.table.camera.options.get("cti")
     if isinstance(producer, str):
         yield "camera's producer", Path(producer).is_file(), producer
+
+
+def _port(what: str, driver: str, port: str) -> Finding:
+    if "://" in port:
+        return what, None, f"{driver} on {port}"
+    there = Path(port).exists() and os.access(port, os.R_OK | os.W_OK)
+    return what, there, f"{driver} on {port}" + ("" if there else ": not there, or no permission")

@@ -8,7 +8,7 @@ import pytest
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
-from daq.timing.errors import LaserDoubt, LaserStopped, WrongBox
+from daq.timing.errors import LaserDoubt, LaserStopped, TimingUsageError, WrongBox
 from daq.timing.laser import Laser, Rules
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
@@ -262,3 +262,63 @@ def test_off_is_written_while_another_thread_waits_for_an_answer():
         d.clock.sleep_s(10.0)
         assert d.pulses(Role.Q_SWITCH_1) <= 11
         assert d.laser.state is LaserState.UNKNOWN
+
+
+def conditions_with(**changes):
+    values = {name: getattr(GOOD, name) for name in GOOD.__dataclass_fields__}
+    return Conditions(**{**values, **changes})
+
+
+BAD_REQUESTS = {
+    "a dt longer than the period": lambda laser: laser.set(PulseTiming(120_000.0, 10.0), EXPOSURES),
+    "a dt longer than both frames": lambda laser: laser.set(PulseTiming(50_000.0, 10.0), EXPOSURES),
+    "a dt within the gap": lambda laser: laser.set(PulseTiming(2.0, 10.0), EXPOSURES),
+    "a rate above the camera's": lambda laser: laser.set(
+        PulseTiming(20.0, 10.0), PairExposures(100.0, 20_000.0, 2.0, max_rate_hz=8.0)
+    ),
+    "a rate above the laser's": lambda laser: laser.set(PulseTiming(20.0, 20.0), EXPOSURES),
+    "another rate than that of the lamps": lambda laser: laser.set(PulseTiming(20.0, 5.0), EXPOSURES),
+    "no number": lambda laser: laser.set(PulseTiming(float("nan"), 10.0), EXPOSURES),
+    "exposures longer than the period": lambda laser: laser.set(
+        PulseTiming(20.0, 10.0), PairExposures(60_000.0, 60_000.0, 2.0)
+    ),
+    "a camera that sleeps": lambda laser: laser.arm(conditions_with(camera_armed=False), laser.challenge),
+    "old frames": lambda laser: laser.arm(conditions_with(buffers_empty=False), laser.challenge),
+    "something moves": lambda laser: laser.arm(conditions_with(at_rest=False), laser.challenge),
+    "glass in the sheet": lambda laser: laser.arm(conditions_with(sheet_clearance_mm=1.0), laser.challenge),
+    "a full disk": lambda laser: laser.arm(conditions_with(frames_fit=0), laser.challenge),
+    "a closed shutter": lambda laser: laser.arm(conditions_with(shutter_open=False), laser.challenge),
+    "nobody's word": lambda laser: laser.arm(GOOD, "yes"),
+    "fire without arming": lambda laser: laser.fire(10),
+    "warm what is warm": lambda laser: laser.warm(10.0),
+    "alignment from the warm": lambda laser: laser.align(laser.challenge, 5.0, 1.0),
+}
+
+
+@pytest.mark.parametrize("what", BAD_REQUESTS)
+def test_bad_input_is_one_sentence_and_nothing_fires(what):
+    with desk() as d:
+        d.laser.open("sim://desk")
+        d.laser.warm(10.0)
+        d.clock.sleep_s(1.1)
+        d.laser.set(PulseTiming(20.0, 10.0), EXPOSURES)
+        sent = d.line.hooks.passed["write"]
+        with pytest.raises(TimingUsageError) as caught:
+            BAD_REQUESTS[what](d.laser)
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) > 25
+        assert d.line.hooks.passed["write"] == sent  # not a byte
+        assert d.laser.state is LaserState.READY
+        d.clock.sleep_s(5.0)
+        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == d.pulses(Role.CAMERA) == 0
+
+
+@pytest.mark.parametrize("pairs", [0, -5, 101, 10**9])
+def test_a_chunk_that_is_none_or_too_long_does_not_begin(pairs):
+    with desk() as d:
+        d.to_armed()
+        with pytest.raises(TimingUsageError, match="1 to 100 fit"):
+            d.laser.fire(pairs)
+        d.clock.sleep_s(5.0)
+        assert d.laser.state is LaserState.ARMED
+        assert d.pulses(Role.Q_SWITCH_1) == 0

@@ -81,3 +81,9 @@ def test_a_bench_without_one_is_said(tmp_path, capsys, words, said):
         bench.path.write_text(text + section)
     assert main(["laser", "off", "--bench", str(bench.path), *words]) == USAGE
     assert said in capsys.readouterr().err
+
+
+def test_the_doctor_looks_for_its_port(tmp_path, capsys):
+    bench = bench_with(tmp_path)
+    assert main(["doctor", "--bench", str(bench.path)]) == DONE
+    assert "timing unit laser" in capsys.readouterr().out
