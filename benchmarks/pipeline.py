@@ -1,6 +1,7 @@
 """10 Hz pairs (20 frames/s) to the disk, corrected as they arrive, through Harvesters or Aravis: losses, latency.
 
     python -m benchmarks.pipeline --seconds 60 --method bilinear -o benchmarks/results
+    python -m benchmarks.pipeline --flow --seconds 120      # pairs fired by a timing unit, chunk by chunk
 
 The simulated camera replays two rendered frames (2016 x 2016, Mono12p), so that it costs little; everything behind
 its producer is what real frames pass through.  Printed and stored: the books, latency from frame complete to
@@ -25,11 +26,16 @@ from daq.acquisition.runner.progress import Progress
 from daq.acquisition.runner.session import Request, begin, carry_out
 from daq.errors import DaqError
 from daq.example_files import examples
+from daq.verbs.operator import ScriptOperator
+from sim.bench_table import simulation_of
 from sim.demo.scenes import named_scene
+from sim.flow.prepared import prepare
 from sim.prints.patterns import printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
+from sim.world import true_scene
 
+PREPARED_PAIRS = 8
 SETTINGS = """camera:
   backend: {backend}
   settings: {{PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerSelector: FrameStart, TriggerMode: "Off",
@@ -57,11 +63,31 @@ def write_bench(folder: Path, rate_hz: float, backend: str) -> Path:
     return folder / "bench.yaml"
 
 
+def write_flow_bench(folder: Path, backend: str) -> Path:
+    """The example bench for flows, whose camera replays pairs that were made beforehand."""
+    text = (examples() / "bench-flow.yaml").read_text(encoding="utf-8")
+    text = text.replace("backend: harvesters", f"backend: {backend}").replace("timeout_s: 60.0", "timeout_s: 5.0")
+    text = text.replace("  seed: 7\n", "  seed: 7\n  flow: {prepared: pairs}\n")
+    (folder / "bench.yaml").write_text(text, encoding="utf-8")
+    (folder / "two_spheres_500.yaml").write_bytes((examples() / "two_spheres_500.yaml").read_bytes())
+    bench = load_bench(folder / "bench.yaml")
+    table = simulation_of(bench)
+    camera = table.flow.camera(true_scene(bench, table), table.seed, table.pupil)
+    prepare(camera, folder / "pairs", pairs=PREPARED_PAIRS, dt_s=500e-6, rate_hz=10.0)
+    return folder / "bench.yaml"
+
+
 def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Run the stream once; return books, latencies and times."""
-    bench = load_bench(write_bench(folder, options.rate_hz, options.backend))
     count = round(options.seconds * options.rate_hz)
-    (folder / "plan.yaml").write_text(f"experiment: stream\nview: glass\nframes: {count}\n")
+    if options.flow:
+        bench = load_bench(write_flow_bench(folder, options.backend))
+        text = (examples() / "plan-flow.yaml").read_text(encoding="utf-8")
+        text = text.replace("pairs: 1000", f"pairs: {count // 2}").replace("background: {pairs: 50}\n", "")
+    else:
+        bench = load_bench(write_bench(folder, options.rate_hz, options.backend))
+        text = f"experiment: stream\nview: glass\nframes: {count}\n"
+    (folder / "plan.yaml").write_text(text)
     plan = load_plan(folder / "plan.yaml", bench)
     correction = {"correct": options.correct, "method": options.method, "live_queue": options.live_queue}
     request = Request(bench.path, plan.path, simulate=True, **correction)
@@ -76,7 +102,7 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
             carried["cores"] = meter[0].report()
 
     try:
-        carry_out(request, bench, plan, run, home=True, watcher=watch)
+        carry_out(request, bench, plan, run, home=True, watcher=watch, operator=ScriptOperator())
         carried["ended"] = "finished"
     except DaqError as error:
         carried["ended"] = f"{type(error).__name__}: {error}"
@@ -91,6 +117,11 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     return {
         **carried,
         "books": counts["books"],
+        "chunks": [
+            {key: entry[key] for key in ("fired", "triggers", "pairs", "surplus", "lost", "dropped", "never_came")}
+            for entry in entries
+            if entry["kind"] == "chunk"
+        ],
         "flow": counts["flow"],
         "waited_unseen_ms": {"p50": round(float(np.median(unseen_ms)), 2),
                              "p99": round(float(np.percentile(unseen_ms, 99)), 2)},
@@ -109,6 +140,7 @@ def main() -> None:
     parser.add_argument("--method", choices=("quintic", "bilinear"), default="quintic")
     parser.add_argument("--backend", choices=("harvesters", "aravis"), default="harvesters")
     parser.add_argument("--live-queue", type=int, default=1)
+    parser.add_argument("--flow", action="store_true", help="pairs of a flow instead of a free-running stream")
     parser.add_argument("--no-correct", dest="correct", action="store_false")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

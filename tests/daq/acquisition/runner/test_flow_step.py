@@ -1,5 +1,11 @@
 """A flow on the simulated bench, over protocols and transports: whole pairs of one pulse each, and books."""
 
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import pytest
 import tifffile
 
@@ -17,6 +23,7 @@ from sim import world
 from tests.daq.acquisition.cameras.rigs import need_aravis, need_harvesters
 from tests.daq.flow_bench import DIODES, LAMPS, ToldLight, told, write_flow
 
+ROOT = Path(__file__).resolve().parents[4]
 FAULTS = "first_skipped: 3, skipped: [19, 50], doubled: [24], dropped: [30]"
 
 
@@ -108,6 +115,33 @@ def test_the_end_may_be_asked_for_and_the_run_goes_on_with_whole_pairs(tmp_path,
         assert first[1:] == (second[1], 0)
     same = [name for name, data in before.items() if (path / "frames" / name).read_bytes() == data]
     assert len(same) >= 14  # seven pairs at least stayed as they were
+    assert check_run(path).is_sound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("frames", [1, 3, 8, 14, 21, 30])
+def test_a_flow_that_was_killed_goes_on_with_whole_pairs(tmp_path, frames):
+    bench, plan = write_flow(tmp_path, channels=DIODES, pairs=24, chunk=8, more="background: {pairs: 4}\n")
+    command = [sys.executable, "-m", "tests.daq.flow_child", bench, plan, tmp_path / "runs"]
+    child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    end_s = time.monotonic() + 120.0
+    while time.monotonic() < end_s and child.poll() is None:
+        if len(list((tmp_path / "runs").glob("*/frames/*.tif"))) >= frames:
+            break
+        time.sleep(0.001)
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    (path,) = (tmp_path / "runs").glob("*_plan-flow")
+    before = {file.name: file.read_bytes() for file in (path / "frames").glob("*.tif")}
+    assert before
+    resume(path, home=True, operator="test")
+    found = pairs_of(path)
+    assert (len(found.pairs), found.alone) == (28, ())
+    for pair in found.pairs:
+        first, second = (told(tifffile.imread(frame)) for frame in pair.frames)
+        assert ((first[0], first[2]), (second[0], second[2]), first[1]) == ((1, 0), (1, 1), second[1])
+    same = sum((path / "frames" / name).read_bytes() == data for name, data in before.items())
+    assert same >= len(before) - 4  # what stood alone was taken again, nothing else
     assert check_run(path).is_sound
 
 
