@@ -40,7 +40,7 @@ def flow_run(parent, scene, flow):
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_mean_of_a_jet_is_as_sure_as_it_says_where_the_background_is_taken_off(tmp_path):
-    """Errors behind the glass are within their sigma as often as they should be; with reflections left they are not."""
+    """Errors behind the glass are within their sigma as often as they should be; with reflections, less often."""
     stack = at_size(named_scene("two_spheres_500"), SIDE_PX)
     scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     flow = Flow(Jet(), RandomModes(8.0, seed=14))
