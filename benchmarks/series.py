@@ -38,6 +38,16 @@ from tracer.scene_file import dump_scene
 
 DIFFERENT = 4  # pairs; what they hold does not matter for time and memory
 PER_PX, COUNTS, FLOOR, NOISE = 0.03, 300.0, 35.0, 3.0
+BENCH = """name: bench
+scene: scene.yaml
+stages:
+  controllers: {box: {driver: zaber_ascii, port: /dev/box}}
+  axes:
+    target_x: {controller: box, channel: 1/1, carries: target, along: x, limits_mm: [-9.0, 9.0], speed_mm_s: 1.0,
+               acceleration_mm_s2: 1.0}
+  home_order: [target_x]
+camera: {backend: files}
+"""
 Floats = NDArray[np.float64]
 
 
@@ -118,17 +128,17 @@ def _run(folder: Path, pairs: int, side: int) -> Path:
             "on_plane": True, "reference": None, "group": 2, "dt_us": 500.0}  # fmt: skip
     asked = {"bench": "bench.yaml", "plan": "plan.yaml", "simulate": True, "correct": False, "scene": None,
              "target_clear": None, "dewarp_order": 2, "method": "quintic", "live_queue": 4}  # fmt: skip
-    about = {"name": "flow", "request": asked, "hashes": {}, "versions": {}, "plan": "flow", "bench": "bench",
+    about = {"name": "flow", "request": asked, "hashes": {}, "versions": {}, "plan": "flow", "bench": BENCH,
              "scene": dump_scene(scene), "square_mm": 2.5, "steps": [step]}  # fmt: skip
     run = RunFolder.create(folder, "flow", about)
     journal = Journal(run.journal_path)
-    rng = np.random.default_rng(1)
+    rng, here_mm = np.random.default_rng(1), {"target_x": 0.0}
     drawn = [_pair(rng, side) for _ in range(DIFFERENT)]
     for number in range(2 * pairs):
         pixels = drawn[number // 2 % DIFFERENT][number % 2]
         facts = {"step": 0, "tag": "flow", "crc32": checksum(pixels), "frame_id": number, "sequence": number,
                  "timestamp_ns": 10**9 + 10**8 * (number // 2) + 500_000 * (number % 2), "received_ns": 10**9,
-                 "exposure_us": 100.0, "bits": 12, "planned_mm": {}, "measured_mm": {},
+                 "exposure_us": 100.0, "bits": 12, "planned_mm": here_mm, "measured_mm": here_mm,
                  "pair": {"exposure": "AB"[number % 2], "chunk": 0, "dt_us": 500.0,
                           "marker": "halves"}}  # fmt: skip
         write_raw(run.frame_path(number), pixels, facts)

@@ -107,7 +107,7 @@ def target_views(path: Path) -> list[TargetView]:
     steps = [s for s in about["steps"] if s["shows"] == "chessboard" and s["first_frame"] in entries]
     if not steps:
         return []
-    table = _bench_table(folder)
+    table = bench_table(folder)
     reported_mm = defaultdict[float, list[float]](list)
     planned_mm: list[float] = []
     for step in steps:
@@ -143,6 +143,6 @@ def _files(folder: RunFolder) -> dict[int, Path]:
     return {number: folder.inside(entry["file"]) for number, entry in frame_entries(folder.entries()).items()}
 
 
-def _bench_table(folder: RunFolder) -> BenchTable:
+def bench_table(folder: RunFolder) -> BenchTable:
     """Bench file of a run as it was when the run began."""
     return load_kept(folder, "bench", lambda file: read(file, BenchTable))

@@ -126,6 +126,7 @@ def _about(name: str, given: PairsOfSeries, method: Method, jobs: Sequence[Chunk
         "pairs": len(given.pairs),
         "alone": given.alone,
         "glass": given.glass,
+        "glass_place_mm": given.glass_place_mm,
         "dewarped": method.dewarp is not None,
         "chunk_pairs": chunk,
         "keys": [job.key for job in jobs],

@@ -19,7 +19,7 @@ from pydantic import Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from correction.errors import SeriesError
-from daq.acquisition.runs.records import STRICT, Count, Sha, Tag, Text
+from daq.acquisition.runs.records import STRICT, Count, Sha, Tag, Text, Way
 from daq.analysis.series.chunk_file import ChunkContent, read_chunk
 from daq.analysis.series.marker import Marker, sound_content
 from daq.analysis.series.series_plan import chunk_path
@@ -43,6 +43,7 @@ class SeriesFile(TypedDict):
     pairs: Annotated[int, Field(ge=1, le=1_000_000_000)]
     alone: Count  # frames that lost their partner
     glass: bool
+    glass_place_mm: Way  # off the place in the scene file
     dewarped: bool
     chunk_pairs: Count
     keys: list[Sha]

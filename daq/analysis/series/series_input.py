@@ -7,6 +7,7 @@ from pathlib import Path
 from correction.background.preparation import SLIDING_MINIMUM, Preparation
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.glass_place import with_glass_at
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_views import scene_file
 from daq.analysis.piv_file import PivChoice
@@ -87,7 +88,7 @@ def series_input(
     if scene.with_name(FIT_FILE).is_file():
         _keep(scene.with_name(FIT_FILE), out / FIT_FILE)
     usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
-    through = fitted if given.glass else fitted.with_bodies(())
+    through = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.with_bodies(())
     method = Method(through, dewarp, choice.settings, choice.preparation or usual)
     return SeriesInput(run, out, given, method)
 

@@ -8,6 +8,7 @@ from correction.errors import SeriesError
 from correction.grid import PlaneGrid, grid_of
 from correction.piv.windows import WindowGrid, window_grid
 from correction.prepared import prepare
+from daq.acquisition.runs.glass_place import with_glass_at
 from daq.analysis.series.map_sigma import with_map_sigma
 from daq.analysis.series.mean_file import write_mean
 from daq.analysis.series.mean_flow import MeanFlow, mean_flow
@@ -55,8 +56,8 @@ def mean_of_series(folder: Path) -> MeanFlow:
 
 def scene_of(folder: Path) -> Scene:
     """Scene that the camera of a series looked through."""
-    scene = load_scene(folder / SCENE_FILE)
-    return scene if SeriesFolder(folder).about["glass"] else scene.with_bodies(())
+    scene, about = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about
+    return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.with_bodies(())
 
 
 def grid_of_series(folder: Path) -> PlaneGrid:

@@ -5,6 +5,8 @@ from math import isclose
 from pathlib import Path
 
 from correction.errors import PairError
+from daq.acquisition.bench.bench_table import Vector
+from daq.acquisition.runs.glass_place import glass_place_mm
 from daq.acquisition.runs.journal import Entry
 from daq.acquisition.runs.pairs import FramePair, RunPairs
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
@@ -28,12 +30,15 @@ class PairsOfSeries:
         Frames that lost their partner.
     glass : bool
         Taken through the glass.
+    glass_place_mm : (float, float, float)
+        By how much that stood off its place in the scene file.
     """
 
     pairs: tuple[SeriesPair, ...]
     unseeded: tuple[SeriesPair, ...]
     alone: int
     glass: bool
+    glass_place_mm: Vector = (0.0, 0.0, 0.0)
 
 
 def is_series(run: Path, found: RunPairs) -> bool:
@@ -74,7 +79,9 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> P
     made = {pair.tag: _series_pair(run, pair, entries, dt_us) for pair in found.pairs}
     pairs = tuple(made[pair.tag] for pair in seeded)
     unseeded = tuple(made[pair.tag] for pair in found.pairs if pair.is_background)
-    return PairsOfSeries(pairs, unseeded, len(found.alone), views.pop())
+    glass = views.pop()
+    frames = [pair.frames[0] for pair in found.pairs] if glass else []
+    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, glass_place_mm(run, frames))
 
 
 def folder_name(entry: Entry) -> str:

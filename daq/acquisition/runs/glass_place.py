@@ -1,0 +1,53 @@
+"""Where the glass stood while the pairs of a run were taken, against its place in the scene file.
+
+A flow plan keeps the glass some millimetres off the light sheet (`glass_z_mm`), so what the camera looked through
+is the scene with its bodies moved by so much.  The plan's place counts, not the encoders' last digit: one map
+serves all frames, as for every other run.
+"""
+
+from collections.abc import Iterable
+from math import dist
+from pathlib import Path
+
+from correction.errors import PairError
+from daq.acquisition.bench.bench_table import GLASS, Vector
+from daq.acquisition.runs.records import CURE
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
+from daq.acquisition.runs.run_views import bench_table
+from daq.errors import RunDamaged
+from tracer.bodies import shifted_by
+from tracer.scene import Scene
+
+SAME_MM = 1e-6
+
+
+def glass_place_mm(run: Path, frames: Iterable[Path]) -> Vector:
+    """Displacement of the glass from its place in the scene file, as planned for some frames of a run.
+
+    Raises
+    ------
+    PairError
+        It was not the same for all of them.
+    RunDamaged
+        The run does not say where the glass was.
+    """
+    folder = RunFolder(run)
+    lines = {Path(entry["file"]).name: entry for entry in frame_entries(folder.entries()).values()}
+    table = bench_table(folder)
+    found: tuple[Vector, str] | None = None
+    for frame in frames:
+        try:
+            place = table.offset_mm(GLASS, lines[frame.name]["planned_mm"])
+        except KeyError as error:
+            raise RunDamaged(f"{run}: frame {frame.name} does not say where {error} was; {CURE}") from None
+        found = found or (place, frame.name)
+        if dist(place, found[0]) > SAME_MM:
+            raise PairError(f"{run}: the glass was moved between {found[1]} and {frame.name}; evaluate two runs")
+    return (0.0, 0.0, 0.0) if found is None else found[0]
+
+
+def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
+    """The scene with its bodies moved by `place_mm` from where its file has them."""
+    if not any(place_mm):
+        return scene
+    return scene.with_bodies([body.moved(shifted_by(place_mm)) for body in scene.bodies])

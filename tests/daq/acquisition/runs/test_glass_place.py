@@ -1,0 +1,57 @@
+"""The glass of a flow run stands off its place in the scene: what is evaluated is the scene as it was."""
+
+import numpy as np
+import pytest
+
+from correction.errors import PairError
+from daq.acquisition.runs.glass_place import glass_place_mm, with_glass_at
+from daq.acquisition.runs.journal import Journal
+from daq.acquisition.runs.run_folder import RunFolder
+from daq.errors import RunDamaged
+from tests.correction.small_scenes import small_scene
+from tests.daq.small_run import BENCH, about_run, keep_frame, planned
+
+AXIS = """    glass_z: {controller: box, channel: 2/1, carries: glass, along: z, limits_mm: [-1.0, 50.0],
+              speed_mm_s: 1.0, acceleration_mm_s2: 1.0}
+  home_order: [target_x, glass_z]
+glass: {out_mm: {glass_z: 50.0}}
+scene_at_mm: {glass_z: 2.0}
+"""
+
+
+def run_with(path, places_mm):
+    bench = BENCH.replace("  home_order: [target_x]\n", AXIS)
+    folder = RunFolder.create(path, "flow", about_run([planned(0, frames=len(places_mm))]) | {"bench": bench})
+    journal = Journal(folder.journal_path)
+    for number, place_mm in enumerate(places_mm):
+        facts = {} if place_mm is None else {"planned_mm": {"target_x": 1.0, "glass_z": place_mm}}
+        keep_frame(folder, journal, number, np.zeros((4, 4), np.uint16), **facts)
+    journal.close()
+    return folder.path, sorted((folder.path / "frames").iterdir())
+
+
+def test_the_place_is_against_the_scene_not_the_axis(tmp_path):
+    run, frames = run_with(tmp_path, [6.0, 6.0])
+    assert glass_place_mm(run, frames) == pytest.approx((0.0, 0.0, 4.0))
+    assert glass_place_mm(run, []) == (0.0, 0.0, 0.0)
+
+
+def test_glass_that_was_moved_in_between_is_refused(tmp_path):
+    run, frames = run_with(tmp_path, [6.0, 6.0, 7.0])
+    assert glass_place_mm(run, frames[:2])
+    with pytest.raises(PairError, match=r"the glass was moved between 000000.tif and 000002.tif"):
+        glass_place_mm(run, frames)
+
+
+def test_a_run_that_does_not_say_is_damaged(tmp_path):
+    run, frames = run_with(tmp_path, [None])
+    with pytest.raises(RunDamaged, match="does not say where 'glass_z' was"):
+        glass_place_mm(run, frames)
+
+
+def test_bodies_move_and_nothing_else(tmp_path):
+    scene = small_scene("two_spheres_500")
+    moved = with_glass_at(scene, (0.0, 0.0, 4.0))
+    assert [s.centre_mm[2] for s in moved.spheres] == pytest.approx([s.centre_mm[2] + 4.0 for s in scene.spheres])
+    assert moved.camera == scene.camera
+    assert with_glass_at(scene, (0.0, 0.0, 0.0)) is scene
