@@ -150,7 +150,7 @@ class TimingBox(Link):
         LaserDoubt
             A Q-switch output is on, or a number reads back as another one.
         PulsesRefused
-            The box cannot do one of the numbers.
+            The box cannot do one of the numbers, or has no output for a pulse; nothing was sent.
         """
 
     @abstractmethod

@@ -5,12 +5,14 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from daq.timing.conditions import CLEAR_MM
+from daq.timing.drivers import DRIVERS
 from daq.timing.laser import AlignRules, Rules
 from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
 from ground.config import Pair, Table
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
+OFF_BEST = 0.2  # share by which a Q-switch must be off its best delay to be called weak
 
 
 class HeadTable(Table):
@@ -84,6 +86,8 @@ class TimingTable(Table):
 
     @model_validator(mode="after")
     def _fits_together(self) -> "TimingTable":
+        if self.box not in DRIVERS and ":" not in self.box:
+            raise ValueError(f"box: there is no timing unit {self.box!r}; there are {', '.join(DRIVERS)}")
         known = {role.value for role in Role}
         if unknown := [name for name in self.channels if name not in known]:
             raise ValueError(f"channels: {unknown[0]!r} is none of {', '.join(sorted(known))}")
@@ -98,8 +102,8 @@ class TimingTable(Table):
             raise ValueError("identity: a synchroniser is called by its name; say the one on its sticker")
         if any(has_lamps) and has_lamps != [role in self.channels for role in Q_SWITCHES]:
             raise ValueError("channels: each lamp needs its Q-switch")
-        if any(has_lamps) and self.align is not None and self.align.q_switch_delay_us is None:
-            raise ValueError("align.q_switch_delay_us: a laser with lamps is made weak by it; say it")
+        if self.align is not None and (problem := _not_weak(self.align, self.head)):
+            raise ValueError(problem)
         if self.head.min_dt_us > self.head.max_dt_us:
             raise ValueError("head.min_dt_us is larger than head.max_dt_us")
         return self
@@ -119,3 +123,17 @@ class TimingTable(Table):
             uncounted=self.uncounted,
             align=None if self.align is None else AlignRules(**self.align.model_dump()),
         )
+
+
+def _not_weak(align: AlignTable, head: HeadTable) -> str | None:
+    """Say what keeps alignment from being weak; None if nothing is known to."""
+    if head.lamp_to_q_switch_us is None:
+        if align.pulse_us is None or align.pulse_us >= head.pulse_us:
+            return f"align.pulse_us: a laser without lamps is made weak by it; say less than {head.pulse_us:g}"
+        return None
+    delay_us = align.q_switch_delay_us
+    if delay_us is None:
+        return "align.q_switch_delay_us: a laser with lamps is made weak by it; say it"
+    if any(abs(delay_us - best_us) < OFF_BEST * best_us for best_us in head.lamp_to_q_switch_us):
+        return f"align.q_switch_delay_us: {delay_us:g} is within {OFF_BEST:.0%} of the best one; that is not weak"
+    return None

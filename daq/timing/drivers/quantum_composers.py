@@ -78,6 +78,9 @@ class QuantumComposersBox(TimingBox):
     def load(self, schedule: Schedule) -> Schedule:
         """Write and read back; the period only if it is another one, so that lamps do not miss a beat."""
         with self._lock:
+            for role in schedule.pulses:
+                if role not in self.wiring and role is not Role.MARKER:
+                    raise PulsesRefused(f"{self.name} has no output for {role}; say it in channels")
             self._require_dark()
             for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), ("GATE:MOD", "DIS")):
                 self._keep(T0, keyword, value)

@@ -8,7 +8,7 @@ import pytest
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
-from daq.timing.errors import LaserDoubt, LaserStopped, TimingUsageError, WrongBox
+from daq.timing.errors import LaserDoubt, LaserStopped, PulsesRefused, TimingUsageError, WrongBox
 from daq.timing.laser import Laser, Rules
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
@@ -322,3 +322,14 @@ def test_a_chunk_that_is_none_or_too_long_does_not_begin(pairs):
         d.clock.sleep_s(5.0)
         assert d.laser.state is LaserState.ARMED
         assert d.pulses(Role.Q_SWITCH_1) == 0
+
+
+def test_a_pulse_without_an_output_is_refused_and_not_left_out():
+    straddling = PairExposures(900.0, 900.0, 100.0, two_triggers=True)
+    with desk() as d:  # whose camera has one trigger
+        d.laser.open("sim://desk")
+        d.laser.warm(10.0)
+        d.clock.sleep_s(1.1)
+        with pytest.raises(PulsesRefused, match="camera_b"):
+            d.laser.set(PulseTiming(200.0, 10.0), straddling)
+        assert d.laser.state is LaserState.READY

@@ -17,12 +17,13 @@ from tests.daq.small_bench import write_bench
 
 CHANNELS = "lamp_1: A, q_switch_1: B, lamp_2: C, q_switch_2: D, camera: E, marker: F"
 HEAD = "max_rate_hz: 15.0, lamp_to_q_switch_us: [180.0, 185.0], warmup_s: 0.0"
+DIODE = "q_switch_1: B, camera: E"
 GOOD = Conditions(True, True, True, 5.0, 1000, True)
 
 
-def bench_with(folder, channels=CHANNELS, head=HEAD, more="", transport="memory"):
+def bench_with(folder, channels=CHANNELS, head=HEAD, more="", transport="memory", box="qc9520"):
     path = write_bench(folder)
-    section = f"{{kind: timing, box: qc9520, port: /dev/one, channels: {{{channels}}}, head: {{{head}}}{more}}}"
+    section = f"{{kind: timing, box: {box}, port: /dev/one, channels: {{{channels}}}, head: {{{head}}}{more}}}"
     text = path.read_text() + f"devices:\n  laser: {section}\n"
     if transport == "pty":
         text = text.replace("simulation:\n", "simulation:\n  transport: pty\n  speed: 1.0\n")
@@ -75,6 +76,12 @@ def test_leaving_by_an_error_switches_off(tmp_path):
         ({"head": HEAD.replace("15.0", "0.0")}, "max_rate_hz: should be greater than 0"),
         ({"head": HEAD + ", min_dt_us: 10.0, max_dt_us: 5.0"}, "min_dt_us is larger"),
         ({"more": ", align: {}"}, "is made weak by it"),
+        ({"more": ", align: {q_switch_delay_us: 200.0}"}, "within 20% of the best one"),
+        (
+            {"channels": "q_switch_1: B, camera: E", "head": "max_rate_hz: 9.0", "more": ", align: {}"},
+            "less than 10",
+        ),
+        ({"box": "qc1"}, "no timing unit 'qc1'; there are qc9510"),
         ({"more": ", chunk_s: 20.0"}, "chunk_s: should be less than or equal to 10"),
         ({"more": ", clear: 3.0"}, "unknown key"),
     ],
