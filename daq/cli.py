@@ -92,6 +92,13 @@ def _parser() -> argparse.ArgumentParser:
     focus.add_argument("run", type=Path, metavar="RUN", help="run of a plan of experiment: focus")
     focus.add_argument("-o", "--out", type=Path, help="folder for its page (default: the run's)")
 
+    join = verbs.add_parser("join", help="one mean of two runs of a flow, focused beside the glass and behind it")
+    join.add_argument("beside", type=Path, metavar="SERIES_BESIDE", help="series of the run focused on the plane")
+    join.add_argument(
+        "behind", type=Path, metavar="SERIES_BEHIND", help="series of the run focused behind the glass"
+    )
+    join.add_argument("-o", "--out", type=Path, default=Path("joined"), help="folder (default: joined)")
+
     mean = verbs.add_parser("mean", help="mean flow, Reynolds stresses and their uncertainty from many pairs")
     mean.add_argument("path", type=Path, metavar="RUN_OR_SERIES", help="flow run, or the folder of its series")
     mean.add_argument("--scene", type=Path, help="scene.yaml, best a fitted one (default: the run's own)")

@@ -36,6 +36,7 @@ from tracer.scene_file import load_scene
 Float64 = NDArray[np.float64]
 
 WIDEST = 2.5  # of the smallest s^2: farther off blur grows more slowly than the parabola says
+SUREST = 0.02  # of s^2: few places may lie on a parabola by chance
 FAINT = 0.15  # of the highest contrast: twice as wide spots have a quarter of it
 FEWEST = 4  # places that a parabola and its uncertainty are taken from
 
@@ -158,7 +159,7 @@ def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
     freedom = max(len(z) - 3, 1)
     inverse = np.linalg.inv((design * weights[:, None]).T @ (design * weights[:, None]))
     slope = np.array([b / (2.0 * a * a), -1.0 / (2.0 * a), 0.0])
-    sigma = float(np.sqrt(slope @ inverse @ slope * (scatter @ scatter) / freedom))
+    sigma = float(np.sqrt(slope @ inverse @ slope * max(scatter @ scatter / freedom, SUREST**2)))
     smallest = max(c - b * b / (4.0 * a), 0.0)
     return BestFocus(part, float(middle + vertex), sigma, float(4.0 * np.sqrt(smallest)))
 

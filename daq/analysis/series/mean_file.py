@@ -17,6 +17,7 @@ Dimensions (t, y, x) with one t, so that PIVPy reads it as it reads a pair; y UP
 
 import io
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,15 +34,32 @@ from ground.whole_file import whole_file
 Floats = NDArray[np.float64]
 
 
-def write_mean(path: Path, mean: MeanFlow, about: dict[str, Any]) -> None:
-    """Write statistics as NetCDF, atomically; `about` are global attributes. DiskError if it cannot be written."""
+def write_mean(
+    path: Path, mean: MeanFlow, about: dict[str, Any], more: Mapping[str, NDArray[Any]] | None = None
+) -> None:
+    """Write statistics as NetCDF, atomically; DiskError if it cannot be written.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    mean : MeanFlow
+        The statistics.
+    about : dict
+        Global attributes.
+    more : mapping of str to ndarray, optional
+        Further numbers without a unit, (ny, nx).
+    """
     buffer = io.BytesIO()
     with netcdf_file(buffer, "w", version=2) as file:
         for name, values, unit in (("t", np.zeros(1), "s"), ("y", mean.y_mm, "mm"), ("x", mean.x_mm, "mm")):
             file.createDimension(name, len(values))
             axis = file.createVariable(name, "f8", (name,))
             axis[:], axis.units, axis.standard_name, axis.axis = values, unit, NAMES[name], name.upper()
-        for name, (values, unit) in _variables(mean).items():
+        for name, (values, unit) in {
+            **_variables(mean),
+            **{name: (each, "1") for name, each in (more or {}).items()},
+        }.items():
             kind = "i4" if values.dtype.kind in "iu" else "f8"
             variable = file.createVariable(name, kind, ("t", "y", "x"))
             variable[0], variable.units = values, unit

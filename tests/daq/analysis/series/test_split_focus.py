@@ -1,0 +1,83 @@
+"""Two means become one by where a vector is seen; its origin is told."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from correction.errors import SeriesError
+from correction.evaluate.regions import Region
+from correction.flow.effective_samples import EffectiveSamples
+from correction.flow.moments import Moments
+from daq.analysis.series.mean_flow import MeanFlow
+from daq.analysis.series.split_focus import BEHIND, BESIDE, joined_mean
+from daq.cli import DONE, main
+from tests.daq.analysis.series.small_series import flow_run
+
+SHAPE = (3, 4)
+
+
+def mean_of(speed, spread, seed, pairs=40):
+    """A mean on a grid of 3 x 4 vectors, all around one speed."""
+    rng = np.random.default_rng(seed)
+    moments = Moments.nothing(SHAPE)
+    for _ in range(pairs):
+        moments = moments.add(speed + spread * rng.standard_normal((*SHAPE, 2)))
+    effective = EffectiveSamples(np.full((*SHAPE, 2), float(pairs)), "all", True)
+    x, y = np.arange(4.0), np.arange(3.0)
+    return MeanFlow(x, y, 10.0, 32, 16, 1e-3, moments, effective, pairs, 1.0, ((f"pair {seed}", "dark"),))
+
+
+REGION = np.array(
+    [[Region.DIRECT] * 4, [Region.GLASS] * 4, [Region.RIM, Region.RIM, Region.NONE, Region.DIRECT]], np.uint8
+)
+
+
+def test_vectors_come_from_the_run_that_was_focused_on_them():
+    first, second = mean_of(1.0, 0.1, 0), mean_of(1.0, 0.01, 1)
+    joined = joined_mean(first, second, REGION)
+    assert (joined.source[0] == BESIDE).all()
+    assert (joined.source[1] == BEHIND).all()
+    assert (joined.source[2, :2] == BEHIND).all()  # the surer one at a rim
+    for name, mine in joined.mean.moments.to_arrays().items():
+        theirs, others = first.moments.to_arrays()[name], second.moments.to_arrays()[name]
+        np.testing.assert_array_equal(mine[joined.source == BESIDE], theirs[joined.source == BESIDE])
+        np.testing.assert_array_equal(mine[joined.source == BEHIND], others[joined.source == BEHIND])
+    assert joined.mean.used == 80
+    assert joined.mean.left_out == (("beside: pair 0", "dark"), ("behind: pair 1", "dark"))
+    assert joined.apart_in_sigma == pytest.approx(1.0, abs=0.45)
+
+
+def test_another_flow_is_seen_as_another():
+    assert joined_mean(mean_of(1.0, 0.1, 0), mean_of(1.2, 0.1, 1), REGION).apart_in_sigma > 5.0
+
+
+def test_a_vector_that_its_run_has_not_is_none():
+    first, second = mean_of(1.0, 0.1, 0), mean_of(1.0, 0.1, 1)
+    joined = joined_mean(first, replace(second, moments=Moments.nothing(SHAPE)), REGION)
+    assert (joined.source[1] == 0).all()
+    assert np.isnan(joined.mean.mean_m_s[1]).all()
+    assert (joined.mean.count[0] == 40).all()
+
+
+def test_other_grids_are_refused():
+    first = mean_of(1.0, 0.1, 0)
+    with pytest.raises(SeriesError, match="different grids"):
+        joined_mean(first, replace(first, x_mm=first.x_mm + 0.1), REGION)
+
+
+def test_the_verb_writes_one_mean_with_its_sources(tmp_path, capsys):
+    run = flow_run(tmp_path / "flow", 4)
+    windows = ("--first-window", "32", "--final-window", "16", "--workers", "1")
+    assert main(["mean", str(run), *windows]) == DONE
+    series, out = run / "series", tmp_path / "joined"
+    assert main(["join", str(series), str(series), "-o", str(out)]) == DONE
+    assert "differ by 0.00 sigma" in capsys.readouterr().out
+    with netcdf_file(out / "mean.nc", mmap=False) as file:
+        source, n = (np.array(file.variables[name][0]) for name in ("source", "n"))
+        assert file.beside_run == file.behind_run
+        assert json.loads(file.left_out) == {}
+    assert set(np.unique(source)) <= {0, BESIDE, BEHIND}
+    np.testing.assert_array_equal(source > 0, n > 1)
