@@ -11,6 +11,7 @@ corrected, disk rate, and how many cores each part has used between the first an
 import argparse
 import json
 import os
+import re
 import tempfile
 import time
 from pathlib import Path
@@ -67,7 +68,7 @@ def write_flow_bench(folder: Path, backend: str) -> Path:
     """The example bench for flows, whose camera replays pairs that were made beforehand."""
     text = (examples() / "bench-flow.yaml").read_text(encoding="utf-8")
     text = text.replace("backend: harvesters", f"backend: {backend}").replace("timeout_s: 60.0", "timeout_s: 5.0")
-    text = text.replace("  seed: 7\n", "  seed: 7\n  flow: {prepared: pairs}\n")
+    text = re.sub(r"  flow: .*\n", "  flow: {prepared: pairs}\n", text)
     (folder / "bench.yaml").write_text(text, encoding="utf-8")
     (folder / "two_spheres_500.yaml").write_bytes((examples() / "two_spheres_500.yaml").read_bytes())
     bench = load_bench(folder / "bench.yaml")

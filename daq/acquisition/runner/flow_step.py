@@ -10,6 +10,7 @@ record.  Frames of pairs before the first light and behind the last are dropped 
     pairs:   fired = kept + lost + surplus
 """
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Generator, Mapping
@@ -26,13 +27,13 @@ from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.brightness import BrightnessSign, LightWatch, mean_counts
 from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runner.interrupts import Interrupts
-from daq.acquisition.runner.light import Light
+from daq.acquisition.runner.light import Light, exposure_of
 from daq.acquisition.runner.pair_finder import PairFinder
 from daq.acquisition.runner.progress import Progress
 from daq.acquisition.runner.shot import Shot
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
-from daq.errors import BadFrame, CameraTimeout, FramesLost, OtherFormat
+from daq.errors import BadFrame, CameraTimeout, FramesLost, OtherFormat, ResumeRefused
 from daq.timing.laser import Laser
 from daq.timing.states import EMITS
 
@@ -130,9 +131,10 @@ class FlowStep:
         assert order is not None
         place = self._whole_pairs(step)
         number = self._chunks_so_far(step)
+        self._require_same_exposure()
         laser = self._light.prepare(order, self._exposures.settings, self._tell)
         self._watches = (LightWatch(), LightWatch())
-        sign, spare, barren, fired, lost = BrightnessSign(), 0, 0, 0, 0
+        sign, spare, barren, fired, lost, edges = BrightnessSign(), 0, 0, 0, 0, 0
         while place < step.frames:
             if self._interrupts.wanted:
                 return False
@@ -150,7 +152,8 @@ class FlowStep:
             number += 1
             fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
             barren = 0 if chunk.kept else barren + 1
-            too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired)
+            edges += chunk.triggers > chunk.fired  # where lamps run, a chunk may begin or end with half a pair
+            too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired) + edges
             if barren == BARREN or (barren and pairs >= MANY) or too_many:
                 raise FramesLost(
                     f"{lost} of {fired} pairs are lost, in the last chunk {chunk.sentence()}; look at the marker, "
@@ -295,6 +298,8 @@ class FlowStep:
         for half, (letter, frame) in enumerate(zip("AB", (first, second), strict=True)):
             placed = frame.with_positions_mm(record["measured_mm"])
             facts = {**record, "pair": {"exposure": letter, **about}}
+            if letter == "B" and self._section.second_exposure_us is not None:  # the camera tells that of A alone
+                facts["exposure_us"] = self._section.second_exposure_us
             self._pipeline.submit(Job(step, step.first_frame + place + half, placed, facts))
             self._progress.frames += 1
         self._progress.waiting = self._pipeline.waiting
@@ -323,6 +328,19 @@ class FlowStep:
             dropped=dict(sorted(chunk.dropped.items())),
             never_came=chunk.never_came,
         )
+
+    def _require_same_exposure(self) -> None:
+        """Refuse to go on, before anything is fired, if the camera exposes otherwise than so far."""
+        now_us = exposure_of(self._exposures.settings)
+        for number, entry in frame_entries(self._folder.entries()).items():
+            if "pair" not in entry or entry["pair"]["exposure"] == "B" or entry["exposure_us"] is None:
+                continue
+            if not math.isclose(entry["exposure_us"], now_us, rel_tol=1e-6):
+                what = "background" if entry["pair"].get("background") else "pairs"
+                raise ResumeRefused(
+                    f"{self._folder.path}: the {what} of this run were exposed for {entry['exposure_us']:g} us "
+                    f"(frame {number}) and the camera is at {now_us:g} us now; set it back, or begin a new run"
+                )
 
     def _whole_pairs(self, step: Step) -> int:
         """First place that is to be filled: behind the last whole pair; a frame behind it without partner goes."""

@@ -14,7 +14,7 @@ from daq.acquisition.runner.brightness import BrightnessSign
 from daq.acquisition.runner.light import exposure_of, require_rate
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_check import check_run
-from daq.acquisition.runs.run_folder import RunFolder
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.errors import FrameDoubt, FramesLost, PlanError, ResumeRefused, RunUsageError
 from daq.verbs.acquire import acquire
 from daq.verbs.operator import operator_of
@@ -67,7 +67,7 @@ def judge(path, pairs):
 
 @pytest.mark.parametrize(("shape", "channels", "faults", "backend"), [
     ("two_blocks", LAMPS, FAULTS, "harvesters"),
-    ("straddling", DIODES, FAULTS, "aravis"),
+    pytest.param("straddling", DIODES, FAULTS, "aravis", marks=pytest.mark.slow),
     pytest.param("double_height", LAMPS, FAULTS, "harvesters", marks=pytest.mark.slow),
     pytest.param("double_height", DIODES, "", "aravis", marks=pytest.mark.slow),
     pytest.param("burst", DIODES, FAULTS, "harvesters", marks=pytest.mark.slow),
@@ -107,8 +107,14 @@ def test_the_end_may_be_asked_for_and_the_run_goes_on_with_whole_pairs(tmp_path,
     path.joinpath("steps.jsonl").write_bytes(b"".join(lines[:last]))
     before = {file.name: file.read_bytes() for file in (path / "frames").iterdir()}
     monkeypatch.setattr(flow_step.FlowStep, "_keep", kept)
+    monkeypatch.setattr(flow_step, "exposure_of", lambda settings: 300.0)
+    with pytest.raises(ResumeRefused, match=r"exposed for 400 us .frame 0. and the camera is at 300 us now"):
+        resume(path, home=True, operator="test")
+    monkeypatch.setattr(flow_step, "exposure_of", exposure_of)
     resume(path, home=True, operator="test")
     found = pairs_of(path)
+    exposed = [entry["exposure_us"] for entry in frame_entries(RunFolder.open(path).entries()).values()]
+    assert sorted(set(exposed)) == [192.0, 400.0]
     assert (len(found.pairs), found.alone) == (12, ())
     for pair in found.pairs:
         first, second = (told(tifffile.imread(frame)) for frame in pair.frames)
@@ -145,6 +151,7 @@ def test_a_flow_that_was_killed_goes_on_with_whole_pairs(tmp_path, frames):
     assert check_run(path).is_sound
 
 
+@pytest.mark.slow
 def test_a_marker_that_nobody_wired_fires_one_chunk_and_ends(tmp_path):
     """Line 3 is never high: no frame is an A."""
     bench, plan = write_flow(tmp_path, channels=DIODES, pairs=20, chunk=10)
@@ -153,6 +160,7 @@ def test_a_marker_that_nobody_wired_fires_one_chunk_and_ends(tmp_path):
         acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, correct=False, operator="test")
 
 
+@pytest.mark.slow
 def test_a_flip_ends_the_run_in_doubt(tmp_path, monkeypatch):
     calls = []
     monkeypatch.setattr(BrightnessSign, "is_flipped", lambda self, a, b: calls.append(1) or len(calls) == 4)
