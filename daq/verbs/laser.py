@@ -57,6 +57,8 @@ def laser(
         The bench has no such device.
     LaserDoubt
         Off was said, and nobody has confirmed it.
+    PortUnavailable
+        There is no port to say it to.
     """
     loaded = load_bench(bench)
     device, section = _device(loaded, name)
@@ -92,7 +94,9 @@ def _device(bench: Bench, name: str | None) -> tuple[str, TimingTable]:
 
 
 def _say_off(section: TimingTable) -> None:
-    """Say it several times without asking whose port it is."""
+    """Say it several times without asking whose port it is; PortUnavailable if there is none."""
+    if "://" not in section.port and not Path(section.port).exists():
+        raise PortUnavailable(f"{section.port} does not exist, so off could not be said; use the laser's own key")
     box = driver_class(section.box)("laser", section.wiring)
     box.address = section.identity or ""
     said = [data.hex() for data in box.off_bytes()]
@@ -100,6 +104,8 @@ def _say_off(section: TimingTable) -> None:
 
 
 def _align(opened: Laser, rate_hz: float, for_s: float) -> None:
+    if opened.rules.align is None:
+        opened.align("", rate_hz, for_s)  # says so, before anybody types anything
     error_console().print(
         f"{rate_hz:g} weak pulses a second for {for_s:g} s. Goggles on, door shut? Software is no interlock.\n"
         f"Type {opened.challenge} to let them leave: ",

@@ -69,6 +69,12 @@ def test_alignment_asks_for_its_word(tmp_path, monkeypatch, mocker, word, code):
     assert main(["laser", "align", "--for-s", "1", "--bench", str(bench.path), "--simulate"]) == code
 
 
+def test_off_without_a_port_says_that_nobody_was_told(tmp_path, capsys):
+    bench = bench_with(tmp_path)
+    assert main(["laser", "off", "--bench", str(bench.path)]) == DEVICE
+    assert "off could not be said" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [(["--name", "other"], "no device 'other'"), ([], "say which device")],
