@@ -38,6 +38,7 @@ from correction.flow.arrays import checked
 from correction.flow.moments import Moments
 
 LEAST_BLOCKS = 31  # of a level: sigma is then known to 13 %
+LEAST_TIMES = 20.0  # T that a series must hold: the mean taken off it hides T/n of its autocorrelation
 RISE = 0.04  # of the field's average from one level to any longer one that counts as a plateau
 Floats = NDArray[np.float64]
 
@@ -111,8 +112,10 @@ def from_series(vectors: Floats) -> EffectiveSamples:
         left, rho = left[still], rho[still]
         slow[left] += 2.0 * (1.0 - lag / n) * rho
     samples = np.where(count > 1, np.maximum(count / slow, 1.0), np.nan)
+    seen = count > 1
+    long_enough = not seen.any() or n >= LEAST_TIMES * float(slow[seen].mean())
     return EffectiveSamples(
-        samples.reshape(vectors.shape[1:]), "autocorrelation to its first zero", converged=bool(n > 1)
+        samples.reshape(vectors.shape[1:]), "autocorrelation to its first zero", converged=long_enough
     )
 
 

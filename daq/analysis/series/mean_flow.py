@@ -173,7 +173,8 @@ def _of_series(kept: list[NDArray[np.float32]]) -> EffectiveSamples:
     parts = []
     for first in range(0, len(kept[0]), ROWS):
         parts.append(from_series(np.stack([field[first : first + ROWS] for field in kept]).astype(np.float64)))
-    return replace(parts[0], samples=np.concatenate([part.samples for part in parts]))
+    samples = np.concatenate([part.samples for part in parts])
+    return replace(parts[0], samples=samples, converged=all(part.converged for part in parts))
 
 
 def _usual(chunks: Iterable[ChunkContent]) -> tuple[float, float, int]:

@@ -54,6 +54,13 @@ def test_the_level_is_named_and_a_short_series_says_so():
     assert "level" in slow.effective().way
 
 
+def test_a_kept_series_of_few_slow_motions_says_so():
+    assert from_series(autoregressive(0.9, 1000, (8, 8))).converged
+    assert from_series(autoregressive(0.0, 50, (8, 8))).converged
+    assert not from_series(autoregressive(0.9, 100, (8, 8))).converged
+    assert from_series(np.full((5, 2, 2, 2), np.nan)).converged  # nothing moves slowly where nothing is
+
+
 def test_one_slow_corner_is_not_voted_down():
     series = autoregressive(0.0, 512, (20, 20))
     series[:, :5, :8] = autoregressive(0.9, 512, (5, 8), seed=4)
