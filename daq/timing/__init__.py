@@ -2,6 +2,7 @@
 
     pulses       what is wired to which channel, and the one way of placing light in two exposures
     conditions   what must hold before and while light may leave
+    rules        what the laboratory asks for, and the weak pulses of an alignment
     states       Unknown, Safe, Warm, Ready, Armed, Firing, Fault as a table that the code obeys
     laser        the verbs of that table: safe, warm, set, arm, fire; and the way off that nothing postpones
     vigil        the thread that watches while it fires

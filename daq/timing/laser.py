@@ -21,23 +21,21 @@ import secrets
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 
 from daq.timing.box import UNREADABLE, TimingBox
-from daq.timing.conditions import CLEAR_MM, Conditions, exposure_problem
+from daq.timing.conditions import Conditions, exposure_problem
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
 from daq.timing.pulses import (
     LAMPS,
-    Q_SWITCHES,
     TRIGGER_US,
     LaserHead,
     PairExposures,
     Pulse,
     PulseTiming,
-    Role,
     Schedule,
     schedule_of,
 )
+from daq.timing.rules import Rules, weak_schedule
 from daq.timing.states import EMITS, Event, LaserState, after
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
@@ -56,56 +54,6 @@ _WAYS = {
     LaserState.FIRING: "wait() or stop()",
     LaserState.ALIGNING: "end it with safe()",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class AlignRules:
-    """Limits of the alignment mode.
-
-    Parameters
-    ----------
-    max_rate_hz : float
-        Pulses a second.
-    max_s : float
-        Longest time; the box counts to its end.
-    q_switch_delay_us : float or None
-        From lamp to Q-switch, off the optimum so that little energy is left; lasers with lamps need it.
-    pulse_us : float or None
-        Width of the pulse; a modulated diode is weak by it.
-    """
-
-    max_rate_hz: float = 10.0
-    max_s: float = 10.0
-    q_switch_delay_us: float | None = None
-    pulse_us: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Rules:
-    """What the laboratory asks for beyond what the laser can do.
-
-    Parameters
-    ----------
-    warmup_s : float
-        How long lamps run before the first pulse.
-    chunk_s : float
-        Longest burst.
-    clear_mm : float
-        What must be free on either side of the sheet.
-    dark_us : float or None
-        Longest exposure B for which the room is dark enough; None if that is no matter.
-    uncounted : bool
-        Whether a box that cannot count may fire.
-    align : AlignRules or None
-        None if there is no alignment mode.
-    """
-
-    warmup_s: float = 600.0
-    chunk_s: float = 10.0
-    clear_mm: float = CLEAR_MM
-    dark_us: float | None = None
-    uncounted: bool = False
-    align: AlignRules | None = None
 
 
 class Laser:
@@ -446,7 +394,7 @@ class Laser:
                 )
             self._require_rate(rate_hz)
             self.box.token = self._begin()
-            schedule = self._weak_schedule(rules, rate_hz)
+            schedule = weak_schedule(rules, self.head, self.box.wiring, rate_hz)
             self.schedule = None
             self.box.load(schedule)
             self.pairs = max(1, int(rate_hz * for_s))
@@ -537,21 +485,6 @@ class Laser:
         lamp_hz = self.head.lamp_rate_hz
         if lamp_hz is not None and not math.isclose(rate_hz, lamp_hz, rel_tol=1e-6):
             raise PulsesRefused(f"the lamps run at {lamp_hz:g} Hz and at no other rate ({rate_hz:g})")
-
-    def _weak_schedule(self, rules: AlignRules, rate_hz: float) -> Schedule:
-        """Both Q-switches with little energy: off the optimum of the lamps, or short."""
-        pulses: dict[Role, Pulse] = {}
-        q_switch_us = 0.0
-        if self.head.lamp_to_q_switch_us is not None:
-            if rules.q_switch_delay_us is None:
-                raise PulsesRefused(f"{self.name}: a laser with lamps needs `q_switch_delay_us` for alignment")
-            q_switch_us = rules.q_switch_delay_us
-            pulses |= {role: Pulse(0.0, TRIGGER_US) for role in LAMPS if role in self.box.wiring}
-        width_us = self.head.pulse_us if rules.pulse_us is None else rules.pulse_us
-        gap_us = 0.0 if self.head.lamp_to_q_switch_us is not None else 2.0 * width_us
-        for number, role in enumerate(role for role in Q_SWITCHES if role in self.box.wiring):
-            pulses[role] = Pulse(q_switch_us + number * gap_us, width_us)
-        return Schedule(1e6 / rate_hz, pulses, self.head.q_switch_to_light_us)
 
     def _ask_anew(self) -> None:
         self._challenge = str(1000 + secrets.randbelow(9000))

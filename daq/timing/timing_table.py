@@ -6,8 +6,8 @@ from pydantic import Field, model_validator
 
 from daq.timing.conditions import CLEAR_MM
 from daq.timing.drivers import DRIVERS
-from daq.timing.laser import AlignRules, Rules
 from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
+from daq.timing.rules import AlignRules, Rules
 from ground.config import Pair, Table
 
 Positive = Annotated[float, Field(gt=0.0)]

@@ -18,8 +18,9 @@ from daq.errors import DaqError
 from daq.timing.conditions import Conditions
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
-from daq.timing.laser import AlignRules, Laser, Rules
+from daq.timing.laser import Laser
 from daq.timing.pulses import Q_SWITCHES, LaserHead, PairExposures, PulseTiming, Role
+from daq.timing.rules import AlignRules, Rules
 from daq.timing.states import EMITS, LaserState
 from sim.clock import VirtualClock
 from sim.emulators.faults import KINDS, Fault

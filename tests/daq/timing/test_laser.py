@@ -7,8 +7,9 @@ import pytest
 
 from daq.timing.conditions import Conditions
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
-from daq.timing.laser import AlignRules, Laser, Rules
+from daq.timing.laser import Laser
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming
+from daq.timing.rules import AlignRules, Rules
 from daq.timing.states import LaserState
 from daq.timing.vigil import Vigil
 from sim.clock import ScaledClock, VirtualClock
