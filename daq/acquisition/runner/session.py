@@ -6,7 +6,7 @@ what moves depends on the bench's scene only through keep-out and scale, so both
 """
 
 import shutil
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ from daq.acquisition.bench.opened import OpenBench, open_bench
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.plan import Plan, load_plan
-from daq.acquisition.plans.steps import Step, frame_count
+from daq.acquisition.plans.steps import BEHIND_GLASS, Step, frame_count
 from daq.acquisition.runner.light import Operator
 from daq.acquisition.runner.progress import Progress, Watcher
 from daq.acquisition.runner.retake import steps_to_retake
@@ -30,6 +30,7 @@ from daq.acquisition.runs.displacement import FILE as MOVED
 from daq.acquisition.runs.done_file import FILE as DONE
 from daq.acquisition.runs.frame_check import Track, untracked
 from daq.acquisition.runs.gaps import next_place
+from daq.acquisition.runs.glass_place import glass_off_scene_mm, with_glass_at
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries, remaining, versions
 from daq.acquisition.runs.session_books import doubts
 from daq.acquisition.runs.unclaimed import unclaimed
@@ -98,12 +99,19 @@ def hashes(request: Request, bench: Bench, plan: Plan) -> dict[str, str | None]:
     }
 
 
-def make_corrections(request: Request, bench: Bench, maps: Path) -> Corrections | None:
-    """Return what corrects the frames of a run, the dewarp fitted; None if nothing is to be corrected."""
+def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable[Step] = ()) -> Corrections | None:
+    """Return what corrects the frames of a run, the dewarp fitted; None if nothing is to be corrected.
+
+    The glass is taken where the steps have it: a flow plan keeps it off the light sheet.
+    """
     if not request.correct:
         return None
     scene = load_scene(request.scene) if request.scene is not None else bench.scene
     dewarp = dewarp_of(request.target_clear, scene.camera, bench.table.target.board, request.dewarp_order)
+    seen = [step for step in steps if step.on_plane and step.view == BEHIND_GLASS]
+    places = {glass_off_scene_mm(bench.table, step.targets_mm) for step in seen}
+    if len(places) == 1:
+        scene = with_glass_at(scene, places.pop())
     return Corrections(scene, dewarp, request.method, maps)
 
 
@@ -242,7 +250,7 @@ def carry_out(
     left = remaining(plan.steps, folder.entries(), again)
     height, width = bench.scene.camera.shape
     check_disk(folder.path, 2 * width * height * frame_count(left) * (2 if request.correct else 1))
-    corrections = make_corrections(request, bench, folder.path.parent / MAPS)
+    corrections = make_corrections(request, bench, folder.path.parent / MAPS, left)
     if corrections is not None:
         corrections.prepare(step.view for step in left if step.on_plane)
     shows, exposures_before = plan.table.shows, frame_count(plan.steps)

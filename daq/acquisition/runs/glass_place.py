@@ -5,12 +5,11 @@ is the scene with its bodies moved by so much.  The plan's place counts, not the
 serves all frames, as for every other run.
 """
 
-from collections.abc import Iterable
-from math import dist
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from correction.errors import PairError
-from daq.acquisition.bench.bench_table import GLASS, Vector
+from daq.acquisition.bench.bench_table import GLASS, BenchTable, Vector
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.acquisition.runs.run_views import bench_table
@@ -18,7 +17,7 @@ from daq.errors import RunDamaged
 from tracer.bodies import shifted_by
 from tracer.scene import Scene
 
-SAME_MM = 1e-6
+DIGITS = 6  # of a millimetre
 
 
 def glass_place_mm(run: Path, frames: Iterable[Path]) -> Vector:
@@ -37,13 +36,19 @@ def glass_place_mm(run: Path, frames: Iterable[Path]) -> Vector:
     found: tuple[Vector, str] | None = None
     for frame in frames:
         try:
-            place = table.offset_mm(GLASS, lines[frame.name]["planned_mm"])
+            place = glass_off_scene_mm(table, lines[frame.name]["planned_mm"])
         except KeyError as error:
             raise RunDamaged(f"{run}: frame {frame.name} does not say where {error} was; {CURE}") from None
         found = found or (place, frame.name)
-        if dist(place, found[0]) > SAME_MM:
+        if place != found[0]:
             raise PairError(f"{run}: the glass was moved between {found[1]} and {frame.name}; evaluate two runs")
     return (0.0, 0.0, 0.0) if found is None else found[0]
+
+
+def glass_off_scene_mm(table: BenchTable, positions_mm: Mapping[str, float]) -> Vector:
+    """Displacement of the glass from its place in the scene file, to a nanometre: one place is one map."""
+    x, y, z = (round(part, DIGITS) + 0.0 for part in table.offset_mm(GLASS, positions_mm))
+    return (x, y, z)
 
 
 def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
