@@ -97,7 +97,7 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     carried: dict[str, Any] = {}
 
     def watch(progress: Progress) -> None:
-        if progress.frames == 1 and not meter:
+        if progress.frames >= 1 and not meter:
             meter.append(ProcessorTime())
         if progress.doing == "exposing" and progress.frames == plan.steps[0].frames and "cores" not in carried:
             carried["cores"] = meter[0].report()
