@@ -119,6 +119,7 @@ class Light:
         if laser.state is LaserState.UNKNOWN:
             laser.safe()
         if laser.state is LaserState.SAFE:
+            tell(f"waiting for the operator to type {laser.challenge}")
             self._word = self._operator.word(laser.challenge)
             laser.warm(order.rate_hz)
             self._wait_until_warm(laser, order.warm_up_s, tell)

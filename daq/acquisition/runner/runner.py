@@ -264,7 +264,7 @@ class Runner:
         before = self._steps[step.index - 1].pulses if step.index else None
         is_flow = step.pulses is not None and not step.pulses.is_background
         if is_flow and before is not None and before.is_background:
-            self._tell("waiting for the seeding")
+            self._tell("waiting for the seeding to be opened, then Enter")
             self._operator.open_seeding()
 
     def _arrive(self, journal: Journal, step: Step) -> dict[str, Any]:

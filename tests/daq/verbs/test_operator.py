@@ -1,0 +1,45 @@
+"""The word is shown and read at a terminal; a script answers for a simulated laser only; nobody is refused."""
+
+import io
+
+import pytest
+
+from daq.acquisition.runner.light import NoOperator
+from daq.errors import RunUsageError
+from daq.verbs.operator import ScriptOperator, TerminalOperator, operator_of
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_person_reads_the_word_and_types_it(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", Terminal("  ember \n\n"))
+    person = operator_of(None, simulate=False)
+    assert isinstance(person, TerminalOperator)
+    assert person.word("ember") == "ember"
+    person.open_seeding()
+    said = capsys.readouterr().err
+    assert "type this word: ember" in said
+    assert "no interlock" in said
+    assert "Open the seeding" in said
+
+
+def test_a_terminal_that_has_gone_types_nothing(monkeypatch):
+    monkeypatch.setattr("sys.stdin", Terminal(""))
+    assert TerminalOperator().word("ember") == ""
+
+
+def test_without_a_terminal_nobody_says_it(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("ember\n"))
+    nobody = operator_of(None, simulate=True)
+    assert isinstance(nobody, NoOperator)
+    with pytest.raises(RunUsageError, match="nobody can type the word"):
+        nobody.word("ember")
+
+
+def test_a_script_answers_for_a_simulated_laser_only():
+    assert isinstance(operator_of("me", simulate=True), ScriptOperator)
+    with pytest.raises(RunUsageError, match="simulated laser only"):
+        operator_of("me", simulate=False)
