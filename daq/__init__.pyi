@@ -7,4 +7,5 @@ from .verbs.acquire import acquire as acquire
 from .verbs.calibrate import calibrate as calibrate
 from .verbs.correct import correct as correct
 from .verbs.evaluate import evaluate as evaluate
+from .verbs.focus import focus as focus
 from .verbs.resume import resume as resume

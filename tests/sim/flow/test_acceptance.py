@@ -1,0 +1,20 @@
+"""The whole way with a flow that is known, without a bench: images through glass, correction, vectors, mean."""
+
+import numpy as np
+import pytest
+
+from benchmarks.flow import Case, chunks, judged, moments
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["two", "three"])
+def test_the_mean_of_a_jet_is_found_beside_and_behind_glass(name):
+    case = Case(name, 1008, is_pinhole=True)
+    first, second = (moments(case, numbers) for numbers in chunks(12, 6))
+    found = judged(case, first.merged(second))
+    for part, limit_px in (("beside", 0.06), ("centre", 0.12)):
+        assert found[part]["rms_px"] < limit_px
+        assert found[part]["rms_px"] < 1.6 * found[part]["sampling_px"]
+        assert np.abs(found[part]["bias_px"]).max() < 0.04
+    alone = moments(case, range(6, 12))
+    np.testing.assert_array_equal(alone.mean, second.mean)  # a pair is a function of its number
