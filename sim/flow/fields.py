@@ -59,9 +59,9 @@ class Flow:
         """U (N, 3) [mm/s] at points (N, 3) [mm]."""
         points = np.asarray(points_mm, np.float64)
         velocity = self.base.mean(points)
-        if self.modes is not None:
-            fluctuation = self.modes.at(points, time_s)
-            velocity = velocity + np.einsum("nij,nj->ni", self.base.amplitude(points), fluctuation)
+        amplitude = self.base.amplitude(points) if self.modes is not None else np.empty(0)
+        if self.modes is not None and amplitude.any():
+            velocity = velocity + np.einsum("nij,nj->ni", amplitude, self.modes.at(points, time_s))
         return velocity
 
     def mean(self, points_mm: Float64) -> Float64:

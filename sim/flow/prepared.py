@@ -50,7 +50,6 @@ class PreparedPairs:
             raise SceneError(text) from None
         if made_for != scene_hash:
             raise SceneError(f"the pairs in {self._folder} were made for another scene; make them again")
-        self._frames: dict[tuple[int, int], Frame] = {}
 
     def frame(self, number: int, pulse: int, since_first_s: float) -> Frame:
         """Frame (H, W) of pulse 0 (A) or 1 (B) of a pair, lit so long after its pulse A.
@@ -65,11 +64,7 @@ class PreparedPairs:
                 f"the pairs in {self._folder} were made for dt = {1e6 * self._dt_s:g} us, not "
                 f"{1e6 * since_first_s:.1f} us; make them again"
             )
-        key = (number % self._pairs, pulse)
-        if key not in self._frames:
-            frame = np.load(_path(self._folder, *key), mmap_mode="r", allow_pickle=False)
-            self._frames[key] = frame
-        return self._frames[key]
+        return np.asarray(np.load(_path(self._folder, number % self._pairs, pulse), allow_pickle=False), np.uint16)
 
 
 def prepare(camera: FlowCamera, folder: Path, *, pairs: int, dt_s: float, rate_hz: float) -> None:
