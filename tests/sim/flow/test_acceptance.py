@@ -7,6 +7,7 @@ from benchmarks.flow import Case, chunks, judged, moments
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("name", ["two", "three"])
 def test_the_mean_of_a_jet_is_found_beside_and_behind_glass(name):
     case = Case(name, 1008, is_pinhole=True)
@@ -16,5 +17,3 @@ def test_the_mean_of_a_jet_is_found_beside_and_behind_glass(name):
         assert found[part]["rms_px"] < limit_px
         assert found[part]["rms_px"] < 1.6 * found[part]["sampling_px"]
         assert np.abs(found[part]["bias_px"]).max() < 0.04
-    alone = moments(case, range(6, 12))
-    np.testing.assert_array_equal(alone.mean, second.mean)  # a pair is a function of its number
