@@ -18,8 +18,8 @@ ENOUGH = 1e-5  # px and relative change after which a fit is done
 
 
 @kernel
-def gaussian(p: Array, x: float, y: float, noise: float, slope: Array) -> float:
-    """Value of the model at x, y where K is `noise`, and its derivatives (8,) by the parameters."""
+def gaussian(p: Array, x: float, y: float, slope: Array) -> float:
+    """Value of the model at x, y without noise, and its derivatives (7 of 8) by the parameters."""
     dx, dy = x - p[1], y - p[2]
     g = np.exp(-0.5 * (p[3] * dx * dx + p[4] * dy * dy) - p[5] * dx * dy)
     slope[0] = g
@@ -29,8 +29,7 @@ def gaussian(p: Array, x: float, y: float, noise: float, slope: Array) -> float:
     slope[4] = -0.5 * p[0] * g * dy * dy
     slope[5] = -p[0] * g * dx * dy
     slope[6] = 1.0
-    slope[7] = noise
-    return p[0] * g + p[6] + p[7] * noise  # type: ignore[no-any-return]
+    return p[0] * g + p[6]  # type: ignore[no-any-return]
 
 
 @kernel
@@ -38,7 +37,7 @@ def misfit(p: Array, plane: Array, lags: Array, noise: Array, slope: Array) -> f
     """Sum of squared residuals."""
     total = 0.0
     for n in range(plane.size):
-        rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], noise[n], slope)
+        rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], slope) - p[7] * noise[n]
         total += rest * rest
     return total
 
@@ -59,7 +58,8 @@ def fit_peak(plane: Array, lags: Array, noise: Array, free: Array, work: Array, 
             for m in range(PARAMETERS):
                 normal[k, m] = 0.0
         for n in range(plane.size):
-            rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], noise[n], slope)
+            rest = plane[n] - gaussian(p, lags[n, 1], lags[n, 0], slope) - p[7] * noise[n]
+            slope[7] = noise[n]
             for k in range(PARAMETERS):
                 if free[k]:
                     right[k] += slope[k] * rest
@@ -122,7 +122,7 @@ def template_slopes(p: Array, lags: Array, variance: float, slope: Array, out: A
             out[k, m] = 0.0
     for n in range(lags.shape[0]):
         x, y = lags[n, 1], lags[n, 0]
-        gaussian(p, x, y, 0.0, slope)
+        gaussian(p, x, y, slope)
         g = np.exp(-0.5 * (x * x + y * y) / variance)
         for m in range(OF_PEAK):
             out[0, m] += g * slope[m]
