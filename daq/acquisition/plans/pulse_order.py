@@ -109,6 +109,11 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
     schedule_of(order.timing, device.section.head.head(), exposures)
     if section.shape == "straddling" and Role.CAMERA_B not in device.section.wiring:
         raise PlanError(f"{bench.path}: frames of shape straddling need a trigger for B; wire channel camera_b")
+    if section.shape != "straddling" and Role.CAMERA_B in device.section.wiring:
+        raise PlanError(
+            f"{bench.path}: channel camera_b would trigger exposures that nobody wants; frames of shape "
+            f"{section.shape} have one trigger a pair"
+        )
     most = int(device.section.chunk_s * order.rate_hz + 1e-9)
     if not 1 <= order.chunk <= most:
         raise PlanError(
