@@ -340,7 +340,7 @@ class EnsembleSums:
         }
         return both
 
-    def planes(self, threads: int | None = None) -> tuple[Floats, Floats, Floats]:
+    def planes(self, threads: int | None = None) -> tuple[Singles, Singles, Singles]:
         """Sums over cells without what stands still: across (ny, L, nx), own (ny, L', nx), pixels (ny, L, nx).
 
         Raises
@@ -352,23 +352,26 @@ class EnsembleSums:
             raise SeriesError("ensemble correlation needs at least two pairs")
         cells, n = self.sweep.cells, self.pairs
         a, b, valid = self.frames / np.float32(n)
-        means = [np.empty_like(self.across), np.empty_like(self.own), np.empty_like(self.own)]
-        seen = np.empty_like(self.across)
+        across, seen, own = np.empty_like(self.across), np.empty_like(self.across), np.empty_like(self.own)
+        share, many = (
+            np.float32(1.0 / (n - 1)),
+            np.float32(n),
+        )  # a mean frame holds 1/n of each pair's own products
 
         def rows(first: int, last: int) -> None:
             line = np.empty(self.sweep.shape[1], np.float32)
+            still, one, two = np.empty_like(across[0]), np.empty_like(own[0]), np.empty_like(own[0])
             for j in range(first, last):
                 at = cells.row[j], cells.column[0], CELL_PX
-                cell_products(a, b, self.lags, *at, line, means[0][j])
-                cell_products(a, a, self.own_lags, *at, line, means[1][j])
-                cell_products(b, b, self.own_lags, *at, line, means[2][j])
+                cell_products(a, b, self.lags, *at, line, still)
+                cell_products(a, a, self.own_lags, *at, line, one)
+                cell_products(b, b, self.own_lags, *at, line, two)
                 cell_products(valid, valid, self.lags, *at, line, seen[j])
+                across[j] = share * (self.across[j] - many * still)
+                own[j] = np.float32(0.5) * share * (self.own[j] - many * (one + two))
 
         run_rows(rows, cells.shape[0], block=2, threads=threads)
-        share = 1.0 / (n - 1)  # the mean of n frames holds 1/n of each pair's own products
-        across = share * (self.across - np.float64(n) * means[0])
-        own = 0.5 * share * (self.own - np.float64(n) * (means[1] + means[2]))
-        return across, own, seen.astype(np.float64)
+        return across, own, seen
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Plain arrays by name, for a file; the sweep's among them."""

@@ -30,6 +30,7 @@ LARGEST_SIGMA_PX = 0.5  # of a mean that is worth being called one
 THRESHOLD, EPSILON_PX = 3.0, 0.1  # of the universal outlier detection, as for single pairs
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -81,15 +82,16 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
     grid = WindowGrid(row, column, window_px, step * CELL_PX)
     across, own, seen = (windows_of(np.moveaxis(part, 1, 0), window_px) for part in sums.planes(threads))
     middle = len(sums.lags) // 2
-    share = seen[middle] / window_px**2
-    across = across / np.maximum(seen, 1.0)
-    own = own / np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], 1.0)
+    seen_there = seen[middle].astype(np.float64)
+    across /= np.maximum(seen, np.float32(1.0))
+    own /= np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], np.float32(1.0))
+    del seen
     variance = windows_of(sums.sweep.variance_px2, window_px).astype(np.float64) / many**2
-    noise = windows_of(np.moveaxis(sums.noise, 1, 0), window_px).astype(np.float64) / (sums.pairs * many**2)
+    noise = np.asarray(windows_of(np.moveaxis(sums.noise, 1, 0), window_px) / (sums.pairs * many**2), np.float32)
     peak, slopes = _fits(across, sums.lags, variance, None, threads)
     itself, _ = _fits(own, lags_of(OWN_REACH_PX, half=True), variance, noise, threads)
     covariance, own_covariance = _covariance(peak), _covariance(itself)
-    back = _by_templates(slopes, sums.pairs * seen[middle])
+    back = _by_templates(slopes, sums.pairs * seen_there)
     spread = _parameter_covariance(sums, window_px, back)
     fields = (
         middles_of(np.moveaxis(sums.sweep.field_px, -1, 0), window_px)
@@ -101,7 +103,12 @@ def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = Non
         volume = peak[..., 0] * _area(covariance) / (itself[..., 0] * _area(own_covariance))
     near = 0.8 * sums.sweep.reach_px
     inside = (np.abs(peak[..., 1:3]) < near).all(axis=-1) & (covariance[..., :2] < near**2).all(axis=-1)
-    valid = inside & (share >= LEAST_VALID) & (sigma < LARGEST_SIGMA_PX).all(axis=-1) & np.isfinite(volume)
+    valid = (
+        inside
+        & (seen_there >= LEAST_VALID * window_px**2)
+        & (sigma < LARGEST_SIGMA_PX).all(axis=-1)
+        & np.isfinite(volume)
+    )
     valid &= ~outliers(np.where(valid[..., None], mean, 0.0), valid, THRESHOLD, EPSILON_PX)
 
     def kept(values: Floats) -> Floats:
@@ -131,7 +138,7 @@ def _places(lags: NDArray[np.int64], reach_px: int) -> NDArray[np.int64]:
 
 
 def _fits(
-    planes: Floats, lags: NDArray[np.int64], variance: Floats, noise: Floats | None, threads: int | None
+    planes: Singles, lags: NDArray[np.int64], variance: Floats, noise: Singles | None, threads: int | None
 ) -> tuple[Floats, Floats]:
     """Parameters (ny, nx, 8) of `peak_fit` and slopes (ny, nx, 7, 7) of the templates, from planes (L, ny, nx).
 
@@ -142,12 +149,16 @@ def _fits(
     at = lags.astype(np.float64)
     free = np.ones(PARAMETERS, np.bool_)
     free[1:3], free[7] = noise is None, noise is not None
-    shape = np.zeros(planes.shape) if noise is None else noise
+    shape = np.zeros_like(planes) if noise is None else noise
 
     def rows(first: int, last: int) -> None:
         work, line = np.empty((22, PARAMETERS)), np.empty((2, len(lags)))
         for j in range(first, last):
-            here = np.ascontiguousarray(planes[:, j]), at, np.ascontiguousarray(shape[:, j])
+            here = (
+                np.ascontiguousarray(planes[:, j], np.float64),
+                at,
+                np.ascontiguousarray(shape[:, j], np.float64),
+            )
             fit_row(*here, free, variance[j], work, line, fits[j], slopes[j])
 
     run_rows(rows, ny, block=1, threads=threads)
