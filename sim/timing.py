@@ -21,22 +21,14 @@ from sim.clock import VirtualClock
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
 from sim.emulators.outputs import Outputs, Pulse
-from sim.emulators.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
+from sim.emulators.pivlab_synchroniser import OltSyncEmulator
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
 from sim.emulators.quantum_composers import QuantumComposersEmulator
+from sim.emulators.timing_units import emulator_of
 from sim.world import World
 
 TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
-
-
-Firmware = QuantumComposersEmulator | OltSyncEmulator
-
-
-def emulator_of(box: str) -> type[Firmware]:
-    """Firmware of the box that a bench file names."""
-    synchronisers = {"pivlab_oltsync": OltSyncEmulator, "pivlab_xmsync": XmSyncEmulator}
-    return synchronisers.get(box, QuantumComposersEmulator)
 
 
 class SimulatedTiming:

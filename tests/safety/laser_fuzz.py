@@ -135,11 +135,11 @@ class Story:
             self.clock.sleep_s(0.05)
 
     def fault(self):
-        self.line.faults.strike(Fault(self.rng.choice(KINDS[:-1]), 0, delay_s=self.rng.choice((0.01, 0.6, 2.0))))
+        self.line.faults.strike(Fault(self.rng.choice(KINDS[:-1]), 0, delay_s=self.rng.choice((0.01, 0.7, 2.0))))
 
     def later_fault(self):
         number = self.line.faults._count + self.rng.randrange(40)
-        self.line.faults._by_answer[number] = Fault(self.rng.choice(KINDS[:-1]), number, delay_s=0.7)
+        self.line.faults._by_answer[number] = Fault(self.rng.choice(KINDS[:-1]), number, delay_s=1.5)
 
     def refuse(self):
         if self.kind == "oltSync":

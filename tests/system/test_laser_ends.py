@@ -14,7 +14,7 @@ import pytest
 
 KILLS = int(os.environ.get("RTPIV_LASER_KILLS", "50"))
 PAIRS, RATE_HZ = 25, 50.0
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 LIT = ("B", "D")
 
 
@@ -26,6 +26,7 @@ class Bench:
         self.link, self.log = folder / "port", folder / "pulses.txt"
         words = [str(self.link), str(self.log), box]
         self.box = self._start("timing_box", words, "box.txt")
+        self.client = self.box
         self._until(self.link.is_symlink)
         lamps = "lamps" if has_lamps else "none"
         words = [str(self.link), box, lamps, str(PAIRS), str(rate_hz)]
@@ -64,7 +65,9 @@ class Bench:
         end_s = time.monotonic() + PATIENCE_S
         while not is_so() and time.monotonic() < end_s:
             time.sleep(0.01)
-        assert is_so(), (self.folder / "box.txt").read_text()
+        if not is_so():
+            self.end()
+            raise AssertionError((self.folder / "box.txt").read_text() or "the box does not come up")
 
 
 @pytest.fixture

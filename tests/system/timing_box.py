@@ -11,7 +11,7 @@ from pathlib import Path
 from sim.clock import ScaledClock
 from sim.emulators.line import Line
 from sim.emulators.pty import PtyPort
-from sim.timing import emulator_of
+from sim.emulators.timing_units import emulator_of
 
 
 def main():

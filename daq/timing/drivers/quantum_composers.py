@@ -50,6 +50,7 @@ class QuantumComposersBox(TimingBox):
     default_baud = 38_400
     counts = True
     least_step_us = 0.01
+    reply_timeout_s = 1.0  # a burst is ended by a missing answer, and a busy computer is late too
 
     _outputs = 8
 

@@ -225,7 +225,7 @@ def answers_of_a_burst():
 def test_one_fault_at_any_answer(kind, every):
     """Whatever one fault does, light is that of the burst or none, and dt is right or it is not armed."""
     for answer in range(1, answers_of_a_burst(), every):
-        with desk(faults=[Fault(kind, answer, delay_s=0.7)]) as d:
+        with desk(faults=[Fault(kind, answer, delay_s=1.5)]) as d:
             try:
                 d.burst(3)
                 assert d.laser.dt_us == pytest.approx(20.0, abs=0.011)
