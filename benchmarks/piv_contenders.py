@@ -32,7 +32,8 @@ for _ in range(rounds + 1):
     f = measure(a, b, threads=1)
     times.append(time.process_time() - start)
 x, y = np.meshgrid(f.x_px, f.y_px)
-np.savez(out, x=x, y=y, u=f.u_px, v=f.v_px, sigma_u=f.sigma_u_px, sigma_v=f.sigma_v_px)
+sigma_u, sigma_v = np.moveaxis(f.total_sigma_px, -1, 0)
+np.savez(out, x=x, y=y, u=f.u_px, v=f.v_px, sigma_u=sigma_u, sigma_v=sigma_v)
 print(json.dumps(times[1:]))
 """
 

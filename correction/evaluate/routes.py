@@ -107,7 +107,8 @@ def joined(
     Returns
     -------
     VectorField
-        One field; `peak_ratio` and `correlation` are NaN where a vector comes from the velocity route.
+        One field; `peak_ratio`, `correlation` and `resolution_px` are NaN where a vector comes from the velocity
+        route.
     (ny, nx) bool
         True there.
     """
@@ -127,6 +128,7 @@ def joined(
             v_px=np.where(taken, v, field.v_px),
             sigma_u_px=np.where(taken, sigma_u, field.sigma_u_px),
             sigma_v_px=np.where(taken, sigma_v, field.sigma_v_px),
+            resolution_px=None if field.resolution_px is None else np.where(taken, np.nan, field.resolution_px),
             peak_ratio=np.where(taken, np.nan, field.peak_ratio),
             correlation=np.where(taken, np.nan, field.correlation),
             flags=np.where(taken, np.uint8(0), field.flags),

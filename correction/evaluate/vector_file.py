@@ -8,6 +8,7 @@ dimensions (y, x, t):
                             displacement [mm]; standard_name says which; NaN where there is no vector
     chc, mask, flag         1 = measured; 1 = masked; VectorFlag
     sigma_u, sigma_v        random standard uncertainty (correlation statistics) of u, v
+    resolution              standard uncertainty of u and of v by what windows do not resolve
     map_sigma_u, _v         that by the fitted map, the same in every pair
     map_sigma_x, _y         that of the position by the fitted map [mm]
     peak_ratio, correlation, valid_fraction
@@ -33,7 +34,7 @@ from ground.whole_file import whole_file
 
 SCHEMA = 1
 PLACES = ("x", "y", "map_sigma_x", "map_sigma_y")
-WAYS = ("u", "v", "sigma_u", "sigma_v", "map_sigma_u", "map_sigma_v")  # in mm, or in mm/s
+WAYS = ("u", "v", "sigma_u", "sigma_v", "resolution", "map_sigma_u", "map_sigma_v")  # in mm, or in mm/s
 
 
 def write_netcdf(
@@ -164,7 +165,8 @@ def _axes(field: VectorField, grid: PlaneGrid) -> tuple[NDArray[np.float64], NDA
 def _variables(field: VectorField, grid: PlaneGrid) -> dict[str, NDArray[Any]]:
     """Variables (ny, nx) in mm, y up."""
     pitch = grid.pitch_mm
-    return {
+    unresolved = {} if field.resolution_px is None else {"resolution": field.resolution_px * pitch}
+    return unresolved | {
         "u": field.u_px * pitch,
         "v": -field.v_px * pitch,
         "chc": field.valid.astype(np.int32),

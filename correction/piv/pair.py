@@ -32,6 +32,7 @@ from correction.piv.outliers import filled, smoothed
 from correction.piv.passes import LEAST_CORRELATION, Measured, moved, refine_pass, search
 from correction.piv.prepare import Pair, prepared
 from correction.piv.refine import window_weights
+from correction.piv.resolution import unresolved_px
 from correction.piv.response import COARSE, last_filter, noise_growth, smoothing_after, transfers_between
 from correction.piv.settings import PivSettings
 from correction.piv.static import static_share, still_correlation
@@ -151,15 +152,16 @@ def _result(
 ) -> VectorField:
     """Judge the vectors of the last pass by their own uncertainty, and take noise off them."""
     grid, vectors, good = grids[-1], found.vectors_px, found.good
-    sigma = np.full(vectors.shape, np.nan)
+    sigma, resolution = np.full(vectors.shape, np.nan), np.full(grid.shape, np.nan)
     if found.refined is not None:
         left, _ = filled(found.left_px, good)
-        one = correlation_statistics(
+        one, pieces = correlation_statistics(
             deformed, grid, settings.window_sigma, found.refined, left, spread_px2, threads
         )
         good = good & ~_empty(found, one, deformed, grid, settings, threads)
-        vectors, sigma = _denoised(vectors, good, one, grids, settings)
+        vectors, sigma, taken = _denoised(vectors, good, one, grids, settings)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
+        resolution = unresolved_px(filled(vectors, good)[0], taken, pieces, grid, settings)
     fill, near = filled(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED
@@ -183,6 +185,7 @@ def _result(
         window_px=grid.size_px,
         step_px=grid.step_px,
         nan_pixels=0,
+        resolution_px=np.where(told & np.isfinite(sigma).all(axis=-1), resolution, np.nan),
     )
 
 
@@ -206,13 +209,16 @@ def _empty(
 
 def _denoised(
     vectors: Floats, good: NDArray[np.bool_], sigma: Floats, grids: list[WindowGrid], settings: PivSettings
-) -> tuple[Floats, Floats]:
-    """Vectors without the detail that is noise, and their uncertainty; `sigma` is that of one correlation."""
+) -> tuple[Floats, Floats, Floats]:
+    """Vectors without the detail that is noise, their sigma, and that of what went of the flow (ny, nx).
+
+    `sigma` is that of one correlation.
+    """
     grid = grids[-1]
     weights = window_weights(grid.size_px, settings.window_sigma)
     transfers = transfers_between([other.size_px for other in grids], grid.step_px, settings)
     if not settings.denoise or min(grid.shape) < 2:
-        return vectors, sigma * noise_growth(weights, grid.step_px, transfers)
+        return vectors, sigma * noise_growth(weights, grid.step_px, transfers), np.zeros(grid.shape)
     smooth = last_filter(grid.size_px, grid.step_px)
     parts = split(vectors, good, sigma, grid.size_px, grid.step_px)
     growth = noise_growth(weights, grid.step_px, transfers, smooth)
@@ -220,5 +226,5 @@ def _denoised(
     share, loss = (
         part[..., None] for part in kept_share(parts.rest, good, growth_of_rest * sigma, settings.denoise)
     )
-    variance = (growth * parts.smooth_sigma_px) ** 2 + (share * growth_of_rest * sigma) ** 2 + loss**2
-    return parts.smooth + share * parts.rest, np.where(np.isfinite(sigma), np.sqrt(variance), np.nan)
+    random = np.hypot(growth * parts.smooth_sigma_px, share * growth_of_rest * sigma)
+    return parts.smooth + share * parts.rest, np.where(np.isfinite(sigma), random, np.nan), loss[..., 0]

@@ -9,21 +9,24 @@ depends. With the weights W of the window the variance of that sum is
 
 1. q is summed over blocks of about a particle's size. The square of a block's sum over its area is an estimate
    of G that lacks the covariances across its borders, by a share of 1/side: with sides h and 2 h, G = (2
-   sqrt(E_2h) - sqrt(E_h))^2, taken over the whole frame, where it is known well. Its place in the frame comes
-   from the blocks.
+   sqrt(E_2h) - sqrt(E_h))^2, taken over windows of about the same noise, where it is known well (lost particles
+   lean over more than a block, the noise of pixels over less). Its place in the frame comes from the blocks.
 2. What is left to find, r, makes q lean too: by r (m'(x) m(x+1) - m(x) m'(x+1)), m the mean of both frames. This
    is no noise and is taken off first, block by block. Since r was measured in the same windows, some noise goes
-   with it, as with any fitted number: of N pieces N - 3 are left (1 if they were independent; 3 holds to 10 % from
-   0.005 to 0.1 particles per px). N = (sum W p)^2/sum (W p)^2, where p, what a displacement makes of a block of
-   2 h, stands for the light in it.
+   with it, as with any fitted number: of N pieces N - 2.5 are left (1 if they were independent; 2.5 holds to 10 %
+   from 0.005 to 0.1 particles per px). N = (sum W p)^2/sum (W p)^2, where p, what a displacement makes of a block
+   of 2 h, stands for the light in it.
 3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by sigma = [ln(C + s/2) - ln(C - s/2)] /
    [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)].
 
 That is the noise of one correlation; what passes and the last filter make of it says
 `correction.piv.response`. Particle images of a few pixels leave an error that no noise betrays and no
 filter takes off: where they lie between the pixels moves the peak. It depends on their size alone (`SAMPLING`,
-measured without noise) and is added as it is. What is smaller than a window, and calibration, are not seen.
+measured without noise) and is added as it is. What windows do not resolve is told apart
+(`correction.piv.resolution`); calibration is not seen.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +38,20 @@ from correction.piv.windows import WindowGrid, interpolated
 from ground.rows import run_rows
 
 Floats = NDArray[np.float64]
-LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
+GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are one
+LOST = 2.5  # pieces that go with what is left to find: neighbours share particles
 LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
 SAMPLING = (  # variance of a particle image [px^2], and the error that it leaves [px]
     (0.17, 0.18, 0.222, 0.331, 0.642, 1.1),
     (0.011, 0.008, 0.004, 0.0016, 0.0016, 0.0008),
 )
+
+
+class Statistics(NamedTuple):
+    """Sigma (ny, nx, 2) of u and v [px], NaN without a clear peak; independent pieces (ny, nx) of a window."""
+
+    sigma_px: Floats
+    pieces: Floats
 
 
 def sampling_error_px(spread_px2: float) -> float:
@@ -57,7 +68,7 @@ def correlation_statistics(
     left_px: Floats,
     spread_px2: float,
     threads: int | None = None,
-) -> Floats:
+) -> Statistics:
     """Standard uncertainty of u and v for every window, of one correlation.
 
     Parameters
@@ -77,13 +88,9 @@ def correlation_statistics(
     threads : int, optional
         Threads to use.
 
-    Returns
-    -------
-    ndarray of float64, shape (ny, nx, 2)
-        Sigma of u, v [px]; NaN where there is no clear peak.
     """
     height, width = pair.a.shape
-    block = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 4))
+    block = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 3))
     sums = np.empty((KINDS, height // block, width // block), np.float32)
 
     def rows(first: int, last: int) -> None:
@@ -96,7 +103,7 @@ def correlation_statistics(
         _square_weights(place, node, grid.size_px, window_sigma)
         for place, node in zip(centres, nodes, strict=True)
     ]
-    sigma = np.empty(left_px.shape)
+    sigma, pieces = np.empty(left_px.shape), np.empty(left_px.shape)
     for axis in range(2):
         lean, by_shift = sums[axis], sums[2 + axis]
         left = interpolated(left_px[..., axis], 1, grid.x_px, centres[1], grid.step_px)
@@ -105,11 +112,12 @@ def correlation_statistics(
         power = float(np.vdot(left, left))
         share = np.float32(np.clip(float(np.vdot(lean, left)) / power, 0.0, 1.5) if power > 0.0 else 0.0)
         noise = lean - share * left
-        variance = _whole_over_blocks(noise) * (along[0] @ np.square(noise) @ along[1].T)
-        variance /= np.maximum(1.0 - LOST / _pieces(by_shift, along), LEAST_LEFT)
+        variance = _whole(noise, along)
+        pieces[..., axis] = _pieces(by_shift, along)
+        variance /= np.maximum(1.0 - LOST / pieces[..., axis], LEAST_LEFT)
         c = refined.sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1)
         sigma[..., axis] = _peak_sigma(refined.sums[..., 0], c, np.sqrt(variance))
-    return sigma / refined.gain[..., None]
+    return Statistics(sigma / refined.gain[..., None], pieces.mean(axis=-1))
 
 
 def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigma: float) -> NDArray[np.float32]:
@@ -130,12 +138,26 @@ def _pieces(by_shift: NDArray[np.float32], along: list[NDArray[np.float32]]) -> 
     return pieces
 
 
-def _whole_over_blocks(noise: NDArray[np.float32]) -> float:
-    """How much larger the variance of a large sum is than that of as many blocks."""
-    pairs = noise[:-1, :-1] + noise[1:, :-1] + noise[:-1, 1:] + noise[1:, 1:]
-    small = float(np.mean(np.square(noise), dtype=np.float64))
-    large = float(np.mean(np.square(pairs), dtype=np.float64)) / 4.0
-    return (2.0 * np.sqrt(large) - np.sqrt(small)) ** 2 / small if small > 0.0 else 1.0
+def _whole(noise: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:
+    """Variance (ny, nx) of the sum over a window, from blocks and from blocks of twice their side; see 1. above.
+
+    How much larger the whole is than its blocks is found for windows of about the same noise together.
+    """
+    rows, columns = noise.shape[0] // 2 * 2, noise.shape[1] // 2 * 2
+    even = noise[:rows, :columns]
+    pairs = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
+    half = [
+        (weights[:, :count:2] + weights[:, 1:count:2]) * np.float32(0.5)
+        for weights, count in zip(along, (rows, columns), strict=True)
+    ]
+    small: Floats = np.asarray(along[0] @ np.square(noise) @ along[1].T, float)
+    large: Floats = np.asarray(half[0] @ np.square(pairs) @ half[1].T, float)
+    order = np.argsort(small, axis=None)
+    groups = np.array_split(order, max(1, min(GROUPS, small.size // FEWEST)))
+    at = np.array([float(np.log(np.maximum(small.flat[group].mean(), 1e-30))) for group in groups])
+    over = [large.flat[group].sum() / max(small.flat[group].sum(), 1e-30) for group in groups]
+    ratio = (2.0 * np.sqrt(over) - 1.0) ** 2
+    return small * np.interp(np.log(np.maximum(small, 1e-30)), at, ratio)
 
 
 def _peak_sigma(c0: Floats, c: Floats, deviation: Floats) -> Floats:

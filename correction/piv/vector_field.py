@@ -55,6 +55,9 @@ class VectorField:
         Pixels that were NaN, infinite or masked in a frame although the mask called them valid; treated as masked.
     static_share : float
         Share of the light that does not move, see `correction.piv.static`; NaN where not known.
+    resolution_px : ndarray of float64, shape (ny, nx), optional
+        Standard uncertainty of a component by what windows do not resolve (`correction.piv.resolution`), beside
+        the random part: means over pairs keep most of it. NaN where sigma is.
     """
 
     x_px: Floats
@@ -71,12 +74,19 @@ class VectorField:
     step_px: int
     nan_pixels: int
     static_share: float = float("nan")
+    resolution_px: Floats | None = None
 
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Measured vectors, (ny, nx)."""
         valid: NDArray[np.bool_] = self.flags == VectorFlag.VALID
         return valid
+
+    @property
+    def total_sigma_px(self) -> Floats:
+        """Standard uncertainty (ny, nx, 2) of u and v: the random part and what windows do not resolve."""
+        random = np.stack((self.sigma_u_px, self.sigma_v_px), axis=-1)
+        return random if self.resolution_px is None else np.hypot(random, self.resolution_px[..., None])
 
     @property
     def counts(self) -> dict[str, int]:
