@@ -73,4 +73,4 @@ def second_differences(vectors: Floats, apart: int) -> Floats:
         second = wide[2 * step :] - 2.0 * field + wide[: -2 * step]
         square += 0.5 * np.square(np.moveaxis(second, 0, axis)).sum(axis=-1)
     around: Floats = ndimage.uniform_filter(square, 3, mode="nearest")
-    return np.sqrt(around)
+    return np.sqrt(np.maximum(around, 0.0))  # running sums may leave less than nothing

@@ -13,7 +13,7 @@ depends. With the weights W of the window the variance of that sum is
    lean over more than a block, the noise of pixels over less). Its place in the frame comes from the blocks.
 2. What is left to find, r, makes q lean too: by r (m'(x) m(x+1) - m(x) m'(x+1)), m the mean of both frames. This
    is no noise and is taken off first, block by block. Since r was measured in the same windows, some noise goes
-   with it, as with any fitted number: of N pieces N - 2.5 are left (1 if they were independent; 2.5 holds to 10 %
+   with it, as with any fitted number: of N pieces N - 3 are left (1 if they were independent; 3 holds to 10 %
    from 0.005 to 0.1 particles per px). N = (sum W p)^2/sum (W p)^2, where p, what a displacement makes of a block
    of 2 h, stands for the light in it.
 3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by sigma = [ln(C + s/2) - ln(C - s/2)] /
@@ -39,7 +39,7 @@ from ground.rows import run_rows
 
 Floats = NDArray[np.float64]
 GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are one
-LOST = 2.5  # pieces that go with what is left to find: neighbours share particles
+LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
 LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
 SAMPLING = (  # variance of a particle image [px^2], and the error that it leaves [px]
     (0.17, 0.18, 0.222, 0.331, 0.642, 1.1),

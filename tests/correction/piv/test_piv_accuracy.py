@@ -54,14 +54,19 @@ def test_rms_error_up_to_the_frame_edge(particle_pair, truth):
 
 
 def test_further_passes_hardly_amplify_noise(particle_pair):
-    """A twentieth from one refinement to five; what resolves shorter waves feeds some noise back."""
+    """A tenth from one refinement to five: what resolves shorter waves feeds some noise back."""
     truth = rotation(0.02, 200)
-    pair = particle_pair(truth, (400, 400), seed=8, noise=0.03, loss=0.05)
     figures = []
     for passes in (2, 3, 6):
         settings = PivSettings(windows_px=(64,) + (32,) * passes, uncertainty=False)
-        figures.append(rms(errors(evaluate_pair(*pair, settings=settings), truth)))
-    assert max(figures) <= 1.08 * figures[0]
+        off = [
+            errors(evaluate_pair(*particle_pair(truth, (400, 400), seed=seed, noise=0.03, loss=0.05),
+                                 settings=settings), truth)
+            for seed in (8, 9, 10)
+        ]  # fmt: skip
+        figures.append(rms(off))
+    assert max(figures) <= 1.12 * figures[0]
+    assert figures[1] <= 1.05 * figures[0]  # the usual number
 
 
 def test_signs_and_axes_are_right_down_and_pixel_centres(particle_pair):
@@ -112,7 +117,7 @@ def test_sigma_is_the_size_of_the_true_error(particle_pair, case):
         known = field.valid & np.isfinite(field.sigma_u_px) & np.isfinite(field.sigma_v_px)
         assert known.mean() > 0.99
         error.append(errors(field, truth)[known])
-        sigma.append(np.stack([field.sigma_u_px, field.sigma_v_px], -1)[known])
+        sigma.append(field.total_sigma_px[known])
     error, sigma = np.concatenate(error), np.concatenate(sigma)
     # A little pair loss has long tails, and the filter takes most of what statistics fear: sigma is too large.
     tails = case.get("loss") in (0.05, 0.1)

@@ -256,10 +256,11 @@ def test_smoothing_keeps_planes_and_damps_noise():
 
 
 def test_interpolation_between_nodes_is_exact_for_quadratics_and_continues_linearly():
-    nodes = np.arange(8) * 16.0 + 15.5
-    inside = np.linspace(nodes[0], nodes[-1], 50)
+    nodes = np.arange(24) * 16.0 + 15.5
+    inside = np.linspace(nodes[8], nodes[-9], 50)  # what straight ends do has decayed by 0.27 a node
     values = 0.01 * nodes**2 - nodes
-    assert interpolated(values, 0, nodes, inside, 16) == pytest.approx(0.01 * inside**2 - inside, abs=1e-9)
+    assert interpolated(values, 0, nodes, inside, 16) == pytest.approx(0.01 * inside**2 - inside, abs=1e-4)
+    nodes = nodes[:8]
     outside = np.array([0.0, 7.0, 140.0])
     assert interpolated(3 * nodes + 1, 0, nodes, outside, 16) == pytest.approx(3 * outside + 1)
     two = interpolated(np.array([4.0, 6.0]), 0, np.array([15.5, 31.5]), np.array([7.5, 15.5, 23.5, 39.5]), 16)
