@@ -1,0 +1,1 @@
+"""Tracking of single particles, where they are too few for windows."""
