@@ -140,10 +140,17 @@ class Stage:
             raise StageUsageError(f"there is no axis {name!r}; there are {', '.join(self._axes)}")
         return self._axes[name]
 
-    def where_mm(self) -> dict[str, float | None]:
-        """Measured position of every axis that its controller vouches for now; None where it is not known."""
+    def where_mm(self, only: Iterable[str] | None = None) -> dict[str, float | None]:
+        """Measured position of every axis that its controller vouches for now; None where it is not known.
+
+        Parameters
+        ----------
+        only : iterable of str, optional
+            Axes to be asked; all by default.
+        """
         where: dict[str, float | None] = {}
-        for name, axis in self._axes.items():
+        for name in self._axes if only is None else only:
+            axis = self.axis(name)
             try:
                 where[name] = None if axis.controller.lost else axis.position_mm
             except StageUsageError:  # not referenced (any more), or moving

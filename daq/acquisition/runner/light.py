@@ -5,8 +5,9 @@ opened (daq.timing.laser), so no plan, script or habit can hold it.
 """
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
+from itertools import cycle
 from typing import Protocol, cast
 
 from daq.acquisition.bench.opened import OpenBench, known_positions
@@ -79,6 +80,8 @@ class Light:
         self._interrupts = interrupts
         self._laser: Laser | None = None
         self._word = ""
+        self._where_mm: dict[str, float | None] = {}
+        self._turn: Iterator[str] = iter(())
         self.exposures: PairExposures | None = None
 
     def prepare(self, order: PulseOrder, settings: Mapping[str, Setting], tell: Callable[[str], None]) -> Laser:
@@ -165,7 +168,15 @@ class Light:
             clock.sleep_s(LOOK_S)
 
     def _conditions(self, armed: Callable[[], bool], is_empty: bool) -> Conditions:
-        where = self._hardware.stage.where_mm()
+        """How things stand: every axis is asked before arming, one after the other while it fires."""
+        stage = self._hardware.stage
+        if is_empty:
+            self._where_mm = stage.where_mm()
+            self._turn = cycle(self._where_mm)
+        else:
+            name = next(self._turn)
+            self._where_mm[name] = stage.where_mm([name])[name]
+        where = self._where_mm
         at_rest = all(mm is not None for mm in where.values())
         bench = self._hardware.bench
         clearance_mm = sheet_clearance_mm(bench, known_positions(where)) if at_rest else None
