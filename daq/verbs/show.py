@@ -65,6 +65,8 @@ def show_focus(screen: Console, rows: Sequence[Row], said: str, page: Path) -> N
 def show_mean(screen: Console, mean: MeanFlow, page: Path) -> None:
     """Say how well a mean flow is known."""
     seen = mean.count > 0
+    if mean.doubt:
+        screen.print(mean.doubt, style="bold red")
     screen.print(f"mean of {mean.used} pairs; {len(mean.left_out)} are left out")
     table = Table(title="median over the plane")
     for name in ("", "u", "v"):

@@ -50,6 +50,8 @@ def write_mean_page(
     """
     about = SeriesFolder(folder).about
     page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
+    if mean.doubt:
+        page.warning(mean.doubt + ".")
     page.tiles(mean_tiles(mean))
     if series is not None and (shown := shown_pair(*series)) is not None:
         frames_chapter(page, shown)

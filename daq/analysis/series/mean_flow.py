@@ -22,6 +22,7 @@ from correction.flow.merge_tree import MergeTree
 from correction.flow.moments import Moments
 from daq.analysis.series.chunk_file import ChunkContent, SeriesField
 
+BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
 LEAST_OF_USUAL = 0.5  # of the share of measured vectors
 KEPT_BYTES = 1 << 28  # 2100 pairs of 126 x 126 vectors in float32
 ROWS = 8  # of the grid whose autocorrelation is taken at a time
@@ -75,6 +76,16 @@ class MeanFlow:
     map_sigma_m_s: Floats | None = None
     map_sigma_position_mm: Floats | None = None
     no_map_sigma: str = ""
+
+    @property
+    def doubt(self) -> str:
+        """Why the mean as a whole is not to be believed, in a sentence; empty if nothing speaks against it."""
+        if self.usual_share >= BELIEVED_SHARE:
+            return ""
+        return (
+            f"only {100 * self.usual_share:.0f} % of the vectors of a usual pair were measured; check seeding, "
+            "focus, background and dt before this mean is believed"
+        )
 
     @property
     def count(self) -> NDArray[np.int64]:
