@@ -88,6 +88,11 @@ class SimulatedBench:
         """Where every axis really is, in its own coordinate."""
         return self.world.true_mm()
 
+    def seed(self, is_open: bool) -> None:
+        """Open or close the seeding of the flow."""
+        if self.world.lit is not None:
+            self.world.lit.seed(is_open)
+
     def secrets(self) -> dict[str, str]:
         """The true scene, and the flow if one was shown: to score a run by."""
         truths = {"truth.yaml": dump_scene(self.world.scene)}

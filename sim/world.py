@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
 KEPT_FLOW_VIEWS = 2  # the glass in and out
+LATER_S = 1.0  # in the flow for each exposure that was made before this process began
 FLOW = "flow"  # what a flow run shows: no print, but light on particles
 
 
@@ -69,7 +70,8 @@ class World:
         self._stages = stages
         self._exposures = exposures_before
         self.scene = true_scene(bench, table)
-        self.lit = LitFlow(table.flow.seeded_from_pair) if shows == FLOW else None
+        # More pairs were lit than kept: numbers and time begin well behind them.
+        self.lit = LitFlow(exposures_before, LATER_S * exposures_before) if shows == FLOW else None
         self._print = _print_of(bench, table.seed, shows)
         self._sensor = Sensor()
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}

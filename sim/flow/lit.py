@@ -26,10 +26,11 @@ KEPT_FLASHES = 4096
 
 
 class Flash(NamedTuple):
-    """One pulse of light and when it is."""
+    """One pulse of light, when it is, and whether there are particles that it meets."""
 
     time_ns: int
     lit: Flashed
+    is_seeded: bool
 
 
 class LitFlow:
@@ -37,18 +38,26 @@ class LitFlow:
 
     Parameters
     ----------
-    seeded_from_pair : int
-        Pairs before it see no particles.
+    first_pair : int
+        Number of the first pair; a world that goes on must show none of its pairs again.
+    since_s : float
+        What time it is in the flow at the first flash.
     """
 
-    def __init__(self, seeded_from_pair: int = 0) -> None:
+    def __init__(self, first_pair: int = 0, since_s: float = 0.0) -> None:
         self._flashes: deque[Flash] = deque(maxlen=KEPT_FLASHES)
-        self._next_pair = 0
-        self._seeded_from = seeded_from_pair
+        self._next_pair = first_pair
+        self._since_s = since_s
+        self._is_seeded = True
         self._begun: Flash | None = None
         self._start_ns: int | None = None
         self._lock = threading.Lock()
         self.has_laser = False
+
+    def seed(self, is_open: bool) -> None:
+        """Open or close the seeding, for all light from now on."""
+        with self._lock:
+            self._is_seeded = is_open
 
     def flash(self, pulse: int, time_ns: int) -> None:
         """Tell of light 1 (`pulse` 0) or light 2 (1) at a time; may be ahead of it."""
@@ -60,13 +69,13 @@ class LitFlow:
         """Return the frame of an exposure, from pairs made beforehand if there are any."""
         with self._lock:
             if self.has_laser:
-                lit = [flash.lit for flash in self._flashes if start_ns <= flash.time_ns < end_ns]
+                seen = [flash for flash in self._flashes if start_ns <= flash.time_ns < end_ns]
             else:
                 is_second = self._begun is not None and start_ns - self._begun.time_ns <= LONGEST_DT_S * 1e9
-                lit = [self._flash(1 if is_second else 0, start_ns).lit]
-        if not lit:
+                seen = [self._flash(1 if is_second else 0, start_ns)]
+        if not seen:
             return camera.dark(start_ns % 2**40)
-        is_seeded = lit[0].pair >= self._seeded_from
+        lit, is_seeded = [flash.lit for flash in seen], seen[0].is_seeded
         if pairs is not None and is_seeded and len(lit) == 1:
             return pairs.frame(lit[0].pair, lit[0].pulse, lit[0].since_first_s)
         return camera.flashed(lit, is_seeded=is_seeded)
@@ -78,8 +87,9 @@ class LitFlow:
             first = self._begun
             since_s = 1e-9 * (time_ns - first.time_ns)
             self._begun = None
-            return Flash(time_ns, Flashed(first.lit.pair, 1, since_s, first.lit.time_s))
-        flash = Flash(time_ns, Flashed(self._next_pair, pulse, 0.0, 1e-9 * (time_ns - self._start_ns)))
+            return Flash(time_ns, Flashed(first.lit.pair, 1, since_s, first.lit.time_s), first.is_seeded)
+        time_s = self._since_s + 1e-9 * (time_ns - self._start_ns)
+        flash = Flash(time_ns, Flashed(self._next_pair, pulse, 0.0, time_s), self._is_seeded)
         self._next_pair += 1
         self._begun = flash if pulse == 0 else None
         return flash

@@ -9,7 +9,6 @@ simulation:
     seeding: {per_px: 0.03, spread: 0.35}
     reflections: {sheet_counts: 40.0, glint_counts: 900.0}
     particle_counts: 70.0
-    seeded_from_pair: 0                 # so many pairs of a run are lit before the seeding is opened
     prepared: frames/                   # optional: pairs made by sim.flow.prepared, replayed
 """
 
@@ -51,7 +50,6 @@ class FlowTable(Table):
     seeding: dict[str, Any] = Field(default_factory=dict)
     reflections: dict[str, Any] = Field(default_factory=dict)
     particle_counts: Annotated[float, Field(ge=0.0, le=65535.0)] = 70.0
-    seeded_from_pair: Annotated[int, Field(ge=0)] = 0
     prepared: str | None = None
 
     @model_validator(mode="after")

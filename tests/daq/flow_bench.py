@@ -39,9 +39,10 @@ class ToldLight(lit.LitFlow):
 
     def exposed(self, camera, start_ns, end_ns, pairs=None):
         with self._lock:
-            seen = [flash.lit for flash in self._flashes if start_ns <= flash.time_ns < end_ns]
+            seen = [flash for flash in self._flashes if start_ns <= flash.time_ns < end_ns]
         image = np.full(camera.scene.camera.shape, FLOOR + LIGHT * len(seen), np.uint16)
-        image[0, :4] = [7, len(seen), *((seen[0].pair, seen[0].pulse) if seen else (4095, 4095))]
+        image[0, :4] = [7, len(seen), *((seen[0].lit.pair, seen[0].lit.pulse) if seen else (4095, 4095))]
+        image[0, 4] = bool(seen and seen[0].is_seeded)
         return image
 
 
@@ -50,6 +51,11 @@ def told(pixels):
     seen, pair, pulse = (int(value) for value in pixels[0, 1:4])
     assert pixels[0, 0] == 7
     return seen, pair, pulse
+
+
+def shows_particles(pixels):
+    """Whether the seeding was open when the light of a frame fell."""
+    return bool(pixels[0, 4])
 
 
 def write_flow(

@@ -42,6 +42,10 @@ class Simulation(Protocol):
         """Files that tell the truth, by name, to score a run by; nothing that works on the run may read them."""
         ...
 
+    def seed(self, is_open: bool) -> None:
+        """Open or close the seeding of a simulated flow, which at a real bench a person does."""
+        ...
+
     def close(self) -> None:
         """Take the simulated hardware down."""
         ...

@@ -21,6 +21,7 @@ from daq.acquisition.pipeline.catch_up import correct_from_disk, uncorrected
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline
 from daq.acquisition.pipeline.live_pairs import warm_up
+from daq.acquisition.plans.pulse_order import PulseOrder
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.arrival import go_to, require_arrived, rest
 from daq.acquisition.runner.exposures import Exposures
@@ -240,7 +241,7 @@ class Runner:
             place = "at"
             self._tell("exposing")
             if flow is not None and step.pulses is not None:
-                self._open_seeding(step)
+                self._see_to_seeding(step, step.pulses)
                 gaps: Gaps | None = [] if flow.take(step, record) else None
             else:
                 gaps = frames.take(step, record)
@@ -259,13 +260,14 @@ class Runner:
         journal.append("step", sync=True, step=step.index, tag=step.tag, utc=_utc(), **record)
         sync_folder(self._folder.path / "frames")
 
-    def _open_seeding(self, step: Step) -> None:
+    def _see_to_seeding(self, step: Step, pulses: PulseOrder) -> None:
         """Have the seeding opened between the background and the flow."""
         before = self._steps[step.index - 1].pulses if step.index else None
-        is_flow = step.pulses is not None and not step.pulses.is_background
-        if is_flow and before is not None and before.is_background:
+        if not pulses.is_background and before is not None and before.is_background:
             self._tell("waiting for the seeding to be opened, then Enter")
             self._operator.open_seeding()
+        if self._hardware.simulation is not None:
+            self._hardware.simulation.seed(not pulses.is_background)
 
     def _arrive(self, journal: Journal, step: Step) -> dict[str, Any]:
         """Bring everything to a step's place; return what its frames and its line will say about positions."""

@@ -68,8 +68,10 @@ def test_without_a_laser_light_falls_at_the_start_of_exposures(camera):
 
 
 def test_before_the_seeding_is_open_only_reflections_are_seen(camera):
-    lit = LitFlow(seeded_from_pair=1)
+    lit = LitFlow()
+    lit.seed(False)
     lit.flash(0, 100 * MS)
+    lit.seed(True)  # before the picture of the first one is drawn
     lit.flash(0, 200 * MS)
     np.testing.assert_array_equal(
         lit.exposed(camera, 99 * MS, 101 * MS), camera.pair(0, 0.0, 0.0, is_seeded=False)[0]

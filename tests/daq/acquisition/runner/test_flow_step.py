@@ -21,7 +21,7 @@ from daq.verbs.operator import operator_of
 from daq.verbs.resume import resume
 from sim import world
 from tests.daq.acquisition.cameras.rigs import need_aravis, need_harvesters
-from tests.daq.flow_bench import DIODES, LAMPS, ToldLight, told, write_flow
+from tests.daq.flow_bench import DIODES, LAMPS, ToldLight, shows_particles, told, write_flow
 
 ROOT = Path(__file__).resolve().parents[4]
 FAULTS = "first_skipped: 3, skipped: [19, 50], doubled: [24], dropped: [30]"
@@ -54,6 +54,7 @@ def judge(path, pairs):
         assert (first[0], first[2]) == (1, 0), "exposure A shows light 1 alone"
         assert (second[0], second[2]) == (1, 1), "exposure B shows light 2 alone"
         assert first[1] == second[1], "a pair of two different pulses"
+        assert shows_particles(tifffile.imread(pair.frames[0])) != pair.is_background
         shown.append(first[1])
     assert shown == sorted(set(shown))
     for chunk in chunks(path):
@@ -141,11 +142,14 @@ def test_a_flow_that_was_killed_goes_on_with_whole_pairs(tmp_path, frames):
     before = {file.name: file.read_bytes() for file in (path / "frames").glob("*.tif")}
     assert before
     resume(path, home=True, operator="test")
-    found = pairs_of(path)
+    found, shown = pairs_of(path), []
     assert (len(found.pairs), found.alone) == (28, ())
     for pair in found.pairs:
         first, second = (told(tifffile.imread(frame)) for frame in pair.frames)
         assert ((first[0], first[2]), (second[0], second[2]), first[1]) == ((1, 0), (1, 1), second[1])
+        assert shows_particles(tifffile.imread(pair.frames[0])) != pair.is_background
+        shown.append(first[1])
+    assert len(set(shown)) == len(shown)  # a bench that goes on shows no pair again
     same = sum((path / "frames" / name).read_bytes() == data for name, data in before.items())
     assert same >= len(before) - 4  # what stood alone was taken again, nothing else
     assert check_run(path).is_sound
