@@ -4,7 +4,6 @@ from pathlib import Path
 
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.cameras import require_libraries
-from daq.acquisition.plans.experiments.flow import FlowPlan
 from daq.acquisition.runs.run_views import target_views
 from daq.example_files import examples
 from daq.terminal import console
@@ -14,10 +13,6 @@ from daq.verbs.correct import correct
 from daq.verbs.mean import mean
 from daq.verbs.report import report
 from daq.verbs.trace import trace
-from daq.whole_text import write_text
-from ground.config import load_yaml, validate
-from tracer.bodies import shifted_by
-from tracer.scene_file import dump_scene, load_scene
 
 
 def demo(out: Path) -> None:
@@ -59,30 +54,11 @@ def demo(out: Path) -> None:
     screen.rule("7  the displacement, measured through the glass, and the report")
     page = report(moved, out / "report", fitted)
     screen.rule("8  a jet, lit by a double-pulse laser: background, two dozen pairs, their mean")
-    plan = files / "plan-flow.yaml"
-    off_mm = validate(load_yaml(plan), FlowPlan).glass_z_mm
-    scene_of_flow = _with_glass_at(fitted, off_mm, out / "flow" / "scene.yaml")
-    flow = acquire(
-        plan,
-        files / "bench-flow.yaml",
-        out / "runs",
-        simulate=True,
-        home=True,
-        scene=scene_of_flow,
-        operator="demo",
-    )
+    plan, lit = files / "plan-flow.yaml", files / "bench-flow.yaml"
+    flow = acquire(plan, lit, out / "runs", simulate=True, home=True, scene=fitted, operator="demo")
     assert flow is not None
-    mean(flow, out / "flow", scene=scene_of_flow)
+    mean(flow, out / "flow", scene=fitted)
     screen.print(
         f"Look at {page}, {out / 'flow' / 'mean.html'}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}",
         style="bold",
     )
-
-
-def _with_glass_at(fitted: Path, off_mm: float, path: Path) -> Path:
-    """Write the scene that was found, with the glass as far off the plane as its stage carries it for the flow."""
-    scene = load_scene(fitted)
-    moved = scene.with_bodies(tuple(body.moved(shifted_by((0.0, 0.0, off_mm))) for body in scene.bodies))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text(path, dump_scene(moved))
-    return path
