@@ -102,6 +102,7 @@ def test_faults_of_the_camera_are_counted_and_the_run_ends_whole(tmp_path):
         assert read_raw(run.frame_path(number))[1]["bits"] == 12  # none with the settings after the reset
 
 
+@pytest.mark.slow
 def test_target_and_shift_at_full_size(tmp_path):
     """2016 x 2016, 12 bit, as few frames as a campaign can have."""
     write_bench(tmp_path, side_px=2016, simulation="samples: 1")

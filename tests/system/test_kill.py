@@ -206,7 +206,7 @@ def check_stream(run, kept, frames):
     assert check_run(run.path).is_sound, check_run(run.path).findings
 
 
-@pytest.mark.parametrize("of_camera", [False, True])
+@pytest.mark.parametrize("of_camera", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_stream_keeps_what_it_has(tmp_path, of_camera):
     prepare_stream(tmp_path, 150)
     run, kept = stream_with_kills(tmp_path, 2, 1, 1.0, of_camera)

@@ -107,6 +107,7 @@ def test_every_sphere_is_listed_in_every_cell_it_reaches() -> None:
             assert number in items[begin[cell] : begin[cell + 1]]
 
 
+@pytest.mark.slow
 def test_more_branches_than_short_numbers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """The same map with longer numbers, all the way to the correction map, and back from the disk."""
     where = bed("cubic")
