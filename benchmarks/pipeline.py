@@ -34,7 +34,7 @@ from sim.flow.prepared import prepare
 from sim.prints.patterns import printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from sim.world import true_scene
+from sim.true_scene import true_scene
 
 PREPARED_PAIRS = 8
 SETTINGS = """camera:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from daq.acquisition.bench.bench_table import Bench
 from sim.bench_table import SimulationTable
-from sim.demo.scenes import misaligned
 from sim.flow.images import FlowCamera
 from sim.flow.lit import LitFlow
 from sim.flow.prepared import PreparedPairs
@@ -31,6 +30,7 @@ from tracer.scene import Scene
 
 if TYPE_CHECKING:
     from sim.timing import SimulatedTiming
+from sim.true_scene import true_scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
@@ -154,11 +154,6 @@ class World:
         if isinstance(self._print, Chessboard):
             return scene, placed(self._print, pose)
         return scene, placed(self._print, pose)
-
-
-def true_scene(bench: Bench, table: SimulationTable) -> Scene:
-    """Return where everything really is while every axis stands where the scene file holds."""
-    return misaligned(bench.scene, table.seed) if table.is_misaligned else bench.scene
 
 
 def _print_of(bench: Bench, seed: int, shows: str) -> Chessboard | ParticleSheet:

@@ -16,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.bench.bench_file import load_bench
+from sim.bench_table import simulation_of
 from sim.flow.images import FlowCamera
+from sim.true_scene import true_scene
 from tracer.errors import SceneError
 
 Frame = NDArray[np.uint16]
@@ -83,9 +85,6 @@ def _path(folder: Path, number: int, pulse: int) -> Path:
 
 def main() -> None:
     """Prepare the pairs of a bench."""
-    from sim.bench_table import simulation_of
-    from sim.world import true_scene
-
     parser = argparse.ArgumentParser(description="Make the pairs that a simulated bench replays.")
     parser.add_argument("bench", type=Path)
     parser.add_argument("--dt-us", type=float, required=True)
