@@ -6,22 +6,28 @@ pixel.
 
 Neighbouring pixels move almost alike: in a row the integer parts of the displacement stay constant over
 runs of many pixels.  Within a run the 6 x 6 footprints are consecutive in memory, so the spline is evaluated
-for 8 or 16 pixels at once, several times faster than point by point and with the same weights.
+for 8 or 16 pixels at once, several times faster than point by point and with the same weights.  A run is made a
+multiple of so many pixels long: what is too much is overwritten by the next run, and costs less than the odd
+pixels one by one.
 """
 
 import numpy as np
 
 from correction.resample.kernels.bspline import quintic_at, weight_inner, weight_middle, weight_outer
-from ground.jit import Array, kernel
+from ground.jit import Array, kernel, kernel_inlined
 
 _ONE = np.float32(1.0)
+LANES = 8  # pixels at once
 
 
-@kernel
+@kernel_inlined
 def quintic_run(
     r0: Array, r1: Array, r2: Array, r3: Array, r4: Array, r5: Array, s: Array, t: Array, out: Array
 ) -> None:
-    """out[k] = spline value from the coefficients k..k+5 of six rows at the fractions s[k], t[k]."""
+    """out[k] = spline value from the coefficients k..k+5 of six rows at the fractions s[k], t[k].
+
+    Part of its caller, since runs of a curved field are short and a call with nine arrays takes as long as 60 pixels.
+    """
     for k in range(out.size):
         p, q = s[k], t[k]
         p1, q1 = _ONE - p, _ONE - q
@@ -130,7 +136,10 @@ def deform_rows(
             if j < 0 or j + 5 >= height:
                 end = begin = start
             if end > begin:
-                a, b = begin + shift - 2, end + shift + 3
+                whole = begin + (end - begin + LANES - 1) // LANES * LANES
+                if whole > width or whole + shift + 3 > width:
+                    whole = end
+                a, b = begin + shift - 2, whole + shift + 3
                 quintic_run(
                     coefficients[j, a:b],
                     coefficients[j + 1, a:b],
@@ -138,9 +147,9 @@ def deform_rows(
                     coefficients[j + 3, a:b],
                     coefficients[j + 4, a:b],
                     coefficients[j + 5, a:b],
-                    fraction[0, begin:end],
-                    fraction[1, begin:end],
-                    out[row, begin:end],
+                    fraction[0, begin:whole],
+                    fraction[1, begin:whole],
+                    out[row, begin:whole],
                 )
             for k in range(start, stop):
                 if k < begin or k >= end:

@@ -12,6 +12,7 @@ from correction.piv.kernels import median as piv_median
 from correction.piv.kernels import windows as piv_windows
 from correction.piv.outliers import filled, outliers, smoothed
 from correction.piv.windows import around, interpolated, window_grid
+from correction.resample.kernels.bspline import quintic_at
 from correction.resample.sample import prefilter, sample
 
 
@@ -105,6 +106,26 @@ def test_row_kernel_as_plain_python():
         results.append((out, out_valid))
     assert np.abs(results[0][0] - results[1][0]).max() < 1e-5
     assert np.abs(results[0][1] - results[1][1]).max() < 1e-6
+
+
+def test_runs_of_any_length_are_the_spline_at_their_place():
+    rng = np.random.default_rng(6)
+    coefficients = rng.normal(size=(20, 90)).astype(np.float32)
+    place = np.arange(90, dtype=np.float32)
+    refined = np.empty((2, 4, 90), np.float32)
+    refined[0], refined[1] = 0.0015 * (place - 30.0) ** 2 - 1.3, 2.2 * np.sin(place / 6.0)  # runs of 1 to 20 px
+    cell, weight = np.zeros(20, np.int64), np.full((20, 4), 0.25, np.float32)
+    out, out_valid = np.full((20, 90), np.nan, np.float32), np.ones((20, 90), np.float32)
+    offset, fraction = np.empty((2, 90), np.int32), np.empty((2, 90), np.float32)
+    for row in range(20):
+        piv_deform.deform_rows(coefficients, out_valid, False, refined, cell, weight, np.float32(1.0), row, row + 1,
+                               offset, fraction, out, out_valid)  # fmt: skip
+        for k in range(90):
+            value = quintic_at(
+                coefficients, k + offset[0, k] + fraction[0, k], row + offset[1, k] + fraction[1, k]
+            )
+            assert out[row, k] == pytest.approx(value if value == value else 0.0, abs=2e-5), (row, k)
+            assert out_valid[row, k] == (value == value), (row, k)
 
 
 def test_windows_lose_the_mean_of_valid_pixels_only():
