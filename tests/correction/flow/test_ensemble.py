@@ -120,6 +120,22 @@ def test_noise_of_the_camera_is_no_stress(noise):
         assert np.abs(np.nanmean(stress, axis=(0, 1))).max() < 0.03
 
 
+def test_a_fifth_of_all_pixels_dead_moves_neither_mean_nor_stresses():
+    rng = np.random.default_rng(8)
+    off = rng.normal(0.0, 0.6, (24, 2))
+    pairs = [
+        frames(lambda u, v, d=d: (2.3 + d[0] + 0 * u, -1.2 + d[1] + 0 * u), k, (128, 128))
+        for k, d in enumerate(off)
+    ]
+    alive = rng.uniform(size=(128, 128)) > 0.2
+    whole, dead = (ensemble_field(swept(pairs, (2.0, -1.0), 0.5, seen), 32) for seen in (None, alive))
+    assert dead.valid.mean() > 0.95
+    moved = np.nanmean(dead.mean_px - whole.mean_px, axis=(0, 1))
+    assert np.abs(moved).max() < 0.015
+    more = np.nanmean(dead.stress_px2 - whole.stress_px2, axis=(0, 1))
+    assert np.abs(more).max() < 0.08  # frames drawn to each other by their doubt: 0.24
+
+
 def test_what_stands_still_is_taken_off():
     rng = np.random.default_rng(9)
     dust = draw((128, 128), *rng.uniform(0, 128, (2, 200)), 3.0, np.full(200, 900.0))
