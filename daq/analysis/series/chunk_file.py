@@ -6,6 +6,7 @@ run (or pairs, for a camera without a clock).  By pair and place:
     u, v                          velocity [m s-1], NaN where there is none
     displacement_x, _y            what it was made from, y up [px of the corrected image]
     sigma_u, sigma_v              random standard uncertainty of u, v (correlation statistics)
+    resolution                    standard uncertainty of u and of v by what windows do not resolve [m s-1]
     correlation, chc, flag        coefficient of the peak; 1 = measured; VectorFlag
 
 By pair: delta_t and sigma_delta_t [s] (NaN: nobody measured it), failed (1 = no vectors: `failures` says why),
@@ -34,8 +35,8 @@ from ground.whole_file import whole_file
 
 SCHEMA = 1
 UNITS = {
-    "u": "m s-1", "v": "m s-1", "sigma_u": "m s-1", "sigma_v": "m s-1", "displacement_x": "pixel",
-    "displacement_y": "pixel", "correlation": "1",
+    "u": "m s-1", "v": "m s-1", "sigma_u": "m s-1", "sigma_v": "m s-1", "resolution": "m s-1",
+    "displacement_x": "pixel", "displacement_y": "pixel", "correlation": "1",
 }  # fmt: skip
 NAMES = {
     "x": "projection_x_coordinate", "y": "projection_y_coordinate", "t": "time", "u": "u_velocity",
@@ -249,6 +250,7 @@ def _by_place(result: PairResult, shape: tuple[int, int], pitch_mm: float) -> di
         "v": -field.v_px * m_s_per_px,
         "sigma_u": field.sigma_u_px * m_s_per_px,
         "sigma_v": field.sigma_v_px * m_s_per_px,
+        "resolution": nothing if field.resolution_px is None else field.resolution_px * m_s_per_px,
         "displacement_x": field.u_px,
         "displacement_y": -field.v_px,
         "correlation": field.correlation,

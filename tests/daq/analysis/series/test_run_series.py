@@ -64,6 +64,8 @@ def test_a_series_is_its_vectors_in_m_s_by_time(made):
     with netcdf_file(chunk_path(made.folder.path, 0), mmap=False) as file:
         u, v, x_px = (np.array(file.variables[name][:]) for name in ("u", "v", "displacement_x"))
         good = file.variables["chc"][:] == 1
+        unresolved = np.array(file.variables["resolution"][:])
+        assert file.variables["resolution"].units == b"m s-1"
         assert file.variables["u"].dimensions == ("t", "y", "x")
         assert [file.variables[name].units.decode() for name in ("t", "y", "u")] == ["s", "mm", "m s-1"]
         assert file.variables["t"][:] == pytest.approx(0.1 * np.arange(4))
@@ -78,6 +80,8 @@ def test_a_series_is_its_vectors_in_m_s_by_time(made):
     assert np.median(v[good]) == pytest.approx(-SHIFT_PX[1] * m_s, rel=0.01)  # up
     assert np.median(x_px[good]) == pytest.approx(SHIFT_PX[0], rel=0.01)
     assert np.isnan(u[3]).all()
+    assert np.isnan(unresolved[~good]).all()
+    assert 1e-5 * m_s < np.median(unresolved[good]) < 0.1 * m_s  # nothing is curved here
     assert not good[3].any()
 
 
