@@ -26,7 +26,7 @@ def quintic_run(
 ) -> None:
     """out[k] = spline value from the coefficients k..k+5 of six rows at the fractions s[k], t[k].
 
-    Part of its caller, since runs of a curved field are short and a call with nine arrays takes as long as 60 pixels.
+    Part of its caller: runs of a curved field are short, and a call with nine arrays takes as long as 60 pixels.
     """
     for k in range(out.size):
         p, q = s[k], t[k]

@@ -118,12 +118,13 @@ def test_runs_of_any_length_are_the_spline_at_their_place():
     out, out_valid = np.full((20, 90), np.nan, np.float32), np.ones((20, 90), np.float32)
     offset, fraction = np.empty((2, 90), np.int32), np.empty((2, 90), np.float32)
     for row in range(20):
-        piv_deform.deform_rows(coefficients, out_valid, False, refined, cell, weight, np.float32(1.0), row, row + 1,
-                               offset, fraction, out, out_valid)  # fmt: skip
+        piv_deform.deform_rows(
+            coefficients, out_valid, False, refined, cell, weight, np.float32(1.0), row, row + 1,
+            offset, fraction, out, out_valid,
+        )  # fmt: skip
         for k in range(90):
-            value = quintic_at(
-                coefficients, k + offset[0, k] + fraction[0, k], row + offset[1, k] + fraction[1, k]
-            )
+            u, v = (start + offset[n, k] + fraction[n, k] for n, start in enumerate((k, row)))
+            value = quintic_at(coefficients, u, v)
             assert out[row, k] == pytest.approx(value if value == value else 0.0, abs=2e-5), (row, k)
             assert out_valid[row, k] == (value == value), (row, k)
 
