@@ -83,6 +83,9 @@ def _parser() -> argparse.ArgumentParser:
         "--stage-sigma-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
     )
     _route_option(evaluate, "image")
+    evaluate.add_argument(
+        "--tracking", action="store_true", help="also follow single particles, where seeding is thin (tracks.nc)"
+    )
     evaluate.add_argument("--vtk", action="store_true", help="also write VTK text")
     evaluate.add_argument("--figures", action="store_true", help="write each figure as SVG and as PNG")
     _series_options(evaluate)

@@ -95,7 +95,7 @@ def compare_routes(
     direct = scatter_of(errors, sigma, field.valid & (regions.region == Region.DIRECT))
     errors = traced.shift_mm / pitch * (1.0, -1.0) - truth
     sigma = traced.sigma_mm / pitch
-    velocity = by_radius(errors, sigma, _radius(traced, correction_map, scene))
+    velocity = by_radius(errors, sigma, radius_of(traced, correction_map, scene))
     return Routes(image, velocity, (direct, scatter_of(errors, sigma, traced.branch == 0)), shift_px is not None)
 
 
@@ -157,7 +157,7 @@ def _at_nodes(field: VectorField, traced: PlaneVectors, correction_map: Correcti
     return values
 
 
-def _radius(traced: PlaneVectors, correction_map: CorrectionMap, scene: Scene) -> NDArray[np.float64]:
+def radius_of(traced: PlaneVectors, correction_map: CorrectionMap, scene: Scene) -> NDArray[np.float64]:
     """R / R of traced vectors behind glass, NaN in the direct view."""
     radius = np.full(len(traced.branch), np.nan)
     for number in np.unique(traced.branch[traced.branch > 0]):

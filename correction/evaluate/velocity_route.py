@@ -99,15 +99,15 @@ def velocity_route(
     settings = settings or raw_settings(PivSettings(), frame_a.shape)
     parts = [
         _on_plane(evaluate_pair(frame_a, frame_b, mask, settings=settings), number, scene, settings)
-        for number, mask in _usable_branches(ray_map, scene, settings.windows_px[-1])
+        for number, mask in usable_branches(ray_map, scene, 8 * settings.windows_px[-1] ** 2)
     ]
     if not parts:
         raise PairError("no branch of this scene fills a window; look at the scene with rtpiv trace")
     return PlaneVectors(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _usable_branches(ray_map: RayMap, scene: Scene, window_px: int) -> list[tuple[int, NDArray[np.bool_]]]:
-    """Pixels of each branch that are worth correlating, for branches that fill a few windows.
+def usable_branches(ray_map: RayMap, scene: Scene, least_px: int) -> list[tuple[int, NDArray[np.bool_]]]:
+    """Pixels of each branch that are worth measuring in, for branches that have more than `least_px` of them.
 
     Only one branch is valid at a time, so no window mixes two pictures of the plane.  Left out are pixels whose
     view is squeezed too much, and those on the far side of a fold (the sign of the map's determinant is not that
@@ -124,7 +124,7 @@ def _usable_branches(ray_map: RayMap, scene: Scene, window_px: int) -> list[tupl
     for number in np.unique(ray_map.branch[ray_map.recovered]):
         mask = ray_map.recovered & (ray_map.branch == number) & calm
         mask &= np.sign(det) == (1.0 if (det[mask] > 0).sum() * 2 > mask.sum() else -1.0)
-        if mask.sum() > 8 * window_px**2:
+        if mask.sum() > least_px:
             found.append((int(number), mask))
     return found
 

@@ -3,7 +3,10 @@
 A maximum of the slightly blurred frame that stands well above the noise is fitted by a Gaussian (height, place,
 width) on 5 x 5 px, by least squares. What is left of the pixels after the fit must be no more than noise and the
 few per cent by which a pixel's mean differs from a Gaussian's middle; two images that overlap leave more and are
-given up. The covariance of the fit, with the larger of noise and rest, is the uncertainty of the place.
+given up. Photons make bright pixels noisier: variance = noise^2 + gain model, with the gain from what the fits of
+all particles leave. The covariance of the fit under that noise, or the rest if it is larger, is the uncertainty:
+
+    C = N^-1 (sum_k s_k s_k^T variance_k) N^-1,   N = sum_k s_k s_k^T,   s_k = d model_k / d parameters
 """
 
 from typing import Any, NamedTuple
@@ -19,6 +22,8 @@ ABOVE = 6.0  # times the blurred noise a maximum must stand above the background
 BLURRED = 0.35  # of a pixel's noise is left by the blur
 MISFIT, UNEVEN = 3.0, 0.03  # rest over what is expected; share of the height by which a pixel is no Gaussian
 WIDEST_PX, FARTHEST_PX = 1.6, 1.0  # standard deviation of an image; its middle from the highest pixel
+WORST_PX = 1.0  # a place known no better is none
+QUARTILE = 0.78  # lower quartile of chi-squared over its mean, 25 pixels less 4 parameters
 STEPS = 8
 SIDE = np.arange(-2, 3)
 ACROSS, DOWN = (part.ravel().astype(float) for part in np.meshgrid(SIDE, SIDE))
@@ -55,7 +60,7 @@ def find_particles(frame: NDArray[Any], valid: NDArray[np.bool_] | None = None) 
     pixels = values[rows[:, None] + DOWN.astype(int), columns[:, None] + ACROSS.astype(int)]
     height, place, width, covariance, rest = _fit(pixels, noise)
     alone = (rest < MISFIT * np.hypot(noise, UNEVEN * height)) & (width < WIDEST_PX)
-    alone &= (np.abs(place) < FARTHEST_PX).all(axis=1)
+    alone &= (np.abs(place) < FARTHEST_PX).all(axis=1) & (covariance < WORST_PX**2).all(axis=1)
     middle = np.stack([columns, rows], axis=-1) + place
     return Particles(middle[alone], np.sqrt(covariance[alone]), height[alone])
 
@@ -80,11 +85,23 @@ def _fit(pixels: Floats, noise: float) -> tuple[Floats, Floats, Floats, Floats, 
         width = np.clip(width + np.clip(step[:, 3], -0.3, 0.3), 0.3, 3.0)
     slopes, model = _slopes(height, place, width)
     rest = np.sqrt(np.square(pixels - model).sum(axis=1) / (pixels.shape[1] - 4))
+    pixel_variance = noise**2 + _gain(model, rest, noise) * model
     inverse = np.linalg.inv(np.einsum("nki,nkj->nij", slopes, slopes) + 1e-9 * np.eye(4))
-    variances = (
-        np.stack([inverse[:, 1, 1], inverse[:, 2, 2]], axis=-1) * np.square(np.maximum(rest, noise))[:, None]
-    )
+    lever = np.einsum("nij,nkj->nki", inverse[:, 1:3], slopes)  # d place / d pixel
+    variances = np.einsum("nki,nk->ni", np.square(lever), pixel_variance)
+    variances *= np.maximum(np.square(rest) / pixel_variance.mean(axis=1), 1.0)[:, None]
     return height, place, width, variances, rest
+
+
+def _gain(model: Floats, rest: Floats, noise: float) -> float:
+    """Variance that a count of light adds, from the rest (N,) of fitted models (N, 25).
+
+    The lower quartile speaks for images that stand alone; chance makes it `QUARTILE` of the mean.
+    """
+    if not len(rest):
+        return 0.0
+    added = (np.square(rest) / QUARTILE - noise**2) / model.mean(axis=1)
+    return max(float(np.percentile(added, 25.0)), 0.0)
 
 
 def _slopes(height: Floats, place: Floats, width: Floats) -> tuple[Floats, Floats]:

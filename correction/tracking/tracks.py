@@ -33,16 +33,22 @@ NEIGHBOURS, USUAL_PX, LARGEST = (
 )  # whom a track is held against, usual noise, largest normalised residual
 FIT, FEWEST = 12, 6  # tracks of a local plane, and how many lie within its weights' reach
 NARROWEST_PX = 16.0
+FAR_PX = 1e6  # between particles that are seen in different ways
 
 Floats = NDArray[np.float64]
 
 
 class Tracks(NamedTuple):
-    """Middle places (N, 2) [px], displacements (N, 2) [px], and their standard uncertainties (N, 2)."""
+    """Middle places (N, 2) [px], displacements (N, 2) [px], their standard uncertainties (N, 2); which particles.
+
+    `first` and `last` (N,) count the particles of A and B.
+    """
 
     place_px: Floats
     shift_px: Floats
     sigma_px: Floats
+    first: NDArray[np.intp]
+    last: NDArray[np.intp]
 
 
 def track_pair(
@@ -68,24 +74,67 @@ def track_pair(
         The frames are no pair, or hold fewer than nine particles that match.
     """
     guide = evaluate_pair(frame_a, frame_b, valid, settings)
-    a, b = find_particles(frame_a, valid), find_particles(frame_b, valid)
-    tracks = _proven(match(a, b, _of_field(guide, a.place_px), REACH_PX))
+    return track_particles(find_particles(frame_a, valid), find_particles(frame_b, valid), guide)
+
+
+def track_particles(
+    a: Particles,
+    b: Particles,
+    guide: VectorField,
+    way_a: NDArray[np.int64] | None = None,
+    way_b: NDArray[np.int64] | None = None,
+) -> Tracks:
+    """Tracks of particles that are found already.
+
+    Parameters
+    ----------
+    a, b : Particles
+        Of frames A and B.
+    guide : VectorField
+        Displacements, in the pixels that the places are in.
+    way_a, way_b : ndarray of int64, shape (N,), optional
+        How each is seen: particles seen in different ways are never partners.
+
+    Raises
+    ------
+    PairError
+        Fewer than nine particles match.
+    """
+    if way_a is not None and way_b is not None:
+        a, b = apart(a, b, way_a, way_b)
+    tracks = _proven(match(a, b, _of_field(guide, a.place_px[:, :2]), REACH_PX))
     for _ in range(2):
-        tracks = _proven(match(a, b, local_plane(tracks, a.place_px), FINE_PX))
+        tracks = _proven(match(a, b, local_plane(tracks, a.place_px[:, :2]), FINE_PX))
     return tracks
+
+
+def apart(
+    a: Particles, b: Particles, way_a: NDArray[np.int64], way_b: NDArray[np.int64]
+) -> tuple[Particles, Particles]:
+    """Give places a third coordinate, far apart for every way of seeing: nobody is near one seen otherwise."""
+    _, layer = np.unique(np.concatenate([way_a, way_b]), return_inverse=True)
+    third_a, third_b = np.split(FAR_PX * layer[:, None], [len(way_a)])
+    return (
+        a._replace(place_px=np.hstack([a.place_px, third_a])),
+        b._replace(place_px=np.hstack([b.place_px, third_b])),
+    )
 
 
 def match(a: Particles, b: Particles, shift_px: Floats, reach_px: float) -> Tracks:
     """Pairs of particles that are each other's nearest after `shift_px` (N, 2), and clearly so."""
     if len(a.place_px) < 2 or len(b.place_px) < 2:
-        return Tracks(*(np.zeros((0, 2)),) * 3)
-    expected = a.place_px + shift_px
+        nobody = np.zeros(0, np.intp)
+        return Tracks(*(np.zeros((0, 2)),) * 3, nobody, nobody)
+    expected = a.place_px.copy()
+    expected[:, :2] += shift_px
     far, there = cKDTree(b.place_px).query(expected, k=2)
     _, back = cKDTree(expected).query(b.place_px)
     one = there[:, 0]
     good = (back[one] == np.arange(len(one))) & (far[:, 0] < reach_px) & (far[:, 1] > CLEARER * far[:, 0])
-    start, end = a.place_px[good], b.place_px[one[good]]
-    return Tracks(0.5 * (start + end), end - start, np.hypot(a.sigma_px[good], b.sigma_px[one[good]]))
+    first, last = np.nonzero(good)[0], one[good]
+    start, end = a.place_px[first, :2], b.place_px[last, :2]
+    sigma = np.hypot(a.sigma_px[first], b.sigma_px[last])
+    return Tracks(0.5 * (start + end), end - start, sigma, first, last)
 
 
 def local_plane(tracks: Tracks, at_px: Floats) -> Floats:
@@ -122,5 +171,6 @@ def _proven(tracks: Tracks) -> Tracks:
     around = tracks.shift_px[near[:, 1:]]
     usual = np.median(around, axis=1)
     spread = np.median(np.linalg.norm(around - usual[:, None], axis=-1), axis=1)
-    good = np.linalg.norm(tracks.shift_px - usual, axis=-1) < LARGEST * (spread + USUAL_PX)
+    own = np.linalg.norm(tracks.sigma_px, axis=-1)  # behind a rim far more than usual
+    good = np.linalg.norm(tracks.shift_px - usual, axis=-1) < LARGEST * (spread + USUAL_PX + own)
     return Tracks(*(part[good] for part in tracks))

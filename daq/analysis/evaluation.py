@@ -11,7 +11,7 @@ from correction.background.preparation import Preparation
 from correction.corrector import Corrector
 from correction.errors import FrameError, PairError
 from correction.evaluate.regions import Regions, regions_of
-from correction.evaluate.routes import Routes, compare_routes, joined
+from correction.evaluate.routes import Routes, compare_routes, joined, radius_of
 from correction.evaluate.shift import ShiftResult, evaluate_shift
 from correction.evaluate.vector_map_sigma import VectorMapSigma, vector_map_sigma
 from correction.evaluate.velocity_route import PlaneVectors, raw_settings, velocity_route
@@ -21,6 +21,7 @@ from correction.piv.pair import evaluate_pair
 from correction.piv.settings import PivSettings
 from correction.piv.vector_field import VectorField
 from correction.prepared import PreparedCorrection
+from correction.tracking.through_glass import track_through_glass
 from daq.acquisition.runs.acquired import read_acquired
 from daq.analysis.pictures.before_after import BeforeAfter, before_after
 from tracer.scene import Scene
@@ -63,6 +64,14 @@ class Task:
 
 
 @dataclass(frozen=True)
+class Tracked:
+    """Single particles of a pair: their `vectors`, and r / R (N,) of each behind glass, NaN in the direct view."""
+
+    vectors: PlaneVectors
+    radius: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Result of one pair: vectors, figures and small pictures; no frame, no map.
 
@@ -92,6 +101,10 @@ class Evaluation:
         Vectors of `field` that come from the velocity route.
     settings : PivSettings
         How it was correlated.
+    tracks : Tracked or None
+        Single particles, if asked for and found.
+    no_tracks : str
+        Why none were found though they were asked for.
     """
 
     task: Task
@@ -106,6 +119,8 @@ class Evaluation:
     routes: Routes | None
     by_velocity: NDArray[np.bool_] | None
     settings: PivSettings
+    tracks: Tracked | None
+    no_tracks: str
 
 
 def evaluate_task(
@@ -116,6 +131,7 @@ def evaluate_task(
     route: Route,
     settings: PivSettings | None = None,
     preparation: Preparation | None = None,
+    tracking: bool = False,
 ) -> Evaluation:
     """Evaluate one pair.
 
@@ -135,6 +151,8 @@ def evaluate_task(
         Of the correlation.
     preparation : Preparation, optional
         What is done to the corrected frames; two frames have no background.
+    tracking : bool
+        Also follow single particles from raw frame to raw frame.
 
     Raises
     ------
@@ -159,6 +177,13 @@ def evaluate_task(
     truth = None
     if task.shift_mm is not None:
         truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
+    tracks, no_tracks = None, ""
+    if tracking:
+        try:
+            found = track_through_glass(frame_a, frame_b, scene, prepared.ray_map, field, grid)
+            tracks = Tracked(found, radius_of(found, corrector.map, scene))
+        except PairError as error:
+            no_tracks = str(error)
     traced = routes = by_velocity = None
     if route != "image":
         traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map, raw_settings(settings, frame_a.shape))
@@ -170,7 +195,10 @@ def evaluate_task(
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
     seen = before_after(frame_a, corrected_a, corrector)
-    return Evaluation(task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings)
+    return Evaluation(
+        task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
+        no_tracks,
+    )  # fmt: skip
 
 
 def _corrected(corrector: Corrector, path: Path, frame: NDArray[Any]) -> NDArray[np.float32]:

@@ -34,6 +34,7 @@ def evaluate(
     figures: bool = False,
     dt_us: float | None = None,
     workers: int | None = None,
+    tracking: bool = False,
     **options: Unpack[PivOptions],
 ) -> list[Evaluation] | SeriesBooks:
     """Correct pairs of frames and measure their displacements: a page for each, or the series of a flow run.
@@ -51,6 +52,8 @@ def evaluate(
         Time between the frames of a pair, for a run that does not know it; of a series only.
     workers : int, optional
         Processes that evaluate a series; default one a core.
+    tracking : bool
+        See `evaluate_pairs`.
     **options
         How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
 
@@ -70,11 +73,12 @@ def evaluate(
             raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
         return evaluate_pairs(
             paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, stage_sigma_um, route,
-            vtk, figures, **options,
+            vtk, figures, tracking, **options,
         )  # fmt: skip
-    if shift_mm is not None or route != "image" or vtk:
+    if shift_mm is not None or route != "image" or vtk or tracking:
         raise PairError(
-            "--shift-mm, --route and --vtk are for single pairs, and this run is a series; leave them out"
+            "--shift-mm, --route, --tracking and --vtk are for single pairs, and this run is a series; leave them"
+            " out"
         )
     choice = piv_choice(**options)
     given = series_input(run, out, choice, scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us)
@@ -99,6 +103,7 @@ def evaluate_pairs(
     route: Route = "image",
     vtk: bool = False,
     figures: bool = False,
+    tracking: bool = False,
     **options: Unpack[PivOptions],
 ) -> list[Evaluation]:
     """Correct pairs of frames, measure their displacements, and write a page for each.
@@ -109,7 +114,7 @@ def evaluate_pairs(
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, or a stream.
     out : Path
         Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
-        ``vectors.vtk`` and ``vectors_velocity.nc``; for a run one such folder a pair.
+        ``vectors.vtk``, ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.
     scene : Path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
         A run without it is evaluated with the scene that its frames were corrected with.
@@ -127,6 +132,8 @@ def evaluate_pairs(
         Also write VTK text.
     figures : bool
         Write every figure as SVG and as PNG, not only as it stands in the page.
+    tracking : bool
+        Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
     **options
         How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
 
@@ -141,9 +148,10 @@ def evaluate_pairs(
         What the file, the frames, the target or the run make impossible, in one sentence. Of several pairs one
         that cannot be evaluated is named and left out.
     """
-    if target_clear is not None and route != "image":
+    if target_clear is not None and (route != "image" or tracking):
         raise PairError(
-            "the velocity route traces raw pixels; give the camera's lens terms in the scene, no dewarp"
+            f"{'the velocity route' if route != 'image' else 'tracking'} traces raw pixels; give the camera's lens"
+            " terms in the scene, no dewarp"
         )
     choice = piv_choice(**options)
     screen = console()
@@ -157,8 +165,9 @@ def evaluate_pairs(
         prepared = corrections.of(task.scene, given.dewarp)
         try:
             evaluation = evaluate_task(
-                task, prepared, given.sigma, stage_sigma_um, route, choice.settings, choice.preparation
-            )
+                task, prepared, given.sigma, stage_sigma_um, route, choice.settings, choice.preparation,
+                tracking,
+            )  # fmt: skip
         except PairError as error:
             if len(given.tasks) == 1:
                 raise

@@ -10,7 +10,17 @@ from rich.table import Table
 from daq.analysis.calibration import Calibration
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.report.focus import HEAD as FOCUS_HEAD
-from daq.analysis.report.tables import ROUTE_HEAD, SHIFT_HEAD, SIGMA_HEAD, Row, route_rows, shift_rows, sigma_rows
+from daq.analysis.report.tables import (
+    ROUTE_HEAD,
+    SHIFT_HEAD,
+    SIGMA_HEAD,
+    TRACK_HEAD,
+    Row,
+    route_rows,
+    shift_rows,
+    sigma_rows,
+    track_rows,
+)
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.run_series import SeriesBooks
 
@@ -30,6 +40,10 @@ def show_evaluation(screen: Console, evaluation: Evaluation) -> None:
         tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
     if evaluation.routes is not None:
         tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
+    if evaluation.tracks is not None:
+        tables.append(("single particles [px]", TRACK_HEAD, track_rows(evaluation)))
+    if evaluation.no_tracks:
+        screen.print(f"no tracks: {evaluation.no_tracks}", style="bold red")
     for title, head, rows in tables:
         table = Table(title=title)
         for number, column in enumerate(head):

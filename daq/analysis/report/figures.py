@@ -13,11 +13,13 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from correction.evaluate.shift import Scatter
+from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from correction.piv.vector_field import VectorField
 from tracer.scene import Scene
 
 EVERY = 2  # vectors drawn along each axis
+MOST_TRACKS = 4000  # drawn, evenly chosen
 FEW_DECADES = 1000.0  # from the lowest to the highest: with more of them there is no room for labels between
 INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
 SERIES = ("#2b6a99", "#b4472f", "#6a8f3c", "#8a5a9e")
@@ -79,6 +81,30 @@ def vector_figure(
     )
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
     figure.colorbar(image, ax=axes, label=label, shrink=0.85, extend="max", pad=0.02)
+    return figure
+
+
+def track_figure(tracks: PlaneVectors, scene: Scene) -> Figure:
+    """Draw tracks where they are, at most `MOST_TRACKS` of them, on the plane in mm."""
+    figure, axes = bare_figure(6.2, 5.3)
+    for sphere in scene.spheres:
+        x, y, _ = sphere.centre_mm
+        axes.add_patch(Circle((x, y), sphere.radius_mm, fill=False, edgecolor=SOFT, linewidth=0.8, linestyle="--"))
+    every = -(-len(tracks.branch) // MOST_TRACKS)
+    place, shift = tracks.place_mm[::every], tracks.shift_mm[::every]
+    low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
+    longest = max(float(np.percentile(np.linalg.norm(shift, axis=1), 98)), 1e-9)
+    axes.quiver(
+        *place.T,
+        *shift.T,
+        color=np.where(tracks.branch[::every] == 0, SERIES[0], SERIES[1]),
+        pivot="mid",
+        angles="xy",
+        scale_units="xy",
+        scale=longest / (0.04 * float(np.max(high - low))),
+        width=0.0018,
+    )
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     return figure
 
 

@@ -11,6 +11,7 @@ from daq.analysis.report.figures import (
     error_histogram,
     grey_histogram,
     radius_figure,
+    track_figure,
     vector_figure,
 )
 from daq.analysis.report.page import Page
@@ -21,6 +22,7 @@ from daq.analysis.report.tables import (
     ROUTE_HEAD,
     SHIFT_HEAD,
     SIGMA_HEAD,
+    TRACK_HEAD,
     budget_rows,
     image_rows,
     mask_rows,
@@ -29,6 +31,7 @@ from daq.analysis.report.tables import (
     route_rows,
     shift_rows,
     sigma_rows,
+    track_rows,
 )
 from tracer.scene import Scene
 
@@ -65,6 +68,8 @@ def pair_chapters(page: Page, evaluation: Evaluation) -> None:
     _uncertainty(page, evaluation)
     if evaluation.routes is not None:
         _routes(page, evaluation)
+    if evaluation.tracks is not None or evaluation.no_tracks:
+        _tracks(page, evaluation)
     _images(page, evaluation)
     scene_chapter(page, evaluation.task.scene)
 
@@ -177,6 +182,21 @@ def _routes(page: Page, evaluation: Evaluation) -> None:
         page.text(f"{int(evaluation.by_velocity.sum())} vectors of the field are of the velocity route.")
     if routes.known and routes.image:
         page.figure("radius", radius_figure(routes.image, routes.velocity), "Behind the glass, by radius.")
+
+
+def _tracks(page: Page, evaluation: Evaluation) -> None:
+    page.heading("Single particles")
+    if evaluation.tracks is None:
+        page.text(f"No tracks: {evaluation.no_tracks}.")
+        return
+    page.text(
+        "Particles found in the raw frames, both ends traced through the glass, each seen the same way in both. "
+        "A track has no window: its error is the same in every gradient. Where particles are many, vectors of "
+        "windows are better."
+    )
+    page.table(TRACK_HEAD, track_rows(evaluation), "Displacement of a particle [px of the corrected frame]")
+    said = "Tracks in tracks.nc; blue: seen directly, red: through glass."
+    page.figure("tracks", track_figure(evaluation.tracks.vectors, evaluation.task.scene), said, dense=True)
 
 
 def image_table(page: Page, seen: BeforeAfter) -> None:

@@ -10,7 +10,7 @@ from correction.evaluate.vector_file import write_netcdf, write_traced, write_vt
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import pair_chapters, pair_tiles
-from daq.analysis.report.tables import ROUTE_HEAD, SIGMA_HEAD, route_rows, sigma_rows
+from daq.analysis.report.tables import ROUTE_HEAD, SIGMA_HEAD, route_rows, sigma_rows, track_summary
 from daq.whole_text import write_json
 
 
@@ -24,6 +24,8 @@ def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False)
     write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
     if evaluation.traced is not None:
         write_traced(out / "vectors_velocity.nc", evaluation.traced, about, task.dt_s)
+    if evaluation.tracks is not None:
+        write_traced(out / "tracks.nc", evaluation.tracks.vectors, about, task.dt_s)
     if vtk:
         write_vtk(out / "vectors.vtk", field, grid, task.dt_s)
     summary: dict[str, Any] = {
@@ -41,6 +43,10 @@ def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False)
         summary["shift"] = evaluation.shift.to_dict()
     if evaluation.routes is not None:
         summary["routes"] = [dict(zip(ROUTE_HEAD, row, strict=True)) for row in route_rows(evaluation.routes)]
+    if evaluation.tracks is not None:
+        summary["tracks"] = track_summary(evaluation)
+    if evaluation.no_tracks:
+        summary["no_tracks"] = evaluation.no_tracks
     write_json(out / "evaluation.json", summary)
     page = Page("PIV through glass: " + task.name, about["frames"], twice=figures)
     page.tiles(pair_tiles(evaluation))

@@ -1,6 +1,7 @@
 """Figures of an evaluation as rows of text, for the page and for the terminal."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ SIGMA_HEAD = (
     "errors within 1 sigma",
 )
 ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
+TRACK_HEAD = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
 IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
 BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
 
@@ -95,6 +97,50 @@ def route_rows(routes: Routes) -> list[Row]:
         ]
         rows.append((name, *cells[0], *cells[1], better))
     return rows
+
+
+def track_summary(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Tracks by region: how many, and in corrected px the median sigma of a component and its rms error.
+
+    The error and `within_sigma`, a share, are None where no true shift is known.
+    """
+    tracks = evaluation.tracks
+    assert tracks is not None
+    pitch, radius = evaluation.grid.pitch_mm, tracks.radius
+    sigma = tracks.vectors.sigma_mm / pitch
+    errors = None
+    if evaluation.shift is not None:
+        errors = tracks.vectors.shift_mm / pitch * (1.0, -1.0) - evaluation.shift.shift_px
+    chosen = {
+        "seen directly": tracks.vectors.branch == 0,
+        f"behind glass, r < {MIDDLE} R": radius < MIDDLE,
+        f"behind glass, r > {MIDDLE} R": radius >= MIDDLE,
+    }
+    return [
+        {
+            "region": name,
+            "tracks": int(where.sum()),
+            "median_sigma_px": float(np.median(sigma[where])),
+            "rms_error_px": None if errors is None else float(np.sqrt(np.mean(np.square(errors[where])))),
+            "within_sigma": None if errors is None else float(np.mean(np.abs(errors[where]) < sigma[where])),
+        }
+        for name, where in chosen.items()
+        if where.any()
+    ]
+
+
+def track_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under TRACK_HEAD."""
+    return [
+        (
+            str(found["region"]),
+            str(found["tracks"]),
+            f"{found['median_sigma_px']:.4f}",
+            "-" if found["rms_error_px"] is None else f"{found['rms_error_px']:.4f}",
+            "-" if found["within_sigma"] is None else f"{100 * found['within_sigma']:.0f} %",
+        )
+        for found in track_summary(evaluation)
+    ]
 
 
 def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:

@@ -87,5 +87,5 @@ def test_a_local_plane_is_exact_in_a_shear():
     places = rng.uniform(0, 200, (80, 2))
     shift = np.stack([0.1 * places[:, 1], 0.02 * places[:, 0]], -1)
     at = rng.uniform(40, 160, (20, 2))
-    found = local_plane(Tracks(places, shift, np.full((80, 2), 0.02)), at)
+    found = local_plane(Tracks(places, shift, np.full((80, 2), 0.02), np.arange(80), np.arange(80)), at)
     assert np.abs(found - np.stack([0.1 * at[:, 1], 0.02 * at[:, 0]], -1)).max() < 0.05

@@ -87,8 +87,9 @@ def test_what_cannot_be_meant_is_one_sentence(run, tmp_path, capsys, words, said
 
 def test_options_of_single_pairs_and_of_series_are_not_mixed(run, tmp_path, capsys):
     out = ("-o", str(tmp_path / "out"))
-    assert main(["evaluate", str(run), *out, "--shift-mm", "1", "0"]) == USAGE
-    assert "are for single pairs" in capsys.readouterr().err
+    for option in (("--shift-mm", "1", "0"), ("--tracking",)):
+        assert main(["evaluate", str(run), *out, *option]) == USAGE
+        assert "are for single pairs" in capsys.readouterr().err
     frames = [str(path) for path in sorted((run / "frames").iterdir())[:2]]
     (tmp_path / "scene.yaml").write_text(SCENE)
     scene = ("--scene", str(tmp_path / "scene.yaml"))
