@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from correction.piv.deform import DeformedPair
 from correction.piv.kernels.statistics import KINDS, block_sums
 from correction.piv.refine import Refined
-from correction.piv.windows import WindowGrid, interpolated
+from correction.piv.windows import WindowGrid, interpolation_matrix
 from ground.rows import run_rows
 
 Floats = NDArray[np.float64]
@@ -103,11 +103,11 @@ def correlation_statistics(
         _square_weights(place, node, grid.size_px, window_sigma)
         for place, node in zip(centres, nodes, strict=True)
     ]
+    between = [interpolation_matrix(node, place, grid.step_px) for place, node in zip(centres, nodes, strict=True)]
     sigma, pieces = np.empty(left_px.shape), np.empty(left_px.shape)
     for axis in range(2):
         lean, by_shift = sums[axis], sums[2 + axis]
-        left = interpolated(left_px[..., axis], 1, grid.x_px, centres[1], grid.step_px)
-        left = interpolated(left, 0, grid.y_px, centres[0], grid.step_px).astype(np.float32)
+        left = between[0] @ (left_px[..., axis].astype(np.float32) @ between[1].T)
         left *= by_shift
         power = float(np.vdot(left, left))
         share = np.float32(np.clip(float(np.vdot(lean, left)) / power, 0.0, 1.5) if power > 0.0 else 0.0)

@@ -11,7 +11,7 @@ from correction.piv.kernels import fft as piv_fft
 from correction.piv.kernels import median as piv_median
 from correction.piv.kernels import windows as piv_windows
 from correction.piv.outliers import filled, outliers, smoothed
-from correction.piv.windows import around, interpolated, window_grid
+from correction.piv.windows import around, interpolated, interpolation_matrix, window_grid
 from correction.resample.kernels.bspline import quintic_at
 from correction.resample.sample import prefilter, sample
 
@@ -127,6 +127,17 @@ def test_runs_of_any_length_are_the_spline_at_their_place():
             value = quintic_at(coefficients, u, v)
             assert out[row, k] == pytest.approx(value if value == value else 0.0, abs=2e-5), (row, k)
             assert out_valid[row, k] == (value == value), (row, k)
+
+
+@pytest.mark.parametrize("size", [40, 700])  # one window, and so many that shares of far ones are next to nothing
+def test_a_matrix_interpolates_as_the_spline(size):
+    grid = window_grid((size, size), 32, 0.5)
+    nodes, places = grid.x_px[: 1 if size == 40 else None], np.arange(0.5, size, 2.0)
+    field = np.random.default_rng(3).normal(size=(len(nodes), 5))
+    expected = interpolated(field, 0, nodes, places, grid.step_px)
+    matrix = interpolation_matrix(nodes, places, grid.step_px)
+    assert np.abs(matrix @ field.astype(np.float32) - expected).max() < 1e-5 * np.abs(expected).max()
+    assert not ((matrix != 0.0) & (np.abs(matrix) < np.finfo(np.float32).tiny)).any()
 
 
 def test_windows_lose_the_mean_of_valid_pixels_only():
