@@ -11,8 +11,8 @@ A frame stays in the camera's shared memory until both lanes are through with it
 * The raw queue is bounded, below the number of the camera's buffers.  When the disk is slower than the camera,
   `submit` waits: a software-triggered run slows down.  A stream cannot wait: the camera runs out of buffers,
   counts that, and the run ends with that reason.  A disk that does not move for `PATIENCE_S` ends the run as well.
-* The live queue drops its OLDEST frame when a new one comes: what is shown is recent, and what was skipped is
-  counted.  Skipped frames are corrected from the disk when the run is over.
+* The live queue leaves its OLDEST frames out when new ones come, a pair as a whole (`live_queue`): what is shown
+  is recent, and what was skipped is counted.  Skipped frames are corrected from the disk when the run is over.
 
 Latency is taken from the moment the frame was complete (`received_ns`) to the moment its corrected pixels exist.
 """
@@ -21,7 +21,6 @@ import math
 import queue
 import threading
 import time
-from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -33,6 +32,7 @@ from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.flow import Flow
 from daq.acquisition.pipeline.live_pairs import LivePairs
+from daq.acquisition.pipeline.live_queue import LiveQueue
 from daq.acquisition.pipeline.priority import lower_priority
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.journal import Journal
@@ -98,7 +98,8 @@ class Pipeline:
     corrections : Corrections, optional
         None to write raw frames only.
     live_queue : int
-        Frames that may wait for the live lane; 1 for the lowest latency, more to ride out bursts.
+        Frames that may wait for the live lane, a whole group always; 1 for the lowest latency, more to ride out
+        bursts.
     raw_queue : int
         Frames that may wait to be written: it bridges moments in which the disk is busy.
     """
@@ -117,10 +118,7 @@ class Pipeline:
         self._corrections = corrections
         self._raw: queue.Queue[_Shared | None] = queue.Queue(raw_queue)
         self._store: queue.Queue[tuple[Job, NDArray[np.float32]] | None] = queue.Queue(STORE_QUEUE)
-        self._live: deque[_Shared] = deque()
-        self._live_limit = live_queue
-        self._live_wake = threading.Condition()
-        self._live_ends = False
+        self._live: LiveQueue[_Shared] = LiveQueue(live_queue)
         self._error: DaqError | None = None
         self._bug: Exception | None = None
         self._flow_lock = threading.Lock()
@@ -181,9 +179,7 @@ class Pipeline:
         with suppress(queue.Full):
             for _ in range(RAW_WRITERS):
                 self._raw.put(None, timeout=PATIENCE_S)
-        with self._live_wake:
-            self._live_ends = True
-            self._live_wake.notify()
+        self._live.end()
         for thread in self._threads:
             thread.join(PATIENCE_S)
         if self._pairs is not None:
@@ -202,14 +198,10 @@ class Pipeline:
                     raise DiskError(text) from None
 
     def _show(self, shared: _Shared) -> None:
-        dropped: _Shared | None = shared if self._raw.qsize() > RAW_FIRST else None
-        if dropped is None:
-            with self._live_wake:
-                if len(self._live) >= self._live_limit:
-                    dropped = self._live.popleft()
-                self._live.append(shared)
-                self._live_wake.notify()
-        if dropped is not None:
+        step, number = shared.job.step, shared.job.number
+        first = number - (number - step.first_frame) % step.group
+        has_room = self._raw.qsize() <= RAW_FIRST
+        for dropped in self._live.put(shared, (step.index, first), step.group, has_room):
             self.flow.skipped.append(dropped.job.number)
             dropped.let_go()
 
@@ -273,13 +265,7 @@ class Pipeline:
         assert self._corrections is not None
         lower_priority()
         try:
-            while True:
-                with self._live_wake:
-                    while not self._live and not self._live_ends:
-                        self._live_wake.wait()
-                    if not self._live:
-                        return
-                    shared = self._live.popleft()
+            while (shared := self._live.take()) is not None:
                 self._correct(shared)
         finally:
             self._store.put(None)

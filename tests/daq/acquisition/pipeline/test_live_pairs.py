@@ -121,5 +121,26 @@ def test_the_lanes_lose_nothing_to_vectors_that_never_end(tmp_path, monkeypatch)
     assert pipeline.flow.corrected == len(corrections.made)
 
 
+@pytest.mark.parametrize("live_queue", [1, 2, 4])
+def test_a_lane_at_half_the_needed_speed_still_gives_vectors(tmp_path, monkeypatch, live_queue):
+    """What is left out is left out in pairs: nearly every frame that is corrected serves a vector."""
+    monkeypatch.setattr(live_pairs, "_measured", lambda pair: LiveVectors(pair.number, 0.0))
+    monkeypatch.setattr(live_pairs, "MOST_PER_S", 1000.0)
+    folder = RunFolder.create(tmp_path, "p", about_run([planned(0, "t", frames=80)]))
+    journal, memory, corrections = Journal(folder.journal_path), Memory(), Doubler(duration_s=0.02)
+    pipeline = Pipeline(folder, journal, corrections, live_queue=live_queue)
+    for number in range(80):
+        pipeline.submit(Job(a_step(), number, memory.frame(number), dict(PLACES)))
+        time.sleep(0.01)
+    pipeline.flush()
+    pipeline.close()
+    journal.close()
+    assert pipeline.flow.skipped
+    assert not memory.out
+    pairs_corrected = {number // 2 for number in corrections.made}
+    assert len(corrections.made) == 2 * len(pairs_corrected)
+    assert pipeline.flow.vectors_live >= 0.7 * len(pairs_corrected) >= 5
+
+
 def test_warming_up_measures_something():
     live_pairs.warm_up()
