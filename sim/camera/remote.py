@@ -1,8 +1,10 @@
 """Frames from another process: the simulated world lives with the bench, the camera in its transport's process.
 
 The server owns a frame source, a Unix socket and a file of one sensor image, both in a folder of its own.  The
-client asks for one exposure at a time; the server draws it into the mapped file and answers with one line.  The
-folder is private to the user, and nothing on a network can reach the socket.
+client asks for one exposure at a time; the server draws it into the mapped file and answers with one line.  An image
+that is not writeable will come again as it is: the first few of those get a number, are sent once, and are named by
+it from then on, so that frames made beforehand cost next to nothing.  The folder is private to the user, and nothing
+on a network can reach the socket.
 """
 
 import json
@@ -22,6 +24,7 @@ SOCKET_NAME, FRAME_NAME = "frames.sock", "frame.bin"
 DEADLINE_S = 120.0  # a renderer may think for a while
 MAX_LINE_BYTES = 4096
 ASKED = ("trigger_index", "start_ns", "end_ns")
+CONSTANTS = 16  # images that are numbered; both sides keep them
 
 
 class FrameServer:
@@ -51,6 +54,7 @@ class FrameServer:
         (self.folder / SOCKET_NAME).chmod(0o600)
         self._socket.listen(4)
         self._drawing = threading.Lock()
+        self._constants: list[NDArray[np.uint16]] = []
         self._clients: list[socket.socket] = []
         threading.Thread(target=self._accept, name="frame server", daemon=True).start()
 
@@ -77,22 +81,39 @@ class FrameServer:
             threading.Thread(target=self._serve, args=(client,), daemon=True).start()
 
     def _serve(self, client: socket.socket) -> None:
+        sent: set[int] = set()  # numbers of constant images that this client has
         try:
             with client, client.makefile("rb") as lines:
                 while line := lines.readline(MAX_LINE_BYTES):
-                    client.sendall(json.dumps(self._draw(line)).encode() + b"\n")
+                    client.sendall(json.dumps(self._draw(line, sent)).encode() + b"\n")
         except OSError:
             return
 
-    def _draw(self, line: bytes) -> dict[str, object]:
+    def _draw(self, line: bytes, sent: set[int]) -> dict[str, object]:
         try:
             asked = json.loads(line)
             with self._drawing:
                 image = image_of(self._source, *(int(asked[name]) for name in ASKED))
-                self._frame[:] = image
+                number = self._number_of(image)
+                if number not in sent:
+                    self._frame[:] = image
         except Exception as error:  # the camera's process shall know why there is no frame
             return {"error": f"{type(error).__name__}: {error}"}
-        return {"shape": list(self._shape)}
+        if number is None:
+            return {"shape": list(self._shape)}
+        sent.add(number)
+        return {"shape": list(self._shape), "constant": number}
+
+    def _number_of(self, image: NDArray[np.uint16]) -> int | None:
+        if image.flags.writeable:
+            return None
+        for number, known in enumerate(self._constants):
+            if known is image:
+                return number
+        if len(self._constants) == CONSTANTS:
+            return None
+        self._constants.append(image)
+        return len(self._constants) - 1
 
 
 class RemoteSource:
@@ -110,6 +131,7 @@ class RemoteSource:
         self._socket.settimeout(DEADLINE_S)
         self._socket.connect(str(self._folder / SOCKET_NAME))
         self._lines = self._socket.makefile("rb")
+        self._constants: dict[int, NDArray[np.uint16]] = {}
         with (self._folder / FRAME_NAME).open("rb") as file:
             self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
 
@@ -125,8 +147,15 @@ class RemoteSource:
         answer = json.loads(line) if line else {"error": "the frame server is gone"}
         if "error" in answer:
             raise OSError(str(answer["error"]))
+        number = int(answer.get("constant", -1))
+        if number in self._constants:
+            return self._constants[number]
         height, width = (int(side) for side in answer["shape"])
-        return np.frombuffer(self._map, np.uint16, height * width).reshape(height, width).copy()
+        image = np.frombuffer(self._map, np.uint16, height * width).reshape(height, width).copy()
+        if number >= 0:
+            image.flags.writeable = False
+            self._constants[number] = image
+        return image
 
     def close(self) -> None:
         """Leave the server."""

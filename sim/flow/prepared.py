@@ -5,7 +5,7 @@
 writes pair_00000_a.npy, pair_00000_b.npy, ... and pairs.json into the folder that `simulation.flow.prepared`
 names: the bench's true scene with every axis where the scene file holds, at its rate.  A bench replays them round
 and round; pair n of a run shows pair n modulo the number of pairs.  Frames are mapped, not read: memory stays
-flat.
+flat.  Each is one array for good, not writeable, so that who sends it on may know it again.
 """
 
 import argparse
@@ -50,6 +50,7 @@ class PreparedPairs:
         except (OSError, ValueError, KeyError, TypeError):
             text = f"{self._folder} holds no prepared pairs; make them with python -m sim.flow.prepared"
             raise SceneError(text) from None
+        self._frames: dict[tuple[int, int], Frame] = {}
         if made_for != scene_hash:
             raise SceneError(f"the pairs in {self._folder} were made for another scene; make them again")
 
@@ -66,7 +67,11 @@ class PreparedPairs:
                 f"the pairs in {self._folder} were made for dt = {1e6 * self._dt_s:g} us, not "
                 f"{1e6 * since_first_s:.1f} us; make them again"
             )
-        return np.asarray(np.load(_path(self._folder, number % self._pairs, pulse), allow_pickle=False), np.uint16)
+        key = number % self._pairs, pulse
+        if key not in self._frames:
+            mapped = np.load(_path(self._folder, *key), mmap_mode="r", allow_pickle=False)
+            self._frames[key] = np.asarray(mapped, np.uint16)
+        return self._frames[key]
 
 
 def prepare(camera: FlowCamera, folder: Path, *, pairs: int, dt_s: float, rate_hz: float) -> None:

@@ -160,6 +160,33 @@ def test_remote_source_shows_what_the_server_draws(tmp_path):
     source.close()
 
 
+def test_a_remote_world_sends_what_comes_again_only_once(tmp_path):
+    """More constants than are numbered, changing ones between, two cameras: each sees what was shown."""
+    frozen = [np.full((4, 6), 1000 + number, np.uint16) for number in range(20)]
+    for image in frozen:
+        image.flags.writeable = False
+
+    class World:
+        def frame(self, trigger_index, time_ns):
+            return np.full((4, 6), time_ns, np.uint16) if trigger_index < 0 else frozen[trigger_index]
+
+    server = FrameServer(World(), tmp_path, 6, 4)
+    sources = [RemoteSource(**server.arguments()) for _ in range(2)]
+    kept = {}
+    for turn in range(3):
+        for number in [*range(20), *reversed(range(20))]:
+            for source in sources[: turn + 1]:
+                assert (source.frame(-1, number) == number).all()
+                shown = source.frame(number, 0)
+                assert (shown == 1000 + number).all()
+                if not shown.flags.writeable:
+                    assert kept.setdefault((id(source), number), shown) is shown
+    assert len(kept) == 2 * 16
+    server.close()
+    for source in sources:
+        source.close()
+
+
 def test_a_world_that_ends_takes_its_camera_along(client, tmp_path):
     class World:
         def frame(self, trigger_index, time_ns):
