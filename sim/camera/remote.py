@@ -1,10 +1,10 @@
 """Frames from another process: the simulated world lives with the bench, the camera in its transport's process.
 
 The server owns a frame source, a Unix socket and a file of one sensor image, both in a folder of its own.  The
-client asks for one exposure at a time; the server draws it into the mapped file and answers with one line.  An image
-that is not writeable will come again as it is: the first few of those get a number, are sent once, and are named by
-it from then on, so that frames made beforehand cost next to nothing.  The folder is private to the user, and nothing
-on a network can reach the socket.
+client asks for one exposure at a time; the server draws it into the mapped file and answers with one line.  An
+image that is not writeable will come again as it is: the first few of those get a number, are sent once, and are
+named by it from then on, so that frames made beforehand cost next to nothing.  The folder is private to the user,
+and nothing on a network can reach the socket.
 """
 
 import json
