@@ -47,13 +47,13 @@ def without_sliding_minimum(
     Yields
     ------
     ndarray, shape (H, W), or None
-        Frames without their background, not negative, of the kind that came in; None for None. NaN where any
-        frame within reach is NaN.
+        Frames without their background, not negative, of the kind that came in; NaN where any frame within reach
+        is NaN. None for None, and for a frame that has nobody within reach: its background is not known.
 
     Raises
     ------
     FrameError
-        A frame of another size or kind than those before it, or one that has nobody within reach to compare with.
+        A frame of another size or kind than those before it.
     """
     if reach_steps < 1:
         raise FrameError(f"the time minimum needs a reach of at least 1 step, got {reach_steps}")
@@ -81,11 +81,10 @@ def without_sliding_minimum(
             place += 1
 
 
-def _clean(frame: Frame, near: list[tuple[Frame, float]], dark_share: float) -> Frame:
-    """Frame minus the minimum of those near it; itself always counts."""
+def _clean(frame: Frame, near: list[tuple[Frame, float]], dark_share: float) -> Frame | None:
+    """Frame minus the minimum of those near it; itself always counts. None if it is alone."""
     if len(near) < 2:
-        raise FrameError("a background is what several frames share, and this one has none within reach; "
-                         "evaluate without a sliding minimum")  # fmt: skip
+        return None
     lowest = _minimum([each for each, _ in near])
     if dark_share > 0.0:
         floor = _light(lowest)

@@ -37,7 +37,7 @@ def evaluate_chunk(job: ChunkJob) -> Marker:
     DiskError
         The file cannot be written.
     FrameError
-        No frame of the chunk has a neighbour to be compared with.
+        Frames of one pulse are of several kinds of number.
     """
     prepared = correction_of(job.maps, job.method)
     frames = zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True)

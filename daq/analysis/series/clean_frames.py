@@ -1,7 +1,7 @@
 """Raw frames of one pulse of a chunk, in order, without their background; one that cannot be used is a reason.
 
 A frame that is missing or damaged costs its own pair and nothing else: its neighbours are compared with those that
-are there.
+are there. One whose neighbours are all gone has no background, which costs its own pair again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from correction.background.pod import without_patterns
 from correction.background.preparation import POD, SLIDING_MINIMUM
 from correction.background.series_light import without_light
-from correction.background.sliding_minimum import DARK_SHARE, without_sliding_minimum
+from correction.background.sliding_minimum import DARK_SHARE, REACH_STEPS, without_sliding_minimum
 from correction.errors import FrameError
 from daq.acquisition.runs.acquired import read_acquired
 from daq.analysis.series.light_file import load_light
@@ -20,6 +20,10 @@ from daq.analysis.series.series_plan import ChunkJob, SeriesPair
 from daq.errors import RunDamaged
 
 Frame = NDArray[Any]
+ALONE = (
+    f"no frame within {REACH_STEPS} pairs of it can be read, so that its background is not known; evaluate the run with"
+    " --prepare mean, minimum or none to keep it"
+)
 
 
 def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
@@ -45,7 +49,7 @@ def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
     first, last = len(job.before), len(job.before) + len(job.pairs)
     for place, found in enumerate(clean):
         if first <= place < last:
-            yield why[place] if found is None else found
+            yield why.get(place, ALONE) if found is None else found
         elif place >= last:
             return
 

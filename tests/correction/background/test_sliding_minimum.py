@@ -111,12 +111,16 @@ def test_a_reflection_that_moves_faster_than_the_reach_is_not_background():
     assert clean[9][33:42, 12:38].mean() > 400.0
 
 
+def test_a_frame_that_nobody_is_near_to_has_no_background_and_ends_nothing():
+    frames = [np.full((4, 4), count, np.uint16) for count in (9, 7, 5)]
+    assert list(without_sliding_minimum(frames[:1])) == [None]
+    clean = list(without_sliding_minimum([frames[0], None, None, *frames[1:]], 2))
+    assert clean[:3] == [None] * 3
+    assert [int(each.max()) for each in clean[3:]] == [2, 0]
+
+
 def test_what_is_no_series_is_named():
     square = np.zeros((4, 4), np.uint16)
-    with pytest.raises(FrameError, match="none within reach"):
-        list(without_sliding_minimum([square]))
-    with pytest.raises(FrameError, match="none within reach"):
-        list(without_sliding_minimum([square, None, None, square], 2))
     with pytest.raises(FrameError, match="reach of at least 1"):
         list(without_sliding_minimum([square, square], 0))
     with pytest.raises(FrameError, match=r"\(5, 4\) and those before it"):

@@ -98,6 +98,20 @@ def test_bad_pairs_are_named_left_out_and_counted(made, run):
     assert np.nanmedian(mean.mean_px, axis=(0, 1)) == pytest.approx((SHIFT_PX[0], -SHIFT_PX[1]), abs=0.02)
 
 
+def test_a_pair_between_damaged_ones_has_no_background_and_is_a_row(tmp_path):
+    """All frames within reach of pair 4 are damaged: that costs nine pairs, and not the chunk."""
+    run = flow_run(tmp_path, 12)
+    for pair in (0, 1, 2, 3, 5, 6, 7, 8):
+        damaged = RunFolder(run).frame_path(2 * pair)
+        damaged.write_bytes(damaged.read_bytes()[:-40] + bytes(40))
+    books = run_series("flow", tmp_path / "out", given_of(run), method_of(tmp_path, "sliding-minimum"), 1, 16)
+    tags = [pair.tag for pair in given_of(run).pairs]
+    assert sorted(books.failed) == tags[:9]
+    assert "no frame within 4 pairs of it can be read" in books.failed[tags[4]]
+    mean = mean_flow(Chunks.of(books.folder.path))
+    assert (mean.used, len(mean.left_out)) == (3, 9)
+
+
 @pytest.mark.parametrize("chunk", [1, 2, 16])
 def test_no_vector_depends_on_where_the_series_is_cut(folder, run, made, chunk):
     """A chunk reads the frames around it: the sliding minimum is that of the series, not of the chunk."""
