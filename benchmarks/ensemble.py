@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from benchmarks.flow import DT_S, RATE_HZ, RIM_FROM, Case, _background, _correction
 from correction.evaluate.regions import Region, regions_of
-from correction.flow.ensemble import EnsembleSums, sweep_with
+from correction.flow.ensemble import EnsembleSums
 from correction.flow.ensemble_field import ensemble_field, next_sweep
 from correction.flow.moments import Moments
+from correction.flow.sweep import sweep_with
 from correction.grid import PlaneGrid
 from correction.piv.pair import evaluate_pair
 from correction.piv.prepare import prepared

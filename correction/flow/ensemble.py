@@ -14,12 +14,9 @@ With Gaussian peaks places and widths add: the mean displacement is the place of
 stresses are what its covariance has more than that of R_AA: R_uu, R_vv, R_uv = C_AB - C_AA. Noise of vectors is
 not in them, as there are none. A skewed h moves the fitted peak by about a quarter of skewness times deviation.
 
-**Cells.** Products are summed over cells of 8 px; a window of 8, 16 or 32 px is a sum of cells made at the end,
-so one sweep serves all. The state is L planes of a number a cell and three mean frames, for any number of
-pairs.
-
-**Sweeps.** What deforms the frames must be known before the first pair: the mean of vectors (`sweep_with`),
-then what a sweep has found (`next_sweep`). All sums of a sweep can be added, part by part.
+Products are summed over cells (`correction.flow.cells`) of frames that are deformed by what is known before
+(`correction.flow.sweep`). The state is L planes of a number a cell and three mean frames, for any number of pairs;
+all sums of a sweep can be added, part by part.
 
 **Fields of pairs.** In a turbulent flow h is wide and a window holds few samples of it: the error of the mean
 is that of some particles. Frames may therefore be deformed by a field d of their own pair (`Sweep.of_pair`: its
@@ -49,31 +46,22 @@ mean would move to the sweep's field. Weights of 0 in the gaps leave 0.02 px^2, 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.errors import SeriesError
+from correction.flow.cells import CELL_PX, WINDOWS_PX, cells_of, lags_of, middles_of, windows_of
 from correction.flow.kernels.cell_planes import TEMPLATES, cell_products, template_sums
 from correction.flow.sampled_noise import noise_correlation
+from correction.flow.sweep import MOST_REACH_PX, Sweep
 from correction.piv.deform import deform_pair
-from correction.piv.outliers import filled, smoothed
-from correction.piv.passes import moved
 from correction.piv.prepare import prepared
-from correction.piv.windows import WindowGrid
 from ground.rows import run_rows
 
-CELL_PX = 8
-WINDOWS_PX = (8, 16, 32)  # whose sigma is kept; each a multiple of the cell
 LEVEL_PX = 32  # side of the surroundings whose mean is taken off the frames
 OWN_REACH_PX = 4  # of the autocorrelation: particle images are small
-LEAST_REACH_PX, MOST_REACH_PX = 5, 15
-SMOOTH_PX = 6.0  # standard deviation of what smooths a field before it deforms frames
-LIKELY, OWN_NOISE_PX = 3.0, 0.05  # standard deviations that a pair may be off the mean; least noise of its vectors
-GAP_STEPS, LEAST_AROUND = 1.5, 0.1  # how a pair's own field is continued: standard deviation, and share of vectors
 PAIRS_OF_TEMPLATES = np.triu_indices(TEMPLATES)
 PARTS = {  # of what is summed for each window, see `EnsembleSums.windows`
     "products": len(PAIRS_OF_TEMPLATES[0]),
@@ -85,128 +73,6 @@ PARTS = {  # of what is summed for each window, see `EnsembleSums.windows`
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-
-
-def cells_of(shape: tuple[int, int]) -> WindowGrid:
-    """Cells of a frame (H, W), centred in it."""
-    row, column = (np.arange(side % CELL_PX // 2, side - CELL_PX + 1, CELL_PX) for side in shape)
-    return WindowGrid(row, column, CELL_PX, CELL_PX)
-
-
-def lags_of(reach_px: int, half: bool = False) -> NDArray[np.int64]:
-    """Displacements (L, 2), v and u, up to `reach_px` along each axis; `half`: one of s and -s."""
-    side = np.arange(-reach_px, reach_px + 1)
-    lags = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    chosen = (lags[:, 0] > 0) | ((lags[:, 0] == 0) & (lags[:, 1] >= 0))
-    return np.ascontiguousarray(lags[chosen] if half else lags)
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """What must be known before the first pair of a sweep, and be the same for all its parts.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Of the frames [px].
-    field_px : ndarray of float64, shape (ny, nx, 2)
-        Displacement u, v at the cells' centres that deforms the frames of a pair without a field, finite.
-    energy_px2 : ndarray of float64, shape (ny, nx)
-        Mean of R_uu and R_vv as far as they are known, not negative.
-    spread_px2 : float
-        Variance of a particle image (`correction.piv.prepare`).
-    reach_px : int
-        Largest displacement left to look at, along each axis.
-    """
-
-    shape: tuple[int, int]
-    field_px: Floats
-    energy_px2: Floats
-    spread_px2: float
-    reach_px: int
-
-    @property
-    def variance_px2(self) -> Singles:
-        """Expected variance (ny, nx) of the peak along an axis: that of the templates."""
-        return (2.0 * self.spread_px2 + self.energy_px2).astype(np.float32)
-
-    @property
-    def cells(self) -> WindowGrid:
-        """Where the cells lie."""
-        return cells_of(self.shape)
-
-    def of_pair(self, vectors_px: Floats, sigma_px: Floats, good: NDArray[np.bool_], grid: WindowGrid) -> Floats:
-        """Field (ny, nx, 2) at the cells that is most likely that of one pair, given its vectors on a grid.
-
-        Each vector's difference from the field of the sweep is taken in the ratio R/(R + sigma^2) in which it is
-        flow and not noise; not at all where it is larger than both allow. Where there is none around, the field is
-        that of the sweep: a single pair continued over a rim goes astray.
-
-        Parameters
-        ----------
-        vectors_px, sigma_px : ndarray of float64, shape (ny, nx, 2)
-            Displacements and their standard uncertainty.
-        good : ndarray of bool, shape (ny, nx)
-            Vectors that were measured.
-        grid : WindowGrid
-            Where they belong.
-        """
-        energy = np.clip(moved(self.energy_px2[..., None], self.cells, grid)[..., 0], 0.0, None)
-        noise = 0.5 * np.square(sigma_px).sum(axis=-1)
-        off = vectors_px - moved(self.field_px, self.cells, grid)
-        with np.errstate(invalid="ignore"):
-            good = good & (np.square(off).sum(axis=-1) < LIKELY**2 * 2.0 * (energy + noise + OWN_NOISE_PX**2))
-            flow = energy / (energy + noise + OWN_NOISE_PX**2)
-        off = np.where(good[..., None], off * flow[..., None], 0.0)
-        around = _blurred(off, GAP_STEPS) / (
-            _blurred(good[..., None].astype(np.float64), GAP_STEPS) + LEAST_AROUND
-        )
-        off = _blurred(np.where(good[..., None], off, around), SMOOTH_PX / grid.step_px)
-        return self.field_px + moved(off, grid, self.cells)
-
-    def same(self, other: "Sweep") -> bool:
-        """Whether parts of both may be added."""
-        arrays = ((self.field_px, other.field_px), (self.energy_px2, other.energy_px2))
-        numbers = (self.reach_px, self.spread_px2) == (other.reach_px, other.spread_px2)
-        return numbers and all(np.array_equal(one, two) for one, two in arrays)
-
-
-def sweep_with(
-    shape: tuple[int, int], mean_px: Floats, stress_px2: Floats, grid: WindowGrid, spread_px2: float
-) -> Sweep:
-    """Get ready for a sweep.
-
-    Parameters
-    ----------
-    shape : (int, int)
-        Of the frames [px].
-    mean_px : ndarray of float64, shape (ny, nx, 2)
-        Mean displacement u, v as far as it is known, on `grid`; NaN elsewhere.
-    stress_px2 : ndarray of float64, shape (ny, nx, 3)
-        Reynolds stresses as far as they are known.
-    grid : WindowGrid
-        Where they belong.
-    spread_px2 : float
-        Variance of a particle image (`correction.piv.prepare`).
-
-    Raises
-    ------
-    SeriesError
-        Not a single mean displacement is known.
-    """
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(mean_px).all(axis=-1))
-    if not known.any():
-        raise SeriesError("ensemble correlation begins with the mean of vectors, and there is none; see the pairs")
-    cells = cells_of(shape)
-    energy = np.clip(0.5 * (stress_px2[..., 0] + stress_px2[..., 1]), 0.0, None)
-    told = np.isfinite(energy) & known
-    energy = np.where(told, energy, float(np.median(energy[told])) if told.any() else 0.25)
-    spread = filled(np.repeat(energy[..., None], 2, axis=-1), np.ones_like(known))[0]
-    energy = np.clip(moved(spread, grid, cells)[..., 0], 0.0, None)
-    largest = 2.0 * spread_px2 + float(np.percentile(energy, 98))
-    reach = int(np.clip(np.ceil(3.0 * np.sqrt(largest)), LEAST_REACH_PX, MOST_REACH_PX))
-    smooth = smoothed(np.where(known[..., None], mean_px, 0.0), known, SMOOTH_PX / grid.step_px)
-    return Sweep(shape, moved(smooth, grid, cells), energy, spread_px2, reach)
 
 
 class EnsembleSums:
@@ -434,35 +300,3 @@ class EnsembleSums:
                 raise damaged
             target[:] = given
         return sums
-
-
-def window_cells(side_px: int) -> tuple[int, int]:
-    """Cells along a window, and from one to the next: half of it, at least one."""
-    many = side_px // CELL_PX
-    return many, max(many // 2, 1)
-
-
-def _blurred(values: Floats, sigma_steps: float) -> Floats:
-    blurred: Floats = ndimage.gaussian_filter(values, (sigma_steps, sigma_steps, 0.0), mode="nearest")
-    return blurred
-
-
-def middles_of(cells: NDArray[Any], side_px: int) -> NDArray[Any]:
-    """Values (..., ny, nx) at the cells' centres, at the middles of windows: of one cell, or between four."""
-    many, step = window_cells(side_px)
-    before = (many - 1) // 2
-    for axis in (-2, -1):
-        first = np.arange(0, max(cells.shape[axis] - many + 1, 0), step) + before
-        here = np.take(cells, first, axis=axis)
-        cells = here if many % 2 else 0.5 * (here + np.take(cells, first + 1, axis=axis))
-    return cells
-
-
-def windows_of(cells: NDArray[Any], side_px: int) -> NDArray[Any]:
-    """Sums over windows of what was summed over cells (..., ny, nx)."""
-    many, step = window_cells(side_px)
-    for axis in (-2, -1):
-        first = np.arange(0, max(cells.shape[axis] - many + 1, 0), step)
-        parts = [np.take(cells, first + k, axis=axis) for k in range(many)]
-        cells = sum(parts[1:], start=parts[0])
-    return cells

@@ -6,21 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import SeriesError
-from correction.flow.ensemble import (
-    CELL_PX,
-    OWN_REACH_PX,
-    PAIRS_OF_TEMPLATES,
-    WINDOWS_PX,
-    EnsembleSums,
-    Sweep,
-    lags_of,
-    middles_of,
-    sweep_with,
-    window_cells,
-    windows_of,
-)
+from correction.flow.cells import CELL_PX, WINDOWS_PX, lags_of, middles_of, window_cells, windows_of
+from correction.flow.ensemble import OWN_REACH_PX, PAIRS_OF_TEMPLATES, EnsembleSums
 from correction.flow.kernels.cell_planes import TEMPLATES
 from correction.flow.kernels.peak_fit import OF_PEAK, PARAMETERS, fit_row
+from correction.flow.sweep import Sweep, sweep_with
 from correction.piv.outliers import outliers
 from correction.piv.windows import WindowGrid
 from ground.rows import run_rows

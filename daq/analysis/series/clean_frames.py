@@ -21,8 +21,8 @@ from daq.errors import RunDamaged
 
 Frame = NDArray[Any]
 ALONE = (
-    f"no frame within {REACH_STEPS} pairs of it can be read, so that its background is not known; evaluate the run with"
-    " --prepare mean, minimum or none to keep it"
+    f"no frame within {REACH_STEPS} pairs of it can be read, so that its background is not known; evaluate the run"
+    " with --prepare mean, minimum or none to keep it"
 )
 
 

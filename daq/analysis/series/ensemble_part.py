@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import FrameError, PairError, SeriesError
-from correction.flow.ensemble import EnsembleSums, Sweep
+from correction.flow.ensemble import EnsembleSums
+from correction.flow.sweep import Sweep
 from correction.piv.windows import WindowGrid
 from daq.analysis.series.chunk import correction_of, windows_of
 from daq.analysis.series.chunk_file import SeriesField

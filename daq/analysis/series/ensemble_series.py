@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import SeriesError
-from correction.flow.ensemble import EnsembleSums, Sweep, sweep_with
+from correction.flow.ensemble import EnsembleSums
 from correction.flow.ensemble_field import EnsembleField, ensemble_field, next_sweep
+from correction.flow.sweep import Sweep, sweep_with
 from correction.grid import PlaneGrid
 from correction.piv.prepare import prepared as prepared_pair
 from correction.piv.windows import WindowGrid

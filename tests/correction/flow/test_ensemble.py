@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from correction.errors import SeriesError
-from correction.flow.ensemble import EnsembleSums, cells_of, lags_of, sweep_with
+from correction.flow.cells import cells_of, lags_of
+from correction.flow.ensemble import EnsembleSums
 from correction.flow.ensemble_field import ensemble_field, next_sweep
 from correction.flow.kernels.cell_planes import cell_products
 from correction.flow.moments import Moments
+from correction.flow.sweep import sweep_with
 from correction.piv.pair import evaluate_pair
 from correction.piv.prepare import prepared
 from correction.piv.settings import PivSettings
