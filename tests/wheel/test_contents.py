@@ -10,7 +10,7 @@ import pytest
 
 from tests.wheel.build import ROOT, build_wheel
 
-PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
+PACKAGES = ("rtpiv", "ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
 
 
 @pytest.fixture(scope="module")
@@ -40,10 +40,7 @@ def test_it_runs_where_it_lies(wheel, tmp_path):
     for name in ("sim.py", "daq.py", "tracer.py", "benchmarks.py"):
         (here / name).write_text("raise SystemExit('hidden')\n")
     environment = os.environ | {"PYTHONPATH": str(place)}
-    code = (
-        "import sys; from daq.cli import main; from daq.example_files import examples; "
-        "print(examples()); main(sys.argv[1:])"
-    )
+    code = "from rtpiv.command import main; from daq.example_files import examples; print(examples()); main()"
     ran = subprocess.run(
         [sys.executable, "-P", "-c", code, "--version"],
         cwd=here,

@@ -1,0 +1,55 @@
+"""Particle image velocimetry through glass: the eight things people need, under one name.
+
+    load_scene   what you know of your bench: camera, glass, light
+    trace        what of the plane that scene shows
+    acquire      carry a plan out, on the bench or on its simulation
+    calibrate    where everything really is, from frames of the target
+    correct      frames as if the glass were not there
+    evaluate     vectors of pairs, with errors and uncertainty
+    mean         mean flow and Reynolds stresses of many pairs
+    report       a run as one page
+
+Files may be named as text or as `Path`.  `docs/python.md` goes through them; ERRORS is a tuple of all that they
+raise on purpose: ``except rtpiv.ERRORS``.  What else there is lies in the packages below; each is imported when it
+is first used.
+"""
+
+from importlib import import_module
+from typing import Any
+
+from rtpiv import neighbours
+
+neighbours.make_room()
+
+_HOMES = {
+    "load_scene": "tracer.scene_file",
+    "trace": "daq.verbs.trace",
+    "acquire": "daq.verbs.acquire",
+    "calibrate": "daq.verbs.calibrate",
+    "correct": "daq.verbs.correct",
+    "evaluate": "daq.verbs.evaluate",
+    "mean": "daq.verbs.mean",
+    "report": "daq.verbs.report",
+}
+_ROOTS = ("ground.errors:GroundError", "tracer.errors:TracerError", "correction.errors:CorrectionError",
+          "stages.errors:StageError", "daq.errors:DaqError")  # fmt: skip
+__all__ = [*_HOMES, "ERRORS"]
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
+    if name == "ERRORS":
+        found: Any = tuple(
+            getattr(import_module(root.partition(":")[0]), root.partition(":")[2]) for root in _ROOTS
+        )
+    elif name == "__version__":
+        found = import_module("importlib.metadata").version("rtpiv")
+    elif name in _HOMES:
+        found = getattr(import_module(_HOMES[name]), name)
+    else:
+        raise AttributeError(f"rtpiv has no {name!r}; it has {', '.join(__all__)}")
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
