@@ -5,6 +5,13 @@ may talk to a camera or to stages and take its time. The other one **judges** th
 for `SILENCE_S` is a lost condition as well. It also ends bursts, and after a stop says off until it reads back
 as off.
 
+**A silent box or a busy computer?** On a computer that has too much to do both threads are late, and a stage that
+answers in milliseconds seems to say nothing for a second.  What tells the two apart is the judge's own waking: if
+nobody answers while the judge wakes every `LOOK_S`, a device is silent; if the judge is late too, nobody could
+have asked.  So of the time between two looks no more than `ON_TIME_S` counts as silence.  That has an end: who
+could not ask for `BLIND_S`, for whatever reason, does not watch, and the light goes off.  A computer that does
+not even wake to see that is the one that hangs, of which the box's own count is the end (ADR 14).
+
 The second one waits on the laser's clock, so on a `VirtualClock` it is also what lets time pass while a burst
 goes on.
 """
@@ -22,7 +29,9 @@ from stages.clock import Clock
 from stages.errors import StageError
 
 LOOK_S = 0.01  # between two questions, and between two judgements
-SILENCE_S = 1.0  # of the wall's clock, without a new answer
+SILENCE_S = 1.0  # without a new answer, of the wall's time in which the judge was on time
+ON_TIME_S = 0.02  # between two looks of a judge who is on time; what is beyond is the computer's, not a device's
+BLIND_S = 5.0  # of the wall's clock, without a new answer, however busy the computer was
 CONFIRM_S = 0.2  # between two attempts to read back that everything is off
 
 
@@ -43,14 +52,16 @@ class Vigil:
 
     def __init__(self, laser: Laser, ask: Callable[[], Conditions], clock: Clock, wall: Clock) -> None:
         self._laser, self._ask, self._clock, self._wall = laser, ask, clock, wall
-        self._heard_s = wall.now_s()
+        self._heard_s = wall.now_s()  # written by the one who asks
+        self._looked_s = self._knew_s = self._heard_s  # last look of the judge, and what he had heard by then
+        self._silence_s = 0.0  # since then, as far as the judge was on time
         self._ended = threading.Event()
         self._asks = threading.Thread(target=self._go_on_asking, name="conditions", daemon=True)
         self._judges = threading.Thread(target=self._go_on_judging, name="vigil", daemon=True)
         self.error: Exception | None = None  # what ended the burst before its count
 
     def __enter__(self) -> "Vigil":
-        self._heard_s = self._wall.now_s()
+        self._heard_s = self._looked_s = self._wall.now_s()
         self._asks.start()
         self._judges.start()
         return self
@@ -88,8 +99,8 @@ class Vigil:
 
     def _go_on_judging(self) -> None:
         while not self._ended.is_set() and self._laser.state is LaserState.FIRING:
-            if self._wall.now_s() - self._heard_s > SILENCE_S:
-                self._stop("nobody has said for a while how things stand")
+            if blind := self._blindness():
+                self._stop(blind)
             try:
                 self._laser.look()
             except (DaqError, StageError) as error:
@@ -97,6 +108,22 @@ class Vigil:
             self._clock.sleep_s(LOOK_S)
         while not self._laser.confirm_off() and not self._ended.wait(CONFIRM_S):
             pass
+
+    def _blindness(self) -> str | None:
+        """Say why nobody knows how things stand, now that the judge looks again; None if somebody does."""
+        now_s, heard_s = self._wall.now_s(), self._heard_s
+        if heard_s != self._knew_s:
+            self._knew_s, self._silence_s = heard_s, 0.0
+        self._silence_s += min(now_s - self._looked_s, ON_TIME_S)
+        self._looked_s = now_s
+        if self._silence_s > SILENCE_S:
+            return f"nobody has said for {SILENCE_S:g} s how things stand; camera or stages do not answer"
+        if (blind_s := now_s - heard_s) > BLIND_S:
+            return (
+                f"this computer was too busy for {blind_s:.1f} s to ask how things stand; end other programs, "
+                "or ask for less at once (no live correction, a lower rate)"
+            )
+        return None
 
     def _stop(self, why: str) -> None:
         with suppress(StageError):

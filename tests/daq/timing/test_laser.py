@@ -8,37 +8,13 @@ import pytest
 from daq.timing.conditions import Conditions
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
 from daq.timing.laser import Laser
-from daq.timing.pulses import LaserHead, PairExposures, PulseTiming
-from daq.timing.rules import AlignRules, Rules
+from daq.timing.pulses import LaserHead, PulseTiming
+from daq.timing.rules import Rules
 from daq.timing.states import LaserState
-from daq.timing.vigil import Vigil
-from sim.clock import ScaledClock, VirtualClock
-from stages.clock import SYSTEM_CLOCK
+from sim.clock import VirtualClock
 from stages.errors import DeviceLost, NoReply
+from tests.daq.timing.armed_laser import EXPOSURES, GOOD, HEAD, RULES, TIMING, armed, conditions_with, laser_on
 from tests.daq.timing.fake_box import FakeBox
-
-HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
-RULES = Rules(warmup_s=60.0, align=AlignRules(q_switch_delay_us=80.0))
-EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
-TIMING = PulseTiming(20.0, 10.0)
-GOOD = Conditions(True, True, True, 5.0, 1000, True)
-
-
-def laser_on(clock=None, head=HEAD, rules=RULES):
-    clock = clock or VirtualClock()
-    box = FakeBox(clock)
-    laser = Laser("laser", box, head, rules, clock)
-    laser.open("fake://")
-    return laser, box, clock
-
-
-def armed(clock=None, **options):
-    laser, box, clock = laser_on(clock, **options)
-    laser.warm(10.0)
-    clock.sleep_s(laser.warm_in_s + 1e-3)
-    laser.set(TIMING, EXPOSURES)
-    laser.arm(GOOD, laser.challenge)
-    return laser, box, clock
 
 
 def test_a_chunk_from_opening_to_the_end():
@@ -112,11 +88,6 @@ MISSING = {
     "shutter is open": {"shutter_open": None},
     "shutter is closed": {"shutter_open": False},
 }
-
-
-def conditions_with(**changes):
-    values = {field: getattr(GOOD, field) for field in GOOD.__dataclass_fields__}
-    return Conditions(**{**values, **changes})
 
 
 @pytest.mark.parametrize("words", MISSING)
@@ -345,46 +316,3 @@ def test_closing_switches_off():
     laser.close()
     assert box.burst is None
     assert laser.state is LaserState.FAULT
-
-
-def test_the_vigil_switches_off_within_50_ms_of_a_lost_condition():
-    laser, box, clock = armed(ScaledClock(), rules=Rules(warmup_s=0.0), head=LaserHead(max_rate_hz=1000.0))
-    now = [GOOD]
-    laser.fire(90)
-    with Vigil(laser, lambda: now[0], clock, SYSTEM_CLOCK) as vigil:
-        time.sleep(0.3)
-        assert laser.state is LaserState.FIRING
-        now[0], lost_s = conditions_with(at_rest=False), time.monotonic()
-        while box.burst is not None:
-            time.sleep(0.001)
-        assert time.monotonic() - lost_s < 0.05 + 0.1  # the second half for a busy machine
-        with pytest.raises(LaserStopped, match="moves"):
-            vigil.wait()
-    assert laser.state is LaserState.FAULT
-
-
-def test_the_vigil_takes_silence_and_errors_for_lost(mocker):
-    mocker.patch("daq.timing.vigil.SILENCE_S", 0.1)
-
-    def hangs():
-        time.sleep(0.6)
-        return GOOD
-
-    def fails():
-        raise OSError("no camera")
-
-    for ask, words in ((hangs, "nobody has said"), (fails, "no camera")):
-        laser, box, clock = armed(ScaledClock(), rules=Rules(warmup_s=0.0), head=LaserHead(max_rate_hz=1000.0))
-        laser.fire(50)
-        with Vigil(laser, ask, clock, SYSTEM_CLOCK):
-            time.sleep(0.4)
-        assert words in laser.why
-        assert box.burst is None
-
-
-def test_leaving_the_vigil_switches_off():
-    laser, box, clock = armed(ScaledClock(), rules=Rules(warmup_s=0.0), head=LaserHead(max_rate_hz=1000.0))
-    laser.fire(50)
-    with Vigil(laser, lambda: GOOD, clock, SYSTEM_CLOCK):
-        pass
-    assert box.burst is None
