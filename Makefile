@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow fuzz benchmark bench lint picture pins clean
+.PHONY: demo test test-slow fuzz lamps benchmark bench lint picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -34,6 +34,10 @@ SEED ?= 1
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.safety.fuzz --sequences $(SEQUENCES) --seed $(SEED) --workers 2
 	$(BIN)/python -m tests.safety.laser_fuzz --sequences $(SEQUENCES) --seed $(SEED)
+
+# Target frames in the light of twelve lamps: is the map right where the lamp is told, inside its sigma where not?
+lamps: $(STAMP)
+	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/fit/test_lamps.py
 
 bench: benchmark
 

@@ -10,7 +10,7 @@ stage accuracy, catalogue tolerance.  0 holds a number fixed; what is not given 
       n: 0.005                                        # of every glass ...
       glasses: {crown: 0.001}                         # ... but this one
       target: {sideways_mm: 0.02, z_mm: 0.01, rotation_deg: 0.0}    # planes other than z = 0
-      light: {mean_nm: 560.0, width_nm: 90.0}       # of the target frames, if not the scene's
+      light: {colour_temperature_k: 4000.0}         # of the target frames, see tracer.light_table
 
 ``focal_px`` left out means: free (0.3 %) if the bare target was seen at three or more heights, else fixed,
 because one plane cannot tell the focal length from the distance.
@@ -21,7 +21,7 @@ from typing import Annotated
 from pydantic import Field
 
 from ground.config import Table
-from tracer.media import VISIBLE_NM
+from tracer.light_table import LightTable
 
 Sigma = Annotated[float, Field(ge=0.0, le=1e6)]
 FOCAL_SHARE = 0.003  # of the focal length, when a z-stack can tell it from the distance
@@ -63,13 +63,6 @@ class FitTargetTable(Table):
     rotation_deg: Sigma = 0.0
 
 
-class FitLightTable(Table):
-    """Light in which the target frames were taken: mean wavelength, and full width at half height."""
-
-    mean_nm: Annotated[float, Field(ge=VISIBLE_NM[0], le=VISIBLE_NM[1])]
-    width_nm: Annotated[float, Field(ge=0.0, le=500.0)] = 0.0
-
-
 class FitTable(Table):
     """What is known before the fit."""
 
@@ -79,7 +72,7 @@ class FitTable(Table):
     n: Sigma = 0.005
     glasses: dict[str, Sigma] = Field(default_factory=dict)
     target: FitTargetTable = FitTargetTable()
-    light: FitLightTable | None = None
+    light: LightTable | None = None
 
     def sphere(self, name: str) -> FitSphereTable:
         """Return what is known of the sphere called `name`."""

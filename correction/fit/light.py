@@ -1,36 +1,49 @@
 """Fit in the light of the target frames, hand out the scene in the light of the measurement.
 
-Target frames are taken in LED light, particles in a laser's.  A glass's index differs by some 0.001-0.003
-between the two, which is 0.2-2 px behind a ball.  In light of centre c and Gaussian width w (full, at half
-height) a picture shows the mean index
+Target frames are taken in a lamp's light, particles in a laser's.  A glass's index differs by some 0.001-0.003
+between the two, which is 0.2-2 px behind a ball.  A lamp shows the mean index over its colours (`tracer.light`),
+so the fit works with the glass moved by n_light - n(lambda_scene), and the constant that it finds, the melt's own,
+stays when the glass is moved back.
 
-    n_light = integral n(lambda) g(lambda) dlambda = n(c) + n''(c) w^2 / (16 ln 2) + ...
-
-so the fit works with the glass moved by n_light - n(lambda_scene), and the constant that it finds, the melt's
-own, stays when the glass is moved back.
+What is not known of the light is not known of the index either, and no frame tells: with N-BK7 8 nm are 3e-4 in n,
+0.07 px behind two balls.  A light that nobody tells may be any white lamp: the map is made as if it were the
+scene's own, and its sigma holds what LAMPS would change.  All glasses move together, as they stand in one light.
 """
 
+from dataclasses import dataclass, field
+from functools import cache
+
 import numpy as np
+from numpy.typing import NDArray
 
 from correction.fit.errors import ViewsMissing
-from tracer.fit_section import FitLightTable
-from tracer.media import VISIBLE_NM, ConstantMedium, Medium
+from tracer.light import Light
+from tracer.media import ConstantMedium, Medium
 from tracer.media import shifted as shifted_medium
 from tracer.scene import Scene
+from tracer.sensitivity import CAMERA, SPHERE
+from tracer.white_led import white_led
 
-WIDTHS = 2.5  # standard deviations of the light that are counted each way
-NODES = 101
-
-
-def index_in_light(medium: Medium, light: FitLightTable) -> float:
-    """Mean refractive index in a light."""
-    spread = light.width_nm / np.sqrt(8.0 * np.log(2.0))
-    off = np.linspace(-WIDTHS, WIDTHS, NODES)
-    lengths = np.clip(light.mean_nm + spread * off, *VISIBLE_NM)
-    return float(np.average([medium.n(float(length)) for length in lengths], weights=np.exp(-0.5 * off**2)))
+LAMPS_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # white LEDs as they are sold
 
 
-def in_light(scene: Scene, light: FitLightTable | None) -> Scene:
+@dataclass(frozen=True)
+class LightDoubt:
+    """What is not known of the light of the target frames.
+
+    Parameters
+    ----------
+    step : (Q,) float64
+        One standard deviation of it as a change of the scene's numbers (`SceneSigma`); empty if it is known.
+    sentence : str
+        What that is and what would help; empty if it is known.
+    """
+
+    step: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    sentence: str = ""
+
+
+def in_light(scene: Scene, light: Light | None) -> Scene:
     """Return the scene with its glass as it looks in another light.
 
     Raises
@@ -41,12 +54,52 @@ def in_light(scene: Scene, light: FitLightTable | None) -> Scene:
     return _moved(scene, scene, light, 1.0)
 
 
-def back_from_light(fitted: Scene, nominal: Scene, light: FitLightTable | None) -> Scene:
+def back_from_light(fitted: Scene, nominal: Scene, light: Light | None) -> Scene:
     """Return a scene fitted in a light with its glass as it is at the scene's wavelength."""
     return _moved(fitted, nominal, light, -1.0)
 
 
-def _moved(scene: Scene, nominal: Scene, light: FitLightTable | None, sign: float) -> Scene:
+def doubt_of(nominal: Scene, light: Light | None) -> LightDoubt:
+    """What a fit with this light leaves open, for the numbers of the scene's camera and spheres."""
+    media = [sphere.medium for sphere in nominal.spheres]
+    sigma = [index_sigma(medium, light, nominal.wavelength_nm) if medium else 0.0 for medium in media]
+    if not any(sigma):
+        return LightDoubt()
+    step = np.zeros(len(CAMERA) + len(SPHERE) * len(media))
+    step[len(CAMERA) :].reshape(-1, len(SPHERE))[:, SPHERE.index("n")] = sigma
+    largest = float(np.abs(sigma).max())
+    if light is None:
+        sentence = (
+            "the light of the target frames is not said: glass is taken as it is at"
+            f" {nominal.wavelength_nm:g} nm, and a white lamp may show its n off by {largest:.1g}; the map's sigma"
+            " holds that. Give fit.light: points from the lamp's data sheet, or colour_temperature_k; mean_nm"
+            " alone if it is the light of the measurement"
+        )
+    else:
+        sentence = (
+            f"the mean wavelength of the target's light is known to {light.unsure_nm:g} nm, n to {largest:.1g};"
+            " the map's sigma holds that. The lamp's spectrum as fit.light.points would help"
+        )
+    return LightDoubt(step, sentence)
+
+
+def index_sigma(medium: Medium, light: Light | None, wavelength_nm: float) -> float:
+    """Standard deviation of a medium's index between light and scene; 0 for a number, which has no dispersion."""
+    if isinstance(medium, ConstantMedium):
+        return 0.0
+    if light is not None:
+        return light.index_sigma(medium)
+    here = medium.n(wavelength_nm)
+    off = [np.hypot(lamp.index(medium) - here, lamp.index_sigma(medium)) for lamp in _lamps()]
+    return -float(np.sqrt(np.mean(np.square(off))))
+
+
+@cache
+def _lamps() -> tuple[Light, ...]:
+    return tuple(white_led(temperature) for temperature in LAMPS_K)
+
+
+def _moved(scene: Scene, nominal: Scene, light: Light | None, sign: float) -> Scene:
     """Move every glass by the difference that the nominal glass of the same body shows."""
     if light is None:
         return scene
@@ -58,11 +111,12 @@ def _moved(scene: Scene, nominal: Scene, light: FitLightTable | None, sign: floa
     return scene.with_bodies(bodies)
 
 
-def _change(medium: Medium, name: str, nominal: Scene, light: FitLightTable) -> float:
+def _change(medium: Medium, name: str, nominal: Scene, light: Light) -> float:
     """By how much the index of a medium of body `name` is higher in the light than at the scene's wavelength."""
     if not isinstance(medium, ConstantMedium):
-        return index_in_light(medium, light) - medium.n(nominal.wavelength_nm)
-    if medium.index == 1.0:  # what a hollow ball is filled with
+        return light.index(medium) - medium.n(nominal.wavelength_nm)
+    same = light.wavelength_nm == (nominal.wavelength_nm,)
+    if medium.index == 1.0 or same:  # a hollow ball's gas has no dispersion
         return 0.0
     raise ViewsMissing(
         f"the glass of {name} is a number without dispersion, which cannot be moved from"

@@ -11,6 +11,7 @@ from correction.board.board_search import track_board
 from correction.board.corners import CornerFit
 from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
+from correction.fit.smear import UNSURE, Dispersion, smear_of
 from correction.fit.solver import Corners
 from tracer.branches import text_of
 from tracer.camera import Camera
@@ -126,13 +127,23 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_num
 
 
 def glass_frame(
-    frame: TargetFrame, board: Chessboard, scene: Scene, pose: TargetPose, height_number: int, only_behind: bool
+    frame: TargetFrame,
+    board: Chessboard,
+    scene: Scene,
+    pose: TargetPose,
+    height_number: int,
+    only_behind: bool,
+    dispersion: Dispersion | None = None,
 ) -> MeasuredFrame:
-    """Measure the corners that a scene predicts in a frame with glass."""
+    """Measure the corners that a scene predicts in a frame with glass, and take off what colours do to them."""
     expected = expect(scene, pose, board)
     if only_behind:
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
+    if dispersion is not None:
+        smear = smear_of(scene, pose, dispersion, expected.pixel, expected.axes_px, fit.blur_px)
+        sigma = np.hypot(fit.sigma_px, UNSURE * smear.width_px[:, None])
+        fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
     return _measured(frame.name, board, expected, fit, height_number)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.errors import FitFailed
+from correction.fit.light import LightDoubt
 from correction.fit.unknowns import Unknowns
 from tracer.branches import branch_of
 from tracer.scene import Scene
@@ -115,6 +116,8 @@ class SceneFit:
         The fitted scene in the light of the measurement; `scene` is in that of the target frames.
     history : tuple of FitStep
         What happened.
+    light : LightDoubt
+        What is not known of the light of the target frames.
     """
 
     scene: Scene
@@ -129,6 +132,7 @@ class SceneFit:
     pushed_mm: float
     measured_scene: Scene
     history: tuple[FitStep, ...] = field(default=())
+    light: LightDoubt = field(default_factory=LightDoubt)
 
     @property
     def names(self) -> tuple[str, ...]:

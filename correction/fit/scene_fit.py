@@ -24,12 +24,13 @@ from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.board_pose import in_words, turn_of_bench, turned
 from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
-from correction.fit.light import back_from_light, in_light
+from correction.fit.light import back_from_light, doubt_of, in_light
 from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
 from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, FitStep, SceneFit, check
+from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
 from correction.fit.unknowns import Unknowns, unknowns_of
 from tracer.fit_section import FitTable
@@ -78,14 +79,18 @@ def fit_scene(
         The best fit is not good enough.
     """
     priors = priors or FitTable()
-    work = _Fit(in_light(nominal, priors.light), frames, board, priors, say)
+    light = priors.light.light() if priors.light else None
+    work = _Fit(in_light(nominal, light), frames, board, priors, say)
+    if light is not None and len(light.weight) > 1:
+        work.dispersion = Dispersion.of(nominal, light)
     work.camera()
     if work.glass_frames:
         work.glass()
     fit = work.fits.estimate(work.unknowns, work.full, [*work.bare, *work.behind], work.history)
     say(str(fit.history[-1]))
     check(fit)
-    return replace(fit, measured_scene=back_from_light(fit.scene, nominal, priors.light))
+    doubt = doubt_of(nominal, light)
+    return replace(fit, measured_scene=back_from_light(fit.scene, nominal, light), light=doubt)
 
 
 class _Fit:
@@ -114,6 +119,7 @@ class _Fit:
         self.bare: list[MeasuredFrame] = []
         self.behind: list[MeasuredFrame] = []
         self.fits = Adjustment()
+        self.dispersion: Dispersion | None = None
 
     def note(self, step: FitStep) -> None:
         """Remember a step and say it."""
@@ -264,6 +270,7 @@ class _Fit:
                 self.unknowns.pose(self.full, self.height_number(frame)),
                 self.height_number(frame),
                 only_behind,
+                self.dispersion,
             )
             for frame in self.glass_frames
         ]

@@ -8,7 +8,8 @@ stands T = d numbers / d x, so with C = L L^T one matrix says everything:
 
 Rows of `spread` at two pixels belong to the same draws.  Hence the sigma of the DIFFERENCE of two plane points is
 the length of the difference of their spreads: what both share, such as a camera that stands 0.1 mm beside its
-place, cancels.  The size of the target's squares is taken as exact.
+place, cancels.  The size of the target's squares is taken as exact.  What is not known of the target's light
+(`correction.fit.light`) is one more column of the root.
 """
 
 from dataclasses import dataclass
@@ -53,7 +54,10 @@ class SceneSigma(SceneBound):
         unknowns, full = fit.unknowns, fit.unknowns.full(fit.x)
         turned = unknowns.columns[: unknowns.glass.stop].copy()
         turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
-        return cls(fit.measured_scene.content_hash(), turned @ np.linalg.cholesky(fit.covariance))
+        root = turned @ np.linalg.cholesky(fit.covariance)
+        if fit.light.step.size:
+            root = np.column_stack((root, fit.light.step))
+        return cls(fit.measured_scene.content_hash(), root)
 
     @classmethod
     def load(cls, path: Path | str) -> "SceneSigma":

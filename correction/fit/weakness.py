@@ -41,7 +41,7 @@ class Weakness:
 
 def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
-    found = []
+    found = [Weakness((), fit.light.sentence)] if fit.light.sentence else []
     lost = {name for sphere in fit.unknowns.scene.spheres for name in _unseen(fit, sphere)}
     for name in sorted({name.split(".")[0] for name in lost}):
         text = f"no corner is seen through {name}: its place is what the scene file says"

@@ -17,7 +17,8 @@ from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tracer.bodies import Rod
-from tracer.fit_section import FitLightTable, FitTable
+from tracer.fit_section import FitTable
+from tracer.light_table import LightTable
 from tracer.media import MEDIA
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
@@ -133,7 +134,7 @@ def test_target_frames_in_led_light_give_the_index_of_the_laser():
     glass = MEDIA["N-BK7"]
     nominal, truth = (s.with_bodies([replace(b, medium=glass) for b in s.bodies]) for s in (nominal, truth))
     frames = photographs(lab, replace(truth, wavelength_nm=590.0))
-    fit = fit_scene(nominal, frames, Chessboard(3.5, 1.4), FitTable(light=FitLightTable(mean_nm=590.0)))
+    fit = fit_scene(nominal, frames, Chessboard(3.5, 1.4), FitTable(light=LightTable(mean_nm=590.0)))
     sigma = fit.sigmas[fit.names.index("glass N-BK7.n")]
     assert fit.measured_scene.spheres[0].medium.n(532.0) == pytest.approx(glass.n(532.0), abs=3.0 * sigma)
     assert 3.0 * sigma < glass.n(532.0) - glass.n(590.0)  # else the bound above says nothing

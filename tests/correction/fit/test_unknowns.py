@@ -9,19 +9,19 @@ from scipy.spatial.transform import Rotation
 from correction.fit.adjustment import legal_scene
 from correction.fit.contact import pushed_apart, walls
 from correction.fit.errors import ViewsMissing
-from correction.fit.light import back_from_light, in_light, index_in_light
+from correction.fit.light import back_from_light, in_light
 from correction.fit.solver import Corners, residuals
 from correction.fit.unknowns import left_jacobian, unknowns_of
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.fit_section import (
     FitCameraTable,
-    FitLightTable,
     FitNamedTable,
     FitSphereTable,
     FitTable,
     FitTargetTable,
 )
+from tracer.light import FULL_WIDTH, gaussian
 from tracer.media import MEDIA
 from tracer.scene_file import load_priors, load_scene
 
@@ -137,19 +137,19 @@ def test_a_fitted_index_moves_to_another_wavelength_with_the_dispersion_of_its_g
 def test_the_mean_index_of_a_wide_light_follows_the_bend_of_the_dispersion():
     glass, step = MEDIA["N-BK7"], 5.0
     bend = (glass.n(560.0 + step) - 2.0 * glass.n(560.0) + glass.n(560.0 - step)) / step**2
-    narrow, wide = (index_in_light(glass, FitLightTable(mean_nm=560.0, width_nm=w)) for w in (0.0, 40.0))
+    narrow, wide = (gaussian(560.0, width / FULL_WIDTH).index(glass) for width in (0.0, 40.0))
     assert narrow == pytest.approx(glass.n(560.0), abs=1e-12)
-    assert wide - narrow == pytest.approx(bend * 40.0**2 / (16.0 * np.log(2.0)), rel=0.1)
+    assert wide - narrow == pytest.approx(bend * 40.0**2 / (16.0 * np.log(2.0)), rel=0.01)
 
 
 def test_a_glass_seen_in_another_light_comes_back_as_it_was():
     scene = named_scene("two_spheres_500")
-    light = FitLightTable(mean_nm=590.0, width_nm=60.0)
+    light = gaussian(590.0, 25.0)
     with pytest.raises(ViewsMissing, match="number without dispersion"):
         in_light(scene, light)
     glass = scene.with_bodies([replace(sphere, medium=MEDIA["N-BK7"]) for sphere in scene.spheres])
     seen = in_light(glass, light)
-    assert seen.spheres[0].medium.n(532.0) == pytest.approx(index_in_light(MEDIA["N-BK7"], light), abs=1e-12)
+    assert seen.spheres[0].medium.n(532.0) == pytest.approx(light.index(MEDIA["N-BK7"]), abs=1e-12)
     assert back_from_light(seen, glass, light).spheres[0].medium.n(532.0) == pytest.approx(
         MEDIA["N-BK7"].n(532.0), abs=1e-12
     )

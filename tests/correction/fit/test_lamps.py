@@ -1,0 +1,92 @@
+"""Target frames in the light of lamps, measured in a laser's: the map is true, or its sigma says how much not.
+
+One bench, twelve lamps (`lamps`): white LEDs, LEDs of one colour, flat bands, single lines.
+"""
+
+import numpy as np
+import pytest
+
+from correction.correction_map import build_correction_map
+from correction.fit.light import doubt_of
+from correction.fit.map_sigma import sigma_at
+from correction.fit.result import SceneFit
+from correction.fit.scene_fit import fit_scene
+from correction.fit.weakness import weaknesses
+from correction.grid import grid_of
+from tests.correction.fit.benches import BOARD, map_error_px
+from tests.correction.fit.lamps import LAMPS, TEMPERATURES, frames_in, lab, lab_scene
+from tracer.fit_section import FitTable
+from tracer.light_table import LightTable
+from tracer.ray_map import build_ray_map
+
+TRANSFER_PX = 0.01
+
+
+def error_and_sigma(fit: SceneFit) -> tuple[float, float]:
+    """Rms error and sigma of the map in the laser's light, corrected px, over the view behind glass."""
+    _, truth, _, _ = lab()
+    grid = grid_of(truth.camera)
+    seen = build_correction_map(truth, build_ray_map(truth), grid)
+    pixels = seen.pixel[0][seen.behind_glass][::7]
+    error = np.linalg.norm(map_error_px(fit.measured_scene, truth, pixels, grid), axis=1)
+    here = np.isfinite(error)
+    assert here.mean() > 0.98
+    sigma = np.linalg.norm(sigma_at(fit, pixels[here], True), axis=1) / grid.pitch_mm
+    return float(np.sqrt(np.mean(error[here] ** 2))), float(np.sqrt(np.mean(sigma**2)))
+
+
+def fitted(share: np.ndarray | None, told: dict | None) -> SceneFit:
+    priors = FitTable(light=LightTable(**told) if told else None)
+    return fit_scene(lab()[0], frames_in(share), BOARD, priors)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("name", LAMPS)
+def test_a_light_that_is_told_costs_nothing(name):
+    lamp = LAMPS[name]
+    error, sigma = error_and_sigma(fitted(lamp.share, lamp.told))
+    print(f"{name}: told {error:.4f} px, sigma {sigma:.4f} px")
+    assert error <= TRANSFER_PX
+    assert sigma <= 2.0 * TRANSFER_PX  # it is known, so nothing is added
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("name", LAMPS)
+def test_a_light_that_is_not_told_is_in_the_sigma_and_said(name):
+    fit = fitted(LAMPS[name].share, None)
+    error, sigma = error_and_sigma(fit)
+    print(f"{name}: unsaid {error:.4f} px, sigma {sigma:.4f} px")
+    assert error <= (2.5 if name in ("red_led", "blue_led") else 1.25) * sigma  # those two are no white lamps
+    assert "light of the target frames is not said" in weaknesses(fit)[0].sentence
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("name", TEMPERATURES)
+def test_a_colour_temperature_is_better_than_nothing_and_says_what_it_is_worth(name):
+    fit = fitted(LAMPS[name].share, {"colour_temperature_k": TEMPERATURES[name]})
+    error, sigma = error_and_sigma(fit)
+    print(f"{name}: by temperature {error:.4f} px, sigma {sigma:.4f} px")
+    assert error <= 2.0 * sigma
+    assert sigma < 0.06
+    assert "mean wavelength" in weaknesses(fit)[0].sentence
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_width_once_advised_for_a_band_is_worse_than_the_band():
+    share = LAMPS["band_450_650"].share
+    told = error_and_sigma(fitted(share, {"mean_nm": 550.0, "width_nm": 200.0}))[0]
+    assert told > 3.0 * TRANSFER_PX
+
+
+def test_what_is_not_known_of_a_light_moves_all_glass_together():
+    nominal = lab_scene()
+    unsaid, white = doubt_of(nominal, None), doubt_of(nominal, LightTable(colour_temperature_k=4000.0).light())
+    for doubt, least, most in ((unsaid, 1e-3, 2e-3), (white, 2e-4, 5e-4)):
+        n = np.abs(doubt.step[14:].reshape(-1, 5))
+        assert np.all(n[:, :4] == 0.0)
+        assert least < n[0, 4] == n[1, 4] < most
+    assert not doubt_of(nominal, LightTable(mean_nm=532.0).light()).sentence

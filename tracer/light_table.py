@@ -1,0 +1,176 @@
+"""How the light of the target frames stands in a file: one spectrum, what it passes, and who counts it.
+
+One of these says what the lamp sends:
+
+    {mean_nm: 532.0}                            # a line: a laser, or the light of the scene itself
+    {mean_nm: 530.0, width_nm: 33.0}            # a Gaussian by its full width at half height: a coloured LED
+    {mean_nm: 530.0, sigma_nm: 14.0}            # the same by its standard deviation
+    {band_nm: [450.0, 650.0]}                   # equally strong between two wavelengths
+    {colour_temperature_k: 4000.0}              # a white LED of which nothing else is known
+    {points: [[430.0, 0.0], [452.0, 1.0], ...]} # nm, power; straight lines between them: best, from a data sheet
+    {lines: [[546.1, 1.0], [577.0, 0.4]]}       # nm, power of single lines
+
+Beside it stand ``filters`` (a list of the same shapes, read as transmittance) and how the camera counts:
+``response`` (points of signal per watt) or ``quantum_efficiency`` (points of electrons per photon).  Without
+either the spectrum is taken as what the camera counts.  ``unsure_nm`` is the standard deviation of the mean
+wavelength (8 for a colour temperature, else 0).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ground.config import Table
+from tracer.errors import SceneError
+from tracer.light import FULL_WIDTH, Light, Numbers, band, continuous, gaussian, light_of, line
+from tracer.media import VISIBLE_NM
+from tracer.white_led import COLDEST_K, WARMEST_K, white_led
+
+Wavelength = Annotated[float, Field(ge=VISIBLE_NM[0], le=VISIBLE_NM[1])]
+Width = Annotated[float, Field(ge=0.0, le=500.0)]
+Point = Annotated[list[Annotated[float, Field(ge=0.0, le=1e9)]], Field(min_length=2, max_length=2)]
+Points = Annotated[list[Point], Field(min_length=2, max_length=10_000)]
+UNCOVERED = 0.01  # of the light may lie where a response or filter says nothing
+
+
+def _ascending(points: Sequence[Sequence[float]], what: str) -> None:
+    """Refuse points out of order, beyond the known wavelengths, or without any height."""
+    lengths = [point[0] for point in points]
+    if any(after <= before for before, after in pairwise(lengths)):
+        raise ValueError(f"{what} must come in ascending order of wavelength, each once")
+    if lengths[0] < VISIBLE_NM[0] or lengths[-1] > VISIBLE_NM[1]:
+        raise ValueError(f"{what} must lie within {VISIBLE_NM[0]:g}-{VISIBLE_NM[1]:g} nm; give wavelengths in nm")
+    if not any(point[1] > 0.0 for point in points):
+        raise ValueError(f"{what} are zero everywhere")
+
+
+class ShapeTable(Table):
+    """A spectrum, or the transmittance of a filter."""
+
+    mean_nm: Wavelength | None = None
+    width_nm: Width | None = None
+    sigma_nm: Width | None = None
+    band_nm: Annotated[list[Wavelength], Field(min_length=2, max_length=2)] | None = None
+    points: Points | None = None
+
+    @model_validator(mode="after")
+    def _of_one_shape(self) -> "ShapeTable":
+        if (self.width_nm is not None or self.sigma_nm is not None) and self.mean_nm is None:
+            raise ValueError("width_nm and sigma_nm belong to mean_nm; a band is band_nm: [from, to]")
+        if self.width_nm is not None and self.sigma_nm is not None:
+            raise ValueError("give either width_nm (full, at half height) or sigma_nm (standard deviation)")
+        if self.band_nm is not None and self.band_nm[0] >= self.band_nm[1]:
+            raise ValueError("band_nm goes from a shorter to a longer wavelength")
+        if self.points is not None:
+            _ascending(self.points, "points")
+        return self
+
+    @property
+    def spread_nm(self) -> float:
+        """Standard deviation of the Gaussian; 0 for a line."""
+        return self.sigma_nm if self.sigma_nm is not None else (self.width_nm or 0.0) / FULL_WIDTH
+
+
+class FilterTable(ShapeTable):
+    """Transmittance of a filter: a Gaussian of height 1, a band, or points."""
+
+    @model_validator(mode="after")
+    def _one(self) -> "FilterTable":
+        if sum(given is not None for given in (self.mean_nm, self.band_nm, self.points)) != 1:
+            raise ValueError("a filter is one of mean_nm with width_nm, band_nm and points")
+        if self.mean_nm is not None and self.spread_nm == 0.0:
+            raise ValueError("a filter needs a width: width_nm (full, at half height) or sigma_nm")
+        return self
+
+    def passed(self, nm: Numbers) -> Numbers:
+        """Transmittance at wavelengths."""
+        if self.points is not None:
+            return _interpolated(nm, self.points)
+        if self.band_nm is not None:
+            return ((nm >= self.band_nm[0]) & (nm <= self.band_nm[1])).astype(np.float64)
+        return np.asarray(np.exp(-0.5 * ((nm - (self.mean_nm or 0.0)) / self.spread_nm) ** 2))
+
+
+class LightTable(ShapeTable):
+    """The light of the target frames."""
+
+    colour_temperature_k: Annotated[float, Field(ge=WARMEST_K, le=COLDEST_K)] | None = None
+    lines: Annotated[list[Point], Field(min_length=1, max_length=1000)] | None = None
+    filters: Annotated[list[FilterTable], Field(max_length=20)] = Field(default_factory=list)
+    response: Points | None = None
+    quantum_efficiency: Points | None = None
+    unsure_nm: Annotated[float, Field(ge=0.0, le=200.0)] | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "LightTable":
+        shapes = (self.mean_nm, self.band_nm, self.points, self.colour_temperature_k, self.lines)
+        if sum(given is not None for given in shapes) != 1:
+            raise ValueError(
+                "give exactly one of mean_nm, band_nm, points, lines and colour_temperature_k for the lamp"
+            )
+        if self.response is not None and self.quantum_efficiency is not None:
+            raise ValueError("give either response (per watt) or quantum_efficiency (per photon)")
+        for what in ("response", "quantum_efficiency", "lines"):
+            if getattr(self, what) is not None:
+                _ascending(getattr(self, what), what)
+        try:
+            self.light()
+        except SceneError as error:
+            raise ValueError(str(error)) from None
+        return self
+
+    def light(self) -> Light:
+        """Return the light as the camera counts it.
+
+        Raises
+        ------
+        SceneError
+            Nothing is left behind the filters, or a response says nothing about a part of the light.
+        """
+        light = self._sent()
+        for number, one in enumerate(self.filters, start=1):
+            if one.points is not None:
+                _covering(light, one.points, f"filter {number}")
+            light = light.through(one.passed)
+        counts = self.response or self.quantum_efficiency
+        if counts is not None:
+            photons = self.quantum_efficiency is not None  # of a watt, as many as the wavelength is long
+            _covering(light, counts, "quantum_efficiency" if photons else "response")
+            light = light.through(lambda nm: _interpolated(nm, counts) * (nm if photons else 1.0))
+        return light if self.unsure_nm is None else replace(light, unsure_nm=self.unsure_nm)
+
+    def _sent(self) -> Light:
+        """Light of the lamp."""
+        if self.colour_temperature_k is not None:
+            return white_led(self.colour_temperature_k)
+        if self.lines is not None:
+            lengths, power = np.array(self.lines).T
+            return light_of(lengths, power)
+        if self.points is not None:
+            points = self.points
+            return continuous(points[0][0], points[-1][0], lambda nm: _interpolated(nm, points))
+        if self.band_nm is not None:
+            return band(*self.band_nm)
+        assert self.mean_nm is not None
+        return gaussian(self.mean_nm, self.spread_nm) if self.spread_nm > 0.0 else line(self.mean_nm)
+
+
+def _interpolated(nm: Numbers, points: Sequence[Sequence[float]]) -> Numbers:
+    """Straight lines between points, nothing beyond them."""
+    table = np.array(points)
+    return np.asarray(np.interp(nm, table[:, 0], table[:, 1], left=0.0, right=0.0))
+
+
+def _covering(light: Light, points: Sequence[Sequence[float]], what: str) -> None:
+    """Refuse a curve that does not reach over the light: what it leaves out is not known to be zero."""
+    nm, weight = np.array(light.wavelength_nm), np.array(light.weight)
+    beyond = float(weight[(nm < points[0][0]) | (nm > points[-1][0])].sum())
+    if beyond > UNCOVERED:
+        raise SceneError(
+            f"{what} is given from {points[0][0]:g} to {points[-1][0]:g} nm, and {100.0 * beyond:.0f} % of the"
+            " light lies beyond; give points over all of it, zeros included"
+        )
