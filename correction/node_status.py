@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION = 0, 1, 2, 3, 4, 5  # as kernels see them
+RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION, UNSURE = 0, 1, 2, 3, 4, 5, 6  # as kernels see them
 
 
 class NodeStatus(IntEnum):
@@ -14,6 +14,7 @@ class NodeStatus(IntEnum):
     BLOCKED = BLOCKED  # behind an opaque body
     OUT_OF_FRAME = OUT_OF_FRAME  # seen, but beside the sensor
     LOW_MAGNIFICATION = LOW_MAGNIFICATION  # seen too small to be worth anything
+    UNSURE = UNSURE  # the map's sigma is beyond the limit that was set
 
 
 MEANING = {
@@ -23,4 +24,5 @@ MEANING = {
     NodeStatus.BLOCKED: "behind an opaque body",
     NodeStatus.OUT_OF_FRAME: "out of the frame",
     NodeStatus.LOW_MAGNIFICATION: "magnification below the limit",
+    NodeStatus.UNSURE: "sigma of the map beyond the limit",
 }

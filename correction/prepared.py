@@ -19,6 +19,7 @@ from pathlib import Path
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp
+from correction.fit.sigma_limit import SigmaLimit
 from correction.resample.sample import Method
 from ground.errors import GroundError
 from tracer.errors import TracerError
@@ -52,9 +53,17 @@ class PreparedCorrection:
         return build_ray_map(self.scene)
 
 
-def content_key(scene: Scene, dewarp: Dewarp | None = None, method: Method = "quintic", layers: int = 1) -> str:
+def content_key(
+    scene: Scene,
+    dewarp: Dewarp | None = None,
+    method: Method = "quintic",
+    layers: int = 1,
+    limit: SigmaLimit | None = None,
+) -> str:
     """Hex digest (16 characters) of everything that corrected pixels depend on, but for the frame itself."""
     tree = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
+    if limit is not None:
+        tree += [limit.limit_px, hashlib.sha256(limit.sigma.root.tobytes()).hexdigest()]
     text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -65,6 +74,7 @@ def prepare(
     method: Method = "quintic",
     layers: int = 1,
     maps: Path | None = None,
+    limit: SigmaLimit | None = None,
 ) -> PreparedCorrection:
     """Make a correction ready.
 
@@ -81,14 +91,19 @@ def prepare(
     maps : Path, optional
         Folder of stored correction maps, by the hash of their scene; a map that is missing or damaged is made and
         put there.
+    limit : SigmaLimit, optional
+        Nodes of which the map is less sure are left out.
 
     Raises
     ------
     MapUsageError
         `layers` is not 1 to MAX_LAYERS.
+    StaleMap
+        The limit is that of another scene's fit.
     """
-    corrector = Corrector(_map(scene, layers, maps), dewarp, method)
-    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers))
+    found = _map(scene, layers, maps)
+    corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
+    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit))
 
 
 class PreparedCorrections:
@@ -107,14 +122,19 @@ class PreparedCorrections:
         self._latest: OrderedDict[str, PreparedCorrection] = OrderedDict()
 
     def of(
-        self, scene: Scene, dewarp: Dewarp | None = None, method: Method = "quintic", layers: int = 1
+        self,
+        scene: Scene,
+        dewarp: Dewarp | None = None,
+        method: Method = "quintic",
+        layers: int = 1,
+        limit: SigmaLimit | None = None,
     ) -> PreparedCorrection:
         """Return a correction, made now if it is not at hand; what is taken and raised is that of `prepare`."""
-        key = content_key(scene, dewarp, method, layers)
+        key = content_key(scene, dewarp, method, layers, limit)
         if key not in self._latest:
             while len(self._latest) >= self._kept:  # before, so that memory holds no more than `kept` at any time
                 self._latest.popitem(last=False)
-            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps)
+            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps, limit)
         self._latest.move_to_end(key)
         return self._latest[key]
 

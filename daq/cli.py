@@ -68,6 +68,7 @@ def _parser() -> argparse.ArgumentParser:
     correct.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
     correct.add_argument("--blend", type=_count, default=1, metavar="K", help="join the K best views of a node")
     correct.add_argument("--float", dest="as_float", action="store_true", help="write float32, not offset uint16")
+    _sigma_limit_option(correct)
     correct.add_argument("--check-target", action="store_true", help="frames show the target: report its errors")
 
     evaluate = verbs.add_parser("evaluate", help="vectors of a pair seen through glass, with a report")
@@ -83,6 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         "--stage-sigma-um", type=_positive, default=10.0, help="standard error of the stage (default 10)"
     )
     _route_option(evaluate, "image")
+    _sigma_limit_option(evaluate)
     evaluate.add_argument(
         "--tracking", action="store_true", help="also follow single particles, where seeding is thin (tracks.nc)"
     )
@@ -165,6 +167,16 @@ def _series_options(parser: argparse.ArgumentParser) -> None:
         "--dt-us", type=_positive, metavar="US", help="time between the frames, if the run does not know"
     )
     parser.add_argument("--workers", type=_count, metavar="N", help="processes (default: one a core)")
+
+
+def _sigma_limit_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--sigma-limit",
+        dest="sigma_limit_px",
+        type=_positive,
+        metavar="PX",
+        help="leave out what the fitted map knows less well than this",
+    )
 
 
 def _route_option(parser: argparse.ArgumentParser, default: str) -> None:

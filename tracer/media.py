@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from tracer.errors import SceneError
 
 LARGEST_INDEX = 10.0  # no solid or liquid comes near in the range below
+THINNEST_LIQUID = 1.001  # below are gases, above liquids and solids
 VISIBLE_NM = (300.0, 2000.0)  # where every formula below is used inside its measured range
 
 

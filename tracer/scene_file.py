@@ -1,7 +1,7 @@
 """scene.yaml: the camera, the glass and the light, as a person at the bench knows them.
 
     wavelength_nm: 532.0
-    ambient: {n: 1.0}                    # or a named medium: air, vacuum
+    ambient: {n: 1.0}                    # or a named medium: air, vacuum; what is called air in bodies is this gas
     glasses:                             # optional, beside N-BK7, N-BK10, N-K5, fused-silica, PMMA
       crown: {n: 1.53}
       own: {sellmeier: {b: [1.04, 0.23, 1.01], c_um2: [0.006, 0.02, 103.6]}}
@@ -35,7 +35,7 @@ from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.fit_section import FitTable
-from tracer.media import MEDIA, Medium
+from tracer.media import MEDIA, THINNEST_LIQUID, Medium
 from tracer.medium_table import medium_of, written
 from tracer.scene import Scene
 from tracer.scene_tables import SceneTable
@@ -52,10 +52,11 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     problems: list[Problem] = []
     media = MEDIA | _own_media(document, table, problems)
     bodies: list[Body] = []
+    inside = media | _air_of_the_room(table, media)
     names = [body.name or f"{body.kind}{index + 1}" for index, body in enumerate(table.bodies)]
     for index, (name, entry) in enumerate(zip(names, table.bodies, strict=True)):
         try:
-            bodies.append(entry.body(name, media))
+            bodies.append(entry.body(name, inside))
         except SceneError as error:
             for part, text in error.problems:
                 at: tuple[str | int, ...] = ("bodies", index, *(part or "material").split("."))
@@ -73,6 +74,16 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
             line = document.line(("bodies", names.index(name)) if name in names else place)
             problems.append(Problem(line, text))
         raise ConfigError(document.path, problems) from None
+
+
+def _air_of_the_room(table: SceneTable, media: dict[str, Medium]) -> dict[str, Medium]:
+    """What `air` means in a body: the gas of the room, if that is one, so that a hollow ball holds no other."""
+    try:
+        room = medium_of(table.ambient, media)
+        gas = room.n(table.wavelength_nm) < THINNEST_LIQUID
+    except SceneError:  # said where the ambient is read
+        return {}
+    return {"air": room} if gas else {}
 
 
 def _own_media(document: Document, table: SceneTable, problems: list[Problem]) -> dict[str, Medium]:

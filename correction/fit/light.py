@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from correction.fit.errors import ViewsMissing
 from tracer.light import Light
-from tracer.media import ConstantMedium, Medium
+from tracer.media import THINNEST_LIQUID, ConstantMedium, Medium
 from tracer.media import shifted as shifted_medium
 from tracer.scene import Scene
 from tracer.sensitivity import CAMERA, SPHERE
@@ -116,7 +116,7 @@ def _change(medium: Medium, name: str, nominal: Scene, light: Light) -> float:
     if not isinstance(medium, ConstantMedium):
         return light.index(medium) - medium.n(nominal.wavelength_nm)
     same = light.wavelength_nm == (nominal.wavelength_nm,)
-    if medium.index == 1.0 or same:  # a hollow ball's gas has no dispersion
+    if medium.index < THINNEST_LIQUID or same:  # a hollow ball's gas has no dispersion worth a word
         return 0.0
     raise ViewsMissing(
         f"the glass of {name} is a number without dispersion, which cannot be moved from"

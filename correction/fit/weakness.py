@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from correction.fit.hollow import two_gases
 from correction.fit.result import SceneFit
 from correction.fit.unknowns import unit_of
 from tracer.bodies import Sphere
@@ -42,6 +43,7 @@ class Weakness:
 def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
     found = [Weakness((), fit.light.sentence)] if fit.light.sentence else []
+    found += [Weakness((), sentence) for sentence in two_gases(fit.unknowns.scene)]
     lost = {name for sphere in fit.unknowns.scene.spheres for name in _unseen(fit, sphere)}
     for name in sorted({name.split(".")[0] for name in lost}):
         text = f"no corner is seen through {name}: its place is what the scene file says"

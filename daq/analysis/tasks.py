@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from correction.dewarp import Dewarp
-from correction.errors import PairError
+from correction.errors import MapUsageError, PairError
 from correction.fit.scene_sigma import SceneSigma
+from correction.fit.sigma_limit import SigmaLimit
 from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
@@ -102,6 +103,20 @@ def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
     if abs(z) > IN_PLANE_MM:
         return replace(task, note=f"moved by {z:+.3f} mm along z: no one displacement is true for all vectors.")
     return replace(task, shift_mm=(x, y))
+
+
+def sigma_limit(scene: Path, fitted: Scene, dewarped: bool, limit_px: float) -> SigmaLimit:
+    """Limit of the map's sigma, by the fit beside a scene file.
+
+    Raises
+    ------
+    MapUsageError
+        There is no fit that would know the sigma, or the limit is not positive.
+    """
+    sigma = scene_sigma_beside(scene, fitted, dewarped)
+    if isinstance(sigma, str):
+        raise MapUsageError(f"--sigma-limit needs the uncertainty of the scene: {sigma}")
+    return SigmaLimit(sigma, limit_px)
 
 
 def scene_sigma_beside(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str:

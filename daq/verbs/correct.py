@@ -22,6 +22,7 @@ from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.analysis.pictures.overview import draw_overview
 from daq.analysis.pictures.seen import seen
+from daq.analysis.tasks import sigma_limit
 from daq.terminal import console, progress
 from daq.whole_text import write_json
 from tracer.scene import Scene
@@ -42,6 +43,7 @@ def correct(
     blend: int = 1,
     as_float: bool = False,
     check_target: bool = False,
+    sigma_limit_px: float | None = None,
 ) -> list[TargetError]:
     """Correct frames that were taken through the glass of a scene.
 
@@ -69,6 +71,8 @@ def correct(
         Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
     check_target : bool
         The frames show the target: measure its corners against the regular grid.
+    sigma_limit_px : float, optional
+        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
 
     Returns
     -------
@@ -94,7 +98,8 @@ def correct(
         read_acquired(path, shape)
     board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
     dewarp = dewarp_of(target_clear, loaded.camera, board, dewarp_order)
-    corrector = prepare(loaded, dewarp, method, blend).corrector
+    limit = None if sigma_limit_px is None else sigma_limit(scene, loaded, dewarp is not None, sigma_limit_px)
+    corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
     grid = corrector.map.grid
     about: dict[str, Any] = {
         "origin_mm": list(grid.origin_mm),

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Unpack
 
 from correction.errors import PairError
+from correction.fit.sigma_limit import SigmaLimit
 from correction.prepared import PreparedCorrections
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_views import is_run
@@ -35,6 +36,7 @@ def evaluate(
     dt_us: float | None = None,
     workers: int | None = None,
     tracking: bool = False,
+    sigma_limit_px: float | None = None,
     **options: Unpack[PivOptions],
 ) -> list[Evaluation] | SeriesBooks:
     """Correct pairs of frames and measure their displacements: a page for each, or the series of a flow run.
@@ -52,7 +54,7 @@ def evaluate(
         Time between the frames of a pair, for a run that does not know it; of a series only.
     workers : int, optional
         Processes that evaluate a series; default one a core.
-    tracking : bool
+    tracking, sigma_limit_px
         See `evaluate_pairs`.
     **options
         How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
@@ -73,12 +75,12 @@ def evaluate(
             raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
         return evaluate_pairs(
             paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, stage_sigma_um, route,
-            vtk, figures, tracking, **options,
+            vtk, figures, tracking, sigma_limit_px, **options,
         )  # fmt: skip
-    if shift_mm is not None or route != "image" or vtk or tracking:
+    if shift_mm is not None or route != "image" or vtk or tracking or sigma_limit_px is not None:
         raise PairError(
-            "--shift-mm, --route, --tracking and --vtk are for single pairs, and this run is a series; leave them"
-            " out"
+            "--shift-mm, --route, --tracking, --sigma-limit and --vtk are for single pairs, and this run is a"
+            " series; leave them out"
         )
     choice = piv_choice(**options)
     given = series_input(run, out, choice, scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us)
@@ -104,6 +106,7 @@ def evaluate_pairs(
     vtk: bool = False,
     figures: bool = False,
     tracking: bool = False,
+    sigma_limit_px: float | None = None,
     **options: Unpack[PivOptions],
 ) -> list[Evaluation]:
     """Correct pairs of frames, measure their displacements, and write a page for each.
@@ -134,6 +137,8 @@ def evaluate_pairs(
         Write every figure as SVG and as PNG, not only as it stands in the page.
     tracking : bool
         Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
+    sigma_limit_px : float, optional
+        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
     **options
         How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
 
@@ -160,9 +165,14 @@ def evaluate_pairs(
         screen.print(f"{given.alone} frames lost their partner and are in no pair")
     if isinstance(given.sigma, str):
         screen.print(f"no uncertainty of the map: {given.sigma}")
+    limit = None
+    if sigma_limit_px is not None:
+        if isinstance(given.sigma, str):
+            raise PairError(f"--sigma-limit needs the uncertainty of the scene: {given.sigma}")
+        limit = SigmaLimit(given.sigma, sigma_limit_px)
     corrections, found, failed = PreparedCorrections(), [], None
     for task in given.tasks:
-        prepared = corrections.of(task.scene, given.dewarp)
+        prepared = corrections.of(task.scene, given.dewarp, limit=limit if task.scene.bodies else None)
         try:
             evaluation = evaluate_task(
                 task, prepared, given.sigma, stage_sigma_um, route, choice.settings, choice.preparation,

@@ -19,6 +19,7 @@ COLOURS = {
     NodeStatus.BLOCKED: ("black", (40, 40, 40)),
     NodeStatus.OUT_OF_FRAME: ("grey", (150, 156, 168)),
     NodeStatus.LOW_MAGNIFICATION: ("orange", (221, 122, 58)),
+    NodeStatus.UNSURE: ("violet", (132, 86, 168)),
 }
 
 
