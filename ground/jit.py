@@ -9,9 +9,7 @@ Every kernel of every package is compiled through ``kernel``:
   would use the one, later ones the other: such functions are `kernel_inlined`, and exist once.
 * ``error_model="numpy"``: 0/0 is NaN, never an exception inside a loop.
 * ``nogil=True``: the row scheduler (ground.rows) runs kernels on all cores from ordinary threads.
-* ``cache=True`` with a cache folder whose name is the digest of all kernel files.  Numba's own cache key
-  is the content of the *defining* file only; after an edit in a callee's file it silently returns
-  numbers of the old code.  A new digest is a new folder, so that cannot happen.
+* ``cache=True`` with a folder for each file that changes with all it is compiled from, see `ground.kernel_cache`.
 
 What belongs together comes as a named tuple where a function is called once for many rays (`RowScratch`,
 `NodeScratch`, `Mirrors`, `World`), unpacked once at its top: measured, it costs nothing there.  What is inlined
@@ -22,8 +20,7 @@ taking an array out of a tuple within a loop is not free.
 allocate nothing and raise nothing.  Each is also tested as plain Python through ``.py_func``.
 """
 
-import hashlib
-import os
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -34,29 +31,10 @@ from numba.extending import intrinsic, overload
 from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
-PACKAGES = ("tracer", "correction", "daq", "sim")  # that have kernels
+from ground.kernel_cache import cache_folder
+
 Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def _digest(root: Path) -> str:
-    """Digest of our kernel sources below `root`, with those of bodies and renderer, and of numba's version."""
-    digest = hashlib.sha256(numba.__version__.encode())
-    sources = [path for package in PACKAGES for path in (root / package).glob("**/kernels/*.py")]
-    for path in sorted(
-        [*sources, *root.glob("tracer/bodies/*.py"), *root.glob("sim/renderer/*.py"), Path(__file__)]
-    ):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _cache_dir() -> Path:
-    """Folder for compiled kernels: below RTPIV_CACHE, else the user's cache folder."""
-    base = os.environ.get("RTPIV_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "rtpiv" / _digest(Path(__file__).resolve().parents[1])
-
-
-numba.config.CACHE_DIR = str(_cache_dir())  # type: ignore[attr-defined]
 
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
@@ -65,12 +43,22 @@ OVERLOADED: Any = {name: value for name, value in _OPTIONS.items() if name != "c
 
 def kernel(function: F) -> F:
     """Compile `function` with the house options; ``.py_func`` stays reachable."""
-    return cast("F", numba.njit(**_OPTIONS)(function))
+    return _cached(function, **_OPTIONS)
+
+
+def _cached(function: F, **options: Any) -> F:  # noqa: ANN401
+    """Compile on first call; numba reads the folder for the machine code when a function is given to it."""
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(cache_folder(Path(inspect.getfile(function))))  # type: ignore[attr-defined]
+    try:
+        return cast("F", numba.njit(**options)(function))
+    finally:
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
 
 
 def kernel_inlined(function: F) -> F:
     """Compile like `kernel`, but always into its caller: one call left in a loop stops its vectorisation."""
-    return cast("F", numba.njit(forceinline=True, **_OPTIONS)(function))
+    return _cached(function, forceinline=True, **_OPTIONS)
 
 
 def kernel_composed(function: F) -> F:

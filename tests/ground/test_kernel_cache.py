@@ -1,0 +1,129 @@
+"""An edit is never missed: what a kernel is compiled from names its folder; and nothing else is compiled anew."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ground.kernel_cache import PACKAGES, ROOT, dependencies, digest_of
+
+KERNELS = sorted(path for name in PACKAGES for path in (ROOT / name).glob("**/kernels/*.py"))
+TREE = {
+    "ground/jit.py": "from ground.kernel_cache import cache_folder\n",
+    "tracer/constants.py": "import tracer.far\nSIDE = 2.0\n",
+    "tracer/far.py": "",
+    "tracer/kernels/inner.py": "from tracer.constants import SIDE\n",
+    "tracer/kernels/middle.py": "def f():\n    from tracer.kernels import (\n        inner,\n    )\n",
+    "tracer/kernels/outer.py": "import math\n\nfrom tracer.kernels.middle import f\n",
+    "tracer/kernels/world.py": "KINDS = {}\n",
+    "tracer/bodies/sphere.py": "from tracer.kernels.world import KINDS\n",
+    "correction/kernels/rays.py": "from tracer.kernels.world import KINDS\n",
+    "correction/kernels/alone.py": "import numpy as np\n",
+}
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """Write a tree anew for each edit: a process reads each file once."""
+    count = iter(range(1000))
+
+    def write(**edits):
+        root = tmp_path / str(next(count))
+        for name, text in TREE.items():
+            path = root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text + edits.get(path.stem, ""))
+        return {name: digest_of(root / name, root) for name in TREE}
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("edited", "seen_by"),
+    [
+        ("inner", {"inner", "middle", "outer"}),
+        ("constants", {"constants", "inner", "middle", "outer"}),
+        ("far", {"constants", "far"}),  # a noun's own imports compute nothing for a kernel
+        ("sphere", {"sphere", "world", "rays"}),  # reached by type
+        ("alone", {"alone"}),
+        ("jit", {Path(name).stem for name in TREE}),
+    ],
+)
+def test_an_edit_is_seen_by_what_is_compiled_from_it_and_by_nothing_else(tree, edited, seen_by):
+    before, after = tree(), tree(**{edited: "# edited\n"})
+    changed = {Path(name).stem for name in TREE if before[name] != after[name]}
+    assert changed == seen_by
+
+
+def test_no_ray_is_compiled_anew_for_the_piv():
+    piv = set((ROOT / "correction/piv/kernels").glob("*.py"))
+    assert piv
+    for path in (ROOT / "tracer").glob("kernels/*.py"):
+        assert not piv & dependencies(path)
+
+
+OWN_ACCOUNT = """
+import importlib, json, sys, types
+used = {}
+for name in sys.argv[1:]:
+    files = set()
+    for value in vars(importlib.import_module(name)).values():
+        value = getattr(value, "py_func", value)
+        module = value.__name__ if isinstance(value, types.ModuleType) else getattr(value, "__module__", None)
+        files.add(getattr(sys.modules.get(module or ""), "__file__", None) or "")
+    used[name] = sorted(files)
+print(json.dumps(used))
+"""
+
+
+def test_what_is_imported_is_known_whatever_way_it_is_written():
+    """Python's own account of the modules' globals against the one that is read from their text."""
+    modules = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in KERNELS}
+    ran = subprocess.run(
+        [sys.executable, "-c", OWN_ACCOUNT, *modules], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    always = {ROOT / "ground/jit.py", ROOT / "ground/kernel_cache.py"}
+    for name, files in json.loads(ran.stdout).items():
+        used = {Path(file) for file in files if file.startswith(str(ROOT / "")) and "site-packages" not in file}
+        assert used <= dependencies(modules[name]) | always, name
+
+
+CALLEE = "from ground.jit import kernel\n\n\n@kernel\ndef value(x: float) -> float:\n    return {} * x\n"
+CALLER = (
+    "from ground.jit import kernel\nfrom tracer.kernels.callee import value\n\n\n"
+    "@kernel\ndef twice(x: float) -> float:\n    return 2.0 * value(x)\n"
+)
+USE = (
+    "from tracer.kernels.caller import twice\nfrom tracer.kernels.other import other\n"
+    "print(twice(1.0), other(1.0), sum(twice.stats.cache_hits.values()), sum(other.stats.cache_hits.values()))\n"
+)
+
+
+@pytest.mark.timeout(300)
+def test_no_stale_callee_is_ever_run(tmp_path):
+    """The edit that numba alone misses; what does not see it comes from the cache."""
+    ground, kernels = tmp_path / "ground", tmp_path / "tracer" / "kernels"
+    ground.mkdir()
+    kernels.mkdir(parents=True)
+    for package in (ground, kernels.parent, kernels):
+        (package / "__init__.py").touch()
+    for name in ("jit.py", "kernel_cache.py"):
+        (ground / name).write_bytes((ROOT / "ground" / name).read_bytes())
+    (kernels / "callee.py").write_text(CALLEE.format("3.0"))
+    (kernels / "caller.py").write_text(CALLER)
+    (kernels / "other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
+    environment = {**os.environ, "RTPIV_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)}
+
+    def use():
+        ran = subprocess.run(
+            [sys.executable, "-c", USE], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        return ran.stdout.split()
+
+    assert use() == ["6.0", "7.0", "0", "0"]
+    assert use() == ["6.0", "7.0", "1", "1"]
+    (kernels / "callee.py").write_text(CALLEE.format("5.0"))
+    assert use() == ["10.0", "7.0", "0", "1"]
