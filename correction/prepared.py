@@ -15,6 +15,7 @@ from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.corrector import Corrector
@@ -61,7 +62,7 @@ def content_key(
     limit: SigmaLimit | None = None,
 ) -> str:
     """Hex digest (16 characters) of everything that corrected pixels depend on, but for the frame itself."""
-    tree = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
+    tree: list[Any] = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
     if limit is not None:
         tree += [limit.limit_px, hashlib.sha256(limit.sigma.root.tobytes()).hexdigest()]
     text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
