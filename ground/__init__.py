@@ -1,7 +1,9 @@
 """The ground floor: what is neither optics nor hardware, and what every other package stands on.
 
     config      YAML files read strictly, every problem with its line
+    plain_file  files that are files, never pipes or devices
     whole_file  files that are whole or not there
+    memory      what needs more than is free is refused before it begins
     map_file    arrays in a file, nothing trusted
     rows        a kernel over the rows of an image, on all cores
     jit         the only place where numba options are chosen

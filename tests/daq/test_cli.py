@@ -90,7 +90,7 @@ def test_a_good_frame_is_corrected(bench):
 def broken(bench):
     content = (bench / "good.tif").read_bytes()
     (bench / "truncated.tif").write_bytes(content[: len(content) // 2])
-    tifffile.imwrite(bench / "colour.tif", np.zeros((96, 96, 3), np.uint8), photometric="rgb")
+    tifffile.imwrite(bench / "colour.tif", np.eye(96, 288, dtype=np.uint8).reshape(96, 96, 3), photometric="rgb")
     tifffile.imwrite(bench / "small.tif", np.zeros((90, 96), np.uint16))
     tifffile.imwrite(bench / "mask.tif", np.zeros((96, 96), np.uint16))
     (bench / "unknown_key.yaml").write_text(SMALL.replace("radius_mm", "radius_cm"))

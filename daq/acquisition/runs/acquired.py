@@ -10,8 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
+from correction.errors import FrameError
 from correction.frame_file import read_frame
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
@@ -30,24 +32,35 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
 
     Returns
     -------
-    ndarray (H, W) of uint8, uint16 or float32
+    ndarray (H, W) of uint8, uint16 or finite float32
 
     Raises
     ------
     FrameError
-        Missing, colour, several pages, another size, another kind of number.
+        Missing, colour, several pages, another size, another kind of number, NaN.
     FrameDamaged, RunDamaged
         It is not what was written, or its run does not know it.
     """
     run = run_of(path)
     if run is None:
-        return read_frame(path, shape)
+        return _finite(path, read_frame(path, shape))
     if not path.is_file():
         raise RunDamaged(f"{path}: is missing; restore it, or take it again with rtpiv resume --retake")
     known = _checksums(run, _stamp(run.journal_path))
     if path.name not in known:
         raise RunDamaged(f"{path}: is not in the journal of its run, so nobody vouches for it; leave it out")
     return read_frame(path, shape, known[path.name])
+
+
+def _finite(path: Path, frame: NDArray[Any]) -> NDArray[Any]:
+    """Refuse what no camera delivers, before anything is made from this frame or from one beside it."""
+    if frame.dtype.kind == "f" and not (good := np.isfinite(frame)).all():
+        row, column = np.argwhere(~good)[0]
+        raise FrameError(
+            f"{path}: holds {frame[row, column]} in row {row}, column {column}, and {np.count_nonzero(~good)} such"
+            " values in all; give frames as acquired, not corrected ones"
+        )
+    return frame
 
 
 def run_of(path: Path) -> RunFolder | None:
