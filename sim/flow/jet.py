@@ -21,7 +21,8 @@ Fluctuations, in the frame (along the axis s, radial r, around): e is their stan
     e^2 = (i U_c(s) g(s) exp(-r^2/(6 sigma^2)))^2 + (j sigma dU/dr)^2,    g = 1 - exp(-s / (4 D))
     R_ss = e^2,   R_rr = R_tt = (0.8 e)^2,   R_sr = 0.8 e^2 rho(r),   rho = 0.8 x/(1 + x^2),  x = r/(2 sigma)
 
-so u'v' is zero on the axis and carries momentum outwards beside it.
+so u'v' is zero on the axis and carries momentum outwards beside it.  The fluctuation itself goes on smoothly
+there: its amplitude is a symmetric tensor across the axis, not one that turns with the outward direction alone.
 """
 
 from dataclasses import dataclass

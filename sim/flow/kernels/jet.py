@@ -91,7 +91,11 @@ def jet_at(
         t = 0.5 * r / np.sqrt(sigma2)
         rho = 0.8 * t / (1.0 + t * t)
         one, other = 0.8 * e * rho, 0.8 * e * np.sqrt(1.0 - rho * rho)
-        # Columns: what each unit turbulence does; around is the axis cross the outward direction.
+        # Columns: what each unit turbulence does. The second and third are turned with the outward direction, or a
+        # fluctuation would change its sign on the axis; around is the axis cross the outward direction.
         amplitude[n, 0, 0], amplitude[n, 1, 0], amplitude[n, 2, 0] = one * ex, e, one * ez
-        amplitude[n, 0, 1], amplitude[n, 1, 1], amplitude[n, 2, 1] = other * ex, 0.0, other * ez
-        amplitude[n, 0, 2], amplitude[n, 1, 2], amplitude[n, 2, 2] = 0.8 * e * ez, 0.0, -0.8 * e * ex
+        around = 0.8 * e
+        mixed = (other - around) * ex * ez
+        amplitude[n, 0, 1], amplitude[n, 1, 1] = other * ex * ex + around * ez * ez, 0.0
+        amplitude[n, 2, 2], amplitude[n, 1, 2] = other * ez * ez + around * ex * ex, 0.0
+        amplitude[n, 2, 1] = amplitude[n, 0, 2] = mixed

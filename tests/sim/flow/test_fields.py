@@ -82,6 +82,16 @@ def test_stresses_of_a_jet_carry_momentum_outwards_and_vanish_on_the_axis():
     assert on[0, 0] == pytest.approx(on[2, 2])
 
 
+def test_a_fluctuation_of_a_jet_crosses_its_axis_without_a_step():
+    flow = Flow(Jet(), RandomModes(8.0))
+    around = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    for s in (-80.0, 0.0, 60.0):
+        near = np.column_stack((1e-3 * np.cos(around), np.full(12, s), 1e-3 * np.sin(around)))
+        velocity = flow.velocity(near, 0.3)
+        deviation = np.sqrt(np.diagonal(flow.stresses(near), axis1=1, axis2=2)).mean()
+        assert np.ptp(velocity, axis=0).max() < 0.02 * deviation
+
+
 def test_modes_are_free_of_divergence_and_repeat_their_promises():
     modes = RandomModes(6.0, memory_s=0.02, seed=4)
     at = points(300)
