@@ -17,7 +17,8 @@ depends. With the weights W of the window the variance of that sum is
    from 0.005 to 0.1 particles per px). N = (sum W p)^2/sum (W p)^2, where p, what a displacement makes of a block
    of 2 h, stands for the light in it.
 3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by sigma = [ln(C + s/2) - ln(C - s/2)] /
-   [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)].
+   [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)]. Where the peak is flat, C near C0, that has no limit, but the peak
+   was looked for within a pixel: sigma is never more than that of any place within it, 1/sqrt(3) px.
 
 That is the noise of one correlation; what passes and the last filter make of it says
 `correction.piv.response`. Particle images of a few pixels leave an error that no noise betrays and no
@@ -40,6 +41,7 @@ from ground.rows import run_rows
 Floats = NDArray[np.float64]
 GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are one
 LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
+LARGEST_PX = 3.0**-0.5  # one pixel to either side, all places alike
 LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
 SAMPLING = (  # variance of a particle image [px^2], and the error that it leaves [px]
     (0.17, 0.18, 0.222, 0.331, 0.642, 1.1),
@@ -117,7 +119,7 @@ def correlation_statistics(
         variance /= np.maximum(1.0 - LOST / pieces[..., axis], LEAST_LEFT)
         c = refined.sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1)
         sigma[..., axis] = _peak_sigma(refined.sums[..., 0], c, np.sqrt(variance))
-    return Statistics(sigma / refined.gain[..., None], pieces.mean(axis=-1))
+    return Statistics(np.minimum(sigma / refined.gain[..., None], LARGEST_PX), pieces.mean(axis=-1))
 
 
 def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigma: float) -> NDArray[np.float32]:
