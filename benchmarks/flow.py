@@ -8,27 +8,38 @@ the plane and its image behind the balls; a jet of a 5 mm pipe, turbulent, 0.03 
 most 320 counts.  Each pair is a function of its number and the seed: workers and order change no bit.  Nothing is
 kept but moments; with `--frames` pairs are written as .npy files instead and not evaluated.
 
-The map is that of the true scene: what is judged are frames, correlation and statistics.  Errors are in pixels of
-the plane: against the jet averaged over the window (`sim.flow.truth`), and against the jet itself.
+The map is that of the true scene: what is judged are frames, correlation and statistics.  Errors of the mean are
+in pixels of the plane, against three truths (`benchmarks.flow_truth`): the jet averaged over the window, the jet
+as the evaluator's own response shows it, and the jet itself.  Stresses are measured over true, after noise
+correction, against the same three; their truths are moments of the flow at the times of the pairs and of the
+vectors that counted, so that neither pays for the other's luck.
+
+Coverage is the share of vectors whose error against the own response is below sigma of the mean.  Vectors within
+an eddy err together and a region behind glass holds few eddies, so each chunk of 10 pairs is a mean of its own as
+well: `covered_in_chunks` is the share over all of them, and `expected_in_chunks` what Student's t says of so few
+pairs.
 """
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
+from scipy.stats import t as student
 
+from benchmarks.flow_truth import Judge, Seen
 from correction.evaluate.regions import regions_of
 from correction.flow.moments import Moments
 from correction.piv.pair import evaluate_pair
 from correction.piv.settings import PivSettings
 from correction.piv.vector_field import VectorField
+from correction.piv.windows import window_grid
 from correction.prepared import PreparedCorrection, PreparedCorrections
 from daq.analysis.series.workers import worker_processes
 from sim.demo.scenes import at_size, named_scene
@@ -36,8 +47,6 @@ from sim.flow.fields import Flow
 from sim.flow.images import FlowCamera
 from sim.flow.jet import Jet
 from sim.flow.modes import RandomModes
-from sim.flow.particles import LightSheet
-from sim.flow.truth import window_places, windowed_mean, windowed_stresses
 from sim.renderer.render import Aperture
 from tracer.bodies import shifted_by
 
@@ -49,6 +58,7 @@ RATE_HZ = 10.0
 LENS = Aperture(60.0, 22.0, 440.0)
 BLURRED_COUNTS = 300.0  # f/22 blurs images to five pixels: the light of a sharp particle that peaks with so much
 SEED = 14
+CHUNK_PAIRS = 10
 FIRST_STILL = 1_000_000  # numbers of pairs without seeding
 RIM_FROM = 0.75
 
@@ -110,14 +120,43 @@ def vectors(case: Case, number: int) -> VectorField:
     return evaluate_pair(clean[0], clean[1], corrector.recovered, case.settings)
 
 
-def moments(case: Case, numbers: range) -> Moments:
+class Sums(NamedTuple):
+    """Moments of the same vectors [px], as measured and as they could be seen."""
+
+    found: Moments
+    itself: Moments
+    window: Moments
+    response: Moments
+    error: Moments  # of what was measured less what the response shows
+
+    def merged(self, other: "Sums") -> "Sums":
+        """Of both."""
+        return Sums(*(one.merged(two) for one, two in zip(self, other, strict=True)))
+
+
+@cache
+def _judge(case: Case, is_mean: bool = False) -> Judge:
+    """Of the flow, or of its mean."""
+    camera, plane = case.camera, _correction(case).corrector.map.grid
+    windows = window_grid(plane.shape, case.window_px, case.settings.overlap)
+    flow = Flow(camera.flow.base) if is_mean else camera.flow
+    return Judge(flow, camera.sheet, plane, windows, case.settings, DT_S)
+
+
+def moments(case: Case, numbers: range) -> Sums:
     """Moments of the displacements [px] of pairs, in their order."""
-    total: Moments | None = None
+    total: Sums | None = None
     for number in numbers:
         field = vectors(case, number)
         uv = np.stack((field.u_px, field.v_px), axis=-1)
         sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
-        total = Moments.of(uv, field.valid, sigma) if total is None else total.add(uv, field.valid, sigma)
+        seen = _judge(case).at(number / RATE_HZ, field.added_passes)
+        one = Sums(
+            Moments.of(uv, field.valid, sigma),
+            *(Moments.of(true, field.valid) for true in seen),
+            Moments.of(uv - seen.response, field.valid, sigma),
+        )
+        total = one if total is None else total.merged(one)
     assert total is not None
     return total
 
@@ -128,68 +167,87 @@ def chunks(pairs: int, chunk: int) -> Iterator[range]:
         yield range(first, min(first + chunk, pairs))
 
 
-def measured(case: Case, pairs: int, workers: int, chunk: int = 10) -> Moments:
-    """Moments of all pairs, on so many processes."""
+def measured(case: Case, pairs: int, workers: int, chunk: int = CHUNK_PAIRS) -> list[Sums]:
+    """Moments of each chunk of pairs, on so many processes."""
+    parts: list[Sums] = []
     with worker_processes(workers) as pool:
         futures = [pool.submit(moments, case, numbers) for numbers in chunks(pairs, chunk)]
-        total = futures[0].result()
-        for count, future in enumerate(futures[1:], start=2):
-            total = total.merged(future.result())
+        for count, future in enumerate(futures, start=1):
+            parts.append(future.result())
             print(f"{min(count * chunk, pairs)} of {pairs} pairs", flush=True)
-    return total
+    return parts
 
 
-def judged(case: Case, found: Moments) -> dict[str, Any]:
+def judged(case: Case, parts: Sequence[Sums]) -> dict[str, Any]:
     """Errors of mean and stresses by region, in pixels."""
+    total = parts[0]
+    for part in parts[1:]:
+        total = total.merged(part)
+    found = total.found
     prepared, camera = _correction(case), case.camera
-    grid = prepared.corrector.map.grid
-    field = vectors(case, 0)
-    regions = regions_of(field, prepared.corrector.map, camera.scene)
-    columns, rows = np.meshgrid(field.x_px, field.y_px)
-    plane = grid.to_mm(np.stack((columns, rows), axis=-1).reshape(-1, 2))
-    points = np.column_stack((plane, np.full(len(plane), camera.sheet.offset_mm)))
-    px = DT_S * grid.px_per_mm
-    window_mm = case.window_px / grid.px_per_mm
-    weight_mm = case.settings.window_sigma * window_mm / np.sqrt(2.0)  # both frames carry the weight
-    places, weights = window_places(window_mm, LightSheet(), weight_mm)
-    shape = (*columns.shape, 2)
-    flip = np.array([1.0, -1.0])
-    truth = (windowed_mean(camera.flow, points, places, weights)[:, :2] * flip * px).reshape(shape)
-    jet = (camera.flow.mean(points)[:, :2] * flip * px).reshape(shape)
-    stresses = windowed_stresses(camera.flow, points, places, weights) * px * px
-    wanted = np.stack((stresses[:, 0, 0], stresses[:, 1, 1], -stresses[:, 0, 1]), axis=-1).reshape(*shape[:2], 3)
-    point = camera.flow.stresses(points) * px * px
-    unfiltered = np.stack((point[:, 0, 0], point[:, 1, 1], -point[:, 0, 1]), axis=-1).reshape(*shape[:2], 3)
+    first = vectors(case, 0)
+    regions = regions_of(first, prepared.corrector.map, camera.scene)
+    true = _judge(case, is_mean=True).at(0.0, first.added_passes)
     enough = found.count >= max(2, 0.5 * found.count.max())
     inside = minimum_filter(enough, 3, mode="constant") if case.window_px >= 32 else enough
-    parts = {
+    places = {
         "beside": regions.region == 1,
         "centre": (regions.region == 2) & (regions.radius < RIM_FROM),
         "rim": (regions.region == 2) & (regions.radius >= RIM_FROM),
     }
-    noise = np.sqrt(np.maximum(found.covariance[..., :2], 0.0) / np.maximum(found.count[..., None], 1))
-    out: dict[str, Any] = {"case": case.name, "pairs": int(found.count.max()), "window_px": case.window_px}
-    for name, here in parts.items():
+    stated: dict[str, Any] = {"case": case.name, "pairs": int(found.count.max()), "window_px": case.window_px}
+    for name, here in places.items():
         use = here & inside
         if not use.any():
             continue
-        error = found.mean_uv[use] - truth[use]
-        out[name] = {
+        random = _sigma(found)[use]
+        error = {truth: found.mean_uv[use] - getattr(true, truth)[use] for truth in Seen._fields}
+        stresses = found.reynolds_stresses[use]
+        stated[name] = {
             "vectors": int(use.sum()),
-            "bias_px": error.mean(axis=0).round(4).tolist(),
-            "rms_px": float(np.sqrt(np.mean(np.square(error)))),
-            "sampling_px": float(np.sqrt(np.mean(np.square(noise[use])))),
-            "against_jet_rms_px": float(np.sqrt(np.mean(np.square(found.mean_uv[use] - jet[use])))),
-            "covered_share": float(np.mean(np.abs(error) < noise[use])),
-            "stress_ratio": _slope(found.reynolds_stresses[use], wanted[use]),
-            "stress_ratio_unfiltered": _slope(found.reynolds_stresses[use], unfiltered[use]),
+            "bias_px": error["window"].mean(axis=0).round(4).tolist(),
+            "rms_px": _rms(error["window"]),
+            "sampling_px": _rms(random),
+            "against_response_rms_px": _rms(error["response"]),
+            "against_jet_rms_px": _rms(error["itself"]),
+            "covered_share": float(np.mean(np.abs(error["response"]) < random)),
+            **_covered([part.found for part in parts], true.response, use),
+            "stress_ratio": _slope(stresses, total.window.covariance[use]),
+            "stress_ratio_response": _slope(stresses, total.response.covariance[use]),
+            "stress_ratio_itself": _slope(stresses, total.itself.covariance[use]),
+            "stress_ratio_response_noise_included": _slope(found.covariance[use], total.response.covariance[use]),
+            "pair_error_px": _rms(np.sqrt(total.error.covariance[use][:, :2])),
+            "pair_sigma_px": _rms(np.sqrt(found.noise[use])),
         }
-    return out
+    return stated
+
+
+def _covered(parts: Sequence[Moments], true: Array, use: Array) -> dict[str, float]:
+    """Share of vectors of whole chunks within sigma of their own mean, and what independent pairs would give."""
+    full = max(int(part.count.max()) for part in parts)
+    if full < 3:
+        return {}
+    told = [part for part in parts if int(part.count.max()) == full]
+    inside = [np.abs(part.mean_uv - true)[use] < _sigma(part)[use] for part in told]
+    return {
+        "covered_in_chunks": float(np.mean(inside)),
+        "chunks": len(told),
+        "expected_in_chunks": round(float(2.0 * student.cdf(1.0, full - 1) - 1.0), 3),
+    }
+
+
+def _sigma(found: Moments) -> Array:
+    """Of the mean of pairs that know nothing of each other."""
+    return np.sqrt(np.maximum(found.covariance[..., :2], 0.0) / np.maximum(found.count[..., None], 1))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values))))
 
 
 def _slope(found: Array, wanted: Array) -> list[float]:
     """Measured over true R_uu, R_vv, R_uv: the slope through zero, so that signs do not cancel."""
-    known = np.isfinite(found).all(axis=-1)
+    known = np.isfinite(found).all(axis=-1) & np.isfinite(wanted).all(axis=-1)
     squares = np.maximum(np.square(wanted[known]).sum(axis=0), 1e-30)
     return np.asarray((found[known] * wanted[known]).sum(axis=0) / squares).round(3).tolist()
 

@@ -132,7 +132,8 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
         ratio = peak_ratios(deformed, grids[-1], everywhere, settings.min_valid, threads)
         found = found._replace(peak_ratio=ratio)
     field = _result(found, deformed, grids, spread_px2, settings, threads)
-    return replace(field, nan_pixels=nan_pixels, static_share=static_share(still, field, spread_px2))
+    still_share = static_share(still, field, spread_px2)
+    return replace(field, nan_pixels=nan_pixels, static_share=still_share, added_passes=added)
 
 
 def _changes(found: Measured, settings: PivSettings) -> bool:

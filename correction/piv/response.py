@@ -58,14 +58,23 @@ def last_filter(window_px: int, step_px: int) -> Transfer:
 
 def response_of(settings: PivSettings, wavelength_px: Floats) -> tuple[Floats, Floats]:
     """Gain of an evaluation at wavelengths [px] along one axis: of strong waves, and of waves below the noise."""
+    wave = 2.0 * np.pi / np.asarray(wavelength_px, float)
+    return response_at(settings, np.stack((wave, np.zeros_like(wave)), axis=-1))
+
+
+def response_at(settings: PivSettings, wave_rad_px: Floats, added_passes: int = 0) -> tuple[Floats, Floats]:
+    """Gain of an evaluation at plane waves of wave numbers (..., 2) [rad/px]: of strong ones, and of weak ones.
+
+    `added_passes` are those of the very field (`VectorField.added_passes`).
+    """
     size = settings.windows_px[-1]
     step = max(1, round(size * (1.0 - settings.overlap)))
     weights, between = (
         window_weights(size, settings.window_sigma),
-        transfers_between(settings.windows_px, step, settings),
+        transfers_between((*settings.windows_px, *(size,) * added_passes), step, settings),
     )
-    strong = gain(weights, step, between, wavelength_px)
-    weak = gain(weights, step, between, wavelength_px, last_filter(size, step)) if settings.denoise else strong
+    strong = gain(weights, step, between, wave_rad_px)
+    weak = gain(weights, step, between, wave_rad_px, last_filter(size, step)) if settings.denoise else strong
     return strong, weak
 
 
@@ -110,17 +119,19 @@ def noise_growth(
 
 
 def gain(
-    weights: Floats, step_px: int, between: Sequence[Transfer], wavelength_px: Floats, last: Transfer | None = None
+    weights: Floats, step_px: int, between: Sequence[Transfer], wave_rad_px: Floats, last: Transfer | None = None
 ) -> Floats:
-    """Share of a wave along one axis that the result shows, for each wavelength [px]."""
-    k = 2.0 * np.pi / np.asarray(wavelength_px, float)
+    """Share of each plane wave (..., 2) [rad/px] that the result shows."""
     x = np.arange(len(weights)) - (len(weights) - 1) / 2
-    seen: Floats = (weights * np.cos(np.multiply.outer(k, x))).sum(axis=-1) / weights.sum()
-    wave = np.stack((k * step_px, np.zeros_like(k)), axis=-1)
-    between_nodes = 1.0 - _node_line(weights, step_px, k * step_px)
+    seen, at_nodes = np.ones(wave_rad_px.shape[:-1]), np.ones(wave_rad_px.shape[:-1])
+    for axis in range(2):
+        k = wave_rad_px[..., axis]
+        seen = seen * ((weights * np.cos(np.multiply.outer(k, x))).sum(axis=-1) / weights.sum())
+        at_nodes = at_nodes * _node_line(weights, step_px, k * step_px)
+    wave = wave_rad_px * step_px
     result: Floats = seen
     for transfer in between:
-        result = seen + between_nodes * transfer(wave) * result
+        result = seen + (1.0 - at_nodes) * transfer(wave) * result
     return result * last(wave) if last is not None else result
 
 
@@ -137,10 +148,10 @@ def _node_response(weights: Floats, step_px: int) -> Floats:
 
 
 def _node_line(weights: Floats, step_px: int, wave: Floats) -> Floats:
-    """The same along one axis, for waves (n,) [rad a step]."""
+    """The same along one axis, for waves (...) [rad a step]."""
     x = (np.arange(len(weights)) - (len(weights) - 1) / 2) / step_px
     first, shares = spline_weights(x)
     node = (first[:, None] + np.arange(4)).ravel()
     share = (weights[:, None] * shares).ravel() / weights.sum()
-    seen: Floats = (share[:, None] * np.cos(np.multiply.outer(node, wave))).sum(axis=0)
+    seen: Floats = np.tensordot(share, np.cos(np.multiply.outer(node, wave)), 1)
     return seen / ((4.0 + 2.0 * np.cos(wave)) / 6.0)  # coefficients over nodes

@@ -58,6 +58,9 @@ class VectorField:
     resolution_px : ndarray of float64, shape (ny, nx), optional
         Standard uncertainty of a component by what windows do not resolve (`correction.piv.resolution`), beside
         the random part: means over pairs keep most of it. NaN where sigma is.
+    added_passes : int
+        Passes with the last windows beyond those asked for, made because vectors still moved: each shows more of
+        short waves (`correction.piv.response`).
     """
 
     x_px: Floats
@@ -75,6 +78,7 @@ class VectorField:
     nan_pixels: int
     static_share: float = float("nan")
     resolution_px: Floats | None = None
+    added_passes: int = 0
 
     @property
     def valid(self) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ import pytest
 from correction.errors import PairError
 from correction.piv.live import live_vectors
 from correction.piv.pair import evaluate_pair
+from correction.piv.response import response_at
 from correction.piv.settings import PivSettings
 from tests.correction.piv.flows import mix, turbulence, uniform, wave
 
@@ -143,3 +144,24 @@ def test_light_that_differs_within_and_between_frames_changes_little(particle_pa
     for first, second in ((a * (0.3 + 0.7 * u), b * (1 - 0.6 * v) + 300 * v), (a, b / 3)):
         field = evaluate_pair(first.astype(np.uint16), second.astype(np.uint16))
         assert rms(errors(field, mix)) < 1.25 * even
+
+
+@pytest.mark.parametrize(
+    ("length_px", "angle_deg", "height_px"), [(50, 45.0, 1.0), (40, 30.0, 0.3), (40, 30.0, 1.0)]
+)
+def test_the_response_to_oblique_waves_is_the_one_that_is_said(particle_pair, length_px, angle_deg, height_px):
+    """Measured, it is what a judge may compare stresses with (`benchmarks.flow_truth`)."""
+    way = np.array([np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg))])
+    k = 2 * np.pi / length_px * way
+
+    def truth(u, v):
+        along = height_px * np.sin(k[0] * u + k[1] * v)
+        return -way[1] * along, way[0] * along
+
+    field = evaluate_pair(*particle_pair(truth, seed=4, ppp=0.05))
+    inner = (slice(MARGIN, -MARGIN),) * 2
+    true = np.stack(truth(*np.moveaxis(field.grid_px, -1, 0)))[:, *inner]
+    seen = np.stack([field.u_px, field.v_px])[:, *inner]
+    assert (field.added_passes > 0) == (length_px == 40 and height_px == 1.0)
+    said, _ = response_at(PivSettings(), k, field.added_passes)
+    assert (seen * true).sum() / (true**2).sum() == pytest.approx(float(said), abs=0.03)

@@ -9,9 +9,10 @@ from correction.piv.deform import DeformedPair
 from correction.piv.denoise import kept_share, split
 from correction.piv.kernels import lags, statistics
 from correction.piv.prepare import prepared
-from correction.piv.refine import refine, window_weights
+from correction.piv.refine import Refined, refine, window_weights
 from correction.piv.response import gain, noise_growth, smoothing_transfer
 from correction.piv.settings import PivSettings
+from correction.piv.uncertainty import correlation_statistics
 from correction.piv.windows import window_grid
 
 
@@ -116,11 +117,15 @@ def test_growth_of_noise():
 
 
 def test_gain_of_waves():
-    lengths = np.array([32.0, 64.0, 1e6])
-    one = gain(window_weights(32, 0.0), 16, [], lengths)
+    waves = np.array([[2 * np.pi / length, 0.0] for length in (32.0, 64.0, 1e6)])
+    one = gain(window_weights(32, 0.0), 16, [], waves)
     assert one == pytest.approx([0.0, 2 / np.pi, 1.0], abs=2e-3)
-    more = gain(window_weights(32, 0.0), 16, [smoothing_transfer(0.5, 3)] * 2, lengths)
+    twice = [smoothing_transfer(0.5, 3)] * 2
+    more = gain(window_weights(32, 0.0), 16, twice, waves)
     assert more[1] > 0.85
+    assert gain(window_weights(32, 0.0), 16, twice, waves[:, ::-1]) == pytest.approx(more)
+    oblique = gain(window_weights(32, 0.0), 16, [], waves[1] + waves[1, ::-1])
+    assert oblique == pytest.approx(one[1] ** 2)
 
 
 def test_noise_goes_and_a_wave_stays():
@@ -193,3 +198,18 @@ def test_what_is_masked_counts_nothing_and_leaves_no_step():
 def test_settings_without_sense_are_refused_by_name(bad):
     with pytest.raises(PairError, match=next(iter(bad))):
         PivSettings(**bad)
+
+
+def test_no_sigma_is_larger_than_what_was_searched():
+    """A peak that is flat, as where a window spans a step, has no limit of its own; the search has."""
+    frames = [smooth_noise((64, 64), seed).astype(np.float32) for seed in (1, 2)]
+    pair = DeformedPair(*frames, np.ones((64, 64), np.float32), 0.0)
+    grid = window_grid((64, 64), 32, 0.5)
+    one = np.ones(grid.shape)
+    told = []
+    for lower in np.geomspace(1e-8, 1e-2, 20):
+        sums = np.full((*grid.shape, 5), 1e3 * (1.0 - lower))
+        sums[..., 0] = 1e3
+        refined = Refined(np.zeros((*grid.shape, 2)), one, one, sums, one)
+        told.append(correlation_statistics(pair, grid, 0.3, refined, np.zeros((*grid.shape, 2)), 1.0).sigma_px)
+    assert 0.3 < np.nanmax(told) <= 3.0**-0.5

@@ -1,0 +1,128 @@
+"""What a measurement could see of a known flow at one moment: the judge of `benchmarks.flow`.
+
+Three answers at the nodes of the vectors, of the flow between the pulses, averaged across the sheet by what both
+pulses light (`sim.flow.truth`):
+
+    itself     at the node
+    window     averaged over the window with the weights that both frames give it: what one correlation sees
+    response   filtered by what the passes of the evaluator make of waves (`correction.piv.response`, which tests
+               hold to images of waves): more than a window shows, less than the flow
+
+The response is a property of the instrument, and is applied to the true field of every pair before any moment is
+formed; the field is sampled much finer than any window, and beyond the frame as far as filters reach.
+"""
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.polynomial.hermite import hermgauss
+from numpy.typing import NDArray
+
+from correction.grid import PlaneGrid
+from correction.piv.refine import window_weights
+from correction.piv.response import gain, response_at
+from correction.piv.settings import PivSettings
+from correction.piv.windows import WindowGrid
+from sim.flow.fields import Flow
+from sim.flow.particles import LightSheet
+
+Array = NDArray[Any]
+
+FINE = 4  # samples from node to node
+BEYOND = 3.0  # windows around the frame
+DEEP = 5  # Gauss-Hermite nodes across the sheet
+
+
+class Seen(NamedTuple):
+    """Displacements (ny, nx, 2) [px], v down: of the flow itself, of its windows, by the evaluator's response."""
+
+    itself: Array
+    window: Array
+    response: Array
+
+
+class Judge:
+    """The flow at the nodes of a grid, as it could be seen.
+
+    Parameters
+    ----------
+    flow : Flow
+        What moves the particles.
+    sheet : LightSheet
+        What lights them.
+    plane : PlaneGrid
+        Pixels of the corrected frames on the plane.
+    windows : WindowGrid
+        Where the vectors lie.
+    settings : PivSettings
+        How they are measured.
+    dt_s : float
+        Between the pulses.
+    """
+
+    def __init__(
+        self,
+        flow: Flow,
+        sheet: LightSheet,
+        plane: PlaneGrid,
+        windows: WindowGrid,
+        settings: PivSettings,
+        dt_s: float,
+    ) -> None:
+        self.flow, self.sheet, self.settings, self.windows = flow, sheet, settings, windows
+        self._scale = np.array((1.0, -1.0)) * dt_s * plane.px_per_mm
+        self._dt_s, self._plane = dt_s, plane
+        self._spacing = windows.step_px / FINE
+        self._responses: dict[int, Array] = {}
+        self._margin = int(np.ceil(BEYOND * windows.size_px / self._spacing))
+
+    def at(self, time_s: float, added_passes: int = 0) -> Seen:
+        """Of a pair whose first pulse is at `time_s`, measured with so many passes more than asked for."""
+        field = self._fine(time_s + 0.5 * self._dt_s)
+        inner = slice(self._margin, -self._margin, FINE)
+        spectrum = np.fft.rfft2(field, axes=(0, 1))
+        seen = [
+            np.fft.irfft2(spectrum * share[..., None], s=field.shape[:2], axes=(0, 1))[inner, inner]
+            for share in (self._window_share, self._response_share(added_passes))
+        ]
+        return Seen(field[inner, inner], *seen)
+
+    def _fine(self, time_s: float) -> Array:
+        """Displacement (Ny, Nx, 2) [px] on the fine raster."""
+        nodes, weights = hermgauss(DEEP)
+        total = np.zeros((len(self._places_mm), 2))
+        for node, weight in zip(nodes, weights / weights.sum(), strict=True):
+            z = self.sheet.offset_mm + node * self.sheet.thickness_mm / 4.0
+            at = np.column_stack((self._places_mm, np.full(len(self._places_mm), z)))
+            total += weight * self.flow.velocity(at, time_s)[:, :2]
+        return (total * self._scale).reshape(*self._shape, 2)
+
+    @cached_property
+    def _places_mm(self) -> Array:
+        x, y = (self._line(first, count) for first, count in ((self.windows.x_px, 1), (self.windows.y_px, 0)))
+        return self._plane.to_mm(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+
+    def _line(self, nodes: Array, axis: int) -> Array:
+        return nodes[0] + self._spacing * (np.arange(self._shape[axis]) - self._margin)
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        ny, nx = (FINE * (count - 1) + 1 + 2 * self._margin for count in self.windows.shape)
+        return ny, nx
+
+    @cached_property
+    def _waves(self) -> Array:
+        """Wave numbers [rad/px] of the fine raster's half plane."""
+        down, along = (2.0 * np.pi * np.fft.fftfreq(side, self._spacing) for side in self._shape)
+        return np.stack(np.meshgrid(along[: self._shape[1] // 2 + 1], down), axis=-1)
+
+    @cached_property
+    def _window_share(self) -> Array:
+        weights = window_weights(self.windows.size_px, self.settings.window_sigma)
+        return gain(weights, self.windows.step_px, [], self._waves)
+
+    def _response_share(self, added_passes: int) -> Array:
+        if added_passes not in self._responses:
+            self._responses[added_passes] = response_at(self.settings, self._waves, added_passes)[0]
+        return self._responses[added_passes]
