@@ -89,11 +89,14 @@ def show_mean(screen: Console, mean: MeanFlow, page: Path) -> None:
         ("mean [m/s]", mean.mean_m_s),
         ("its random sigma [m/s]", mean.sigma_m_s),
         ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
+        ("not resolved of it [m/s]", np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)),
         ("fluctuation, without noise [m2/s2]", mean.stresses_m2_s2[..., :2]),
         ("effective samples", mean.effective.samples),
     ]
+    if np.isfinite(mean.dt_sigma_share):
+        rows.insert(4, ("sigma by dt, one factor [m/s]", mean.dt_sigma_m_s))
     if mean.map_sigma_m_s is not None:
-        rows.insert(3, ("sigma by the fitted map [m/s]", mean.map_sigma_m_s))
+        rows.insert(4, ("sigma by the fitted map [m/s]", mean.map_sigma_m_s))
     for name, values in rows:
         u, v = np.nanmedian(np.where(seen[..., None], values, np.nan), axis=(0, 1))
         table.add_row(name, f"{u:.4g}", f"{v:.4g}")

@@ -65,7 +65,9 @@ def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions:
     regions : Regions
         Of its vectors, rows from the lowest y up.
     """
-    field = PlaneField(mean.x_mm, mean.y_mm, mean.mean_m_s, mean.sigma_m_s, 0.5 * mean.window_px / mean.px_per_mm)
+    field = PlaneField(
+        mean.x_mm, mean.y_mm, mean.mean_m_s, mean.local_sigma_m_s, 0.5 * mean.window_px / mean.px_per_mm
+    )
     axis = jet_axis(field)
     _along_lines(page, field, regions, axis)
     rim_chapter(page, mean, scene, regions)
@@ -121,7 +123,7 @@ def rim_chapter(page: Page, mean: MeanFlow, scene: Scene, regions: Regions) -> N
     """Add steps of the mean between what is seen directly and what is seen through glass."""
     page.heading("Across the rim")
     scale = mean.px_per_m_s
-    in_px = PlaneField(mean.x_mm, mean.y_mm, scale * mean.mean_m_s, scale * mean.sigma_m_s, 0.0)
+    in_px = PlaneField(mean.x_mm, mean.y_mm, scale * mean.mean_m_s, scale * mean.local_sigma_m_s, 0.0)
     outside, inside = regions.region == Region.DIRECT, regions.region == Region.GLASS
     reach = REACH_STEPS * mean.step_px / mean.px_per_mm
     rows: list[tuple[str, ...]] = []

@@ -86,6 +86,11 @@ def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
         (f"{sigma_px:.4f} px", "random sigma of the mean", "median over the plane, one component"),
         (f"{worth:.0f}", "effective samples", mean.effective.way),
     ]
+    if known.any() and np.isfinite(mean.resolution_m_s[known]).any():
+        missed_px = float(np.nanmedian(mean.resolution_m_s[known])) * mean.px_per_m_s
+        tiles.append((f"{missed_px:.4f} px", "not resolved by the windows", "of the mean; the same in every pair"))
+    if np.isfinite(mean.dt_sigma_share):
+        tiles.append((f"{100.0 * mean.dt_sigma_share:.2g} %", "sigma of dt", "one factor for all vectors"))
     if mean.map_sigma_m_s is not None:
         map_px = float(np.nanmedian(mean.map_sigma_m_s)) * mean.px_per_m_s
         tiles.append((f"{map_px:.4f} px", "sigma by the fitted map", "the same in every pair"))
@@ -110,6 +115,8 @@ def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
     )
     if not mean.effective.converged:
         page.warning("The series is too short for its slowest motion: the sigma of the mean is a lower limit.")
+    if np.isnan(mean.dt_sigma_share):
+        page.text("What dt is unsure of is not known: nobody measured it (dt_sigma_us in the plan).")
     if mean.no_map_sigma:
         page.text(f"What the map itself is unsure of is not known: {mean.no_map_sigma}.")
     page.heading("Fluctuations")

@@ -67,6 +67,8 @@ class SeriesField:
         Time between its frames and the standard deviation of that, NaN if nobody measured it.
     velocity_m_s, sigma_m_s : (ny, nx, 2) float64
         u to the right and v UP, and their random standard uncertainty.
+    resolution_m_s : (ny, nx) float64
+        Standard uncertainty of u and of v by what windows do not resolve; NaN where not known.
     displacement_px : (ny, nx, 2) float64
         The same in pixels of the corrected image, y up.
     flags : (ny, nx) uint8
@@ -85,6 +87,7 @@ class SeriesField:
     dt_sigma_s: float
     velocity_m_s: Floats
     sigma_m_s: Floats
+    resolution_m_s: Floats
     displacement_px: Floats
     flags: NDArray[np.uint8]
     correlation: Floats
@@ -208,6 +211,7 @@ def read_chunk(content: bytes) -> ChunkContent:
     def both(place: int, *names: str) -> Floats:
         return np.stack([found[name][place] for name in names], axis=-1).astype(np.float64)
 
+    unresolved = found.get("resolution", np.full_like(found["u"], np.nan))  # before it was stored
     fields = tuple(
         SeriesField(
             tag,
@@ -216,6 +220,7 @@ def read_chunk(content: bytes) -> ChunkContent:
             float(found["sigma_delta_t"][place]),
             both(place, "u", "v"),
             both(place, "sigma_u", "sigma_v"),
+            unresolved[place].astype(np.float64),
             both(place, "displacement_x", "displacement_y"),
             found["flag"][place].astype(np.uint8),
             found["correlation"][place].astype(np.float64),

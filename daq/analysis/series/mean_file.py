@@ -4,13 +4,18 @@ Dimensions (t, y, x) with one t, so that PIVPy reads it as it reads a pair; y UP
 
     u, v                          mean velocity [m s-1]
     sigma_u, sigma_v              random standard uncertainty of the mean, by the effective samples
+    resolution                    standard uncertainty of u and of v by what windows do not resolve [m s-1]
+    dt_sigma_u, dt_sigma_v        by that of delta_t, one factor for all vectors (`delta_t_sigma_share`); missing
+                                  if nobody measured it
     map_sigma_u, _v, _x, _y       by the fitted map: of the mean [m s-1] and of the place [mm]; no number of pairs
                                   makes it smaller, so it is kept apart; missing where there was no fit
+    total_sigma_u, _v             all of these that are known, added as squares
     n, n_effective_u, _v          vectors, and independent ones that they are worth
     R_uu, R_vv, R_uv              Reynolds stresses without the noise of correlation [m2 s-2]; may be below 0
     R_uu_measured, _vv_, _uv_     the same with it
     noise_uu, noise_vv            what was taken off: the mean of sigma^2 of the vectors
     sigma_R_uu, _vv, _uv          random standard uncertainty of the stresses
+    resolution_R_uu, _vv, _uv     by how much they may be too small, as windows do not resolve it: an upper limit
     skewness_u, _v; lowest_u, _v, highest_u, _v
     chc                           1 where there is a mean
 """
@@ -72,6 +77,7 @@ def write_mean(
         file.pairs_used, file.left_out = mean.used, json.dumps(dict(mean.left_out))
         file.effective_samples = mean.effective.way
         file.effective_samples_converged = int(mean.effective.converged)
+        file.delta_t_sigma_share = np.float64(mean.dt_sigma_share)
         file.no_map_sigma = mean.no_map_sigma or "known"
         for name, value in about.items():
             setattr(file, name, value)
@@ -92,16 +98,20 @@ def _variables(mean: MeanFlow) -> dict[str, tuple[NDArray[Any], str]]:
     found: dict[str, tuple[NDArray[Any], str]] = {
         "n": (mean.count, "1"),
         "chc": (there.astype(np.int32), "1"),
+        "resolution": (mean.resolution_m_s, "m s-1"),
     }
     speed, square = "m s-1", "m2 s-2"
     apart: list[tuple[str, str, Floats, str]] = [
         ("", "uv", mean.mean_m_s, speed),
         ("sigma_", "uv", mean.sigma_m_s, speed),
+        ("total_sigma_", "uv", mean.total_sigma_m_s, speed),
         ("n_effective_", "uv", mean.effective.samples, "1"),
         ("skewness_", "uv", moments.skewness, "1"),
         ("lowest_", "uv", np.where(known, moments.lowest, np.nan), speed),
         ("highest_", "uv", np.where(known, moments.highest, np.nan), speed),
     ]
+    if np.isfinite(mean.dt_sigma_share):
+        apart.append(("dt_sigma_", "uv", mean.dt_sigma_m_s, speed))
     if mean.map_sigma_m_s is not None and mean.map_sigma_position_mm is not None:
         apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, speed))
         apart.append(("map_sigma_", "xy", mean.map_sigma_position_mm, "mm"))
@@ -112,6 +122,7 @@ def _variables(mean: MeanFlow) -> dict[str, tuple[NDArray[Any], str]]:
         found[f"R_{name}"] = (mean.stresses_m2_s2[..., number], square)
         found[f"R_{name}_measured"] = (mean.noisy_stresses_m2_s2[..., number], square)
         found[f"sigma_R_{name}"] = (mean.stress_sigma_m2_s2[..., number], square)
+        found[f"resolution_R_{name}"] = (mean.stress_resolution_m2_s2[..., number], square)
     for number, name in enumerate(("uu", "vv")):
         found[f"noise_{name}"] = (moments.noise[..., number], square)
     return found

@@ -8,6 +8,11 @@ is usual in its series: a failed flash or two strangers still give some vectors,
 
 Effective samples come from the autocorrelation of each vector while the whole series fits into `KEPT_BYTES`, and
 from blocking beyond that.
+
+**Four errors, kept apart**, since only the first becomes smaller with more pairs: the random one; what windows do
+not resolve of the mean (`correction.flow.unresolved`); the time between the pulses, which is measured once for a
+run, so that its relative error is one factor for all vectors (and two for stresses); and the fitted map
+(`map_sigma`).
 """
 
 from collections.abc import Iterable
@@ -20,6 +25,7 @@ from correction.errors import SeriesError
 from correction.flow.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
 from correction.flow.merge_tree import MergeTree
 from correction.flow.moments import Moments
+from correction.flow.unresolved import Unresolved
 from daq.analysis.series.chunk_file import ChunkContent, SeriesField
 
 BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
@@ -51,6 +57,12 @@ class MeanFlow:
         Pairs in these statistics.
     usual_share : float
         Median over the pairs of the share of vectors that were measured, of those outside the mask.
+    resolution_m_s : (ny, nx) float64
+        Standard uncertainty of a component of the mean by what windows do not resolve; NaN where not known.
+    stress_resolution_m2_s2 : (ny, nx, 3) float64
+        By how much stresses may be too small for the same reason: an upper limit.
+    dt_sigma_share : float
+        Standard uncertainty of dt over dt, the same for all pairs; NaN if nobody measured it.
     left_out : tuple of (str, str)
         Pairs that are not, by tag, and why.
     map_sigma_m_s : (ny, nx, 2) float64 or None
@@ -72,6 +84,9 @@ class MeanFlow:
     effective: EffectiveSamples
     used: int
     usual_share: float
+    resolution_m_s: Floats
+    stress_resolution_m2_s2: Floats
+    dt_sigma_share: float
     left_out: tuple[tuple[str, str], ...]
     map_sigma_m_s: Floats | None = None
     map_sigma_position_mm: Floats | None = None
@@ -113,6 +128,23 @@ class MeanFlow:
         return mean_sigma(self.moments, self.effective)
 
     @property
+    def dt_sigma_m_s(self) -> Floats:
+        """Standard uncertainty of the mean (ny, nx, 2) by that of dt, one factor for all; NaN if not known."""
+        return np.abs(self.mean_m_s) * self.dt_sigma_share
+
+    @property
+    def local_sigma_m_s(self) -> Floats:
+        """Sigma (ny, nx, 2) of what differs from place to place: random, and not resolved."""
+        return np.hypot(self.sigma_m_s, np.nan_to_num(self.resolution_m_s)[..., None])
+
+    @property
+    def total_sigma_m_s(self) -> Floats:
+        """All that is known of the uncertainty of the mean (ny, nx, 2), added as squares."""
+        parts = [self.local_sigma_m_s, np.nan_to_num(self.dt_sigma_m_s)]
+        parts += [] if self.map_sigma_m_s is None else [np.nan_to_num(self.map_sigma_m_s)]
+        return np.sqrt(np.sum(np.square(parts), axis=0))
+
+    @property
     def stresses_m2_s2(self) -> Floats:
         """Reynolds stresses R_uu, R_vv, R_uv (ny, nx, 3) without the noise of correlation."""
         return self.moments.reynolds_stresses
@@ -136,8 +168,8 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
     SeriesError
         No pair has vectors, or chunks lie on different grids.
     """
-    usual, dt_s, pairs = _usual(chunks)
-    moments, blocks = MergeTree[Moments](), MergeTree[Blocking]()
+    usual, dt_s, dt_sigma_share, pairs = _usual(chunks)
+    moments, blocks, unresolved = MergeTree[Moments](), MergeTree[Blocking](), MergeTree[Unresolved]()
     kept: list[NDArray[np.float32]] = []
     left_out: list[tuple[str, str]] = []
     used = number = 0
@@ -146,6 +178,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
         first = chunk if first is None else first
         if not (np.array_equal(chunk.x_mm, first.x_mm) and np.array_equal(chunk.y_mm, first.y_mm)):
             raise SeriesError("chunks of a series lie on different grids; evaluate the run again")
+        apart = max(1, round(0.5 * chunk.window_px / chunk.step_px))
         keeps = 8 * pairs * len(chunk.x_mm) * len(chunk.y_mm) <= KEPT_BYTES
         for field in chunk.fields:
             why = left_out_because(field, usual)
@@ -153,19 +186,23 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
                 left_out.append((field.tag, why))
                 moments.add(number, Moments.nothing(field.flags.shape))
                 blocks.add(number, Blocking.nothing(field.flags.shape))
+                unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
             else:
                 used += 1
                 moments.add(number, Moments.of(field.velocity_m_s, field.valid, field.sigma_m_s))
                 blocks.add(number, Blocking.of(field.velocity_m_s, field.valid))
+                unresolved.add(number, Unresolved.of(field.velocity_m_s, field.valid, field.resolution_m_s, apart))
             if keeps:
                 good = field.valid[..., None] & (not why)
                 kept.append(np.where(good, field.velocity_m_s, np.nan).astype(np.float32))
             number += 1
     assert first is not None  # `_usual` has refused a series without chunks
+    total, missing = moments.result(), unresolved.result()
+    shared = missing.shared(total.mean_uv)
     return MeanFlow(
-        first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, moments.result(),
+        first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, total,
         _of_series(kept) if kept else blocks.result().effective(), used, usual,
-        tuple(left_out),
+        shared, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
     )  # fmt: skip
 
 
@@ -188,16 +225,18 @@ def _of_series(kept: list[NDArray[np.float32]]) -> EffectiveSamples:
     return replace(parts[0], samples=samples, converged=all(part.converged for part in parts))
 
 
-def _usual(chunks: Iterable[ChunkContent]) -> tuple[float, float, int]:
-    """Median share of measured vectors, mean time between frames [s], and pairs in all."""
+def _usual(chunks: Iterable[ChunkContent]) -> tuple[float, float, float, int]:
+    """Median share of measured vectors, mean time between frames [s], its relative sigma, and pairs in all."""
     shares: list[float] = []
     times: list[float] = []
+    unsure: list[float] = []
     pairs = 0
     for chunk in chunks:
         pairs += len(chunk.fields)
         fields = [field for field in chunk.fields if not field.failure]
         shares += [field.valid_share for field in fields]
         times += [field.dt_s for field in fields]
+        unsure += [field.dt_sigma_s / field.dt_s for field in fields]
     if not shares or not max(shares) > 0.0:
         raise SeriesError("no pair of this series has a vector; look at the reasons that its evaluation gave")
-    return float(np.median(shares)), float(np.mean(times)), pairs
+    return float(np.median(shares)), float(np.mean(times)), float(np.sqrt(np.mean(np.square(unsure)))), pairs

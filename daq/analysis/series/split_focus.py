@@ -128,6 +128,9 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
         effective=effective,
         used=first.used + second.used,
         usual_share=min(first.usual_share, second.usual_share),
+        resolution_m_s=_by_source(source, first.resolution_m_s, second.resolution_m_s),
+        stress_resolution_m2_s2=_by_source(source, first.stress_resolution_m2_s2, second.stress_resolution_m2_s2),
+        dt_sigma_share=float(np.hypot(first.dt_sigma_share, second.dt_sigma_share) / np.sqrt(2.0)),
         left_out=tuple(left_out),
         map_sigma_m_s=None,
         map_sigma_position_mm=None,
@@ -139,6 +142,12 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
 def _fit(mask: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[np.bool_]:
     """A mask (ny, nx) with the axes of an array (ny, nx, ...)."""
     return mask.reshape(mask.shape + (1,) * (values.ndim - 2))
+
+
+def _by_source(source: NDArray[np.uint8], beside: Floats, behind: Floats) -> Floats:
+    """Each value from the run that gave the mean there; NaN where none did."""
+    chosen = np.where(_fit(source == BEHIND, behind), behind, beside)
+    return np.where(_fit(source == 0, chosen), np.nan, chosen)
 
 
 def _apart(first: MeanFlow, second: MeanFlow) -> float:

@@ -15,6 +15,7 @@ from correction.errors import PairError, SeriesError
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.analysis.series.marker import marker_path
+from daq.analysis.series.mean_file import write_mean
 from daq.analysis.series.mean_flow import mean_flow
 from daq.analysis.series.run_series import run_series
 from daq.analysis.series.series_folder import Chunks, SeriesFolder
@@ -110,6 +111,35 @@ def test_a_pair_between_damaged_ones_has_no_background_and_is_a_row(tmp_path):
     assert "no frame within 4 pairs of it can be read" in books.failed[tags[4]]
     mean = mean_flow(Chunks.of(books.folder.path))
     assert (mean.used, len(mean.left_out)) == (3, 9)
+
+
+def test_errors_that_no_number_of_pairs_makes_smaller_are_kept_apart(made, tmp_path):
+    """Of dt one factor for all vectors, of resolution what bends in the same way in all pairs."""
+    bare = mean_flow(Chunks.of(made.folder.path))
+    assert np.isnan(bare.dt_sigma_share)
+    told = []
+    for content in Chunks.of(made.folder.path):
+        fields = [replace(field, dt_sigma_s=0.02 * field.dt_s) for field in content.fields]
+        told.append(replace(content, fields=tuple(fields)))
+    mean, twice = mean_flow(told), mean_flow(told + told)
+    known = mean.count > 0
+    assert mean.dt_sigma_share == pytest.approx(0.02)
+    assert mean.sigma_m_s.tobytes() == bare.sigma_m_s.tobytes()
+    assert mean.dt_sigma_m_s[known] == pytest.approx(0.02 * np.abs(mean.mean_m_s[known]))
+    for name in ("dt_sigma_m_s", "resolution_m_s"):
+        assert getattr(twice, name)[known] == pytest.approx(getattr(mean, name)[known], rel=1e-9)
+    parts = mean.sigma_m_s**2 + mean.dt_sigma_m_s**2 + mean.resolution_m_s[..., None] ** 2
+    assert mean.total_sigma_m_s[known] == pytest.approx(np.sqrt(parts)[known])
+    write_mean(tmp_path / "mean.nc", replace(mean, no_map_sigma="not asked"), {})
+    with netcdf_file(tmp_path / "mean.nc", mmap=False) as file:
+        assert file.delta_t_sigma_share == pytest.approx(0.02)
+        assert file.variables["dt_sigma_v"][0] == pytest.approx(mean.dt_sigma_m_s[..., 1], nan_ok=True)
+        assert file.variables["resolution"][0] == pytest.approx(mean.resolution_m_s, nan_ok=True)
+        assert file.variables["total_sigma_u"][0] == pytest.approx(mean.total_sigma_m_s[..., 0], nan_ok=True)
+        assert {"resolution_R_uu", "resolution_R_vv", "resolution_R_uv"} <= set(file.variables)
+    write_mean(tmp_path / "bare.nc", bare, {})
+    with netcdf_file(tmp_path / "bare.nc", mmap=False) as file:
+        assert "dt_sigma_u" not in file.variables
 
 
 @pytest.mark.parametrize("chunk", [1, 2, 16])

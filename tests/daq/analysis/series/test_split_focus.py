@@ -27,7 +27,10 @@ def mean_of(speed, spread, seed, pairs=40):
         moments = moments.add(speed + spread * rng.standard_normal((*SHAPE, 2)))
     effective = EffectiveSamples(np.full((*SHAPE, 2), float(pairs)), "all", True)
     x, y = np.arange(4.0), np.arange(3.0)
-    return MeanFlow(x, y, 10.0, 32, 16, 1e-3, moments, effective, pairs, 1.0, ((f"pair {seed}", "dark"),))
+    missing, dt_share = np.full(SHAPE, 0.01 * (seed + 1)), 1e-3
+    unresolved = (missing, np.repeat(missing[..., None], 3, axis=-1), dt_share)
+    out = ((f"pair {seed}", "dark"),)
+    return MeanFlow(x, y, 10.0, 32, 16, 1e-3, moments, effective, pairs, 1.0, *unresolved, out)
 
 
 REGION = np.array(
@@ -46,6 +49,9 @@ def test_vectors_come_from_the_run_that_was_focused_on_them():
         np.testing.assert_array_equal(mine[joined.source == BESIDE], theirs[joined.source == BESIDE])
         np.testing.assert_array_equal(mine[joined.source == BEHIND], others[joined.source == BEHIND])
     assert joined.mean.used == 80
+    assert np.unique(joined.mean.resolution_m_s[joined.source == BEHIND]) == [0.02]
+    assert np.isnan(joined.mean.stress_resolution_m2_s2[joined.source == 0]).all()
+    assert joined.mean.dt_sigma_share == pytest.approx(1e-3)
     assert joined.mean.left_out == (("beside: pair 0", "dark"), ("behind: pair 1", "dark"))
     assert joined.apart_in_sigma == pytest.approx(1.0, abs=0.45)
 
