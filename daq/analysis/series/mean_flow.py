@@ -142,7 +142,8 @@ class MeanFlow:
         """All that is known of the uncertainty of the mean (ny, nx, 2), added as squares."""
         parts = [self.local_sigma_m_s, np.nan_to_num(self.dt_sigma_m_s)]
         parts += [] if self.map_sigma_m_s is None else [np.nan_to_num(self.map_sigma_m_s)]
-        return np.sqrt(np.sum(np.square(parts), axis=0))
+        total: Floats = np.sqrt(np.square(parts).sum(axis=0))
+        return total
 
     @property
     def stresses_m2_s2(self) -> Floats:
