@@ -8,13 +8,13 @@ YAML 1.1 is generous in ways that ruin experiments: a duplicate key silently win
 * unknown keys (a wrong unit suffix is an unknown key; the nearest known key is named), missing keys,
   values of the wrong type or outside their range.
 
-Nothing is ever replaced by a default because it was wrong.  Scene, bench and plan files all come through
-``read``.
+Nothing is ever replaced by a default because it was wrong, and what is wrong is told at once, in the words of
+``plain_words``.  Scene, bench and plan files all come through ``read``.
 """
 
-import difflib
 import math
 import re
+from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -23,6 +23,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ground.errors import ConfigError, Problem
+from ground.plain_words import exactly, is_of_a_kind, place_words, sentence
 
 MAX_BYTES = 1_000_000
 MAX_ALIASES = 16
@@ -36,8 +37,8 @@ _NOT_FINITE = re.compile(r"[-+]?\.?(inf|nan|infinity)", re.IGNORECASE)
 _YES_NO = re.compile(r"(yes|no|on|off|y|n)", re.IGNORECASE)
 
 Place = tuple[str | int, ...]
-Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
-Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+Triple = Annotated[list[float], Field(min_length=3, max_length=3), exactly(3)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2), exactly(2)]
 
 
 class Table(BaseModel):
@@ -51,11 +52,16 @@ Model = TypeVar("Model", bound=Table)
 
 @dataclass
 class Document:
-    """A YAML file as plain data, with the line of every place in it."""
+    """A YAML file as plain data, with the line of every place in it.
+
+    `doubtful` are places whose value YAML reads as something else than it looks like; `validate` tells them with
+    all other problems.
+    """
 
     path: Path
     tree: Any
     lines: dict[Place, int] = field(default_factory=dict)
+    doubtful: dict[Place, Problem] = field(default_factory=dict)
 
     def line(self, place: Place) -> int:
         """Line of a place in the tree, or of the nearest place around it that exists."""
@@ -83,6 +89,20 @@ def load_yaml(path: Path | str) -> Document:
     ConfigError
         The file is missing, too large, not UTF-8, not YAML, or uses what this module refuses.
     """
+    document = open_document(path)
+    if document.doubtful:
+        raise ConfigError(document.path, list(document.doubtful.values()))
+    return document
+
+
+def open_document(path: Path | str) -> Document:
+    """Read a YAML file as `load_yaml` does, and leave doubtful values to `validate`.
+
+    Raises
+    ------
+    ConfigError
+        The file is missing, too large, not UTF-8, not YAML, or too deep to be read to its end.
+    """
     path = Path(path)
     try:
         with path.open("rb") as stream:
@@ -108,9 +128,9 @@ def load_yaml(path: Path | str) -> Document:
         raise ConfigError(path, [Problem(1, "is empty")])
     reader = _Reader()
     tree = reader.value(root, ())
-    if reader.problems:
-        raise ConfigError(path, reader.problems)
-    return Document(path, tree, reader.lines)
+    if reader.is_too_much:
+        raise ConfigError(path, list(reader.problems.values()))
+    return Document(path, tree, reader.lines, reader.problems)
 
 
 class _OutOfBounds(yaml.MarkedYAMLError):
@@ -150,44 +170,49 @@ class _Reader:
     """Turns YAML nodes into plain data, collecting problems instead of stopping at the first."""
 
     def __init__(self) -> None:
-        self.problems: list[Problem] = []
+        self.problems: dict[Place, Problem] = {}
         self.lines: dict[Place, int] = {}
         self.nodes = 0
+        self.is_too_much = False
 
     def value(self, node: yaml.Node, place: Place) -> Any:  # noqa: ANN401 - YAML holds anything
         line = node.start_mark.line + 1
         self.lines.setdefault(place, line)
         self.nodes += 1
         if self.nodes > MAX_NODES or len(place) > MAX_DEPTH:
-            if self.nodes <= MAX_NODES or not self.problems:
-                self.problems.append(Problem(line, "is nested too deeply or holds too many values"))
+            if not self.is_too_much:
+                self.problems[place] = Problem(line, "is nested too deeply or holds too many values")
+            self.is_too_much = True
             return None
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, place)
         if isinstance(node, yaml.SequenceNode):
             return [self.value(item, (*place, index)) for index, item in enumerate(node.value)]
-        return self._scalar(node, line)
+        return self._scalar(node, place)
 
     def _mapping(self, node: yaml.MappingNode, place: Place) -> dict[str, Any]:
         result: dict[str, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag == "tag:yaml.org,2002:merge":
-                self.problems.append(Problem(line, "keys must be plain words; merge keys are not supported"))
+                text = "keys must be plain words; merge keys are not supported"
+                self.problems[(*place, f"line {line}")] = Problem(line, text)
                 continue
             key = str(key_node.value)
             if key in result:
                 first = self.lines[(*place, key)]
-                self.problems.append(Problem(line, f"key {key!r} is already given in line {first}"))
+                text = f"key {key!r} is already given in line {first}"
+                self.problems[(*place, f"line {line}", key)] = Problem(line, text)
                 continue
             self.lines[(*place, key)] = line
             result[key] = self.value(value_node, (*place, key))
         return result
 
-    def _scalar(self, node: yaml.Node, line: int) -> str | int | float | bool | None:
+    def _scalar(self, node: yaml.Node, place: Place) -> str | int | float | bool | None:
         text = str(node.value)
         if node.tag not in _PLAIN_TAGS:
-            self.problems.append(Problem(line, f"tag {node.tag!r} is not supported; remove it"))
+            line = node.start_mark.line + 1
+            self.problems[place] = Problem(line, f"tag {node.tag!r} is not supported; remove it")
             return None
         if getattr(node, "style", None):  # quoted: text, whatever it looks like
             return text
@@ -199,20 +224,23 @@ class _Reader:
             return int(text) if len(text) < 20 else float(text)
         if _DECIMAL.fullmatch(text) and math.isfinite(float(text)) and "." in text:
             return float(text)
-        self._refuse_doubtful(text, node.tag, line)
+        if said := _doubt(text, node.tag):
+            self.problems[place] = Problem(node.start_mark.line + 1, said)
         return text
 
-    def _refuse_doubtful(self, text: str, tag: str, line: int) -> None:
-        """Report plain text that a person may have meant as something else."""
-        if _NOT_FINITE.fullmatch(text):
-            self.problems.append(Problem(line, f"{text!r} is not a finite number"))
-        elif _NUMBER.fullmatch(text):
-            cure = "with a decimal point, as in 1.0e-3, and without leading zeros or underscores"
-            self.problems.append(Problem(line, f"{text!r} is text to YAML; write the number {cure}"))
-        elif _YES_NO.fullmatch(text) and tag == "tag:yaml.org,2002:bool":
-            self.problems.append(Problem(line, f"{text!r} is ambiguous; write true or false, or quote the word"))
-        elif tag != "tag:yaml.org,2002:str":
-            self.problems.append(Problem(line, f"{text!r} is ambiguous in YAML; quote it if it is text"))
+
+def _doubt(text: str, tag: str) -> str | None:
+    """Why a person may have meant plain text as something else; None if not."""
+    if _NOT_FINITE.fullmatch(text):
+        return f"{text!r} is not a finite number"
+    if _NUMBER.fullmatch(text):
+        cure = "with a decimal point, as in 1.0e-3, and without leading zeros or underscores"
+        return f"{text!r} is text to YAML; write the number {cure}"
+    if _YES_NO.fullmatch(text) and tag == "tag:yaml.org,2002:bool":
+        return f"{text!r} is ambiguous; write true or false, or quote the word"
+    if tag != "tag:yaml.org,2002:str":
+        return f"{text!r} is ambiguous in YAML; quote it if it is text"
+    return None
 
 
 _PLAIN_TAGS = {
@@ -228,46 +256,51 @@ def validate(document: Document, model: type[Model]) -> Model:
     ConfigError
         Everything that does not fit, with the lines.
     """
+    problems, found = list(document.doubtful.values()), None
     try:
-        return model.model_validate(document.tree)
+        found = model.model_validate(document.tree)
     except ValidationError as error:
-        problems = [
-            Problem(document.line(place), _sentence(document, model, place, details))
-            for details in error.errors(include_url=False)
-            for place in [_place(document, details["loc"])]
+        by_place: dict[Place, list[Any]] = defaultdict(list)
+        for details in error.errors(include_url=False):
+            by_place[_place(document, details)].append(details)
+        problems += [
+            Problem(document.line(place), _words(document, model, place, several))
+            for place, several in by_place.items()
+            if place not in document.doubtful and not _is_other_branch(document, place, several, by_place)
         ]
-        raise ConfigError(document.path, problems) from None
+    if found is None or problems:
+        raise ConfigError(document.path, problems)
+    return found
 
 
 def read(path: Path | str, model: type[Model]) -> Model:
-    """Read and check a YAML file: `load_yaml`, then `validate`."""
-    return validate(load_yaml(path), model)
+    """Read and check a YAML file: `open_document`, then `validate`."""
+    return validate(open_document(path), model)
 
 
-def _place(document: Document, loc: tuple[str | int, ...]) -> Place:
-    """Error location without the names of union members that pydantic puts between keys."""
+def _place(document: Document, details: Any) -> Place:  # noqa: ANN401 - as the library has it
+    """Place of a problem, without the names of union members that the library puts between keys."""
     place: Place = ()
+    loc, tree = details["loc"], document.tree
     for index, part in enumerate(loc):
-        if (*place, part) in document.lines or index == len(loc) - 1:
+        there = part in tree if isinstance(tree, dict) else isinstance(tree, list) and part in range(len(tree))
+        if there:
+            tree = tree[part]
+        if there or (details["type"] == "missing" and index == len(loc) - 1):
             place = (*place, part)
     return place
 
 
-def _sentence(document: Document, model: type[Table], place: Place, details: Any) -> str:  # noqa: ANN401
-    name = ".".join(str(part) for part in place) or "file"
-    kind, message = details["type"], str(details["msg"])
-    if kind == "extra_forbidden":
-        others = [
-            key for key in _known_keys(model) if key != place[-1]
-        ]  # a known key may stand in the wrong place
-        near = difflib.get_close_matches(str(place[-1]), others, n=1, cutoff=0.6)
-        return f"unknown key {name!r}" + (f"; did you mean {near[0]!r}?" if near else "")
-    if kind == "missing":
-        return f"key {name!r} is missing"
-    message = message.removeprefix("Value error, ").removeprefix("Input should be ")
-    got = details.get("input")
-    shown = "" if isinstance(got, dict | list) or got is None else f", not {got!r}"
-    return f"{name}: {message if kind == 'value_error' else 'should be ' + message + shown}"
+def _is_other_branch(
+    document: Document, place: Place, several: list[Any], by_place: dict[Place, list[Any]]
+) -> bool:
+    """Whether a value was only not the other thing it might have been: what is wrong lies deeper in it."""
+    deeper = any(len(other) > len(place) and other[: len(place)] == place for other in by_place)
+    return deeper and all(is_of_a_kind(details) for details in several)
+
+
+def _words(document: Document, model: type[Table], place: Place, several: list[Any]) -> str:
+    return sentence(place_words(document.tree, place), several, lambda: _known_keys(model))
 
 
 def _known_keys(model: type[Table]) -> list[str]:

@@ -6,6 +6,7 @@ GroundError
 +-- MemoryShort      what is asked for needs more memory than is free
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,15 +26,22 @@ class Problem:
 class ConfigError(GroundError):
     """A configuration file is wrong; `problems` lists everything found, in file order."""
 
-    def __init__(self, path: Path | str, problems: list[Problem]) -> None:
+    def __init__(self, path: Path | str, problems: list[Problem], others: "Sequence[ConfigError]" = ()) -> None:
         self.path = Path(path)
         self.problems = sorted(problems, key=lambda problem: problem.line)
-        super().__init__(
-            "\n".join(
-                f"{self.path}:{problem.line}: {problem.text}" if problem.line else f"{self.path}: {problem.text}"
-                for problem in self.problems
-            )
-        )
+        own = [
+            f"{self.path}:{problem.line}: {problem.text}" if problem.line else f"{self.path}: {problem.text}"
+            for problem in self.problems
+        ]
+        super().__init__("\n".join([*own, *map(str, others)]))
+
+    @classmethod
+    def joined(cls, errors: "Sequence[ConfigError]") -> "ConfigError":
+        """Return one error of several files, told in their order; `problems` are those of the first."""
+        first, *others = errors
+        same = [problem for error in others if error.path == first.path for problem in error.problems]
+        rest = [error for error in others if error.path != first.path]
+        return cls(first.path, [*first.problems, *same], rest)
 
 
 class MapFileError(GroundError):

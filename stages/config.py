@@ -38,13 +38,14 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ground.config import Pair, Table
+from ground.plain_words import NAME_PATTERN
 from stages.axis_settings import AxisSettings
 from stages.drivers import driver_class
 from stages.errors import StageUsageError
 from stages.profile import Approach
 
 Positive = Annotated[float, Field(gt=0.0, le=1e7)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,31}$")]
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
 
 class ControllerTable(Table):

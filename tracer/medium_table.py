@@ -6,9 +6,20 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from ground.config import Table
+from ground.plain_words import near
 from tracer.camera import LONGEST_MM
 from tracer.errors import SceneError
-from tracer.media import MEDIA, AirMedium, ConstantMedium, Medium, SellmeierMedium, ShiftedMedium
+from tracer.media import (
+    COMMON_NAMES,
+    MEDIA,
+    AirMedium,
+    ConstantMedium,
+    Medium,
+    SellmeierMedium,
+    ShiftedMedium,
+    known_media,
+    medium_called,
+)
 
 Positive = Annotated[float, Field(gt=0.0, le=LONGEST_MM)]
 OPAQUE = "opaque"
@@ -56,7 +67,7 @@ class MediumTable(Table):
         if self.sellmeier is not None:
             own = SellmeierMedium(tuple(self.sellmeier.b), tuple(self.sellmeier.c_um2), name)
             return own if self.offset is None else ShiftedMedium(own, self.offset, name)
-        known = MEDIA.get(self.base or "")
+        known = medium_called(self.base or "")
         if not isinstance(known, SellmeierMedium | AirMedium):
             named = [key for key, medium in MEDIA.items() if not isinstance(medium, ConstantMedium)]
             raise SceneError(f"unknown base {self.base!r}; known are {', '.join(sorted(named))}")
@@ -73,9 +84,14 @@ def medium_of(material: str | MediumTable, media: Mapping[str, Medium]) -> Mediu
     """
     if isinstance(material, MediumTable):
         return material.medium("")
-    if material not in media:
-        raise SceneError(f"unknown medium {material!r}; known are {', '.join(sorted(media))}")
-    return media[material]
+    found = medium_called(material, media)
+    if found is None:
+        hint = near(material, list(media)) or near(material.casefold(), list(COMMON_NAMES))
+        hint = hint or f"; known are {known_media(media)}"
+        raise SceneError(
+            f"unknown medium {material!r}{hint} (or its index, as in {{n: 1.5}}; opaque blocks light)"
+        )
+    return found
 
 
 def written(medium: Medium) -> str | dict[str, Any]:

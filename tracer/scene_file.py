@@ -2,7 +2,7 @@
 
     wavelength_nm: 532.0
     ambient: {n: 1.0}                    # or a named medium: air, vacuum; what is called air in bodies is this gas
-    glasses:                             # optional, beside N-BK7, N-BK10, N-K5, fused-silica, PMMA
+    glasses:                             # optional, beside those of tracer.media: acrylic, BK7, borosilicate ...
       crown: {n: 1.53}
       own: {sellmeier: {b: [1.04, 0.23, 1.01], c_um2: [0.006, 0.02, 103.6]}}
       melt: {base: N-BK7, offset: 0.0012}  # measured: dispersion of N-BK7, n higher by 0.0012
@@ -26,19 +26,25 @@
 What each section may hold stands in ``tracer.scene_tables``.
 """
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
 
 import yaml
 
-from ground.config import Document, load_yaml, validate
+from ground.config import Document, Place, open_document, validate
 from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.fit_section import FitTable
-from tracer.media import MEDIA, THINNEST_LIQUID, Medium
+from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium
 from tracer.medium_table import medium_of, written
 from tracer.scene import Scene
 from tracer.scene_tables import SceneTable
+from tracer.view import view_problems
+
+T = TypeVar("T")
+ANY_CAMERA: dict[str, Any] = {"focal_px": 1.0, "sensor_px": [1, 1], "position_mm": [0.0, 0.0, 0.9e6]}  # above all
 
 
 def scene_from(document: Document, table: SceneTable) -> Scene:
@@ -47,7 +53,7 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     Raises
     ------
     ConfigError
-        The scene is impossible; each problem with the line of the body at fault.
+        The scene is impossible, or glass can never be seen; each problem with the line of what is at fault.
     """
     problems: list[Problem] = []
     media = MEDIA | _own_media(document, table, problems)
@@ -61,19 +67,31 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
             for part, text in error.problems:
                 at: tuple[str | int, ...] = ("bodies", index, *(part or "material").split("."))
                 problems.append(Problem(document.line(at), text))
-    if problems:
+    ambient = _tried(lambda: medium_of(table.ambient, media), document.line(("ambient",)), problems)
+    camera = _tried(table.camera.camera, document.line(("camera",)), problems)
+    scene = None
+    if camera is not None:
+        try:
+            scene = Scene(camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM)
+        except SceneError as error:
+            for name, text in error.problems:
+                at = ("bodies", names.index(name)) if name in names else ("ambient",)
+                problems.append(Problem(document.line(at), text))
+        for name, text in view_problems(camera, bodies):
+            at = ("bodies", names.index(name)) if name else ("camera",)
+            problems.append(Problem(document.line(at), text))
+    if scene is None or problems:
         raise ConfigError(document.path, problems)
-    place: tuple[str, ...] = ("camera",)
+    return scene
+
+
+def _tried(build: Callable[[], T], line: int, problems: list[Problem]) -> T | None:
+    """Build something; None if that cannot be, with what is wrong added to `problems`."""
     try:
-        camera = table.camera.camera()
-        place = ("ambient",)
-        ambient = medium_of(table.ambient, media)
-        return Scene(camera, tuple(bodies), table.wavelength_nm, ambient)
+        return build()
     except SceneError as error:
-        for name, text in error.problems:
-            line = document.line(("bodies", names.index(name)) if name in names else place)
-            problems.append(Problem(line, text))
-        raise ConfigError(document.path, problems) from None
+        problems += [Problem(line, text) for _, text in error.problems]
+        return None
 
 
 def _air_of_the_room(table: SceneTable, media: dict[str, Medium]) -> dict[str, Medium]:
@@ -105,7 +123,7 @@ def load_priors(path: Path | str) -> FitTable:
     ConfigError
         The file is wrong, or the section names a sphere or glass that the scene does not have.
     """
-    document = load_yaml(path)
+    document = open_document(path)
     table = validate(document, SceneTable)
     spheres = {sphere.name for sphere in scene_from(document, table).spheres}
     problems = [
@@ -135,8 +153,48 @@ def load_scene(path: Path | str) -> Scene:
     ConfigError
         Everything wrong with it, with file and line.
     """
-    document = load_yaml(path)
-    return scene_from(document, validate(document, SceneTable))
+    document = open_document(path)
+    try:
+        table = validate(document, SceneTable)
+    except ConfigError as error:
+        raise ConfigError(document.path, [*error.problems, *_further_problems(document, error)]) from None
+    return scene_from(document, table)
+
+
+def _further_problems(document: Document, error: ConfigError) -> list[Problem]:
+    """What else is wrong with a file that has problems: its sound bodies, seen by its camera if that is sound.
+
+    Overlaps and unknown glass are told with the first misspelt key, not after it.
+    """
+    if not isinstance(document.tree, dict):
+        return []
+    wrong = {problem.line for problem in error.problems}
+    tree, lines = dict(document.tree), {}
+    for key in [key for key in tree if key != "bodies" and _lines_of(document, (key,)) & wrong]:
+        if key == "glasses":
+            return []  # whoever is made of them would be called unknown
+        del tree[key]
+    entries = tree.get("bodies", [])
+    sound = [] if not isinstance(entries, list) else [
+        index for index in range(len(entries)) if not _lines_of(document, ("bodies", index)) & wrong
+    ]  # fmt: skip
+    tree |= {"bodies": [entries[index] for index in sound], "camera": tree.get("camera", ANY_CAMERA)}
+    for place, line in document.lines.items():
+        if place[:1] != ("bodies",) or len(place) < 2:
+            lines[place] = line
+        elif place[1] in sound:
+            lines[("bodies", sound.index(int(place[1])), *place[2:])] = line
+    rest = Document(document.path, tree, lines)
+    try:
+        scene_from(rest, validate(rest, SceneTable))
+    except ConfigError as further:
+        known = {(problem.line, problem.text) for problem in error.problems}
+        return [problem for problem in further.problems if (problem.line, problem.text) not in known]
+    return []
+
+
+def _lines_of(document: Document, start: Place) -> set[int]:
+    return {line for place, line in document.lines.items() if place[: len(start)] == start}
 
 
 def dump_scene(scene: Scene) -> str:

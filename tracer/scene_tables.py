@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ground.config import Pair, Table, Triple
+from ground.plain_words import exactly
 from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.fit_section import FitTable
@@ -29,12 +30,14 @@ class CameraTable(Table):
     L_mm: Positive | None = None
     focal_px: Positive | None = None
     pixel_pitch_um: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
-    sensor_px: Annotated[list[Annotated[int, Field(ge=1, le=65535)]], Field(min_length=2, max_length=2)]
+    sensor_px: Annotated[
+        list[Annotated[int, Field(ge=1, le=65535)]], Field(min_length=2, max_length=2), exactly(2)
+    ]
     principal_px: Pair | None = None
     position_mm: Triple | None = None
     look_at_mm: Triple | None = None
     roll_deg: float | None = None
-    rotation: Annotated[list[Triple], Field(min_length=3, max_length=3)] | None = None
+    rotation: Annotated[list[Triple], Field(min_length=3, max_length=3), exactly(3)] | None = None
     lens: LensTable = LensTable()
 
     @model_validator(mode="after")

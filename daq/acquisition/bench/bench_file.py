@@ -22,16 +22,19 @@ Which axis moves which element, and along which world direction, is said by the 
 function of the axis positions.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from daq.acquisition.bench.bench_table import GLASS, Bench, BenchTable, Device
 from daq.acquisition.bench.kinds import kind_of
 from daq.errors import RunUsageError
-from ground.config import Document, load_yaml, validate
+from ground.config import Document, open_document, validate
 from ground.errors import ConfigError, Problem
 from tracer.scene_file import load_scene
+
+T = TypeVar("T")
 
 
 def load_bench(path: Path | str) -> Bench:
@@ -42,15 +45,36 @@ def load_bench(path: Path | str) -> Bench:
     ConfigError
         Everything wrong with either, with file and line.
     """
-    document = load_yaml(path)
-    table = validate(document, BenchTable)
-    scene = load_scene(document.path.parent / table.scene)
-    if table.glass is None and table.axes_of(GLASS) and scene.bodies:
-        raise ConfigError(
-            document.path, [Problem(document.line(("stages",)), "axes carry the glass, so say glass.out_mm")]
-        )
-    more = {name: _device(document, name, section) for name, section in table.devices.items()}
-    return Bench(document.path.resolve(), document, table, scene, more)
+    document = open_document(path)
+    wrong: list[ConfigError] = []
+    table = _tried(lambda: validate(document, BenchTable), wrong)
+    tree = document.tree if isinstance(document.tree, dict) else {}
+    named = table.scene if table is not None else tree.get("scene")
+    scene = None
+    if isinstance(named, str) and named:
+        scene = _tried(lambda: load_scene(document.path.parent / named), wrong)
+    if table is not None and scene is not None and table.glass is None and table.axes_of(GLASS) and scene.bodies:
+        text = "axes carry the glass, so say glass.out_mm"
+        wrong.append(ConfigError(document.path, [Problem(document.line(("stages",)), text)]))
+    devices = table.devices if table is not None else tree.get("devices")
+    sections = devices.items() if isinstance(devices, dict) else ()
+    more = {
+        name: _tried(partial(_device, document, name, section), wrong)
+        for name, section in sections
+        if isinstance(name, str) and isinstance(section, dict)
+    }
+    if table is None or scene is None or wrong:
+        raise ConfigError.joined(wrong)
+    return Bench(document.path.resolve(), document, table, scene, {name: d for name, d in more.items() if d})
+
+
+def _tried(build: Callable[[], T], wrong: list[ConfigError]) -> T | None:
+    """Build something; None if its file is wrong, with what is wrong added."""
+    try:
+        return build()
+    except ConfigError as error:
+        wrong.append(error)
+        return None
 
 
 def _device(document: Document, name: str, section: Mapping[str, Any]) -> Device:

@@ -11,8 +11,9 @@ from daq.acquisition.plans.experiments import EXPERIMENTS, plan_table
 from daq.acquisition.plans.plan_table import PlanTable, Pose
 from daq.acquisition.plans.steps import CLEAR, Step, steps_hash
 from daq.errors import PlanError
-from ground.config import Document, load_yaml, validate
+from ground.config import Document, open_document, validate
 from ground.errors import ConfigError, Problem
+from ground.plain_words import near
 
 ON_PLANE_MM = 1e-9
 
@@ -56,13 +57,25 @@ def load_plan(path: Path | str, bench: Bench) -> Plan:
     PlanError
         The bench cannot carry it out.
     """
-    document = load_yaml(path)
-    name = document.tree.get("experiment") if isinstance(document.tree, dict) else None
-    if name not in EXPERIMENTS:
-        text = f"experiment should be one of {', '.join(EXPERIMENTS)}, not {name!r}"
-        raise ConfigError(document.path, [Problem(document.line(("experiment",)), text)])
-    table = validate(document, plan_table(name))
+    document, table = read_plan(path)
     return Plan(document.path.stem, document.path.resolve(), document, table, expand(table, bench))
+
+
+def read_plan(path: Path | str) -> tuple[Document, PlanTable]:
+    """Read a plan file without asking whether any bench can do it.
+
+    Raises
+    ------
+    ConfigError
+        The file is wrong, with line.
+    """
+    document = open_document(path)
+    name = document.tree.get("experiment") if isinstance(document.tree, dict) else None
+    if not isinstance(name, str) or name not in EXPERIMENTS:
+        hint = near(str(name), list(EXPERIMENTS))
+        text = f"experiment should be one of {', '.join(EXPERIMENTS)}, not {name!r}{hint}"
+        raise ConfigError(document.path, [Problem(document.line(("experiment",)), text)])
+    return document, validate(document, plan_table(name))
 
 
 def expand(table: PlanTable, bench: Bench) -> tuple[Step, ...]:

@@ -104,7 +104,7 @@ def test_a_kind_of_another_project_is_named_with_its_module(tmp_path, said):
         ("  left: {port: one}\n", r"bench\.yaml:\d+: devices\.left: say its kind"),
         ("  left: {kind: torch, port: one}\n", r"bench\.yaml:\d+: there is no kind of device 'torch'"),
         ("  left: {kind: lamp, prt: one}\n", r"bench\.yaml:\d+: unknown key 'prt'; did you mean 'port'"),
-        ("  left:\n    kind: lamp\n    port: one\n    volt: high\n", r"volt: should be a valid number"),
+        ("  left:\n    kind: lamp\n    port: one\n    volt: high\n", r"volt: should be a number"),
         ("  left: {kind: \"nowhere:Lamp\", port: one}\n", r"kind of device 'nowhere:Lamp' cannot be loaded"),
         ("  camera: {kind: camera, backend: files}\n", r"devices\.camera: that device has a section of its own"),
     ],

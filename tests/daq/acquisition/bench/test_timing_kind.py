@@ -82,7 +82,7 @@ def test_leaving_by_an_error_switches_off(tmp_path):
             "less than 10",
         ),
         ({"box": "qc1"}, "no timing unit 'qc1'; there are qc9510"),
-        ({"more": ", chunk_s: 20.0"}, "chunk_s: should be less than or equal to 10"),
+        ({"more": ", chunk_s: 20.0"}, "chunk_s: should be 10 or less"),
         ({"more": ", clear: 3.0"}, "unknown key"),
     ],
 )

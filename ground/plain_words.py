@@ -1,0 +1,172 @@
+"""What is wrong with a value of a file, in the words of the person who wrote it.
+
+The library that checks files has a code for each kind of problem, and sentences for programmers ("Unable to
+extract tag using discriminator").  Here each code becomes what stands in the file, what should stand there, and,
+where it can be told, the cure.  Of a value that may be one of several things ("a name or a table") the library
+reports each that it is not; that becomes one sentence.
+"""
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from pydantic import BeforeValidator
+from pydantic_core import PydanticCustomError
+
+LONGEST_SHOWN = 60
+NUMBERS = {2: "two", 3: "three"}
+NAME_PATTERN = r"^[A-Za-z][A-Za-z0-9_]{0,31}$"  # of benches, axes, controllers
+NAME_WORDS = "a name of letters, digits and underscores that begins with a letter, 32 at most"
+
+_KINDS = {
+    "string_type": "text",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "list_type": "a list, as in [1.0, 2.0]",
+    "tuple_type": "a list, as in [1.0, 2.0]",
+    "dict_type": "a table, as in {key: value}",
+    "model_type": "a table, as in {key: value}",
+    "model_attributes_type": "a table, as in {key: value}",
+    "finite_number": "a finite number",
+    "none_required": "left out",
+}
+_BOUNDS = {
+    "greater_than": "greater than {gt}",
+    "greater_than_equal": "{ge} or more",
+    "less_than": "less than {lt}",
+    "less_than_equal": "{le} or less",
+}
+
+
+def exactly(count: int) -> BeforeValidator:
+    """Return what refuses lists of another length, before it is asked what they hold."""
+
+    def holds(value: Any) -> Any:  # noqa: ANN401 - YAML holds anything
+        if isinstance(value, list) and len(value) != count:
+            words = f"{NUMBERS[count]} entries"
+            raise PydanticCustomError(
+                "entries", "should have {words}, not {got}", {"words": words, "got": len(value)}
+            )
+        return value
+
+    return BeforeValidator(holds)
+
+
+def is_of_a_kind(details: Mapping[str, Any]) -> bool:
+    """Whether a problem says only that a value is of another kind than wanted."""
+    return details["type"] in _KINDS
+
+
+def place_words(tree: Any, place: Sequence[str | int]) -> str:  # noqa: ANN401 - YAML holds anything
+    """Return a place as text: entries of lists by their name, or counted from 1."""
+    words: list[str] = []
+    for part in place:
+        tree = _child(tree, part)
+        if isinstance(part, int):
+            name = tree.get("name") if isinstance(tree, dict) else None
+            words.append(name if isinstance(name, str) else str(part + 1))
+        else:
+            words.append(part)
+    return ".".join(words)
+
+
+def sentence(name: str, several: Sequence[Mapping[str, Any]], known_keys: Callable[[], Sequence[str]]) -> str:
+    """Say what is wrong at one place.
+
+    Parameters
+    ----------
+    name : str
+        The place as text, empty for the file itself.
+    several : sequence of mapping
+        What the library found there: one problem, or one for each thing that the value might have been.
+    known_keys : callable
+        Returns all keys that a file of this kind may have.
+    """
+    wanted = list(dict.fromkeys(_KINDS[details["type"]] for details in several if is_of_a_kind(details)))
+    if wanted:
+        return f"{name or 'the file'}: should be {' or '.join(wanted)}{_but(several[0].get('input'))}"
+    details = several[0]
+    kind, context, key = details["type"], details.get("ctx", {}), name.rpartition(".")[2]
+    if kind == "extra_forbidden":
+        return f"unknown key {name!r}{near(key, [known for known in known_keys() if known != key])}"
+    if kind == "missing":
+        return f"key {name!r} is missing"
+    if kind == "union_tag_not_found":
+        choices = context.get("discriminator", "'kind'")
+        return f"{name}: key {choices} is missing; it says what this is"
+    if kind == "union_tag_invalid":
+        expected = str(context.get("expected_tags", ""))
+        tag, key = str(context.get("tag", "")), str(context.get("discriminator", "")).strip("'")
+        hint = near(tag, [word.strip("' ") for word in expected.split(",")])
+        return f"{name}.{key}: should be one of {expected}, not {tag!r}{hint}"
+    return f"{name or 'the file'}: {_said(kind, str(details['msg']), context, details.get('input'))}"
+
+
+def _said(kind: str, message: str, context: Mapping[str, Any], given: Any) -> str:  # noqa: ANN401
+    if kind == "value_error":
+        return message.removeprefix("Value error, ")
+    if kind == "entries":
+        return message
+    if kind in _BOUNDS:
+        bound = _BOUNDS[kind].format(**{name: f"{limit:.9g}" for name, limit in context.items()})
+        return f"should be {bound}, not {_shown(given)}"
+    if kind in ("literal_error", "enum"):
+        expected = str(context.get("expected", ""))
+        hint = near(str(given), [word.strip("' ") for word in expected.replace(" or ", ",").split(",")])
+        return f"should be {expected}, not {_shown(given)}{hint}"
+    if kind == "string_pattern_mismatch":
+        pattern = str(context.get("pattern", ""))
+        return f"should be {NAME_WORDS if pattern == NAME_PATTERN else 'like ' + pattern}, not {_shown(given)}"
+    if kind == "string_too_short":
+        return "should not be empty"
+    if kind == "too_short":
+        least = context.get("min_length", 1)
+        entries = "entry" if least == 1 else "entries"
+        return f"should have at least {least} {entries}, not {context.get('actual_length')}"
+    if kind == "too_long":
+        return f"should have {context.get('max_length')} entries or fewer, not {context.get('actual_length')}"
+    return message[:1].lower() + message[1:]
+
+
+def _but(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
+    """What stands there instead."""
+    if given is None:
+        return "; nothing is given"
+    if isinstance(given, dict):
+        return ", not a table"
+    if isinstance(given, list):
+        return ", not a list"
+    quoted = isinstance(given, str) and _is_number(given)
+    return f", not {_shown(given)}" + ("; leave the quotes out" if quoted else "")
+
+
+def _shown(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
+    text = {True: "true", False: "false"}[given] if isinstance(given, bool) else repr(given)
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+
+
+def near(word: str, others: Sequence[str]) -> str:
+    """Return a question after the nearest of some words; empty if none is near."""
+    same = [other for other in others if other.casefold() == word.casefold() and other != word]
+    found = same or difflib.get_close_matches(word, others, n=1, cutoff=0.6)
+    return f"; did you mean {found[0]!r}?" if found else ""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _child(tree: Any, part: str | int) -> Any:  # noqa: ANN401 - YAML holds anything
+    try:
+        return tree[part]
+    except (KeyError, IndexError, TypeError):
+        return None
