@@ -36,6 +36,7 @@ from correction.inversion.invert import Inversion
 from correction.node_status import NodeStatus
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
+from ground.short_repr import short_repr
 from tracer.branches import Branch, Numbers
 from tracer.ray_map import RayMap
 from tracer.scene import Scene, SceneBound
@@ -47,6 +48,7 @@ LIGHT = 1.0 + 1e-5  # rounding above a transmittance of 1
 MAX_MAGNIFICATION = 16.0  # within 0.2 corrected pixels of the fold behind a 100 mm ball at L = 250 mm
 
 
+@short_repr
 @dataclass(frozen=True)
 class CorrectionMap(SceneBound):
     """Plane node -> camera pixel(s).

@@ -30,6 +30,7 @@ from correction.board import Chessboard
 from correction.board.board_search import track_board
 from correction.board.lattice_corners import BoardDetection
 from correction.errors import DewarpError, FrameError
+from ground.short_repr import short_repr
 from tracer.camera import Camera
 
 ORDERS = (2, 3, 4, 5)
@@ -39,6 +40,7 @@ JUDGE_ORDER = 7  # of the polynomial against which gross errors are seen
 PROBES = 101  # frame points a side on which the coverage is counted
 
 
+@short_repr
 @dataclass(frozen=True)
 class Dewarp:
     """Ideal pinhole pixel -> acquired pixel.

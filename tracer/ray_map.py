@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from ground.rows import run_rows
+from ground.short_repr import short_repr
 from tracer.branches import Branch, Numbers, number_keys
 from tracer.cells import world_of
 from tracer.kernels.maps import trace_rows
@@ -26,6 +27,7 @@ from tracer.trace import pack_camera
 KIND = "ray map"
 
 
+@short_repr
 @dataclass(frozen=True)
 class RayMap(SceneBound):
     """Pixel -> plane point over the whole sensor.

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.short_repr import short_repr
 from tracer.bodies import KINDS, Body, Sphere
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
@@ -44,6 +45,7 @@ class SceneBound:
             raise StaleMap(f"the {self.noun} belongs to scene {self.scene_hash}, not to {wanted}; {self.cure}")
 
 
+@short_repr
 @dataclass(frozen=True)
 class Scene:
     """Camera and bodies in front of the investigation plane z = 0.

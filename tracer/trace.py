@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ground.rows import run_rows
+from ground.short_repr import short_repr
 from tracer.branches import Branch, name_keys
 from tracer.camera import Camera
 from tracer.cells import world_of
@@ -28,6 +29,7 @@ RAY = np.dtype(
 )
 
 
+@short_repr
 @dataclass(frozen=True)
 class TraceResult:
     """Rays traced to the investigation plane.

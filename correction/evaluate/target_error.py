@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from correction.board import Chessboard
 from correction.board.corners import refine_corners
 from correction.corrector import Corrector
+from ground.short_repr import short_repr
 
 # A magnified view comes out so sharp that an edge along a pixel row leaves no pixel to measure it by; a
 # symmetric blur moves nothing and gives the edge a width again.
@@ -47,6 +48,7 @@ class Region:
     largest_px: float
 
 
+@short_repr
 @dataclass(frozen=True)
 class TargetError:
     """Errors by region; `corners` and `errors_px` keep the single corners (N, 2) for pictures."""

@@ -21,12 +21,14 @@ from correction.fit.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
+from ground.short_repr import short_repr
 from tracer.ray_map import build_ray_map
 
 KIND = "map sigma"
 STEP = 4  # nodes between those computed; sigma is smooth
 
 
+@short_repr
 @dataclass(frozen=True)
 class MapSigma:
     """Standard deviation of the correction.

@@ -13,6 +13,7 @@ from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
 from correction.fit.smear import UNSURE, Dispersion, smear_of
 from correction.fit.solver import Corners
+from ground.short_repr import short_repr
 from tracer.branches import text_of
 from tracer.camera import Camera
 from tracer.scene import Scene
@@ -21,6 +22,7 @@ from tracer.sensitivity import TargetPose
 FLOOR_PX = 0.01  # no corner is better than this: lens, print and model are not
 
 
+@short_repr
 @dataclass(frozen=True)
 class TargetFrame:
     """A frame of the target.

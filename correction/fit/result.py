@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from correction.fit.errors import FitFailed
 from correction.fit.light import LightDoubt
 from correction.fit.unknowns import Unknowns
+from ground.short_repr import short_repr
 from tracer.branches import branch_of
 from tracer.scene import Scene
 
@@ -86,6 +87,7 @@ class FittedCorners:
         return np.asarray(np.sqrt((self.residual_px[chosen] ** 2).mean(axis=0)))
 
 
+@short_repr
 @dataclass(frozen=True)
 class SceneFit:
     """A fitted scene and how sure it is.

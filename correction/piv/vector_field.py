@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.short_repr import short_repr
+
 Floats = NDArray[np.float64]
 
 
@@ -29,6 +31,7 @@ class VectorFlag(IntEnum):
     REJECTED = 3  # rejected, or a window without texture, and no neighbour to interpolate from: NaN
 
 
+@short_repr
 @dataclass(frozen=True)
 class VectorField:
     """Displacements of one pair.

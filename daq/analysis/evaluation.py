@@ -24,6 +24,7 @@ from correction.prepared import PreparedCorrection
 from correction.tracking.through_glass import track_through_glass
 from daq.acquisition.runs.acquired import read_acquired
 from daq.analysis.pictures.before_after import BeforeAfter, before_after
+from ground.short_repr import short_repr
 from tracer.scene import Scene
 
 Route = Literal["image", "compare", "best"]
@@ -71,6 +72,7 @@ class Tracked:
     radius: NDArray[np.float64]
 
 
+@short_repr
 @dataclass(frozen=True)
 class Evaluation:
     """Result of one pair: vectors, figures and small pictures; no frame, no map.

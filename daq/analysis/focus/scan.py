@@ -29,6 +29,7 @@ from daq.analysis.focus.blur import NO_SPOTS, Spots, spots_in
 from daq.analysis.focus.parts import parts_of
 from daq.errors import RunDamaged, RunUnsuitable
 from ground.config import load_yaml, read
+from ground.short_repr import short_repr
 from tracer.depth_of_field import depth_of_field_mm, f_number_for_depth
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -64,6 +65,7 @@ class BestFocus:
     why: str = ""
 
 
+@short_repr
 @dataclass(frozen=True)
 class FocusScan:
     """What a scan says.

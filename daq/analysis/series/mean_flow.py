@@ -27,6 +27,7 @@ from correction.flow.merge_tree import MergeTree
 from correction.flow.moments import Moments
 from correction.flow.unresolved import Unresolved
 from daq.analysis.series.chunk_file import ChunkContent, SeriesField
+from ground.short_repr import short_repr
 
 BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
 LEAST_OF_USUAL = 0.5  # of the share of measured vectors
@@ -35,6 +36,7 @@ ROWS = 8  # of the grid whose autocorrelation is taken at a time
 Floats = NDArray[np.float64]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class MeanFlow:
     """Statistics of a flow on the plane; rows from the lowest y up, u to the right, v UP, in m/s.

@@ -28,11 +28,13 @@ from daq.analysis.series.mean_file import write_mean
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_mean import FILE, mean_of_series, scene_of, windows_of
+from ground.short_repr import short_repr
 
 BESIDE, BEHIND = 1, 2  # values of `source`; 0 where there is no mean
 Floats = NDArray[np.float64]
 
 
+@short_repr
 @dataclass(frozen=True, eq=False)
 class JoinedMean:
     """One mean of two runs.
