@@ -26,15 +26,34 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import cgutils, types
+from numba.core import cgutils, event, types
 from numba.extending import intrinsic, overload
 from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
 
+from ground.compile_news import CompileCount
 from ground.kernel_cache import cache_folder
 
 Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+class _Compiling(event.Listener):
+    """Hears of functions that no cache holds, and counts them."""
+
+    def __init__(self) -> None:
+        self._count = CompileCount()
+
+    def on_start(self, event: object) -> None:
+        """One is about to be compiled."""
+        self._count.begun()
+
+    def on_end(self, event: object) -> None:
+        """One is compiled."""
+        self._count.done()
+
+
+event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]
 
 
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
