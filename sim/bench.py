@@ -84,6 +84,11 @@ class SimulatedBench:
             self._stack.close()
             raise
 
+    @staticmethod
+    def check(bench: Bench) -> None:
+        """Say what is wrong with the section of a bench file; nothing is put up."""
+        simulation_of(bench)
+
     def true_mm(self) -> dict[str, float]:
         """Where every axis really is, in its own coordinate."""
         return self.world.true_mm()

@@ -1,30 +1,192 @@
-"""`rtpiv check`: whether runs on the disk are what was acquired."""
+"""`rtpiv check`: whether files say what can be done, and whether runs on the disk are what was acquired."""
 
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import Bench
+from daq.acquisition.bench.kinds.stage import idle_stage
+from daq.acquisition.bench.opened import check_simulation
+from daq.acquisition.plans.plan import load_plan, read_plan
+from daq.acquisition.plans.plan_table import px_per_mm
+from daq.acquisition.plans.way_out import forecast_from_home
 from daq.acquisition.runs.run_check import RunCheck, check_run
-from daq.errors import RunDamaged
+from daq.acquisition.runs.run_views import is_run
+from daq.analysis.piv_file import piv_choice
+from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
 from daq.terminal import console, progress
+from daq.verbs.paths import Named, paths_of
+from ground.config import open_document
+from ground.errors import ConfigError, GroundError, Problem
+from stages.errors import StageError
+from tracer.errors import TracerError
+from tracer.scene import Scene
+from tracer.scene_file import load_scene
+
+WRONG = (GroundError, TracerError, DaqError, StageError)
+TELLING = {  # keys that only one kind of file has
+    "scene": ("camera", "bodies", "wavelength_nm", "ambient", "glasses"),
+    "bench": ("stages", "scene", "keep_out", "simulation"),
+    "plan": ("experiment",),
+    "piv": ("final_window_px", "first_window_px", "passes", "overlap", "prepare", "window", "denoise"),
+}
 
 
-def check(runs: list[Path]) -> list[RunCheck]:
-    """Check runs against themselves: records, every frame, books, hash, corrected frames; nothing is changed.
+@dataclass(frozen=True)
+class FileCheck:
+    """A file that is right: which kind it is, and what it says in one sentence."""
+
+    path: Path
+    kind: str
+    said: str
+
+
+def check(paths: Sequence[Named] | Named, bench: Named | None = None) -> list[FileCheck | RunCheck]:
+    """Check files before anything is done with them, and runs after; nothing is changed, nothing is opened.
 
     Parameters
     ----------
-    runs : list of Path
-        Folders of runs.
+    paths : path, or list of path
+        Scene, bench, plan and PIV files; folders that hold such files (``*.yaml``); folders of runs.
+    bench : path, optional
+        Bench on which plans are tried as by `acquire --home --dry-run`.  By default one that is among `paths`,
+        else a bench.yaml beside the plan; without any only the plan itself is looked at.
 
     Returns
     -------
-    list of RunCheck
-        One a run; `check_run` makes one without printing anything.
+    list of FileCheck or RunCheck
+        One a file or run; `check_run` makes the latter without printing anything.
 
     Raises
     ------
+    RunUsageError
+        Files are wrong: all problems of all of them, with file and line.
     RunDamaged
         A run is not what was acquired; all of them have been looked at and shown.
     """
+    given = paths_of(paths)
+    runs = [path for path in given if is_run(path)]
+    folders = {path: sorted(path.glob("*.yaml")) for path in given if path.is_dir() and path not in runs}
+    if empty := [path for path, files in folders.items() if not files]:
+        raise RunUsageError(f"{empty[0]}: is neither a run nor a folder with .yaml files; name what to check")
+    files = [file for path in given if path not in runs for file in folders.get(path, [path])]
+    checks: list[FileCheck | RunCheck] = []
+    wrong: Exception | None = None
+    try:
+        checks += check_files(files, None if bench is None else Path(bench))
+    except RunUsageError as error:
+        wrong = error
+    for file in checks:
+        if isinstance(file, FileCheck):
+            console().print(f"{file.path}  ok  {file.kind}: {file.said}", soft_wrap=True)
+    if runs:
+        checks += _check_runs(runs)
+    if wrong is not None:
+        raise wrong
+    return checks
+
+
+def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCheck]:
+    """Check files without printing anything; parameters and errors as for `check`."""
+    found: list[FileCheck] = []
+    problems: list[str] = []
+    kinds: dict[Path, str] = {}
+    for path in paths:
+        try:
+            kinds[path] = _kind_of(path)
+        except ConfigError as error:
+            problems.append(str(error))
+    benches = [path for path, kind in kinds.items() if kind == "bench"] if bench is None else [bench]
+    for path, kind in kinds.items():
+        beside = path.parent / "bench.yaml"
+        try:
+            found.append(FileCheck(path, kind, _said(path, kind, benches or [beside] * beside.is_file())))
+        except WRONG as error:
+            problems.append(str(error))
+    if problems:
+        lines = [line for problem in problems for line in problem.splitlines()]
+        raise RunUsageError("\n".join(dict.fromkeys(lines)))
+    return found
+
+
+def _kind_of(path: Path) -> str:
+    document = open_document(path)
+    keys = set(document.tree) if isinstance(document.tree, dict) else set()
+    hits = {kind: len(keys & set(telling)) for kind, telling in TELLING.items()}
+    if "experiment" in keys:
+        return "plan"
+    if "stages" in keys or "scene" in keys:
+        return "bench"
+    best = max(hits, key=lambda kind: hits[kind])
+    if not hits[best]:
+        text = "is no file of ours: a scene has camera and bodies, a bench stages, a plan experiment"
+        raise ConfigError(path, [Problem(1, text)])
+    return best
+
+
+def _said(path: Path, kind: str, benches: Sequence[Path]) -> str:
+    if kind == "scene":
+        return _scene_said(load_scene(path))
+    if kind == "bench":
+        return _bench_said(load_bench(path))
+    if kind == "piv":
+        settings = piv_choice(piv=path).settings
+        return (
+            f"last windows of {settings.windows_px[-1]} px"
+            if hasattr(settings, "windows_px")
+            else "settings of PIV"
+        )
+    _, table = read_plan(path)
+    if not benches:
+        return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)"
+    fitting, reasons = [], []
+    for bench in benches:
+        try:
+            fitting.append(f"{_plan_said(path, load_bench(bench))} on {bench.name}")
+        except WRONG as error:
+            reasons.append(error)
+    if not fitting:
+        raise reasons[0]
+    return "; ".join(fitting)
+
+
+def _scene_said(scene: Scene) -> str:
+    counts: dict[str, int] = {}
+    for body in scene.bodies:
+        counts[body.kind] = counts.get(body.kind, 0) + 1
+    bodies = (
+        ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items()) or "no bodies"
+    )
+    camera = scene.camera
+    width, height = camera.sensor_px
+    scale = camera.focal_px / abs(camera.position_mm[2] / float(camera.rotation_matrix[2][2]))
+    return f"{bodies}; camera of {width} x {height} px, {scale:.1f} px/mm on the plane"
+
+
+def _bench_said(bench: Bench) -> str:
+    stages = bench.table.stages
+    more = ", ".join(name for name in bench.more)
+    simulated = "can be simulated" if check_simulation(bench) else "has no simulation"
+    return (
+        f"{len(stages.axes)} axes on {len(stages.controllers)} controllers, camera by {bench.table.camera.backend}"
+        f"{', ' + more if more else ''}; {px_per_mm(bench):.1f} px/mm; {simulated}"
+    )
+
+
+def _plan_said(path: Path, bench: Bench) -> str:
+    plan = load_plan(path, bench)
+    said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps)
+    if said.violations:
+        lines = [
+            f"{path}: step {v.step} ({v.tag}) is not allowed on {bench.path.name}: {v.text}"
+            for v in said.violations
+        ]
+        raise PlanError("\n".join(lines))
+    return f"{plan.table.experiment}, {len(plan.steps)} steps, {said.frames} frames, about {said.duration_s:.0f} s"
+
+
+def _check_runs(runs: Sequence[Path]) -> list[RunCheck]:
     screen = console()
     checks = []
     for path in runs:

@@ -5,7 +5,7 @@ addresses instead of hardware: it puts another section in place of each device's
 backend and everything above them stay the same, and never know.
 """
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -13,6 +13,7 @@ from typing import Protocol, cast
 
 from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
 from daq.acquisition.bench.kinds import kind_of
+from daq.acquisition.cameras import require_libraries
 from daq.acquisition.cameras.camera import Camera
 from daq.errors import PlanError
 from ground.config import Table
@@ -108,6 +109,26 @@ def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: 
     ConfigError
         There is no such section, or it is wrong.
     """
+    return cast("Simulation", _simulation_class(bench)(bench, shows=shows, exposures_before=exposures_before))
+
+
+def check_simulation(bench: Bench) -> bool:
+    """Whether a bench has a simulation; what is wrong with its section is said, nothing is set up.
+
+    Raises
+    ------
+    ConfigError, SceneError
+        The section is wrong.
+    """
+    if bench.table.simulation is None:
+        return False
+    judge = getattr(_simulation_class(bench), "check", None)
+    if judge is not None:
+        judge(bench)
+    return True
+
+
+def _simulation_class(bench: Bench) -> Callable[..., object]:
     section = bench.table.simulation
     line = bench.document.line(("simulation", "bench"))
     dotted = str((section or {}).get("bench", ""))
@@ -116,10 +137,9 @@ def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: 
         text = 'the bench has no simulation; say simulation: {bench: "package.module:Class"}'
         raise ConfigError(bench.path, [Problem(line, text)])
     try:
-        make = getattr(import_module(module), name)
+        return cast("Callable[..., object]", getattr(import_module(module), name))
     except (ImportError, AttributeError) as error:
         raise ConfigError(bench.path, [Problem(line, f"{dotted} cannot be loaded: {error}")]) from error
-    return cast("Simulation", make(bench, shows=shows, exposures_before=exposures_before))
 
 
 @contextmanager
@@ -161,10 +181,13 @@ def open_bench(
     StageError, CameraError
         Something is not there; what was opened before is closed again.
     """
+    wanted = {name: device for name, device in bench.devices.items() if not only or name in only}
+    for device in wanted.values():
+        if isinstance(device.section, CameraSection):
+            require_libraries(device.section.backend)  # before anything is compiled or set up
     with ExitStack() as stack:
         opened = simulated_or_real(bench, simulate, shows, exposures_before)
         sections, clock, simulation = stack.enter_context(opened)
-        wanted = {name: device for name, device in bench.devices.items() if not only or name in only}
         devices = {
             name: stack.enter_context(kind_of(device.kind).open(sections[name], bench, clock))
             for name, device in wanted.items()

@@ -1,0 +1,71 @@
+"""Where the balls of a starting scene stand: in contact, but for a hundredth of a millimetre that decimals need.
+
+The plane is z = 0, the camera far above it.
+
+    row        one behind the other, on the camera's axis
+    side       beside each other, along x
+    triangle   three beside each other, parallel to the plane, the camera's axis in the hole between them
+    pyramid    four (three and one) or five (four and one) balls, the tip towards the camera
+"""
+
+import math
+from collections.abc import Sequence
+
+Vector = tuple[float, float, float]
+ARRANGEMENTS = ("row", "side", "triangle", "pyramid")
+AIR_MM = 0.01  # between balls: what is rounded must not overlap
+ROD_LENGTH_MM = 60.0
+
+
+def most_balls(arrangement: str) -> Sequence[int]:
+    """Return how many balls an arrangement may have."""
+    return {"triangle": (3,), "pyramid": (4, 5)}.get(arrangement, range(1, 9))
+
+
+def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
+    """Return number and arrangement where only one of them, or none, was said."""
+    if arrangement is None:
+        return balls or 1, {3: "triangle", 4: "pyramid", 5: "pyramid"}.get(balls or 1, "row")
+    counts = most_balls(arrangement)
+    return (balls if balls is not None else 5 if arrangement == "pyramid" else counts[0]), arrangement
+
+
+def centres_mm(arrangement: str, balls: int, ball_mm: float, gap_mm: float) -> list[Vector]:
+    """Centres of the balls, the lowest `gap_mm` above the plane."""
+    apart = ball_mm + AIR_MM
+    low = gap_mm + ball_mm / 2.0
+    if arrangement == "row":
+        found = [(0.0, 0.0, low + apart * index) for index in range(balls)]
+    elif arrangement == "side":
+        found = [(apart * (index - (balls - 1) / 2.0), 0.0, low) for index in range(balls)]
+    elif arrangement == "triangle" or balls == 4:
+        out = apart / math.sqrt(3.0)
+        found = [(*_polar(out, degrees), low) for degrees in (90.0, 210.0, 330.0)]
+        if balls == 4:
+            found.append((0.0, 0.0, low + apart * math.sqrt(2.0 / 3.0)))
+    else:
+        half = apart / 2.0
+        found = [(x * half, y * half, low) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        found.append((0.0, 0.0, low + apart / math.sqrt(2.0)))
+    return [(round(x, 4), round(y, 4), round(z, 4)) for x, y, z in found]
+
+
+def span_mm(centres: Sequence[Vector], ball_mm: float) -> tuple[float, float]:
+    """Width and height of all balls together."""
+    width, height = (max(c[axis] for c in centres) - min(c[axis] for c in centres) + ball_mm for axis in (0, 1))
+    return width, height
+
+
+def rods_mm(centres: Sequence[Vector], ball_mm: float, support_mm: float) -> list[tuple[Vector, Vector]]:
+    """Start and end of the rods that hold the lowest balls from below; none if they have no diameter."""
+    if not support_mm:
+        return []
+    reach = ball_mm / 2.0 + support_mm / 2.0 + 0.05
+    lowest = min(y for _, y, _ in centres)
+    held = [centre for centre in centres if centre[1] < lowest + 1e-3]
+    return [((x, round(y - reach, 4), z), (x, round(y - reach - ROD_LENGTH_MM, 4), z)) for x, y, z in held]
+
+
+def _polar(radius: float, degrees: float) -> tuple[float, float]:
+    angle = math.radians(degrees)
+    return radius * math.cos(angle), radius * math.sin(angle)

@@ -1,0 +1,50 @@
+"""The texts of the plans that a lab begins with."""
+
+from daq.starting_files.bench_room import Room
+
+
+def target_plan(room: Room) -> str:
+    """The target, bare and behind the glass: what a calibration needs."""
+    up = [f"{height:.1f}" for height in (room.highest_board_mm / 2.0, room.highest_board_mm) if height >= 1.0]
+    heights = ", ".join(["0.0", "-10.0", "-20.0", *up])
+    return f"""\
+# yaml-language-server: $schema=schemas/plan.schema.json
+# The chessboard, bare and behind the glass, each at several heights: what `rtpiv calibrate` needs.
+experiment: target
+clear: {{z_mm: [{heights}]}}   # without glass; 0 is the plane
+glass: {{z_mm: [0.0, -10.0, -20.0]}}           # through it; above 0 the glass would be in the way
+frames: 1                  # at each stop; more lower the noise
+settle_s: 0.2              # after arriving
+"""
+
+
+def shift_plan() -> str:
+    """Printed particles moved by a known way: what proves the measurement."""
+    return """\
+# yaml-language-server: $schema=schemas/plan.schema.json
+# Printed particles, moved by a known way, bare and through the glass: `rtpiv report` says what a flow may claim.
+experiment: shift
+views: [clear, glass]
+displacements:
+  - {along: [1.0, 1.0, 0.0], px: 10.0}   # any direction; px of the bare view, or mm
+repeats: 1
+frames: 1
+settle_s: 0.2
+"""
+
+
+def flow_plan(dt_us: float) -> str:
+    """A flow in the light of a double-pulse laser."""
+    return f"""\
+# yaml-language-server: $schema=schemas/plan.schema.json
+# A flow behind the glass, lit by a double-pulse laser: a background before the seeding is opened, then pairs.
+experiment: flow
+view: glass
+laser: laser               # name of the device in bench-flow.yaml
+pairs: 100                 # 1000 or more for Reynolds stresses
+dt_us: {dt_us:g}              # between the pulses: about 8 px of the fastest flow
+rate_hz: 10.0
+chunk: 100                 # fired in one go: no more follow a computer that dies
+background: {{pairs: 20}}
+target_z_mm: -30.0         # the board waits here, out of the sheet
+"""

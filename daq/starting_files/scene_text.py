@@ -1,0 +1,60 @@
+"""The text of scene.yaml for a lab."""
+
+from daq.starting_files.arrangement import centres_mm, rods_mm
+from daq.starting_files.lab import Lab
+from tracer.media import known_media
+
+NAMES = {
+    ("row", 1): ("ball",),
+    ("triangle", 3): ("top", "left", "right"),
+    ("pyramid", 4): ("top", "left", "right", "tip"),
+    ("pyramid", 5): ("southwest", "southeast", "northeast", "northwest", "tip"),
+}
+POSITION = "  # position_mm: [0.0, 0.0, {0:g}]   # of the pinhole, and where its axis meets the plane, if askew\n"
+ROD = "  # - {name: rod, kind: rod, start_mm: [0.0, -40.0, 24.0], end_mm: [0.0, -90.0, 24.0], radius_mm: 4.0}\n"
+
+
+def ball_names(lab: Lab) -> tuple[str, ...]:
+    """Names of the balls, in the order of `centres_mm`."""
+    return NAMES.get((lab.arrangement, lab.balls)) or tuple(f"ball{number + 1}" for number in range(lab.balls))
+
+
+def scene_text(lab: Lab) -> str:
+    """Return the file."""
+    width, height = lab.sensor_px
+    centres = centres_mm(lab.arrangement, lab.balls, lab.ball_mm, lab.gap_mm)
+    wide = max(map(len, ball_names(lab)))
+    bodies = [
+        f"  - {{name: {name + ',':{wide + 1}} kind: sphere, centre_mm: [{x:.4f}, {y:.4f}, {z:.4f}], "
+        f"radius_mm: {lab.ball_mm / 2.0:.4g}, material: {lab.glass!r}}}"
+        for name, (x, y, z) in zip(ball_names(lab), centres, strict=True)
+    ]
+    bodies += [
+        f"  - {{name: rod{number}, kind: rod, start_mm: [{', '.join(f'{c:.4f}' for c in start)}], "
+        f"end_mm: [{', '.join(f'{c:.4f}' for c in end)}], radius_mm: {lab.support_mm / 2.0:.4g}}}  # opaque"
+        for number, (start, end) in enumerate(rods_mm(centres, lab.ball_mm, lab.support_mm), start=1)
+    ]
+    hold = "" if lab.support_mm else ROD
+    field = " x ".join(f"{side:.0f}" for side in lab.field_mm)
+    lines = "\n".join(bodies)
+    return f"""\
+# yaml-language-server: $schema=schemas/scene.schema.json
+# What we know of our bench. The world is in mm: the investigation plane (target, light sheet) is z = 0, x to the
+# right and y up as the camera sees it, z towards the camera. A millimetre is good enough: `rtpiv calibrate` finds
+# the rest.
+wavelength_nm: {lab.wavelength_nm:g}        # of the light, in vacuum: 532 for a doubled Nd:YAG laser
+ambient: air
+camera:                     # sees {field} mm of the plane without glass, {lab.px_per_mm:.1f} px/mm
+  f_mm: {lab.lens_mm:g}                  # focal length of the lens
+  L_mm: {lab.distance_mm:g}                 # from the lens (its entrance pupil) to the plane
+  pixel_pitch_um: {lab.pixel_pitch_um:g}       # data sheet of the camera
+  sensor_px: [{width}, {height}]   # width, height of its frames
+{POSITION.format(lab.distance_mm)}  # look_at_mm: [0.0, 0.0, 0.0]
+# material: {known_media()}
+# or your own: {{n: 1.492}} at this wavelength
+bodies:
+{lines}
+{hold}# fit:                      # what `rtpiv calibrate` may change: standard deviations; the defaults are
+#   spheres: {{centre_mm: 1.0, radius_mm: 0.02}}
+#   n: 0.005
+"""

@@ -1,0 +1,207 @@
+"""`rtpiv init`: the files that a new lab begins with."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from daq.errors import RunUsageError
+from daq.starting_files.arrangement import ARRANGEMENTS, most_balls, usual
+from daq.starting_files.bench_room import room_of
+from daq.starting_files.bench_text import bench_text
+from daq.starting_files.lab import Lab
+from daq.starting_files.plan_texts import flow_plan, shift_plan, target_plan
+from daq.starting_files.scene_text import scene_text
+from daq.terminal import console
+from daq.verbs.check import check_files
+from daq.verbs.output import require_folder
+from daq.verbs.schema import write_schemas
+from daq.whole_text import write_text
+
+FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
+FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
+Words = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a person is asked for one number or name of `Lab`."""
+
+    key: str
+    text: str
+    read: Callable[[str], Any]
+
+
+def _sensor(text: str) -> tuple[int, int]:
+    width, height = text.lower().replace("x", " ").replace(",", " ").split()
+    return int(width), int(height)
+
+
+QUESTIONS = (
+    Question("sensor_px", "camera: width and height of its frames in px", _sensor),
+    Question("pixel_pitch_um", "camera: size of a pixel in um (data sheet)", float),
+    Question("distance_mm", "from the lens to the plane (light sheet, target) in mm", float),
+    Question("arrangement", f"balls: how they stand ({', '.join(ARRANGEMENTS)})", str),
+    Question("balls", "balls: how many", int),
+    Question("ball_mm", "balls: diameter in mm", float),
+    Question("glass", "balls: of what (acrylic, borosilicate, BK7, soda-lime, fused-silica ...)", str),
+    Question("gap_mm", "gap between the lowest ball and the plane in mm", float),
+    Question("support_mm", "rods that hold them from below: diameter in mm, 0 for none", float),
+    Question("lens_mm", "lens: focal length in mm", float),
+    Question("wavelength_nm", "light: wavelength in nm", float),
+)
+
+
+def init(
+    folder: Path | str = Path(),
+    ask: bool = False,
+    overwrite: bool = False,
+    name: str | None = None,
+    sensor_px: tuple[int, int] | None = None,
+    pixel_pitch_um: float | None = None,
+    lens_mm: float | None = None,
+    distance_mm: float | None = None,
+    arrangement: str | None = None,
+    balls: int | None = None,
+    ball_mm: float | None = None,
+    glass: str | None = None,
+    gap_mm: float | None = None,
+    support_mm: float | None = None,
+    wavelength_nm: float | None = None,
+) -> list[Path]:
+    """Write scene, benches and plans for a lab, with comments; each is checked as `rtpiv check` does.
+
+    Parameters
+    ----------
+    folder : path
+        Where to; made if it is not there.
+    ask : bool
+        Ask at the terminal, if there is one, for what is not given; else the usual is taken.
+    overwrite : bool
+        Replace files of these names.
+    name, sensor_px, pixel_pitch_um, lens_mm, distance_mm, arrangement, balls, ball_mm, glass, gap_mm, support_mm
+        What the lab has, and the wavelength_nm of its light; see `daq.starting_files.lab.Lab`.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    RunUsageError
+        Numbers that cannot be, or files that are there already; nothing is written.
+    DiskError
+        The folder cannot be written to.
+    """
+    folder = Path(folder)
+    sensor = None if sensor_px is None else (sensor_px[0], sensor_px[1])
+    named: Words = {
+        "name": name, "sensor_px": sensor, "pixel_pitch_um": pixel_pitch_um, "lens_mm": lens_mm,
+        "distance_mm": distance_mm, "arrangement": arrangement, "balls": balls, "ball_mm": ball_mm, "glass": glass,
+        "gap_mm": gap_mm, "support_mm": support_mm, "wavelength_nm": wavelength_nm,
+    }  # fmt: skip
+    given = {key: value for key, value in named.items() if value is not None}
+    _refuse_existing(folder, overwrite)
+    if ask and sys.stdin is not None and sys.stdin.isatty():
+        console().print("Enter takes what stands in brackets; Ctrl-C ends, and nothing is written.")
+        given = _answers(given)
+    lab = _lab(given)
+    room = room_of(lab)
+    dt_us = max(20.0, round(1e6 * FLOW_PX / lab.px_per_mm / FLOW_MM_S, -1))
+    flow = bench_text(lab, room, laser=True), flow_plan(dt_us)
+    texts = scene_text(lab), bench_text(lab, room), target_plan(room), shift_plan(), *flow
+    with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
+        _write_checked(Path(trial), texts)
+    _write_checked(require_folder(folder), texts)
+    write_schemas(folder / "schemas")
+    _print(lab, folder)
+    return [folder / file for file in FILES]
+
+
+def _lab(given: Words) -> Lab:
+    """What was said, and the usual for the rest."""
+    count, shape = usual(given.get("balls"), given.get("arrangement"))
+    lab = Lab(**(given | {"balls": count, "arrangement": shape}))
+    return lab if "lens_mm" in given else lab.with_usual_lens()
+
+
+def _write_checked(folder: Path, texts: Iterable[str]) -> None:
+    """Write the files, and see that plans can be carried out on their benches."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in zip(FILES, texts, strict=True):
+        write_text(folder / file, text)
+    try:
+        check_files([folder / "plan-target.yaml", folder / "plan-shift.yaml"], folder / "bench.yaml")
+        check_files([folder / "plan-flow.yaml"], folder / "bench-flow.yaml")
+    except RunUsageError as error:
+        said = str(error).splitlines()[0].replace(f"{folder}{os.sep}", "")
+        raise RunUsageError(f"these numbers make no bench that works, so nothing is written: {said}") from None
+
+
+def _refuse_existing(folder: Path, overwrite: bool) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise RunUsageError(f"{folder}: is a file; give a folder")
+    there = [file for file in FILES if (folder / file).exists()]
+    if there and not overwrite:
+        raise RunUsageError(f"{folder}: {', '.join(there)} is there already; give another folder, or --overwrite")
+
+
+def _answers(given: Words) -> Words:
+    """Ask for what is not given, one question after the other."""
+    answers = dict(given)
+    for question in QUESTIONS:
+        if question.key in answers:
+            continue
+        known = _lab(answers)
+        if question.key == "balls" and len(most_balls(known.arrangement)) == 1:
+            continue
+        usually = getattr(known, question.key)
+        shown = " x ".join(map(str, usually)) if isinstance(usually, tuple) else f"{usually}"
+        while question.key not in answers:
+            said = _line(f"{question.text} [{shown}]: ")
+            try:
+                value = question.read(said) if said else usually
+                _lab(answers | {question.key: value})
+            except RunUsageError as error:
+                print(f"  {error}")
+            except ValueError:
+                print(f"  {said!r} cannot be read; say something like {shown}")
+            else:
+                answers[question.key] = value
+    return answers
+
+
+def _line(prompt: str) -> str:
+    try:
+        return input(prompt).strip()
+    except EOFError:
+        print(file=sys.stderr)
+        raise KeyboardInterrupt from None
+
+
+def _print(lab: Lab, folder: Path) -> None:
+    screen = console()
+    width, height = lab.field_mm
+    span = " x ".join(f"{side:.0f}" for side in lab.span_mm)
+    balls = f"{lab.balls} ball{'s' if lab.balls > 1 else ''} of {lab.ball_mm:g} mm {lab.glass} ({lab.arrangement})"
+    field = f"{width:.0f} x {height:.0f} mm of the plane, {lab.px_per_mm:.1f} px/mm"
+    screen.print(f"{balls}, {span} mm; a lens of {lab.lens_mm:g} mm sees {field}", soft_wrap=True)
+    screen.print(
+        f"{', '.join(FILES)} are in {folder}, and pass `rtpiv check`. Next, in that folder:", soft_wrap=True
+    )
+    for words in NEXT:
+        screen.print(f"  {words}", soft_wrap=True)
+    screen.print("Every file says at its top what to edit for real hardware; --simulate is left out then.")
+
+
+NEXT = (
+    "rtpiv trace scene.yaml -o trace",
+    "rtpiv acquire plan-target.yaml --bench bench.yaml --simulate --home",
+    "rtpiv calibrate runs/*plan-target -o fit",
+    "rtpiv acquire plan-shift.yaml --bench bench.yaml --simulate --home --scene fit/scene.yaml",
+    "rtpiv report runs/*plan-shift --scene fit/scene.yaml",
+)

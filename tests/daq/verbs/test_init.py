@@ -1,0 +1,147 @@
+"""`rtpiv init`: files that work for every arrangement, from options or from answers; nothing where nothing can."""
+
+import itertools
+import json
+import math
+import os
+import pty
+import subprocess
+import sys
+
+import jsonschema
+import pytest
+import yaml
+
+from daq.cli import DONE, USAGE, main
+from daq.starting_files.arrangement import centres_mm, rods_mm
+from daq.starting_files.lab import Lab
+from daq.verbs.check import FileCheck, check
+from daq.verbs.init import FILES, QUESTIONS, init
+from ground.config import load_yaml
+from tracer.scene_file import load_scene
+
+LABS = {
+    "one ball": {"balls": 1},
+    "two in a row": {"balls": 2},
+    "three in a row": {"balls": 3, "arrangement": "row"},
+    "two beside each other": {"balls": 2, "arrangement": "side"},
+    "triangle on rods": {"balls": 3, "support_mm": 8.0, "sensor_px": (1024, 1024), "pixel_pitch_um": 5.5},
+    "pyramid of five": {"arrangement": "pyramid", "glass": "borosilicate"},
+    "pyramid of four that touches": {"balls": 4, "gap_mm": 0.0, "support_mm": 6.0},
+    "near": {"balls": 1, "distance_mm": 250.0, "ball_mm": 20.0, "glass": "BK7"},
+    "far": {"balls": 2, "distance_mm": 1500.0, "lens_mm": 105.0, "ball_mm": 100.0, "wavelength_nm": 527.0},
+    "five megapixels": {"balls": 1, "sensor_px": (2448, 2048), "pixel_pitch_um": 3.45},
+}
+
+
+@pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
+def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
+    files = init(tmp_path / "lab", **lab)
+    assert [file.name for file in files] == list(FILES)
+    checks = check(tmp_path / "lab")
+    assert all(isinstance(found, FileCheck) for found in checks)
+    assert sum("steps" in found.said for found in checks) == 3
+    for file in files:
+        assert "#" in file.read_text()
+        assert max(map(len, file.read_text().splitlines())) < 140
+    scene = load_scene(tmp_path / "lab" / "scene.yaml")
+    assert len(scene.spheres) == lab.get("balls", 5)
+    assert scene.wavelength_nm == lab.get("wavelength_nm", 532.0)
+
+
+@pytest.mark.parametrize("lab", [LABS["one ball"], LABS["triangle on rods"]], ids=["one", "triangle"])
+def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
+    for file in init(tmp_path, **lab):
+        first = file.read_text().splitlines()[0]
+        named = json.loads((tmp_path / first.partition("$schema=")[2]).read_text())
+        jsonschema.Draft202012Validator.check_schema(named)
+        tree = yaml.safe_load(file.read_text())
+        jsonschema.validate(tree, named)
+        with pytest.raises(jsonschema.ValidationError):
+            jsonschema.validate(tree | {"wavelength": 532.0}, named)
+        assert load_yaml(file).tree == tree
+
+
+@pytest.mark.parametrize(
+    ("arrangement", "balls"), [("row", 3), ("side", 4), ("triangle", 3), ("pyramid", 4), ("pyramid", 5)]
+)
+def test_balls_touch_and_do_not_overlap(arrangement, balls):
+    centres = centres_mm(arrangement, balls, 40.0, 4.0)
+    assert min(z for _, _, z in centres) == pytest.approx(24.0)
+    apart = [math.dist(one, other) for one, other in itertools.combinations(centres, 2)]
+    assert min(apart) == pytest.approx(40.01, abs=2e-4)
+    assert sum(distance < 40.1 for distance in apart) >= balls - 1
+    for start, end in rods_mm(centres, 40.0, 8.0):
+        assert min(math.dist(start, centre) for centre in centres) == pytest.approx(24.05, abs=1e-3)
+        assert end[1] < start[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--balls", "7", "--arrangement", "pyramid"], "a pyramid has 4, 5, not 7"),
+        (["--glass", "marble"], "glass 'marble' is not known; known are acrylic"),
+        (["--lens-mm", "600"], "cannot focus"),
+        (["--distance-mm", "200", "--balls", "3", "--arrangement", "row"], "to move the glass"),
+        (["--name", "my lab"], "letters, digits and underscores"),
+        (["--gap-mm", "-3"], "gap_mm: should be a positive number"),
+        (["--wavelength-nm", "0.532"], "300 to 2000"),
+        (
+            ["--balls", "7", "--glass", "marble", "--arrangement", "triangle"],
+            "triangle has 3, not 7; glass 'marble'",
+        ),
+    ],
+)
+def test_what_cannot_be_is_one_sentence_and_nothing_is_written(options, words, tmp_path, capsys):
+    assert main(["init", str(tmp_path / "lab"), "--yes", *options]) == USAGE
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "lab").exists()
+
+
+def test_files_of_a_person_are_not_replaced(tmp_path, capsys):
+    (tmp_path / "scene.yaml").write_text("mine")
+    assert main(["init", str(tmp_path), "--yes"]) == USAGE
+    assert "scene.yaml is there already" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.yaml"]
+    assert main(["init", str(tmp_path), "--yes", "--overwrite"]) == DONE
+    assert "wavelength_nm" in (tmp_path / "scene.yaml").read_text()
+
+
+def test_by_questions_at_a_terminal(tmp_path):
+    """Nonsense is asked again; what options say is not asked."""
+    here, there = pty.openpty()
+    command = [sys.executable, "-m", "rtpiv", "init", str(tmp_path / "lab"), "--sensor-px", "640", "480"]
+    asked = subprocess.Popen(command, stdin=there, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    os.close(there)
+    lines = ["5.5", "600", "triangel", "triangle", "thirty", "30", "Plexiglas", "", "6", "", ""]
+    os.write(here, ("\n".join(lines) + "\n").encode())
+    said, _ = asked.communicate(timeout=120)
+    os.close(here)
+    assert asked.returncode == DONE, said
+    assert "width and height" not in said
+    assert "arrangement 'triangel': there are row, side, triangle, pyramid" in said
+    assert "'thirty' cannot be read" in said
+    scene = load_scene(tmp_path / "lab" / "scene.yaml")
+    assert [ball.radius_mm for ball in scene.spheres] == [15.0] * 3
+    assert len(scene.bodies) == 5
+    assert scene.camera.position_mm == (0.0, 0.0, 600.0)
+
+
+def test_the_end_of_the_answers_writes_nothing(tmp_path):
+    here, there = pty.openpty()
+    command = [sys.executable, "-m", "rtpiv", "init", str(tmp_path / "lab")]
+    asked = subprocess.Popen(command, stdin=there, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    os.close(there)
+    os.write(here, b"640 480\n\x04")
+    said, _ = asked.communicate(timeout=120)
+    os.close(here)
+    assert asked.returncode == 4, said
+    assert not (tmp_path / "lab").exists()
+
+
+def test_every_question_has_a_usual_answer():
+    assert {question.key for question in QUESTIONS} == set(vars(Lab())) - {"name"}
+    assert Lab(balls=3, arrangement="triangle").with_usual_lens().lens_mm == 25.0
+    assert Lab().with_usual_lens().lens_mm == 50.0
