@@ -26,6 +26,8 @@ from daq.acquisition.runs.run_folder import RunFolder
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.terminal import console, error_console
 from daq.verbs.operator import operator_of
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named, path_of
 from stages.identities import confusable
 
 SHOWN_STEPS = 40
@@ -33,15 +35,15 @@ SHOWN_PAIRS = 12
 
 
 def acquire(
-    plan: Path,
-    bench: Path = Path("bench.yaml"),
-    out: Path = Path("runs"),
+    plan: Named,
+    bench: Named = "bench.yaml",
+    out: Named = "runs",
     simulate: bool = False,
     dry_run: bool = False,
     home: bool = False,
     correct: bool = True,
-    scene: Path | None = None,
-    target_clear: Path | None = None,
+    scene: Named | None = None,
+    target_clear: Named | None = None,
     dewarp_order: int = 2,
     method: Method = "quintic",
     live_queue: int = LIVE_QUEUE,
@@ -51,9 +53,9 @@ def acquire(
 
     Parameters
     ----------
-    plan, bench : Path
+    plan, bench : path
         plan.yaml and bench.yaml.
-    out : Path
+    out : path
         Folder in which the run gets a folder of its own.
     simulate : bool
         Use the bench's simulation in place of the hardware.
@@ -64,7 +66,7 @@ def acquire(
         file says where that is.
     correct : bool
         Correct frames as they arrive.
-    scene : Path, optional
+    scene : path, optional
         Scene for the correction, such as a fitted one; default is the bench's.
     target_clear, dewarp_order
         As for `correct`.
@@ -90,7 +92,9 @@ def acquire(
         Ended on request; resume it.
     """
     screen = console()
-    request = Request(bench, plan, simulate, correct, scene, target_clear, dewarp_order, method, live_queue)
+    plan, bench, out = Path(plan), Path(bench), Path(out)
+    given = path_of(scene), path_of(target_clear)
+    request = Request(bench, plan, simulate, correct, *given, dewarp_order, method, live_queue)
     loaded = load_bench(bench)
     if not dry_run:
         require_libraries(loaded.table.camera.backend)
@@ -113,7 +117,7 @@ def acquire(
         )
     if dry_run:
         return None
-    out.mkdir(parents=True, exist_ok=True)
+    require_folder(out).mkdir(parents=True, exist_ok=True)
     check_disk(out, said.raw_bytes + (said.corrected_bytes if correct else 0))
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")

@@ -5,10 +5,12 @@ from pathlib import Path
 
 from daq.child import child
 from daq.errors import DaqError
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named
 from tracer.scene_file import load_scene
 
 
-def benchmark(scene: Path, out: Path, rounds: int = 9) -> None:
+def benchmark(scene: Named, out: Named = "benchmark", rounds: int = 9) -> Path:
     """Measure ray map, correction map and frames of a scene beside the peers that are installed.
 
     The benchmark judges the packages against 50-digit references and other programs, so it stands outside of them
@@ -16,12 +18,17 @@ def benchmark(scene: Path, out: Path, rounds: int = 9) -> None:
 
     Parameters
     ----------
-    scene : Path
+    scene : path
         scene.yaml.
-    out : Path
+    out : path
         Folder for ``benchmark.json`` and ``benchmark.png``.
     rounds : int
         Interleaved rounds.
+
+    Returns
+    -------
+    Path
+        ``benchmark.json``.
 
     Raises
     ------
@@ -30,8 +37,10 @@ def benchmark(scene: Path, out: Path, rounds: int = 9) -> None:
     DaqError
         The benchmark stopped; what it printed says why.
     """
+    scene, out = Path(scene), require_folder(out)
     load_scene(scene)
     options = ["-o", str(out.resolve()), "--rounds", str(rounds), "--scenes", str(scene.resolve())]
     command, environment = child("benchmarks", *options)
     if subprocess.run(command, env=environment, check=False).returncode:
         raise DaqError("the benchmark stopped; what it said last tells why")
+    return out / "benchmark.json"

@@ -18,6 +18,8 @@ from daq.acquisition.runs.run_views import TargetView, is_run, load_kept, target
 from daq.analysis.calibration import calibration_of
 from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
 from daq.terminal import console, error_console
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named, path_of
 from daq.verbs.show import show_calibration
 from daq.whole_text import write_json, write_text
 from tracer.fit_section import FitTable
@@ -29,23 +31,32 @@ WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear
 
 
 def calibrate(
-    folder: Path, scene: Path | None, out: Path, square_mm: float | None = None, disc_mm: float | None = None
+    folder: Named,
+    scene: Named | None = None,
+    out: Named = "fit",
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
 ) -> SceneFit:
     """Fit a scene to frames of its target.
 
     Parameters
     ----------
-    folder : Path
+    folder : path
         A target run; or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
         (through the glass) and, for other heights, ``target_clear_z+10mm.tif`` ...
-    scene : Path, optional
+    scene : path, optional
         Nominal scene.yaml; its ``fit:`` section says what may change. A run without it is calibrated from the
         scene of its bench, as it was when the run began.
-    out : Path
+    out : path
         Folder: ``scene.yaml`` fitted, ``fit.npz`` (covariance, corners), ``map_sigma.npz`` and ``.png``,
         ``residuals.png``, ``convergence.png``, ``calibration.json``.
     square_mm, disc_mm : float, optional
         The board, of a folder that is no run (default 2.5 and 1.0): a run knows its own.
+
+    Returns
+    -------
+    SceneFit
+        The scene found (`scene`), its numbers with sigma, and what the frames leave open.
 
     Raises
     ------
@@ -58,9 +69,11 @@ def calibrate(
     """
     progress = error_console()
     began = time.monotonic()
-    nominal, priors = nominal_scene(folder, scene)
+    folder = Path(folder)
+    nominal, priors = nominal_scene(folder, path_of(scene))
     board = board_of([folder], square_mm, disc_mm)
     frames = target_frames(folder, nominal.camera.shape)
+    out = require_folder(out)
 
     def say(text: str) -> None:
         progress.print(f"{time.monotonic() - began:6.1f} s  {text}")

@@ -10,10 +10,12 @@ from daq.acquisition.bench.opened import open_bench
 from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runs.raw_frame import checksum, write_raw
 from daq.terminal import console
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named
 
 
 def camera(
-    action: str, bench: Path = Path("bench.yaml"), simulate: bool = False, out: Path = Path("snap.tif")
+    action: str, bench: Named = "bench.yaml", simulate: bool = False, out: Named = "snap.tif"
 ) -> Path | None:
     """Say which camera the bench has, or take a frame with its settings.
 
@@ -21,11 +23,11 @@ def camera(
     ----------
     action : {"list", "snap"}
         What to do.
-    bench : Path
+    bench : path
         bench.yaml.
     simulate : bool
         Use its simulation.
-    out : Path
+    out : path
         File of the frame; must not exist.
 
     Returns
@@ -39,6 +41,9 @@ def camera(
         The camera is not there, or gives no frame.
     """
     screen = console()
+    out = Path(out)
+    if action == "snap":
+        require_folder(out.parent)
     with open_bench(load_bench(bench), simulate, only={CAMERA}) as hardware:
         info = hardware.camera.info
         screen.print(f"{info.vendor} {info.model}, serial {info.serial}, {info.backend} at {info.address}")

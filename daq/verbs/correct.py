@@ -1,6 +1,7 @@
 """`rtpiv correct`: frames as if the glass were not there."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from daq.analysis.pictures.overview import draw_overview
 from daq.analysis.pictures.seen import seen
 from daq.analysis.tasks import sigma_limit
 from daq.terminal import console, progress
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named, path_of, paths_of
 from daq.whole_text import write_json
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
@@ -31,11 +34,33 @@ from tracer.scene_file import load_scene
 DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
 
 
+@dataclass(frozen=True)
+class Corrected:
+    """What `correct` has made.
+
+    Parameters
+    ----------
+    frames : tuple of Path
+        Corrected frames, in the order of those given.
+    mask : Path
+        Why nodes are not recovered (NodeStatus).
+    recovered : float
+        Share of the nodes that are.
+    errors : tuple of TargetError
+        One a frame if the target was to be checked.
+    """
+
+    frames: tuple[Path, ...]
+    mask: Path
+    recovered: float
+    errors: tuple[TargetError, ...]
+
+
 def correct(
-    frames: list[Path],
-    scene: Path,
-    out: Path,
-    target_clear: Path | None = None,
+    frames: Sequence[Named] | Named,
+    scene: Named,
+    out: Named = "corrected",
+    target_clear: Named | None = None,
     dewarp_order: int = 2,
     square_mm: float | None = None,
     disc_mm: float | None = None,
@@ -44,19 +69,19 @@ def correct(
     as_float: bool = False,
     check_target: bool = False,
     sigma_limit_px: float | None = None,
-) -> list[TargetError]:
+) -> Corrected:
     """Correct frames that were taken through the glass of a scene.
 
     Parameters
     ----------
-    frames : list of Path
+    frames : list of path, or path
         Acquired frames; all are looked at before the first result is written.
-    scene : Path
+    scene : path
         scene.yaml, as known or as fitted.
-    out : Path
+    out : path
         Folder: one TIFF a frame, ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame,
         ``correction.json``.
-    target_clear : Path, optional
+    target_clear : path, optional
         Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
         included, is taken as it is.
     dewarp_order : int
@@ -76,8 +101,8 @@ def correct(
 
     Returns
     -------
-    list of TargetError
-        One a frame if `check_target`, else empty.
+    Corrected
+        Files, and the share of the plane that is recovered.
 
     Raises
     ------
@@ -91,11 +116,13 @@ def correct(
         The bare target cannot be read.
     """
     screen = console()
+    frames, scene, target_clear = paths_of(frames), Path(scene), path_of(target_clear)
     loaded = load_scene(scene)
     shape = loaded.camera.shape
     _refuse_same_names(frames)
     for path in frames:
         read_acquired(path, shape)
+    out = require_folder(out)
     board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
     dewarp = dewarp_of(target_clear, loaded.camera, board, dewarp_order)
     limit = None if sigma_limit_px is None else sigma_limit(scene, loaded, dewarp is not None, sigma_limit_px)
@@ -130,7 +157,8 @@ def correct(
     summary["target_errors"] = [error.to_dict() for error in errors]
     write_json(out / "correction.json", summary)
     _print(screen, loaded, dewarp, corrector, frames, errors, out)
-    return errors
+    files = tuple(out / f"{stem_of(path)}.tif" for path in frames)
+    return Corrected(files, out / "mask.tif", float(corrector.recovered.mean()), tuple(errors))
 
 
 def _refuse_same_names(frames: list[Path]) -> None:

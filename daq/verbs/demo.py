@@ -11,22 +11,29 @@ from daq.verbs.acquire import acquire
 from daq.verbs.calibrate import calibrate
 from daq.verbs.correct import correct
 from daq.verbs.mean import mean
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named
 from daq.verbs.report import report
 from daq.verbs.trace import trace
 
 
-def demo(out: Path) -> None:
+def demo(out: Named = "demo") -> Path:
     """Acquire, find the true geometry, correct, measure a known shift and a jet, all on the simulated bench.
 
     The bench is misaligned by a few tenths of a millimetre, and nothing but its frames says how.
 
     Parameters
     ----------
-    out : Path
+    out : path
         Folder: ``trace/`` what the scene shows, ``runs/`` a target run and a shift run, corrected as the frames
         arrived, ``nominal/`` the target corrected with what the experimenter knows, ``fit/`` the geometry found,
         ``fitted/`` the target corrected with it, ``report/`` the page and the vectors, ``flow/`` the mean of a
         jet.
+
+    Returns
+    -------
+    Path
+        The page of the shift run.
 
     Raises
     ------
@@ -34,8 +41,9 @@ def demo(out: Path) -> None:
         Libraries of the camera are not installed.
     """
     files, screen = examples() / "demo", console()
+    require_libraries(load_bench(files / "bench.yaml").table.camera.backend)
+    out = require_folder(out)
     scene, bench, fitted = files / "scene.yaml", files / "bench.yaml", out / "fit" / "scene.yaml"
-    require_libraries(load_bench(bench).table.camera.backend)
     screen.rule("1  what two glass balls do to the view")
     trace(scene, out / "trace")
     screen.rule("2  target run: stages and camera by their real protocols")
@@ -62,3 +70,4 @@ def demo(out: Path) -> None:
         f"Look at {page}, {out / 'flow' / 'mean.html'}, {out / 'fitted' / 'overview.png'} and {out / 'trace'}",
         style="bold",
     )
+    return page

@@ -18,20 +18,21 @@ from daq.acquisition.runs.run_folder import versions
 from daq.example_files import examples
 from daq.terminal import console
 from daq.timing.timing_table import TimingTable
+from daq.verbs.paths import Named
 from stages.identities import confusable
 
-PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
+PACKAGES = ("rtpiv", "ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
 GENTL_PATH = "GENICAM_GENTL64_PATH"
 
 Finding = tuple[str, bool | None, str]  # what, fine / not fine / just so, words
 
 
-def doctor(bench: Path | None = None) -> list[Finding]:
+def doctor(bench: Named | None = None) -> list[Finding]:
     """Look around without opening any device.
 
     Parameters
     ----------
-    bench : Path, optional
+    bench : path, optional
         A bench file whose ports and producer are looked for as well.
 
     Returns
@@ -58,8 +59,14 @@ def _software() -> Iterator[Finding]:
         spec = importlib.util.find_spec(name)
         origin = Path(spec.origin).parent if spec and spec.origin else None
         own = Path(__file__).resolve().parents[2]
-        fine = origin is not None and origin.parent == own
-        words = str(origin) if fine else f"{origin} hides ours; do not start from a folder with a {name}.py"
+        places = [] if spec is None else list(spec.submodule_search_locations or ())
+        fine = str(own / name) in places
+        hidden = f"{origin} hides ours; start the program by `rtpiv`, or `import rtpiv` first"
+        words = (
+            (f"{own / name}" + (f", beside {spec.origin}" if spec and origin != own / name else ""))
+            if fine
+            else hidden
+        )
         yield f"package {name}", fine, words
 
 

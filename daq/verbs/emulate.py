@@ -2,21 +2,21 @@
 
 import time
 from dataclasses import replace
-from pathlib import Path
 
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.bench.opened import start_simulation
 from daq.terminal import console
+from daq.verbs.paths import Named
 
 
-def emulate(bench: Path, shows: str = "chessboard", for_s: float | None = None) -> None:
+def emulate(bench: Named, shows: str = "chessboard", for_s: float | None = None) -> None:
     """Put the simulated bench up on device files and a GenTL producer, until Ctrl-C.
 
     Parameters
     ----------
-    bench : Path
+    bench : path
         bench.yaml with a simulation section.
     shows : str
         What hangs on the target's stage: ``chessboard`` or ``particles``.

@@ -1,6 +1,6 @@
 """`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Unpack
 
 from correction.errors import PairError
@@ -17,14 +17,16 @@ from daq.analysis.series.series_input import series_input
 from daq.analysis.series.series_pairs import is_series
 from daq.analysis.tasks import tasks_of
 from daq.terminal import console
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named, path_of, paths_of
 from daq.verbs.show import show_evaluation, show_series
 
 
 def evaluate(
-    paths: list[Path],
-    out: Path,
-    scene: Path | None = None,
-    target_clear: Path | None = None,
+    paths: Sequence[Named] | Named,
+    out: Named = "evaluation",
+    scene: Named | None = None,
+    target_clear: Named | None = None,
     dewarp_order: int = 2,
     square_mm: float | None = None,
     disc_mm: float | None = None,
@@ -69,6 +71,8 @@ def evaluate(
     ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
         As `evaluate_pairs`; SeriesError and DiskError as `daq.analysis.series.run_series`.
     """
+    paths, out = paths_of(paths), require_folder(out)
+    scene, target_clear = path_of(scene), path_of(target_clear)
     run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
     if run is None or not is_series(run, pairs_of(run)):
         if dt_us is not None or workers is not None:
@@ -93,10 +97,10 @@ def evaluate(
 
 
 def evaluate_pairs(
-    paths: list[Path],
-    out: Path,
-    scene: Path | None = None,
-    target_clear: Path | None = None,
+    paths: Sequence[Named] | Named,
+    out: Named = "evaluation",
+    scene: Named | None = None,
+    target_clear: Named | None = None,
     dewarp_order: int = 2,
     square_mm: float | None = None,
     disc_mm: float | None = None,
@@ -113,12 +117,12 @@ def evaluate_pairs(
 
     Parameters
     ----------
-    paths : list of Path
+    paths : list of path, or path
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, or a stream.
-    out : Path
+    out : path
         Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
         ``vectors.vtk``, ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.
-    scene : Path, optional
+    scene : path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
         A run without it is evaluated with the scene that its frames were corrected with.
     target_clear, dewarp_order, square_mm, disc_mm
@@ -153,6 +157,8 @@ def evaluate_pairs(
         What the file, the frames, the target or the run make impossible, in one sentence. Of several pairs one
         that cannot be evaluated is named and left out.
     """
+    paths, out = paths_of(paths), require_folder(out)
+    scene, target_clear = path_of(scene), path_of(target_clear)
     if target_clear is not None and (route != "image" or tracking):
         raise PairError(
             f"{'the velocity route' if route != 'image' else 'tracking'} traces raw pixels; give the camera's lens"

@@ -6,18 +6,20 @@ from pathlib import Path
 from daq.analysis.focus.scan import FocusScan, focus_scan
 from daq.analysis.report.focus import best_rows, said_of, write_focus_page
 from daq.terminal import console
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named
 from daq.verbs.show import show_focus
 from daq.whole_text import write_text
 
 
-def focus(run: Path, out: Path | None = None) -> FocusScan:
+def focus(run: Named, out: Named | None = None) -> FocusScan:
     """Evaluate a focus scan.
 
     Parameters
     ----------
-    run : Path
+    run : path
         Run of a plan of ``experiment: focus``.
-    out : Path, optional
+    out : path, optional
         Folder for ``focus.html`` and ``focus.json``, default the run's.
 
     Returns
@@ -32,8 +34,9 @@ def focus(run: Path, out: Path | None = None) -> FocusScan:
     RunDamaged, FrameError
         A record or frame is not what was written.
     """
+    run = Path(run)
+    folder = require_folder(out if out is not None else run)
     scan = focus_scan(run)
-    folder = out if out is not None else run
     folder.mkdir(parents=True, exist_ok=True)
     write_focus_page(folder / "focus.html", run.resolve().name, scan)
     found = {

@@ -5,18 +5,20 @@ from pathlib import Path
 from daq.analysis.series.series_mean import FILE
 from daq.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
 from daq.terminal import console
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named
 
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
 
 
-def join(beside: Path, behind: Path, out: Path) -> JoinedMean:
+def join(beside: Named, behind: Named, out: Named = "joined") -> JoinedMean:
     """Join two series by what each was focused on.
 
     Parameters
     ----------
-    beside, behind : Path
+    beside, behind : path
         Folders of series (see `evaluate`): the run focused on the plane, the one focused behind the glass.
-    out : Path
+    out : path
         Folder for the joined ``mean.nc``, in which `source` says where each vector comes from.
 
     Returns
@@ -29,7 +31,8 @@ def join(beside: Path, behind: Path, out: Path) -> JoinedMean:
     SeriesError, RunUnsuitable, ConfigError, DiskError
         As `daq.analysis.series.split_focus.join_series`.
     """
-    joined = join_series(beside, behind, out)
+    out = require_folder(out)
+    joined = join_series(Path(beside), Path(behind), out)
     screen = console()
     counts = {name: int((joined.source == value).sum()) for name, value in (("first", BESIDE), ("second", BEHIND))}
     screen.print(f"{counts['first']} vectors from {beside}, {counts['second']} from {behind}")

@@ -17,6 +17,7 @@ from daq.timing.errors import LaserDoubt
 from daq.timing.laser import Laser
 from daq.timing.states import LaserState
 from daq.timing.timing_table import TimingTable
+from daq.verbs.paths import Named
 from stages.errors import PortUnavailable
 from stages.watchdog import stop
 
@@ -25,7 +26,7 @@ KIND = "timing"
 
 def laser(
     action: str = "state",
-    bench: Path = Path("bench.yaml"),
+    bench: Named = "bench.yaml",
     simulate: bool = False,
     name: str | None = None,
     rate_hz: float = 5.0,
@@ -37,7 +38,7 @@ def laser(
     ----------
     action : {"off", "state", "align"}
         What to do.
-    bench : Path
+    bench : path
         bench.yaml.
     simulate : bool
         Use its simulation.

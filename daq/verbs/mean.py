@@ -16,14 +16,16 @@ from daq.analysis.series.series_input import series_input
 from daq.analysis.series.series_mean import mean_of_series
 from daq.errors import RunUnsuitable
 from daq.terminal import console
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named, path_of
 from daq.verbs.show import show_mean, show_series
 
 
 def mean(
-    path: Path,
-    out: Path | None = None,
-    scene: Path | None = None,
-    target_clear: Path | None = None,
+    path: Named,
+    out: Named | None = None,
+    scene: Named | None = None,
+    target_clear: Named | None = None,
     dewarp_order: int = 2,
     figures: bool = False,
     dt_us: float | None = None,
@@ -35,10 +37,10 @@ def mean(
 
     Parameters
     ----------
-    path : Path
+    path : path
         A flow run, whose pairs are evaluated where that has not been done with these settings; or the folder of a
         series that `evaluate` has made.
-    out : Path, optional
+    out : path, optional
         Folder of the series, default ``series`` inside the run: ``mean.nc`` and ``mean.html``, beside what
         `evaluate` writes there.
     scene, target_clear, dewarp_order, figures, dt_us, workers
@@ -64,9 +66,10 @@ def mean(
         As for `evaluate`.
     """
     screen = console()
+    path, out, scene, target_clear = Path(path), path_of(out), path_of(scene), path_of(target_clear)
     series = None
     if is_run(path):
-        folder = out if out is not None else path / "series"
+        folder = require_folder(out if out is not None else path / "series")
         choice = piv_choice(**options)
         given = series_input(path, folder, choice, scene, target_clear, dewarp_order, dt_us=dt_us)
         books = run_series(path.resolve().name, folder, given.given, given.method, workers)

@@ -26,6 +26,8 @@ from daq.errors import RunUnsuitable
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate_pairs
 from daq.verbs.mean import mean
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named, path_of
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
@@ -33,10 +35,10 @@ TARGET_HEAD = ("region", "corners found", "bias u, v", "rms u, v", "largest")
 
 
 def report(
-    run: Path,
-    out: Path | None = None,
-    scene: Path | None = None,
-    target_clear: Path | None = None,
+    run: Named,
+    out: Named | None = None,
+    scene: Named | None = None,
+    target_clear: Named | None = None,
     dewarp_order: int = 2,
     stage_sigma_um: float = 10.0,
     route: Route = "compare",
@@ -46,12 +48,12 @@ def report(
 
     Parameters
     ----------
-    run : Path
+    run : path
         Folder of a run.  Pairs of a shift run are evaluated (each also gets a folder with its vectors); a flow run
         is averaged as by `mean`; of any other run the first frame through the glass is shown corrected.
-    out : Path, optional
+    out : path, optional
         Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair.
-    scene : Path, optional
+    scene : path, optional
         scene.yaml, best a fitted one; default the one that the run was corrected with, else the bench's.
     target_clear, dewarp_order
         As for `correct`.
@@ -72,9 +74,10 @@ def report(
     ConfigError, FrameError, PairError, TargetNotFound, DewarpError
         As for `evaluate`.
     """
+    run, scene, target_clear = Path(run), path_of(scene), path_of(target_clear)
     folder = RunFolder.open(run)
     about = folder.about
-    out = out if out is not None else run / "report"
+    out = require_folder(out if out is not None else run / "report")
     if _is_flow(run):
         mean(run, out, scene, target_clear, dewarp_order, **options)
         return out / "mean.html"

@@ -2,17 +2,19 @@
 
 from pathlib import Path
 
+from daq.acquisition.cameras import require_libraries
 from daq.acquisition.runner.session import reopen
 from daq.terminal import console, progress_if_long
 from daq.verbs.acquire import run_and_report
+from daq.verbs.paths import Named
 
 
-def resume(run: Path, home: bool = False, retake: bool = False, operator: str | None = None) -> Path:
+def resume(run: Named, home: bool = False, retake: bool = False, operator: str | None = None) -> Path:
     """Do what is left of a run: plan minus journal.
 
     Parameters
     ----------
-    run : Path
+    run : path
         Folder of the run.
     home : bool
         Home every axis first, in the configured order; needed if a controller has lost its position.
@@ -36,8 +38,10 @@ def resume(run: Path, home: bool = False, retake: bool = False, operator: str | 
         Other controllers answer than those that the run began with.
     """
     screen = console()
+    run = Path(run)
     found = reopen(run, retake, progress_if_long)
     screen.print(f"{run}: plan, bench and scene are those it began with, and every frame that counts is right")
+    require_libraries(found.bench.table.camera.backend)
     if found.again:
         screen.print(f"taken again for missing or damaged frames: {len(found.again)} steps")
     run_and_report(screen, found.request, found.bench, found.plan, found.folder, home, found.again, operator)

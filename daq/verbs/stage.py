@@ -1,16 +1,15 @@
 """`rtpiv stage`: where the axes are; home, move or jog them, once or from a prompt that keeps the bench open."""
 
-from pathlib import Path
-
 from daq.acquisition.bench.bench_session import open_session
 from daq.terminal import console, error_console
+from daq.verbs.paths import Named
 from daq.verbs.stage_words import numbers, where_table
 
 
 def stage(
     action: str = "session",
     axes: list[str] | None = None,
-    bench: Path = Path("bench.yaml"),
+    bench: Named = "bench.yaml",
     simulate: bool = False,
     home: bool = False,
 ) -> dict[str, float | None]:
@@ -22,7 +21,7 @@ def stage(
         What to do; `session` reads what to do from the terminal, or from a pipe.
     axes : list of str
         ``name=mm`` to move to, ``name=mm`` to jog by, names to home (default all); ignored by `where`.
-    bench : Path
+    bench : path
         bench.yaml.
     simulate : bool
         Use its simulation.

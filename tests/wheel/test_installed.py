@@ -5,14 +5,17 @@ Dependencies come from the environment of the tests, by links, so no index is as
 
 import json
 import os
+import re
 import subprocess
 import sysconfig
+import time
 import venv
 from pathlib import Path
 
 import numba
 import pytest
 
+from tests.rtpiv.test_page import script
 from tests.wheel.build import build_wheel
 
 EXTRA = ("harvesters", "genicam")
@@ -62,15 +65,30 @@ def installed(tmp_path_factory):
     return program
 
 
+def expanded(folder, command):
+    """Words of a command as a shell in this folder would have them."""
+    for word in command.split():
+        yield from (str(hit.relative_to(folder)) for hit in folder.glob(word)) if "*" in word else (word,)
+
+
+LAB = ("--yes", "--balls", "3", "--arrangement", "triangle", "--glass", "acrylic", "--support-mm", "8",
+       "--sensor-px", "1024", "1024", "--pixel-pitch-um", "5.5")  # fmt: skip
+README = Path(__file__).resolve().parents[2] / "README.md"
+FIRST_PICTURE_S = 180.0
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_a_user_s_whole_way(installed):
     here, files = installed.here, installed.site / "daq" / "examples"
     assert installed("rtpiv", "--version").startswith("rtpiv ")
 
-    said = installed("rtpiv", "demo", fails=True)
-    assert "rtpiv[camera]" in said
-    assert len(said.splitlines()) == 1
+    begun_s = time.monotonic()
+    for words in (("demo",), ("camera", "snap", "--bench", files / "bench-sim.yaml", "--simulate")):
+        said = installed("rtpiv", *words, fails=True)
+        assert "rtpiv[camera]" in said
+        assert len(said.splitlines()) == 1
+    assert time.monotonic() - begun_s < 30.0  # nothing was compiled first
     assert not (here / "demo").exists()
     bench = ("--bench", files / "bench-sim.yaml", "--simulate", "--home")
     assert "rtpiv[camera]" in installed("rtpiv", "acquire", files / "plan-target.yaml", *bench, fails=True)
@@ -91,3 +109,32 @@ def test_a_user_s_whole_way(installed):
     assert "<style>" in page.read_text(encoding="utf-8")
     installed("python", "-P", files / "tour.py", "tour")
     assert (here / "tour" / "tour.png").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_first_hour_of_a_new_lab(installed, monkeypatch, tmp_path):
+    """The commands of the README and the script of docs/python.md, in the folder that `rtpiv init` made."""
+    installed.link(True)
+    monkeypatch.setenv("RTPIV_CACHE", str(tmp_path / "cache"))  # a computer that has compiled nothing yet
+    begun_s = time.monotonic()
+    installed("rtpiv", "init", "lab", *LAB)
+    installed.here = lab = installed.here / "lab"
+    said = installed("rtpiv", "trace", "scene.yaml", "-o", "trace")
+    assert time.monotonic() - begun_s < FIRST_PICTURE_S
+    assert "compiling, first use on this computer" in said
+    assert len(list((lab / "trace").glob("*.png"))) >= 2
+
+    block = README.read_text(encoding="utf-8").partition("## The first hour")[2].partition("## ")[0]
+    commands = re.findall(r"^    (rtpiv (?:check|acquire|calibrate|report) [^#\n]*)", block, re.MULTILINE)
+    assert [command.split()[1] for command in commands] == ["check", "acquire", "calibrate", "acquire", "report"]
+    for command in commands:
+        installed(*expanded(lab, command))
+    assert len(list(lab.glob("runs/*shift/report/report.html"))) == 1
+
+    (lab / "sim.py").write_text("def mine():\n    return 'mine'\n")
+    own = "import sim\n" + script() + "print(sim.mine())\n"
+    (lab / "campaign.py").write_text(own)
+    said = installed("python", "campaign.py")
+    assert "of the plane is recovered" in said
+    assert said.splitlines()[-1] == "mine"

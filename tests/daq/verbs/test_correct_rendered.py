@@ -13,7 +13,7 @@ def test_true_scene_puts_every_corner_on_the_grid(name, tmp_path):
     frames = make_frames(name, 2016, 11, tmp_path / "frames", stack=False)
     (errors,) = correct(
         [frames.path("target_glass")], tmp_path / "frames" / "truth.yaml", tmp_path / "out", check_target=True
-    )
+    ).errors
     everywhere, glass = errors.regions["all"], errors.regions["behind glass"]
     assert max(everywhere.rms_px) <= 0.10
     assert max(glass.rms_px) <= 0.10

@@ -20,7 +20,9 @@ def frames(request):
 def test_true_scene_puts_every_corner_on_the_grid(frames, tmp_path):
     """Corners within 0.10 px rms of the regular grid over the recovered region, glass taken by itself too."""
     (tmp_path / "scene.yaml").write_text(dump_scene(frames.truth))
-    errors = correct([frames.path("target_glass")], tmp_path / "scene.yaml", tmp_path / "out", check_target=True)
+    done = correct(frames.path("target_glass"), str(tmp_path / "scene.yaml"), tmp_path / "out", check_target=True)
+    errors = done.errors
+    assert done.frames == (tmp_path / "out" / "target_glass.tif",)
     everywhere, glass = errors[0].regions["all"], errors[0].regions["behind glass"]
     assert max(everywhere.rms_px) <= 0.10
     assert max(glass.rms_px) <= 0.10
@@ -46,7 +48,7 @@ def test_nominal_scene_is_right_where_no_glass_is(frames, tmp_path):
         frames.path("target_clear"),
         dewarp_order=order,
         check_target=True,
-    )
+    ).errors
     direct, glass = errors[0].regions["seen directly"], errors[0].regions["behind glass"]
     assert max(direct.rms_px) <= 0.05
     assert 0.3 < max(glass.rms_px) < 6.0
