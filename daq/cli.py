@@ -13,8 +13,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+import ground.compile_news as compile_news
 from daq.options import parser
-from ground import compile_news
 
 DONE, USAGE, DEVICE, INTERRUPTED = 0, 2, 3, 4
 

@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from daq import example_files
+import daq.example_files as example_files
 from daq.errors import DiskError, RunUsageError
 from daq.terminal import console
 from daq.verbs.output import require_folder

@@ -43,3 +43,13 @@ def test_inside_the_project_modules_are_named_in_full():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module in shown:
                 assert not shown[node.module] & {alias.name for alias in node.names}, path
+
+
+def test_nothing_of_ours_takes_a_name_from_the_top_of_a_package():
+    """A user's sim.py shares that top (rtpiv.neighbours): asking for a name there would run the user's file."""
+    for path in (
+        path for name in (*FACES, "ground", "benchmarks", "rtpiv") for path in (ROOT / name).rglob("*.py")
+    ):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            taken = isinstance(node, ast.ImportFrom) and node.level == 0 and node.module in (*FACES, "ground")
+            assert not taken, f"{path}:{node.lineno}"

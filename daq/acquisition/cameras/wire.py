@@ -8,7 +8,7 @@ import json
 from multiprocessing.connection import Connection
 from typing import Any
 
-from daq import errors
+import daq.errors as errors
 
 Message = dict[str, Any]
 
