@@ -37,7 +37,7 @@ from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.fit_section import FitTable
-from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium
+from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium, medium_called
 from tracer.medium_table import medium_of, written
 from tracer.scene import Scene
 from tracer.scene_tables import SceneTable
@@ -126,18 +126,25 @@ def load_priors(path: Path | str) -> FitTable:
     document = open_document(path)
     table = validate(document, SceneTable)
     spheres = {sphere.name for sphere in scene_from(document, table).spheres}
+    glasses = {_glass_of(name, table): sigma for name, sigma in table.fit.glasses.items()}
     problems = [
         Problem(document.line(("fit", part, name)), f"fit.{part}: there is no {what} {name!r} in this scene")
         for part, what, given, known in (
             ("named", "sphere", table.fit.named, spheres),
-            ("glasses", "glass", table.fit.glasses, MEDIA.keys() | table.glasses.keys()),
+            ("glasses", "glass", glasses, MEDIA.keys() | table.glasses.keys()),
         )
         for name in given
         if name not in known
     ]
     if problems:
         raise ConfigError(document.path, problems)
-    return table.fit
+    return table.fit.model_copy(update={"glasses": glasses})
+
+
+def _glass_of(name: str, table: SceneTable) -> str:
+    """Name under which the scene has a glass that the fit section calls so; as it is if there is none."""
+    found = None if name in table.glasses else medium_called(name)
+    return name if found is None else found.name
 
 
 def load_scene(path: Path | str) -> Scene:

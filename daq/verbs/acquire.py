@@ -15,7 +15,7 @@ from daq.acquisition.bench.kinds.stage import idle_stage
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.forecast import Forecast, forecast
-from daq.acquisition.plans.plan import Plan, load_plan
+from daq.acquisition.plans.plan import Plan, load_plan, read_plan
 from daq.acquisition.plans.way_out import forecast_from_home
 from daq.acquisition.runner.session import Request, begin, carry_out, check_disk
 from daq.acquisition.runner.watch import watch
@@ -28,6 +28,7 @@ from daq.terminal import console, error_console
 from daq.verbs.operator import operator_of
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of
+from ground.errors import ConfigError
 from stages.identities import confusable
 
 SHOWN_STEPS = 40
@@ -95,7 +96,7 @@ def acquire(
     plan, bench, out = Path(plan), Path(bench), Path(out)
     given = path_of(scene), path_of(target_clear)
     request = Request(bench, plan, simulate, correct, *given, dewarp_order, method, live_queue)
-    loaded = load_bench(bench)
+    loaded = _bench_of(bench, plan)
     if not dry_run:
         require_libraries(loaded.table.camera.backend)
     steps = load_plan(plan, loaded)
@@ -124,6 +125,19 @@ def acquire(
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
     run_and_report(screen, request, loaded, steps, folder, home, operator=operator)
     return folder.path
+
+
+def _bench_of(bench: Path, plan: Path) -> Bench:
+    """Read a bench; if it is wrong, say what is wrong with the plan as well."""
+    try:
+        return load_bench(bench)
+    except ConfigError as error:
+        wrong = [error]
+        try:
+            read_plan(plan)
+        except ConfigError as more:
+            wrong.append(more)
+        raise ConfigError.joined(wrong) from None
 
 
 def run_and_report(

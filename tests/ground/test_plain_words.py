@@ -10,7 +10,7 @@ from ground import plain_words
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError
 from tracer.media import MEDIA, medium_called
-from tracer.scene_file import load_scene
+from tracer.scene_file import load_priors, load_scene
 from tracer.scene_tables import SceneTable
 
 HEAD = """\
@@ -120,6 +120,15 @@ def test_glass_by_its_common_names(said, meant):
     assert medium_called(said) is MEDIA[meant]
     own = MEDIA | {said: MEDIA["air"]}
     assert medium_called(said, own) is MEDIA["air"]  # what the file says itself wins
+
+
+def test_a_fit_section_may_call_glass_as_people_do(tmp_path):
+    path = tmp_path / "scene.yaml"
+    path.write_text(HEAD + GOOD + "fit: {glasses: {acrylic: 0.002}}\n")
+    assert load_priors(path).glasses == {load_scene(path).spheres[0].medium.name: 0.002}
+    path.write_text(HEAD + GOOD + "fit: {glasses: {acrilic: 0.002}}\n")
+    with pytest.raises(ConfigError, match=r"scene.yaml:5: fit.glasses: there is no glass 'acrilic'"):
+        load_priors(path)
 
 
 @pytest.mark.parametrize(

@@ -89,3 +89,13 @@ def test_nothing_to_check(lab, name, capsys):
     (lab / "empty").mkdir()
     assert main(["check", str(lab / name)]) == USAGE
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+def test_acquire_says_what_is_wrong_with_bench_and_plan_at_once(lab, capsys):
+    change(lab / "bench.yaml", "speed_mm_s: 30.0", "speed_mm: 30.0")
+    change(lab / "plan-shift.yaml", "px: 10.0", "px: ten")
+    words = ["acquire", str(lab / "plan-shift.yaml"), "--bench", str(lab / "bench.yaml"), "--simulate"]
+    assert main(words) == USAGE
+    said = capsys.readouterr().err
+    assert "did you mean 'speed_mm_s'" in said
+    assert "displacements.1.px: should be a number" in said
