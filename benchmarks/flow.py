@@ -9,10 +9,10 @@ most 320 counts.  Each pair is a function of its number and the seed: workers an
 kept but moments; with `--frames` pairs are written as .npy files instead and not evaluated.
 
 The map is that of the true scene: what is judged are frames, correlation and statistics.  Errors of the mean are
-in pixels of the plane, against three truths (`benchmarks.flow_truth`): the jet averaged over the window, the jet
-as the evaluator's own response shows it, and the jet itself.  Stresses are measured over true, after noise
-correction, against the same three; their truths are moments of the flow at the times of the pairs and of the
-vectors that counted, so that neither pays for the other's luck.
+in pixels of the plane, against the truths of `benchmarks.flow_truth`: the jet averaged over the window, the jet as
+the evaluator's own response shows it, and the jet itself.  Stresses are measured over true, after noise
+correction, against the same, and against what the response shows along slanted rays.  Their truths are moments of
+the flow at the times of the pairs and of the vectors that counted, so that neither pays for the other's luck.
 
 Coverage is the share of vectors whose error against the own response is below sigma of the mean.  Vectors within
 an eddy err together and a region behind glass holds few eddies, so each chunk of 10 pairs is a mean of its own as
@@ -127,7 +127,8 @@ class Sums(NamedTuple):
     itself: Moments
     window: Moments
     response: Moments
-    error: Moments  # of what was measured less what the response shows
+    seen: Moments
+    error: Moments  # of what was measured less what could be seen along the rays
 
     def merged(self, other: "Sums") -> "Sums":
         """Of both."""
@@ -140,7 +141,10 @@ def _judge(case: Case, is_mean: bool = False) -> Judge:
     camera, plane = case.camera, _correction(case).corrector.map.grid
     windows = window_grid(plane.shape, case.window_px, case.settings.overlap)
     flow = Flow(camera.flow.base) if is_mean else camera.flow
-    return Judge(flow, camera.sheet, plane, windows, case.settings, DT_S)
+    nodes = np.ix_(np.rint(windows.y_px).astype(int), np.rint(windows.x_px).astype(int))
+    pixels = _correction(case).corrector.map.pixel[0][nodes]
+    slopes = camera.slopes(pixels.reshape(-1, 2)).reshape(pixels.shape)
+    return Judge(flow, camera.sheet, plane, windows, case.settings, DT_S, slopes)
 
 
 def moments(case: Case, numbers: range) -> Sums:
@@ -154,7 +158,7 @@ def moments(case: Case, numbers: range) -> Sums:
         one = Sums(
             Moments.of(uv, field.valid, sigma),
             *(Moments.of(true, field.valid) for true in seen),
-            Moments.of(uv - seen.response, field.valid, sigma),
+            Moments.of(uv - seen.seen, field.valid, sigma),
         )
         total = one if total is None else total.merged(one)
     assert total is not None
@@ -214,8 +218,9 @@ def judged(case: Case, parts: Sequence[Sums]) -> dict[str, Any]:
             **_covered([part.found for part in parts], true.response, use),
             "stress_ratio": _slope(stresses, total.window.covariance[use]),
             "stress_ratio_response": _slope(stresses, total.response.covariance[use]),
+            "stress_ratio_seen": _slope(stresses, total.seen.covariance[use]),
             "stress_ratio_itself": _slope(stresses, total.itself.covariance[use]),
-            "stress_ratio_response_noise_included": _slope(found.covariance[use], total.response.covariance[use]),
+            "stress_ratio_seen_noise_included": _slope(found.covariance[use], total.seen.covariance[use]),
             "pair_error_px": _rms(np.sqrt(total.error.covariance[use][:, :2])),
             "pair_sigma_px": _rms(np.sqrt(found.noise[use])),
         }

@@ -1,12 +1,14 @@
 """What a measurement could see of a known flow at one moment: the judge of `benchmarks.flow`.
 
-Three answers at the nodes of the vectors, of the flow between the pulses, averaged across the sheet by what both
+Four answers at the nodes of the vectors, of the flow between the pulses, averaged across the sheet by what both
 pulses light (`sim.flow.truth`):
 
     itself     at the node
     window     averaged over the window with the weights that both frames give it: what one correlation sees
     response   filtered by what the passes of the evaluator make of waves (`correction.piv.response`, which tests
                hold to images of waves): more than a window shows, less than the flow
+    seen       the same along slanted rays: a particle that leaves the plane at w seems to move within it by w
+               times the slope of its ray, 0.3 at the rim of a ball; one camera cannot tell that from a flow
 
 The response is a property of the instrument, and is applied to the true field of every pair before any moment is
 formed; the field is sampled much finer than any window, and beyond the frame as far as filters reach.
@@ -35,11 +37,12 @@ DEEP = 5  # Gauss-Hermite nodes across the sheet
 
 
 class Seen(NamedTuple):
-    """Displacements (ny, nx, 2) [px], v down: of the flow itself, of its windows, by the evaluator's response."""
+    """Displacements (ny, nx, 2) [px], v down: of the flow, of windows, by the response, and that along rays."""
 
     itself: Array
     window: Array
     response: Array
+    seen: Array
 
 
 class Judge:
@@ -59,6 +62,8 @@ class Judge:
         How they are measured.
     dt_s : float
         Between the pulses.
+    slopes : ndarray, shape (ny, nx, 2)
+        dx/dz and dy/dz of the rays at the nodes, y up; NaN where there is none.
     """
 
     def __init__(
@@ -69,9 +74,11 @@ class Judge:
         windows: WindowGrid,
         settings: PivSettings,
         dt_s: float,
+        slopes: Array,
     ) -> None:
         self.flow, self.sheet, self.settings, self.windows = flow, sheet, settings, windows
-        self._scale = np.array((1.0, -1.0)) * dt_s * plane.px_per_mm
+        self._scale = np.array((1.0, -1.0, 1.0)) * dt_s * plane.px_per_mm
+        self._slant = np.nan_to_num(slopes) * np.array((-1.0, 1.0))
         self._dt_s, self._plane = dt_s, plane
         self._spacing = windows.step_px / FINE
         self._responses: dict[int, Array] = {}
@@ -86,17 +93,19 @@ class Judge:
             np.fft.irfft2(spectrum * share[..., None], s=field.shape[:2], axes=(0, 1))[inner, inner]
             for share in (self._window_share, self._response_share(added_passes))
         ]
-        return Seen(field[inner, inner], *seen)
+        window, response = seen
+        along = response[..., :2] + self._slant * response[..., 2:]
+        return Seen(field[inner, inner, :2], window[..., :2], response[..., :2], along)
 
     def _fine(self, time_s: float) -> Array:
-        """Displacement (Ny, Nx, 2) [px] on the fine raster."""
+        """Displacement (Ny, Nx, 3) [px] on the fine raster: right, down, towards the camera."""
         nodes, weights = hermgauss(DEEP)
-        total = np.zeros((len(self._places_mm), 2))
+        total = np.zeros((len(self._places_mm), 3))
         for node, weight in zip(nodes, weights / weights.sum(), strict=True):
             z = self.sheet.offset_mm + node * self.sheet.thickness_mm / 4.0
             at = np.column_stack((self._places_mm, np.full(len(self._places_mm), z)))
-            total += weight * self.flow.velocity(at, time_s)[:, :2]
-        return (total * self._scale).reshape(*self._shape, 2)
+            total += weight * self.flow.velocity(at, time_s)
+        return (total * self._scale).reshape(*self._shape, 3)
 
     @cached_property
     def _places_mm(self) -> Array:

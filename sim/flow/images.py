@@ -137,6 +137,10 @@ class FlowCamera:
             rng=np.random.default_rng(self._seed(number, 2)),
         )
 
+    def slopes(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Slopes dx/dz, dy/dz (N, 2) of the rays of pixels (N, 2) where they cross the plane; NaN for none."""
+        return self._view.slopes(pixels)
+
     @property
     def px_mm(self) -> float:
         """Width that a pixel sees without glass."""

@@ -172,6 +172,20 @@ class ParticleView:
         run_rows(band, bands, 1)
         return out
 
+    def slopes(self, pixels: Float64) -> Float64:
+        """Slopes dx/dz, dy/dz (N, 2) at z = 0 of the rays of pixels (N, 2), u, v; NaN where none arrives.
+
+        They are those of the pupil's middle and of the nearest node of the ray grid.  A point that rises by dz
+        seems to move by -dz times the slope within the plane.
+        """
+        ways, tops = self._views[0].ways, self._views[0].tops
+        place = (np.nan_to_num(pixels, nan=-1e9) + MARGIN_PX) / self._step_px
+        column, row = np.rint(place).astype(np.int64).T
+        inside = (row >= 0) & (row < ways.shape[0]) & (column >= 0) & (column < ways.shape[1])
+        row, column = np.where(inside, row, 0), np.where(inside, column, 0)
+        found = ways[row, column, 2:4].astype(np.float64)
+        return np.where((inside & (tops[row, column] > 0.0))[:, None], found, np.nan)
+
     def peak(self) -> float:
         """Light on the brightest pixel of a point of shine 1 that is seen bare, in the middle of a pixel."""
         return float(self._spots[0].max() ** 2)

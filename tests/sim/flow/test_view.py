@@ -186,3 +186,19 @@ def test_what_cannot_be_is_refused():
         pupil_points(8)
     with pytest.raises(SceneError, match="two heights"):
         ParticleView(flow_scene(size=50), (1.0, -1.0))
+
+
+def test_a_point_that_leaves_the_plane_along_its_ray_is_seen_where_it_was():
+    scene = flow_scene()
+    view = ParticleView(scene, (-1.0, 1.0))
+    points = np.array([[0.0, 8.0, 0.0], [14.0, 3.0, 0.0], [45.0, -40.0, 0.0]])  # two behind the balls, one beside
+    for point in points:
+        pixel = max(view.images(point[None], np.ones(1)), key=lambda image: image[2])[:2].astype(float)
+        slope = view.slopes(pixel[None])[0]
+        for rise in (-0.8, 0.8):
+            moved = point + rise * np.array([*slope, 1.0])
+            found = view.images(moved[None], np.ones(1))[:, :2]
+            assert np.abs(found - pixel).max(axis=1).min() < 0.02
+    x_mm, _, z_mm = scene.camera.position_mm
+    assert slope[0] == pytest.approx((x_mm - 45.0) / z_mm, abs=2e-3)  # beside the glass
+    assert np.isnan(view.slopes(np.array([[-500.0, 3.0], [np.nan, 3.0]]))).all()
