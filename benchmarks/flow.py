@@ -15,7 +15,7 @@ correction, against the same, and against what the response shows along slanted 
 the flow at the times of the pairs and of the vectors that counted, so that neither pays for the other's luck.
 
 Coverage is the share of vectors whose error against the own response is below sigma of the mean.  Vectors within
-an eddy err together and a region behind glass holds few eddies, so each chunk of 10 pairs is a mean of its own as
+an eddy err together and a region behind glass holds few eddies, so each chunk of pairs is a mean of its own as
 well: `covered_in_chunks` is the share over all of them, and `expected_in_chunks` what Student's t says of so few
 pairs.
 """
@@ -272,6 +272,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--size", type=int, default=2016, help="pixels across; 2016 is the paper's")
     parser.add_argument("--window", type=int, default=32)
+    parser.add_argument("--chunk", type=int, default=CHUNK_PAIRS, help="pairs whose mean is judged by itself")
     parser.add_argument("--steady", action="store_true", help="without turbulence")
     parser.add_argument("--pinhole", action="store_true", help="without the lens's blur; three times as fast")
     parser.add_argument("--frames", type=Path, help="write frames here, evaluate nothing")
@@ -284,7 +285,7 @@ def main() -> None:
             for future in [pool.submit(write_frames, case, part, asked.frames) for part in chunks(asked.pairs, 5)]:
                 future.result()
         return
-    figures = judged(case, measured(case, asked.pairs, asked.workers))
+    figures = judged(case, measured(case, asked.pairs, asked.workers, asked.chunk))
     text = json.dumps(figures, indent=1)
     print(text)
     if asked.out is not None:
