@@ -17,6 +17,7 @@ import ground.compile_news as compile_news
 from daq.options import parser
 
 DONE, USAGE, DEVICE, INTERRUPTED = 0, 2, 3, 4
+THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
 
 
 def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     verb, threads = options.pop("verb"), options.pop("threads")
     if threads is not None:
-        os.environ["RTPIV_THREADS"] = str(threads)  # for children as well
+        os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling
     function = getattr(importlib.import_module(f"daq.verbs.{verb}"), verb)
     try:

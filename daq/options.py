@@ -134,6 +134,10 @@ def parser() -> argparse.ArgumentParser:
 
     demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
     demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
+    for verb in verbs.choices.values():  # before the verb or behind it
+        verb.add_argument(
+            "--threads", type=_count, metavar="N", default=argparse.SUPPRESS, help="cores to use (default: all)"
+        )
     return words
 
 

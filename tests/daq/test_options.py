@@ -6,7 +6,7 @@ import subprocess
 
 import pytest
 
-from daq.cli import DONE, USAGE, main, print_compiling
+from daq.cli import DONE, THREADS, USAGE, main, print_compiling
 from daq.completion_script import completion_script
 from daq.options import parser
 from ground import compile_news
@@ -44,10 +44,13 @@ def test_every_verb_is_in_every_script(shell, capsys):
         assert verb in script
 
 
-def test_threads(monkeypatch, tmp_path):
-    monkeypatch.setenv("RTPIV_THREADS", "")
-    assert main(["--threads", "3", "examples", str(tmp_path / "examples")]) == DONE
-    assert os.environ["RTPIV_THREADS"] == "3"
+@pytest.mark.parametrize("before", [True, False])
+def test_threads(monkeypatch, tmp_path, before):
+    for name in THREADS:
+        monkeypatch.setenv(name, "")
+    words = ["examples", str(tmp_path / "examples")]
+    assert main(["--threads", "3", *words] if before else [*words, "--threads", "3"]) == DONE
+    assert [os.environ[name] for name in THREADS] == ["3"] * len(THREADS)
     assert (tmp_path / "examples" / "demo" / "scene.yaml").is_file()
     assert main(["examples", str(tmp_path / "examples")]) == USAGE
     with pytest.raises(SystemExit):
