@@ -34,6 +34,7 @@ SEED ?= 1
 fuzz: $(STAMP)
 	$(BIN)/python -m tests.safety.fuzz --sequences $(SEQUENCES) --seed $(SEED) --workers 2
 	$(BIN)/python -m tests.safety.laser_fuzz --sequences $(SEQUENCES) --seed $(SEED)
+	$(BIN)/python -m tests.safety.light_fuzz --sequences $(SEQUENCES) --seed $(SEED) --workers 2
 
 # Target frames in the light of twelve lamps: is the map right where the lamp is told, inside its sigma where not?
 lamps: $(STAMP)

@@ -14,6 +14,10 @@ at most.
 
 Axes of one bench take turns: who moves holds `Turn.lock` from the judgement to the arrival, so two moves that were
 judged one by one can never meet. Stops need no turn (`stages.stop_latch`).
+
+Other devices may bar motion, a laser while light may leave: who has taken the turn asks them before the first
+byte. They look in turn whether it is taken once they have said that they bar it; so at least one of the two always
+sees the other, and no lock has to be shared.
 """
 
 import math
@@ -31,6 +35,7 @@ from stages.errors import (
     DeviceError,
     DeviceLost,
     LimitHit,
+    MotionBarred,
     MotionStopped,
     NoReply,
     NotInPosition,
@@ -84,18 +89,35 @@ class Turn:
     judge : callable, optional
         Gets an axis' name and target; returns fresh positions of the axes it looked at, that one included, or
         raises.
+    bars : list of callable
+        Each says why nothing may move now, as a sentence, or None.
     """
 
     latch: StopLatch = field(default_factory=StopLatch)
     lock: threading.RLock = field(default_factory=threading.RLock)
     judge: Callable[[str, float], Mapping[str, float]] | None = None
     signals: StopSignals | None = None
+    bars: list[Callable[[], str | None]] = field(default_factory=list)
+    holds: int = 0  # how often the one who has the turn has taken it
 
     @contextmanager
     def taken(self) -> Iterator[None]:
-        """Take the turn; what a signal asks for beyond the stop waits for the end of it."""
+        """Take the turn; what a signal asks for beyond the stop waits for the end of it.
+
+        Raises
+        ------
+        MotionBarred
+            Another device must not see motion now.
+        """
         with self.signals.turn() if self.signals is not None else nullcontext(), self.lock:
-            yield
+            self.holds += 1  # before anybody is asked: who bars motion looks at this afterwards
+            try:
+                for bar in self.bars:
+                    if why := bar():
+                        raise MotionBarred(f"nothing has moved: {why}")
+                yield
+            finally:
+                self.holds -= 1
 
 
 class Axis:

@@ -5,6 +5,7 @@
     |   +-- OutOfRange           target not finite, or outside the limits of its axis
     |   +-- NotReferenced        absolute move or position asked of an axis that has to be homed first
     |   +-- Obstructed           the swept path comes closer to something than the clearance
+    |   +-- MotionBarred         another device must not see motion now, such as a laser that is armed
     +-- PortError            the cable (also an OSError)
     |   +-- PortUnavailable      cannot be opened: missing, no permission, held by another process
     |   +-- DeviceLost           gone while open: unplugged or switched off; position unknown until homed
@@ -40,6 +41,10 @@ class NotReferenced(StageUsageError):  # noqa: N818
 
 class Obstructed(StageUsageError):  # noqa: N818
     """The way to the target comes closer to a body, target or camera than the clearance allows."""
+
+
+class MotionBarred(StageUsageError):  # noqa: N818
+    """Another device of the bench must not see motion now, such as a laser that is armed; the message says why."""
 
 
 class PortError(StageError, OSError):

@@ -118,6 +118,19 @@ class Stage:
         """The one stop of the bench; whoever exposes frames asks it too."""
         return self._turn.latch
 
+    def bar_motion(self, why: Callable[[], str | None]) -> None:
+        """Ask somebody before anything moves; a sentence as the answer refuses the motion, with `MotionBarred`."""
+        self._turn.bars.append(why)
+
+    def what_moves(self) -> str | None:
+        """Say what moves, is about to, or was not heard to rest, as part of a sentence; asks nothing."""
+        if self._turn.holds:
+            return "an axis of the stage is being moved"
+        for name, box in self._controllers.items():
+            if box.under_way:
+                return f"{name} has not been heard to rest since its last motion; open, home or move it again"
+        return None
+
     @property
     def axes(self) -> Mapping[str, Axis]:
         """The axes by name."""

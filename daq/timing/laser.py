@@ -19,8 +19,9 @@ that is weaker, and a bench file has to say `uncounted: true` to have it.
 import math
 import secrets
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from typing import Protocol
 
 from daq.timing.box import UNREADABLE, TimingBox
 from daq.timing.conditions import Conditions, exposure_problem
@@ -36,7 +37,7 @@ from daq.timing.pulses import (
     schedule_of,
 )
 from daq.timing.rules import Rules, weak_schedule
-from daq.timing.states import EMITS, Event, LaserState, after
+from daq.timing.states import BARS_MOTION, EMITS, Event, LaserState, after
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
@@ -54,6 +55,18 @@ _WAYS = {
     LaserState.FIRING: "wait() or stop()",
     LaserState.ALIGNING: "end it with safe()",
 }
+
+
+class Movers(Protocol):
+    """What can move on the bench; `stages.stage.Stage` is one."""
+
+    def bar_motion(self, why: Callable[[], str | None]) -> None:
+        """Ask before anything moves; a sentence as the answer refuses the motion."""
+        ...
+
+    def what_moves(self) -> str | None:
+        """Say what moves or is about to, as part of a sentence."""
+        ...
 
 
 class Laser:
@@ -95,6 +108,7 @@ class Laser:
         self._rate_hz: float | None = None  # of lamps that run
         self._heated_s = math.inf
         self._ends_s = math.inf
+        self._movers: list[Movers] = []
 
     # ---- what it is ------------------------------------------------------------------------------
 
@@ -128,6 +142,25 @@ class Laser:
     def warm_in_s(self) -> float:
         """Time until the lamps have run for long enough."""
         return max(0.0, self._heated_s - self._clock.now_s())
+
+    # ---- beside what moves -------------------------------------------------------------------------
+
+    def keep_still(self, movers: Movers) -> None:
+        """Let nothing of `movers` move while light may leave, and no light leave while something of it moves."""
+        self._movers.append(movers)
+        movers.bar_motion(self.objection)
+
+    def objection(self) -> str | None:
+        """Say why nothing may move now, as a sentence; asks no lock, so any thread may ask it."""
+        state = self._state
+        if state is LaserState.UNKNOWN:
+            return f"nobody knows whether {self.name} is off; say safe(), or rtpiv laser off"
+        if state in BARS_MOTION:
+            return f"{self.name} is {state.value}; let it end, or switch it off first"
+        return None
+
+    def _what_moves(self) -> str | None:
+        return next(filter(None, (movers.what_moves() for movers in self._movers)), None)
 
     # ---- off -------------------------------------------------------------------------------------
 
@@ -311,6 +344,9 @@ class Laser:
             self.box.confirm(schedule, lamps=self._rate_hz is not None)
             self._conditions, self._armed_s = conditions, self._clock.now_s()
             self._enter(Event.ARM)
+            if moves := self._what_moves():  # asked when nothing can begin to move any more
+                self._enter(Event.DISARM)
+                raise NotArmed(f"{self.name} is not armed: {moves}")
 
     def disarm(self) -> None:
         """Go back to READY."""
@@ -393,6 +429,8 @@ class Laser:
                     f"{rules.max_s:g} s"
                 )
             self._require_rate(rate_hz)
+            if moves := self._what_moves():
+                raise NotArmed(f"{self.name} gives no light: {moves}")
             self.box.token = self._begin()
             schedule = weak_schedule(rules, self.head, self.box.wiring, rate_hz)
             self.schedule = None
@@ -400,6 +438,8 @@ class Laser:
             self.pairs = max(1, int(rate_hz * for_s))
             self._ends_s = math.inf
             self._enter(Event.ALIGN)
+            if moves := self._what_moves():
+                raise LaserStopped(f"{self.name} gives no light: {moves}")
             if self.head.lamp_to_q_switch_us is not None:
                 self.box.start_lamps()
             self.box.begin(self.pairs, camera=False)

@@ -62,6 +62,7 @@ NEXT: dict[LaserState, dict[Event, LaserState]] = {
 }
 
 EMITS = frozenset({_S.FIRING, _S.ALIGNING})  # light is meant to leave; in UNKNOWN nobody knows
+BARS_MOTION = EMITS | {_S.ARMED}  # nothing may move: what was said at arming has to stay true
 
 
 def after(state: LaserState, event: Event) -> LaserState:

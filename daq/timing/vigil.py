@@ -81,30 +81,38 @@ class Vigil:
             raise self.error
         self._laser.wait()
 
+    def ask(self) -> None:
+        """Ask once how things stand, and switch off if that is not well or nobody can say it."""
+        try:
+            found = self._ask()
+        except BaseException as error:  # whatever it is, nobody knows how things stand
+            self._stop(f"nobody knows how things stand: {error}")
+            return
+        if self._ended.is_set():
+            return  # an answer to this burst says nothing of the next one
+        self._heard_s = self._wall.now_s()
+        try:
+            self._laser.watch(found)
+        except LaserStopped as lost:
+            self.error = lost
+
+    def judge(self) -> None:
+        """Look once whether somebody still knows how things stand, and whether the burst has ended."""
+        if blind := self._blindness():
+            self._stop(blind)
+        try:
+            self._laser.look()
+        except (DaqError, StageError) as error:
+            self.error = self.error or error
+
     def _go_on_asking(self) -> None:
         while not self._ended.is_set():
-            try:
-                found = self._ask()
-            except BaseException as error:  # whatever it is, nobody knows how things stand
-                self._stop(f"nobody knows how things stand: {error}")
-            else:
-                if self._ended.is_set():
-                    return  # an answer to this burst says nothing of the next one
-                self._heard_s = self._wall.now_s()
-                try:
-                    self._laser.watch(found)
-                except LaserStopped as lost:
-                    self.error = lost
+            self.ask()
             self._ended.wait(LOOK_S)
 
     def _go_on_judging(self) -> None:
         while not self._ended.is_set() and self._laser.state is LaserState.FIRING:
-            if blind := self._blindness():
-                self._stop(blind)
-            try:
-                self._laser.look()
-            except (DaqError, StageError) as error:
-                self.error = self.error or error
+            self.judge()
             self._clock.sleep_s(LOOK_S)
         while not self._laser.confirm_off() and not self._ended.wait(CONFIRM_S):
             pass

@@ -128,9 +128,9 @@ class FuzzBench:
 
 
 @contextmanager
-def fuzz_bench(is_guarded: bool = True) -> Iterator[FuzzBench]:
+def fuzz_bench(is_guarded: bool = True, clock: TrapClock | None = None) -> Iterator[FuzzBench]:
     """The bench, opened and homed."""
-    clock = TrapClock()
+    clock = clock or TrapClock()
     world = SimulatedStages(TABLE, clock, SCREWS, FIRMWARE)
     world.witness.look_at(SCENE, KEEP_OUT, TABLE, HOME_MM)
     with world.put_up() as offered:

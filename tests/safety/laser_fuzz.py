@@ -58,9 +58,9 @@ class WatchedClock(VirtualClock):
 class Story:
     """One laser, and what happens to it."""
 
-    def __init__(self, seed):
+    def __init__(self, seed, clock=None):
         self.rng = random.Random(seed)
-        self.clock = WatchedClock()
+        self.clock = clock or WatchedClock()
         self.kind = self.rng.choice(("lamps", "lamps", "pumped", "pumped", "oltSync"))
         wiring = {"lamps": LAMPS, "pumped": PUMPED, "oltSync": DIODE}[self.kind]
         driver = OltSyncBox if self.kind == "oltSync" else QuantumComposersBox
@@ -188,18 +188,36 @@ class Story:
         what = self.rng.choice(("write", "answer"))
         self.line.hooks.press(self.rng.randrange(1, 30), what, stop, lambda: False)
 
-    VERBS = (
-        ("safe", 4, lambda s: s.laser.safe()),
-        ("warm", 8, lambda s: s.laser.warm(s.rng.choice((10.0, 10.0, 16.0)))),
-        ("sleep", 6, sleep), ("set", 8, set), ("arm", 8, arm), ("fire", 10, fire),
-        ("wait", 4, lambda s: s.laser.wait()), ("look", 3, lambda s: s.laser.look()),
-        ("watch", 3, lambda s: s.laser.watch(s.conditions())), ("stop", 2, lambda s: s.laser.stop("asked")),
-        ("align", 2, align), ("confirm", 2, lambda s: s.laser.confirm_off()),
-        ("disarm", 1, lambda s: s.laser.disarm()), ("fault", 3, fault), ("later_fault", 3, later_fault),
-        ("refuse", 2, refuse), ("later_refuse", 2, later_refuse), ("unplug", 1, unplug),
-        ("later_unplug", 1, later_unplug), ("plug_in", 3, plug_in), ("power", 1, power), ("keys", 2, keys),
-        ("stop_key", 1, stop_key), ("stop_at_any_byte", 2, stop_at_any_byte),
-    )  # fmt: skip
+    def safe(self):
+        self.laser.safe()
+
+    def warm(self):
+        self.laser.warm(self.rng.choice((10.0, 10.0, 16.0)))
+
+    def wait(self):
+        self.laser.wait()
+
+    def look(self):
+        self.laser.look()
+
+    def watch(self):
+        self.laser.watch(self.conditions())
+
+    def stop(self):
+        self.laser.stop("asked")
+
+    def confirm(self):
+        self.laser.confirm_off()
+
+    def disarm(self):
+        self.laser.disarm()
+
+    VERBS: ClassVar = {
+        "safe": 4, "warm": 8, "sleep": 6, "set": 8, "arm": 8, "fire": 10, "wait": 4, "look": 3, "watch": 3,
+        "stop": 2, "align": 2, "confirm": 2, "disarm": 1, "fault": 3, "later_fault": 3, "refuse": 2,
+        "later_refuse": 2, "unplug": 1, "later_unplug": 1, "plug_in": 3, "power": 1, "keys": 2, "stop_key": 1,
+        "stop_at_any_byte": 2,
+    }  # fmt: skip
     USUAL: ClassVar = {  # what a person does next, so that sequences get as far as light
         LaserState.SAFE: ("warm",), LaserState.WARM: ("sleep",), LaserState.ARMED: ("fire",),
         LaserState.FAULT: ("safe",), LaserState.UNKNOWN: ("safe", "sleep", "confirm"),
@@ -208,38 +226,43 @@ class Story:
     }  # fmt: skip
 
     def next_verb(self):
-        verbs = {name: do for name, _, do in self.VERBS}
         state = self.laser.state
         if self.rng.random() < 0.5:
-            usual = self.rng.choice(self.USUAL.get(state, ("set" if self.laser.schedule is None else "arm",)))
-            return usual, verbs[usual]
-        name, _, do = self.rng.choices(self.VERBS, [weight for _, weight, _ in self.VERBS])[0]
-        return name, do
+            return self.rng.choice(self.USUAL.get(state, ("set" if self.laser.schedule is None else "arm",)))
+        return self.rng.choices(list(self.VERBS), list(self.VERBS.values()))[0]
 
     def tell(self, length):
         """Play; what was found is in `found`."""
         try:
-            with suppress(DaqError, StageError):
-                self.laser.open(f"sim://{self.address}")
+            self.begin()
             for _ in range(length):
-                name, do = self.next_verb()
-                self.log.append(f"{self.clock.now_s():9.3f} {self.laser.state.value:9s} {name}")
-                try:
-                    do(self)
-                except (DaqError, StageError) as error:
-                    self.log[-1] += f" -> {type(error).__name__}: {error}"
+                self.do(self.next_verb())
                 if self.found:
                     return
-            self.line.hooks.clear()
-            with suppress(DaqError, StageError):
-                self.laser.close()
-            if not self.line.dead and not self.line.faults.met and self.emulator.is_on:
-                on = self.kind == "oltSync" and self.emulator.is_running
-                on = on or (self.kind != "oltSync" and any(channel.on for channel in self.emulator._all))
-                if on and not self.cut and not self.line.plugged:
-                    self.found.append("something is on after the end")
+            self.end()
         finally:
             LINES.pop(self.address)
+
+    def begin(self):
+        with suppress(DaqError, StageError):
+            self.laser.open(f"sim://{self.address}")
+
+    def do(self, name):
+        self.log.append(f"{self.clock.now_s():9.3f} {self.laser.state.value:9s} {name}")
+        try:
+            getattr(self, name)()
+        except (DaqError, StageError) as error:
+            self.log[-1] += f" -> {type(error).__name__}: {error}"
+
+    def end(self):
+        self.line.hooks.clear()
+        with suppress(DaqError, StageError):
+            self.laser.close()
+        if not self.line.dead and not self.line.faults.met and self.emulator.is_on:
+            on = self.kind == "oltSync" and self.emulator.is_running
+            on = on or (self.kind != "oltSync" and any(channel.on for channel in self.emulator._all))
+            if on and not self.cut and not self.line.plugged:
+                self.found.append("something is on after the end")
 
 
 def play(sequences, seed, length=14, until_s=None):

@@ -16,6 +16,7 @@ from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.cameras.camera import Camera
 from daq.errors import PlanError
+from daq.timing.laser import Laser
 from ground.config import Table
 from ground.errors import ConfigError, Problem
 from stages.clock import SYSTEM_CLOCK, Clock
@@ -192,7 +193,17 @@ def open_bench(
             name: stack.enter_context(kind_of(device.kind).open(sections[name], bench, clock))
             for name, device in wanted.items()
         }
+        _keep_apart(devices)
         yield OpenBench(bench, devices, sections, clock, simulation)
+
+
+def _keep_apart(devices: Mapping[str, object]) -> None:
+    """See that nothing moves while light may leave a laser, and none leaves while something moves."""
+    stages = [device for device in devices.values() if isinstance(device, Stage)]
+    for laser in devices.values():
+        if isinstance(laser, Laser):
+            for stage in stages:
+                laser.keep_still(stage)
 
 
 def known_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:

@@ -13,6 +13,7 @@ from daq.timing.opened import open_laser
 from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from ground.errors import ConfigError
+from stages.errors import MotionBarred
 from tests.daq.small_bench import write_bench
 
 CHANNELS = "lamp_1: A, q_switch_1: B, lamp_2: C, q_switch_2: D, camera: E, marker: F"
@@ -132,3 +133,45 @@ def test_a_second_box_is_data(tmp_path):
         assert modulated.pulses(Role.Q_SWITCH_1) >= 40
         assert pulsed.pulses(Role.Q_SWITCH_1) == 0
         assert first.state is LaserState.UNKNOWN
+
+
+def test_nothing_moves_while_light_may_leave_and_nothing_is_armed_while_something_moves(tmp_path):
+    with open_bench(bench_with(tmp_path), True, only={"stages", "laser"}) as hardware:
+        laser, stage = hardware.devices["laser"], hardware.stage
+        stage.home()
+        laser.warm(10.0)
+        laser.set(PulseTiming(20.0, 10.0), PairExposures(100.0, 20_000.0, 2.0))
+        with stage._turn.taken(), pytest.raises(TimingUsageError, match="not armed: an axis of the stage"):
+            laser.arm(GOOD, laser.challenge)
+        assert laser.state is LaserState.READY
+        before_mm = stage.where_mm()
+        laser.arm(GOOD, laser.challenge)
+        for ask in (
+            lambda: stage.move({"target_z": -5.0}),
+            stage.home,
+            lambda: stage.axis("glass_x").move_to(1.0),
+        ):
+            with pytest.raises(MotionBarred, match=r"nothing has moved: .* is armed; let it end, or"):
+                ask()
+        laser.fire(5)
+        with pytest.raises(MotionBarred, match="is firing"):
+            stage.move({"target_z": -5.0})
+        assert stage.where_mm() == before_mm
+        laser.wait()
+        assert stage.move({"target_z": -5.0})["target_z"].measured_mm == pytest.approx(-5.0, abs=0.01)
+        laser.arm(GOOD, laser.challenge)
+        laser.stop("somebody came in")  # nobody has read back yet that it is off
+        with pytest.raises(MotionBarred, match=r"nobody knows whether .* is off"):
+            stage.move({"target_z": -6.0})
+        laser.safe()
+        stage.move({"target_z": -6.0})
+
+
+def test_a_motion_whose_end_nobody_heard_of_keeps_the_light_off(tmp_path):
+    with open_bench(bench_with(tmp_path), True, only={"stages", "laser"}) as hardware:
+        laser, stage = hardware.devices["laser"], hardware.stage
+        laser.warm(10.0)
+        laser.set(PulseTiming(20.0, 10.0), PairExposures(100.0, 20_000.0, 2.0))
+        stage.controllers["glass"].under_way = True  # its cable was pulled while it moved
+        with pytest.raises(TimingUsageError, match="not armed: glass has not been heard to rest"):
+            laser.arm(GOOD, laser.challenge)

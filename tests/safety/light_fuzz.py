@@ -1,0 +1,125 @@
+"""Laser and stages of one bench, fuzzed together: nothing moves while light leaves, and none leaves near anything.
+
+    python -m tests.safety.light_fuzz --sequences 20000 --seed 1 --workers 2
+
+To what happens to a laser (`laser_fuzz`) comes what happens to the stages of `bench`: another thread moves and
+homes them at any moment, between any two bytes that go to the timing unit; their boxes restart, are unplugged,
+answer late or wrongly. Conditions are asked as a run asks them (`runner.light`), by the steps of the real vigil.
+
+The judge hangs on plugs and motors and believes nobody. At every pulse that can light something he knows:
+
+========  ==========================================================================================
+state     whether it may leave at all (`laser_fuzz`)
+motion    whether a carriage truly moves then, sent or looking for its reference
+sheet     whether ball and target are truly clear of the sheet, which lies in z = 0
+========  ==========================================================================================
+
+The witness of the stages judges keep-out and limits of every motion besides.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from contextlib import ExitStack, contextmanager
+
+from stages.errors import StageError
+from tests.safety.bench import fuzz_bench
+from tests.safety.checkpoint import Checkpoint
+from tests.safety.light_story import LightStory
+from tests.safety.two_threads import TwoThreads
+
+
+class Playground:
+    """A homed bench on which any number of stories can be told, each as if it were the first."""
+
+    def __init__(self):
+        self._stack = ExitStack()
+        self.glides = []
+        self.bench = self._stack.enter_context(fuzz_bench(clock=TwoThreads()))
+        self._hear()
+        self._let_others_in()
+        self._checkpoint = Checkpoint(self.bench)
+
+    def _hear(self):
+        for name, watched in self.bench.world.witness.axes.items():
+            watched.motor.watcher = self._ear(name, watched, watched.motor.watcher)
+
+    def _ear(self, name, watched, tell):
+        def hear(glide):
+            tell(glide)
+            if watched.line.emulator.purpose(watched.channel) != "hand" and glide[2] != glide[3]:
+                self.glides.append((glide[0], glide[1], name))
+
+        return hear
+
+    def _let_others_in(self):
+        """Who has taken the turn may be kept waiting before its first byte."""
+        turn, clock = self.bench.stage._turn, self.bench.clock
+        taken = turn.taken
+
+        @contextmanager
+        def waits():
+            with taken():
+                clock.sleep_s(0.0)
+                yield
+
+        turn.taken = waits
+
+    def tell(self, seed, length):
+        self.glides.clear()
+        story = LightStory(seed, self.bench, self.glides)
+        story.tell(length)
+        other = self.bench.clock.other
+        if other is not None and not other.has_ended and not story.found:
+            story.found.append("the other thread hangs")
+        if other is not None and other.error is not None and not isinstance(other.error, StageError):
+            story.found.append(f"the other thread: {other.error!r}")
+        self._checkpoint.go_back()
+        return story
+
+
+def play(numbers, seed, length=14, playground=None):
+    """Tell stories; return their books, and the log of the first in which something was found."""
+    playground, books = playground or Playground(), Counter()
+    for number in numbers:
+        story = playground.tell(f"{seed}-{number}", length)
+        books["sequences"] += 1
+        books["pulses"] += story.pulses
+        books["bursts"] += story.firings
+        books["motions"] += story.moves
+        if story.found:
+            return books, [f"seed {seed}-{number}", *story.log, *story.found]
+    return books, []
+
+
+def main():
+    """Run from the command line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--sequences", type=int, default=20_000)
+    parser.add_argument("--seed", default="1")
+    parser.add_argument("--length", type=int, default=14)
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--only", help="one number of the seed")
+    options = parser.parse_args()
+    if options.only is not None:
+        story = Playground().tell(f"{options.seed}-{options.only}", options.length)
+        print("\n".join(story.log + story.found))
+        return
+    children = []
+    for first in range(options.workers):
+        child = os.fork()
+        if child == 0:
+            begun_s = time.monotonic()
+            numbers = range(first, options.sequences, options.workers)
+            books, found = play(numbers, options.seed, options.length)
+            print(dict(books), f"{time.monotonic() - begun_s:.0f} s", *(found or ["nothing found"]), sep="\n")
+            sys.stdout.flush()
+            os._exit(bool(found))
+        children.append(child)
+    sys.exit(any(os.waitpid(child, 0)[1] for child in children))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,40 @@
+"""Laser and stages, used by two threads at random: no motion while light leaves, no light near glass or target."""
+
+import pytest
+
+from daq.timing.laser import Laser
+from tests.safety.light_fuzz import Playground, play
+
+
+def test_nothing_moves_while_light_leaves():
+    books, found = play(range(50), "ci")
+    assert not found, "\n".join(found)
+    assert books["pulses"] > 300
+    assert books["motions"] > 120
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+def test_nothing_moves_while_light_leaves_in_20_000_sequences():
+    playground = Playground()
+    for seed in range(40):
+        _, found = play(range(500), f"slow {seed}", playground=playground)
+        assert not found, "\n".join(found)
+
+
+def test_the_judge_sees_a_laser_that_lets_things_move(monkeypatch):
+    monkeypatch.setattr(Laser, "objection", lambda self: None)
+    _, found = play(range(50), "moves f")
+    assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
+
+
+def test_the_judge_sees_a_laser_that_does_not_look_what_moves(monkeypatch):
+    monkeypatch.setattr(Laser, "_what_moves", lambda self: None)
+    _, found = play(range(50), "looks a")
+    assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
+
+
+def test_the_judge_sees_light_near_the_glass(monkeypatch):
+    monkeypatch.setattr("daq.acquisition.runner.light.sheet_clearance_mm", lambda bench, where: 100.0)
+    _, found = play(range(50), "near e")
+    assert any("off the sheet" in line for line in found), "\n".join(found)
