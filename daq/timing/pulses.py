@@ -26,8 +26,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from daq.timing.errors import PulsesRefused
-
-TRIGGER_US = 10.0  # width of what only has to be an edge
+from daq.timing.laser_head import TRIGGER_US, LaserHead
 
 
 class Role(StrEnum):
@@ -82,38 +81,6 @@ class PulseTiming:
     def period_us(self) -> float:
         """From pair to pair."""
         return 1e6 / self.rate_hz
-
-
-@dataclass(frozen=True, slots=True)
-class LaserHead:
-    """What the laser is and can do; from the bench file.
-
-    Parameters
-    ----------
-    max_rate_hz : float
-        Pairs a second.
-    min_dt_us, max_dt_us : float
-        Of two pulses; a single cavity cannot do less than its pump allows.
-    lamp_to_q_switch_us : (2,) tuple of float or None
-        Of each cavity, for full energy; None without lamps.
-    q_switch_to_light_us : (2,) tuple of float
-        From the trigger to the light, of each cavity.
-    pulse_us : float
-        Width of the Q-switch triggers; for a modulated diode the time of the light itself.
-    lamp_rate_hz : float or None
-        The only rate at which the lamps may run; None if any up to `max_rate_hz` will do.
-    max_duty : float
-        Largest share of the period in which the light may be on; matters for diodes.
-    """
-
-    max_rate_hz: float
-    min_dt_us: float = 0.0
-    max_dt_us: float = 1e6
-    lamp_to_q_switch_us: tuple[float, float] | None = None
-    q_switch_to_light_us: tuple[float, float] = (0.0, 0.0)
-    pulse_us: float = TRIGGER_US
-    lamp_rate_hz: float | None = None
-    max_duty: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,12 +227,9 @@ def schedule_of(timing: PulseTiming, head: LaserHead, exposures: PairExposures) 
 
 
 def _require_limits(timing: PulseTiming, head: LaserHead, exposures: PairExposures) -> None:
-    if timing.rate_hz > head.max_rate_hz:
-        raise PulsesRefused(f"{timing.rate_hz:g} pairs/s are more than the laser's {head.max_rate_hz:g}")
+    head.require_rate(timing.rate_hz)
     if timing.rate_hz > exposures.max_rate_hz:
         raise PulsesRefused(f"{timing.rate_hz:g} pairs/s are more than the camera's {exposures.max_rate_hz:g}")
-    if head.lamp_rate_hz is not None and not math.isclose(timing.rate_hz, head.lamp_rate_hz, rel_tol=1e-6):
-        raise PulsesRefused(f"the lamps run at {head.lamp_rate_hz:g} Hz and at no other rate ({timing.rate_hz:g})")
     if not head.min_dt_us <= timing.dt_us <= head.max_dt_us:
         raise PulsesRefused(
             f"dt of {timing.dt_us:g} us is not within the laser's {head.min_dt_us:g} to {head.max_dt_us:g} us"

@@ -4,10 +4,12 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from daq.timing.alignment import AlignRules
 from daq.timing.conditions import CLEAR_MM
 from daq.timing.drivers import DRIVERS
-from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
-from daq.timing.rules import AlignRules, Rules
+from daq.timing.laser_head import TRIGGER_US, LaserHead
+from daq.timing.pulses import LAMPS, Q_SWITCHES, PairExposures, Role
+from daq.timing.rules import Rules
 from ground.config import Pair, Table
 
 Positive = Annotated[float, Field(gt=0.0)]

@@ -15,12 +15,14 @@ from contextlib import suppress
 from typing import ClassVar
 
 from daq.errors import DaqError
+from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Conditions
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
 from daq.timing.laser import Laser
-from daq.timing.pulses import Q_SWITCHES, LaserHead, PairExposures, PulseTiming, Role
-from daq.timing.rules import AlignRules, Rules
+from daq.timing.laser_head import LaserHead
+from daq.timing.pulses import Q_SWITCHES, PairExposures, PulseTiming, Role
+from daq.timing.rules import Rules
 from daq.timing.states import EMITS, LaserState
 from sim.clock import VirtualClock
 from sim.emulators.faults import KINDS, Fault
@@ -87,7 +89,7 @@ class Story:
         if pulse.output not in self.q_switches:
             return
         self.pulses += 1
-        state = self.laser._state  # without its clock
+        state = self.laser._standing._state  # without its clock
         self.left[pulse.output] -= 1
         if self.left[pulse.output] < 0 and self.kind != "oltSync":  # which does not count
             self.found.append(f"one pulse too many on {pulse.output} at {pulse.rises_s:.4f} s")

@@ -6,7 +6,8 @@ from typing import ClassVar
 from daq.acquisition.bench.bench_table import Bench, BenchTable
 from daq.acquisition.bench.opened import OpenBench
 from daq.acquisition.runner.light import Light
-from daq.timing.rules import AlignRules, Rules
+from daq.timing.alignment import AlignRules
+from daq.timing.rules import Rules
 from daq.timing.states import LaserState
 from daq.timing.vigil import Vigil
 from ground.config import Document
@@ -68,7 +69,7 @@ class LightStory(laser_fuzz.Story):
         if pulse.output not in self.q_switches:
             return
         self.lit_s.append(pulse.rises_s)
-        if self.laser._state is LaserState.ALIGNING:  # to see the sheet on what stands in it
+        if self.laser._standing._state is LaserState.ALIGNING:  # to see the sheet on what stands in it
             return
         true_mm = self.bench.world.true_mm
         ball_mm = abs(BALL_MM + true_mm("glass_z")) - BALL_RADIUS_MM

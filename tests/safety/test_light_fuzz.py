@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.timing.laser import Laser
+from daq.timing.standing import Standing
 from tests.safety.light_fuzz import Playground, play
 
 
@@ -23,13 +23,13 @@ def test_nothing_moves_while_light_leaves_in_20_000_sequences():
 
 
 def test_the_judge_sees_a_laser_that_lets_things_move(monkeypatch):
-    monkeypatch.setattr(Laser, "objection", lambda self: None)
+    monkeypatch.setattr(Standing, "objection", lambda self: None)
     _, found = play(range(50), "moves f")
     assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
 
 
 def test_the_judge_sees_a_laser_that_does_not_look_what_moves(monkeypatch):
-    monkeypatch.setattr(Laser, "_what_moves", lambda self: None)
+    monkeypatch.setattr(Standing, "what_moves", lambda self: None)
     _, found = play(range(50), "looks a")
     assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
 

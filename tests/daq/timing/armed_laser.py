@@ -1,9 +1,11 @@
 """A laser on a fake box, armed, and how things stand when all is well."""
 
+from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Conditions
 from daq.timing.laser import Laser
-from daq.timing.pulses import LaserHead, PairExposures, PulseTiming
-from daq.timing.rules import AlignRules, Rules
+from daq.timing.laser_head import LaserHead
+from daq.timing.pulses import PairExposures, PulseTiming
+from daq.timing.rules import Rules
 from sim.clock import VirtualClock
 from tests.daq.timing.fake_box import FakeBox
 

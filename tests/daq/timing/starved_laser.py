@@ -11,7 +11,7 @@ import threading
 import time
 
 from daq.errors import DaqError
-from daq.timing.pulses import LaserHead
+from daq.timing.laser_head import LaserHead
 from daq.timing.rules import Rules
 from daq.timing.vigil import Vigil
 from stages.clock import SYSTEM_CLOCK

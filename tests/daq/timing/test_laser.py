@@ -8,7 +8,8 @@ import pytest
 from daq.timing.conditions import Conditions
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
 from daq.timing.laser import Laser
-from daq.timing.pulses import LaserHead, PulseTiming
+from daq.timing.laser_head import LaserHead
+from daq.timing.pulses import PulseTiming
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
 from sim.clock import VirtualClock

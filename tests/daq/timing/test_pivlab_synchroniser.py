@@ -6,12 +6,14 @@ from dataclasses import replace
 import pytest
 
 from daq.errors import DaqError
+from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Conditions
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.errors import LaserDoubt, NotArmed, PulsesRefused, WrongBox
 from daq.timing.laser import Laser
-from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
-from daq.timing.rules import AlignRules, Rules
+from daq.timing.laser_head import LaserHead
+from daq.timing.pulses import PairExposures, PulseTiming, Role
+from daq.timing.rules import Rules
 from daq.timing.states import LaserState
 from sim.clock import VirtualClock
 from sim.emulators.faults import KINDS, Fault, FaultSchedule

@@ -10,7 +10,8 @@ from daq.timing.conditions import Conditions
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
 from daq.timing.errors import LaserDoubt, LaserStopped, PulsesRefused, TimingUsageError, WrongBox
 from daq.timing.laser import Laser
-from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
+from daq.timing.laser_head import LaserHead
+from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
 from sim.clock import VirtualClock
