@@ -143,17 +143,6 @@ class Controller(Link):
                 if self.clock.now_s() >= end_s:
                     raise
 
-    def close(self) -> None:
-        """Close the port; safe at any time."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-
-    @property
-    def lost(self) -> bool:
-        """True if the controller cannot be reached until `connect` is called again."""
-        return self._port is None or self._port.lost
-
     def referenced(self, channel: str) -> bool:
         """True if the position of a channel meant something when the controller was last asked; asks nothing."""
         return not self.lost and channel in self._referenced

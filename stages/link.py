@@ -41,7 +41,7 @@ class Stream(Protocol):
 
 
 class Link(ABC):
-    """A port and the questions that go through it; base of `stages.controller.Controller`.
+    """A port and the questions that go through it; base of stages' controllers and of timing units.
 
     Parameters
     ----------
@@ -73,6 +73,17 @@ class Link(ABC):
         if self._port is None:
             raise DeviceLost(f"{self.name} is not connected; open it and home its axes")
         return self._port
+
+    def close(self) -> None:
+        """Close the port; safe at any time."""
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    @property
+    def lost(self) -> bool:
+        """True if the box cannot be reached until `connect` is called again."""
+        return self._port is None or self._port.lost
 
     @abstractmethod
     def _identify(self) -> str:

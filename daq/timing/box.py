@@ -94,17 +94,6 @@ class TimingBox(Link):
         """Open the same port again after it was lost."""
         self.connect(self._url, self._baud)
 
-    def close(self) -> None:
-        """Close the port; safe at any time."""
-        if self._port is not None:
-            self._port.close()
-            self._port = None
-
-    @property
-    def lost(self) -> bool:
-        """True if it cannot be reached until `connect` is called again."""
-        return self._port is None or self._port.lost
-
     # ---- off -----------------------------------------------------------------------------------
 
     def drop(self) -> None:
