@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from stages.errors import ProtocolViolation
@@ -23,6 +24,17 @@ class Example(NamedTuple):
     raw: bytes
     message: Message
     source: str
+
+
+@dataclass(frozen=True, slots=True)
+class TextLine:
+    """A message that is its own text, on a line that ends with CR LF; base of those that have a name."""
+
+    text: str
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return f"{self.text}\r\n".encode("ascii")
 
 
 class Lines:

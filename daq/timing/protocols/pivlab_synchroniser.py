@@ -24,7 +24,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, text_of
+from stages.protocols.framing import Example, LineStream, TextLine, text_of
 
 PIVLAB = "PIVlab, acquisition, control of the synchroniser"
 FOUND = "a user's script for an xmSync"
@@ -42,14 +42,8 @@ _SETTINGS = re.compile(
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class Question(TextLine):
     """One of QUESTIONS; every box in reach answers, the last one is not answered."""
-
-    text: str
-
-    def to_bytes(self) -> bytes:
-        """Bytes as they go over the wire."""
-        return f"{self.text}\r\n".encode("ascii")
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -213,14 +207,8 @@ class Report:
 
 
 @dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(TextLine):
     """What a box says of itself, or of its firmware."""
-
-    text: str
-
-    def to_bytes(self) -> bytes:
-        """Bytes as they go over the wire."""
-        return f"{self.text}\r\n".encode("ascii")
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:

@@ -20,7 +20,7 @@ import re
 from dataclasses import dataclass
 
 from stages.errors import ProtocolViolation
-from stages.protocols.framing import Example, LineStream, text_of
+from stages.protocols.framing import Example, LineStream, TextLine, text_of
 
 MANUAL = "9500 Plus Series, Operating Manual, remote programming"
 MANUAL_575 = "575 Series, Operating Manual, remote programming"
@@ -105,14 +105,8 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
-class Value:
+class Value(TextLine):
     """What was asked for."""
-
-    text: str
-
-    def to_bytes(self) -> bytes:
-        """Bytes as they go over the wire."""
-        return f"{self.text}\r\n".encode("ascii")
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
@@ -127,14 +121,8 @@ class Value:
 
 
 @dataclass(frozen=True, slots=True)
-class Echo:
+class Echo(TextLine):
     """The host's own line, given back before the answer."""
-
-    text: str
-
-    def to_bytes(self) -> bytes:
-        """Bytes as they go over the wire."""
-        return f"{self.text}\r\n".encode("ascii")
 
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
