@@ -5,7 +5,6 @@ still lives; nothing is counted. A line for another box is not answered. A seque
 moments must rise, come in pairs, and end within the cycle. The pins are the outputs 1, 2, 3, 4.
 """
 
-import heapq
 import itertools
 from collections.abc import Mapping
 from typing import Any
@@ -21,15 +20,16 @@ from daq.timing.protocols.pivlab_synchroniser import (
     Switch,
     Verdict,
 )
-from sim.emulators.device import Clock, Emulator, serial_number
-from sim.emulators.outputs import Outputs, Pulse
+from sim.emulators.device import Clock, serial_number
+from sim.emulators.outputs import Pulse
+from sim.emulators.pulsing import PulsingEmulator
 from sim.motion import Motor
 from stages.errors import ProtocolViolation
 
 FIRMWARE = "1.4"
 
 
-class OltSyncEmulator(Emulator):
+class OltSyncEmulator(PulsingEmulator):
     """An oltSync.
 
     Parameters
@@ -44,13 +44,10 @@ class OltSyncEmulator(Emulator):
 
     def __init__(self, motors: Mapping[str, Motor], clock: Clock, name: str = "oltSync:0012") -> None:
         super().__init__(motors, clock)
-        self.outputs = Outputs()
         self.name = name
         self._stream = CommandStream()
         self._pins: tuple[tuple[int, ...], ...] = ()
         self._cycle_s = 0.0
-        self._next_cycle_s: float | None = None
-        self._coming: list[tuple[float, Pulse]] = []
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
@@ -60,53 +57,28 @@ class OltSyncEmulator(Emulator):
     @property
     def is_running(self) -> bool:
         """Whether it gives pulses."""
-        return self._next_cycle_s is not None
-
-    @property
-    def next_s(self) -> float | None:
-        """When the next pulse is due."""
-        moments = [self._coming[0][0]] if self._coming else []
-        if self._next_cycle_s is not None:
-            moments.append(self._next_cycle_s)
-        return min([*moments, *self._due_s[:1]], default=None)
-
-    def advance(self) -> None:
-        """Give every pulse that is due by now."""
-        now_s = self._clock.now_s()
-        while self._is_on and (due_s := self.next_s) is not None and due_s <= now_s:
-            self.event_s = due_s
-            if self._coming and self._coming[0][0] <= due_s:
-                self.outputs.emit(heapq.heappop(self._coming)[1])
-            elif self._next_cycle_s is not None and self._next_cycle_s <= due_s:
-                self._begin_cycle(due_s)
-            else:
-                break  # power comes back; the base knows
-        super().advance()
+        return self._period_begins_s is not None
 
     def person_stops(self) -> None:
         """The key of the laser is turned."""
         self.advance()
-        self._stop()
+        self._end_periods()
 
     def switch_off(self) -> None:
         """Power fails: no pulse."""
         super().switch_off()
-        self._stop()
+        self._end_periods()
 
     def _power_up(self) -> None:
         self._stream = CommandStream()
         self._pins = ()
 
-    def _begin_cycle(self, time_s: float) -> None:
+    def _begin_period(self, time_s: float) -> None:
         for number, moments in enumerate(self._pins, start=1):
             for on_us, off_us in _twos(moments):
                 pulse = Pulse(str(number), time_s + on_us * 1e-6, time_s + off_us * 1e-6)
-                heapq.heappush(self._coming, (pulse.rises_s, pulse))
-        self._next_cycle_s = time_s + self._cycle_s
-
-    def _stop(self) -> None:
-        self._next_cycle_s = None
-        self._coming.clear()
+                self._send(pulse.rises_s, number, pulse)
+        self._period_begins_s = time_s + self._cycle_s
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
@@ -127,13 +99,13 @@ class OltSyncEmulator(Emulator):
         if isinstance(command, Sequence):
             good = _fits(command) and command.mode == 0
             if good:
-                self._stop()
+                self._end_periods()
                 self._pins, self._cycle_s = command.pins, command.cycle_us * 1e-6
             self.say(Verdict(good).to_bytes())
         elif isinstance(command, Switch):
-            self._stop()
+            self._end_periods()
             if command.starts and self._pins:
-                self._next_cycle_s = self.event_s
+                self._period_begins_s = self.event_s
             self.say(LaserIs(self.is_running).to_bytes())
 
 
@@ -155,7 +127,7 @@ class XmSyncEmulator(OltSyncEmulator):
     def _obey(self, command: Sequence | Switch | Settings) -> None:
         if not isinstance(command, Settings):
             return
-        self._stop()
+        self._end_periods()
         if command.laser and command.frequency_hz > 0:
             frame_us = 1_000_000 // command.frequency_hz
             half_us, lit_us = command.interframe_us // 2, command.interframe_us * command.energy_percent // 100
@@ -166,7 +138,7 @@ class XmSyncEmulator(OltSyncEmulator):
                 (first_us, first_us + lit_us, second_us, second_us + lit_us),
             )
             self._cycle_s = 2e-6 * frame_us
-            self._next_cycle_s = self.event_s
+            self._period_begins_s = self.event_s
         numbers = (
             command.frequency_hz, command.camera_divider, command.energy_us, command.energy_percent,
             command.first_exposure_us, command.interframe_us, command.external_delay_us,

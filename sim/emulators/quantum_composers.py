@@ -12,13 +12,13 @@ mode other than DIS, T0 only waits for an edge that never comes. With autorun, p
 back as they were; else everything is off. The pulses go out at `outputs`.
 """
 
-import heapq
 from collections.abc import Mapping
 from typing import Any
 
 from daq.timing.protocols.quantum_composers import Command, CommandStream, shortened
-from sim.emulators.device import Clock, Emulator, serial_number
-from sim.emulators.outputs import Outputs, Pulse
+from sim.emulators.device import Clock, serial_number
+from sim.emulators.outputs import Pulse
+from sim.emulators.pulsing import PulsingEmulator
 from sim.motion import Motor
 from stages.errors import ProtocolViolation
 
@@ -79,7 +79,7 @@ class _Channel:
         return True
 
 
-class QuantumComposersEmulator(Emulator):
+class QuantumComposersEmulator(PulsingEmulator):
     """A box with a number of outputs.
 
     Parameters
@@ -117,7 +117,6 @@ class QuantumComposersEmulator(Emulator):
         locked: bool = True,
     ) -> None:
         super().__init__(motors, clock)
-        self.outputs = Outputs()
         self.refuse = 0  # commands to come that are answered by ?8
         self._name = f"{model},{serial:05d},1.2.2-1.2.0"
         self._step_s, self._echo, self._autorun, self.locked = step_s, echo, autorun, locked
@@ -125,25 +124,14 @@ class QuantumComposersEmulator(Emulator):
         self._t0 = _Channel(T0_WORDS)
         self._channels = [_Channel({**OUTPUT_WORDS, "MUX": str(1 << number)}) for number in range(outputs)]
         self._last = 1  # number of the pulse that was spoken of last
-        self._next_tick_s: float | None = None
-        self._coming: list[tuple[float, int, Pulse]] = []
         if autorun:
             self._t0.start()
-            self._next_tick_s = self.event_s
+            self._period_begins_s = self.event_s
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
         """What tells this box from another of its kind."""
         return {"serial": serial_number(name)}
-
-    @property
-    def next_s(self) -> float | None:
-        """When the next tick or pulse is due."""
-        moments = [self._coming[0][0]] if self._coming else []
-        moments += self._due_s[:1]
-        if self._next_tick_s is not None:
-            moments.append(self._next_tick_s)
-        return min(moments, default=None)
 
     def is_on_at(self, number: int) -> bool:
         """Whether T0 (0) or an output is on, for tests that look inside."""
@@ -165,32 +153,19 @@ class QuantumComposersEmulator(Emulator):
         self.advance()
         self._switch(0, False)
 
-    def advance(self) -> None:
-        """Give every pulse that is due by now, tick by tick."""
-        now_s = self._clock.now_s()
-        while self._is_on and (due_s := self.next_s) is not None and due_s <= now_s:
-            self.event_s = due_s
-            if self._coming and self._coming[0][0] <= due_s:
-                self.outputs.emit(heapq.heappop(self._coming)[2])
-            elif self._next_tick_s is not None and self._next_tick_s <= due_s:
-                self._tick_t0(due_s)
-            else:
-                break  # power comes back; the base knows
-        super().advance()
-
-    def _tick_t0(self, time_s: float) -> None:
+    def _begin_period(self, time_s: float) -> None:
         if not self._t0.tick("MOD"):
             active = [False] * len(self._channels)
         else:
             active = [channel.tick("CMOD") for channel in self._channels]
-        self._next_tick_s = time_s + float(self._t0.words["PER"]) if self._t0.on else None
+        self._period_begins_s = time_s + float(self._t0.words["PER"]) if self._t0.on else None
         for number, channel in enumerate(self._channels):
             for source, is_active in enumerate(active):
                 if is_active and int(channel.words["MUX"]) >> source & 1:
                     words = self._channels[source].words
                     rises_s = time_s + float(words["DEL"])
                     pulse = Pulse(LETTERS[number], rises_s, rises_s + float(words["WIDT"]))
-                    heapq.heappush(self._coming, (max(rises_s, time_s), number, pulse))
+                    self._send(max(rises_s, time_s), number, pulse)
 
     def _switch(self, number: int, on: bool) -> None:
         channel = self._all[number]
@@ -198,33 +173,29 @@ class QuantumComposersEmulator(Emulator):
             channel.start()
             if number == 0:
                 waits_for_edge = self._t0.words["TRIG:MOD"] != "DIS"
-                self._next_tick_s = None if waits_for_edge else self.event_s
+                self._period_begins_s = None if waits_for_edge else self.event_s
             return
         channel.on = False
         if number == 0:
-            self._next_tick_s = None
-            self._coming.clear()
+            self._end_periods()
         else:
-            self._coming = [each for each in self._coming if each[1] != number - 1]
-            heapq.heapify(self._coming)
+            self._withdraw(number - 1)
 
     def switch_off(self) -> None:
         """Power fails: no tick, no pulse."""
         super().switch_off()
-        self._next_tick_s = None
-        self._coming.clear()
+        self._end_periods()
 
     def _power_up(self) -> None:
         self._stream = CommandStream()
         self._last = 1
-        self._coming.clear()
-        self._next_tick_s = None
+        self._end_periods()
         for channel in self._all:
             channel.on = channel.on and self._autorun
             if channel.on:
                 channel.start()
         if self._t0.on:
-            self._next_tick_s = self.event_s
+            self._period_begins_s = self.event_s
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
