@@ -1,21 +1,22 @@
 """`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Unpack
 
 from correction.errors import PairError
 from correction.fit.sigma_limit import SigmaLimit
-from correction.prepared import PreparedCorrections
+from correction.prepared import PreparedCorrection, PreparedCorrections
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_views import is_run
-from daq.analysis.evaluation import Evaluation, Route, evaluate_task
+from daq.analysis.evaluation import Evaluation, Route, Task, evaluate_task
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.report.pair_folder import write_pair
 from daq.analysis.report.series import write_series_page
 from daq.analysis.series.run_series import SeriesBooks, run_series
-from daq.analysis.series.series_input import series_input
+from daq.analysis.series.series_input import SeriesInput, series_input
 from daq.analysis.series.series_pairs import is_series
-from daq.analysis.tasks import tasks_of
+from daq.analysis.tasks import Tasks, tasks_of
 from daq.terminal import console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
@@ -44,81 +45,14 @@ def evaluate(
     """Correct pairs of frames and measure their displacements: a page for each, or the series of a flow run.
 
     A flow run, or a stream of more than ten pairs, becomes a series (`daq.analysis.series`): files of chunks in
-    m/s and one page.  The same call goes on where an earlier one stopped.
-
-    Parameters
-    ----------
-    paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm
-        See `evaluate_pairs`.
-    shift_mm, stage_sigma_um, route, vtk, figures
-        See `evaluate_pairs`; what only concerns single pairs is refused for a series.
-    dt_us : float, optional
-        Time between the frames of a pair, for a run that does not know it; of a series only.
-    workers : int, optional
-        Processes that evaluate a series; default one a core.
-    tracking, sigma_limit_px
-        See `evaluate_pairs`.
-    **options
-        How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
-
-    Returns
-    -------
-    list of Evaluation, or SeriesBooks
-        One a pair; or what became of the pairs of a series.
-
-    Raises
-    ------
-    ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
-        As `evaluate_pairs`; SeriesError and DiskError as `daq.analysis.series.run_series`.
-    """
-    paths, out = paths_of(paths), require_folder(out)
-    scene, target_clear = path_of(scene), path_of(target_clear)
-    run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
-    if run is None or not is_series(run, pairs_of(run)):
-        if dt_us is not None or workers is not None:
-            raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
-        return evaluate_pairs(
-            paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, stage_sigma_um, route,
-            vtk, figures, tracking, sigma_limit_px, **options,
-        )  # fmt: skip
-    if shift_mm is not None or route != "image" or vtk or tracking or sigma_limit_px is not None:
-        raise PairError(
-            "--shift-mm, --route, --tracking, --sigma-limit and --vtk are for single pairs, and this run is a"
-            " series; leave them out"
-        )
-    choice = piv_choice(**options)
-    given = series_input(run, out, choice, scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us)
-    books = run_series(run.resolve().name, out, given.given, given.method, workers)
-    write_series_page(out / "report.html", given, books, figures)
-    screen = console()
-    show_series(screen, books)
-    screen.print(f"look at {out / 'report.html'}; average with: rtpiv mean {out}")
-    return books
-
-
-def evaluate_pairs(
-    paths: Sequence[Named] | Named,
-    out: Named = "evaluation",
-    scene: Named | None = None,
-    target_clear: Named | None = None,
-    dewarp_order: int = 2,
-    square_mm: float | None = None,
-    disc_mm: float | None = None,
-    shift_mm: tuple[float, float] | None = None,
-    stage_sigma_um: float = 10.0,
-    route: Route = "image",
-    vtk: bool = False,
-    figures: bool = False,
-    tracking: bool = False,
-    sigma_limit_px: float | None = None,
-    **options: Unpack[PivOptions],
-) -> list[Evaluation]:
-    """Correct pairs of frames, measure their displacements, and write a page for each.
+    m/s and one page.  The same call goes on where an earlier one stopped.  What only concerns single pairs
+    (shift_mm, route, vtk, tracking, sigma_limit_px) is refused for a series, dt_us and workers for single pairs.
 
     Parameters
     ----------
     paths : list of path, or path
-        Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, or a stream.
+        Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, a stream, or
+        a flow run.
     out : path
         Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
         ``vectors.vtk``, ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.
@@ -139,6 +73,10 @@ def evaluate_pairs(
         Also write VTK text.
     figures : bool
         Write every figure as SVG and as PNG, not only as it stands in the page.
+    dt_us : float, optional
+        Time between the frames of a pair, for a run that does not know it.
+    workers : int, optional
+        Processes that evaluate a series; default one a core.
     tracking : bool
         Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
     sigma_limit_px : float, optional
@@ -148,49 +86,87 @@ def evaluate_pairs(
 
     Returns
     -------
-    list of Evaluation
-        One a pair.
+    list of Evaluation, or SeriesBooks
+        One a pair; or what became of the pairs of a series.
 
     Raises
     ------
     ConfigError, FrameError, PairError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
         What the file, the frames, the target or the run make impossible, in one sentence. Of several pairs one
         that cannot be evaluated is named and left out.
+    SeriesError, DiskError
+        As `daq.analysis.series.run_series`.
     """
     paths, out = paths_of(paths), require_folder(out)
     scene, target_clear = path_of(scene), path_of(target_clear)
+    choice = piv_choice(**options)
+    run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
+    if run is not None and is_series(run, pairs_of(run)):
+        if shift_mm is not None or route != "image" or vtk or tracking or sigma_limit_px is not None:
+            raise PairError(
+                "--shift-mm, --route, --tracking, --sigma-limit and --vtk are for single pairs, and this run is a"
+                " series; leave them out"
+            )
+        series = series_input(run, out, choice, scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us)
+        return _series(run.resolve().name, out, series, workers, figures)
+    if dt_us is not None or workers is not None:
+        raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
     if target_clear is not None and (route != "image" or tracking):
         raise PairError(
             f"{'the velocity route' if route != 'image' else 'tracking'} traces raw pixels; give the camera's lens"
             " terms in the scene, no dewarp"
         )
-    choice = piv_choice(**options)
-    screen = console()
     given = tasks_of(paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm)
+
+    def measured(task: Task, prepared: PreparedCorrection) -> Evaluation:
+        evaluation = evaluate_task(
+            task, prepared, given.sigma, stage_sigma_um, route, choice.settings, choice.preparation, tracking
+        )
+        write_pair(evaluation, vtk, figures)
+        return evaluation
+
+    return _each(given, _limit(given, sigma_limit_px), measured)
+
+
+def _series(name: str, out: Path, given: SeriesInput, workers: int | None, figures: bool) -> SeriesBooks:
+    """Evaluate a series and write its page."""
+    books = run_series(name, out, given.given, given.method, workers)
+    write_series_page(out / "report.html", given, books, figures)
+    screen = console()
+    show_series(screen, books)
+    screen.print(f"look at {out / 'report.html'}; average with: rtpiv mean {out}")
+    return books
+
+
+def _limit(given: Tasks, limit_px: float | None) -> SigmaLimit | None:
+    """What the map must be sure of; PairError where nobody knows how sure it is."""
+    if limit_px is None:
+        return None
+    if isinstance(given.sigma, str):
+        raise PairError(f"--sigma-limit needs the uncertainty of the scene: {given.sigma}")
+    return SigmaLimit(given.sigma, limit_px)
+
+
+def _each(
+    given: Tasks, limit: SigmaLimit | None, measured: Callable[[Task, PreparedCorrection], Evaluation]
+) -> list[Evaluation]:
+    """Evaluate one pair after the other; one of several that cannot be is named and left out."""
+    screen = console()
     if given.alone:
         screen.print(f"{given.alone} frames lost their partner and are in no pair")
     if isinstance(given.sigma, str):
         screen.print(f"no uncertainty of the map: {given.sigma}")
-    limit = None
-    if sigma_limit_px is not None:
-        if isinstance(given.sigma, str):
-            raise PairError(f"--sigma-limit needs the uncertainty of the scene: {given.sigma}")
-        limit = SigmaLimit(given.sigma, sigma_limit_px)
     corrections, found, failed = PreparedCorrections(), [], None
     for task in given.tasks:
         prepared = corrections.of(task.scene, given.dewarp, limit=limit if task.scene.bodies else None)
         try:
-            evaluation = evaluate_task(
-                task, prepared, given.sigma, stage_sigma_um, route, choice.settings, choice.preparation,
-                tracking,
-            )  # fmt: skip
+            evaluation = measured(task, prepared)
         except PairError as error:
             if len(given.tasks) == 1:
                 raise
             failed = error
             screen.print(f"{task.name} is left out: {error}", style="bold red")
             continue
-        write_pair(evaluation, vtk, figures)
         show_evaluation(screen, evaluation)
         found.append(evaluation)
     if failed is not None and not found:

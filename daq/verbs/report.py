@@ -24,7 +24,7 @@ from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter,
 from daq.analysis.series.series_pairs import is_series
 from daq.errors import RunUnsuitable
 from daq.terminal import console
-from daq.verbs.evaluate import evaluate_pairs
+from daq.verbs.evaluate import evaluate
 from daq.verbs.mean import mean
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of
@@ -87,9 +87,10 @@ def report(
     page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
     if (run / MOVED).is_file():
         chosen = route if target_clear is None else "image"
-        found = evaluate_pairs(
+        found = evaluate(
             [run], out, scene, target_clear, dewarp_order, stage_sigma_um=stage_sigma_um, route=chosen, **options
         )
+        assert isinstance(found, list)  # a flow has left above
         shown = _most_telling(found)
         page.tiles(pair_tiles(shown))
         pairs_chapter(page, found)
