@@ -13,17 +13,13 @@
 import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING
 
 from daq.acquisition.cameras.frame import Frame, FrameMeta
+from daq.acquisition.runner.armed_camera import ArmedCamera
 from daq.acquisition.runner.clock_trial import PAUSES_S, explain
 from daq.acquisition.runner.shot import Shot
 from daq.acquisition.runner.trigger_match import Place
 from daq.errors import BadFrame, CameraError, CameraTimeout, FrameIncomplete, FramesLost, OtherFormat
-
-if TYPE_CHECKING:
-    from daq.acquisition.runner.exposures import Exposures
-
 
 TRIALS = 2
 
@@ -32,7 +28,7 @@ class StampsUnclear(CameraError):  # noqa: N818 - stays within this file
     """The time stamp of a frame fits no trigger."""
 
 
-def single_frames(taken_by: "Exposures", places: range) -> Generator[tuple[int, Frame], None, None]:
+def single_frames(taken_by: ArmedCamera, places: range) -> Generator[tuple[int, Frame], None, None]:
     """Yield (place, frame), a software trigger each.
 
     Raises
@@ -46,7 +42,7 @@ def single_frames(taken_by: "Exposures", places: range) -> Generator[tuple[int, 
         yield place, _one(taken_by)
 
 
-def _one(taken_by: "Exposures") -> Frame:
+def _one(taken_by: ArmedCamera) -> Frame:
     """Trigger until a whole frame comes that was exposed for it."""
     why: CameraError | None = None
     match, counts, tries = taken_by.match, taken_by.counts, taken_by.section.retakes + 1
@@ -88,7 +84,7 @@ def _one(taken_by: "Exposures") -> Frame:
 
 
 @contextmanager
-def _waiting(taken_by: "Exposures") -> Iterator[Shot]:
+def _waiting(taken_by: ArmedCamera) -> Iterator[Shot]:
     """Trigger; whatever ends the wait for its frame but a frame, or the remains of one, ends it in vain."""
     match, counts = taken_by.match, taken_by.counts
     counts.triggers += 1
@@ -110,7 +106,7 @@ def _waiting(taken_by: "Exposures") -> Iterator[Shot]:
         raise
 
 
-def _await(taken_by: "Exposures") -> Frame:
+def _await(taken_by: ArmedCamera) -> Frame:
     """Wait for the frame of this trigger, past those of others."""
     match, deadline_s = taken_by.match, time.monotonic() + taken_by.section.timeout_s
     while True:
@@ -132,7 +128,7 @@ def _await(taken_by: "Exposures") -> Frame:
         raise StampsUnclear("the time stamp of its frame fits no trigger")
 
 
-def _settle(taken_by: "Exposures") -> bool:
+def _settle(taken_by: ArmedCamera) -> bool:
     """Learn from a trial what the stamps mean, once more if it was disturbed; False if no frame came at all."""
     each_had_one = True
     for _ in range(TRIALS):
@@ -152,7 +148,7 @@ def _settle(taken_by: "Exposures") -> bool:
     return True
 
 
-def _try(taken_by: "Exposures") -> tuple[list[Shot], list[FrameMeta]]:
+def _try(taken_by: ArmedCamera) -> tuple[list[Shot], list[FrameMeta]]:
     """Trigger a few times with unequal pauses; keep no frame."""
     shots: list[Shot] = []
     metas: list[FrameMeta] = []

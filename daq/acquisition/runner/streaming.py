@@ -7,23 +7,20 @@ places may stay empty; one more ends it, with the reason that the camera's count
 
 import time
 from collections.abc import Generator
-from typing import TYPE_CHECKING
 
 from daq.acquisition.cameras.frame import Frame
+from daq.acquisition.runner.armed_camera import ArmedCamera
 from daq.acquisition.runner.shot import Shot
 from daq.acquisition.runs.conservation import Ledger
 from daq.errors import BadFrame, CameraTimeout, FramesLost, OtherFormat
 
-if TYPE_CHECKING:
-    from daq.acquisition.runner.exposures import Exposures
 
-
-def stream(taken_by: "Exposures", places: range, may_lose: int) -> Generator[tuple[int, Frame], None, None]:
+def stream(taken_by: ArmedCamera, places: range, may_lose: int) -> Generator[tuple[int, Frame], None, None]:
     """Arm, yield (place, frame) in rising order, disarm.
 
     Parameters
     ----------
-    taken_by : Exposures
+    taken_by : ArmedCamera
         The camera; not armed.
     places : range
         Places to be filled.
@@ -80,14 +77,14 @@ def stream(taken_by: "Exposures", places: range, may_lose: int) -> Generator[tup
         ) from dried_up
 
 
-def _arm(taken_by: "Exposures") -> Shot:
+def _arm(taken_by: ArmedCamera) -> Shot:
     """Start the acquisition; return the moment right before."""
     before_ns, clock_ns = time.monotonic_ns(), taken_by.clock_ns()
     taken_by.make_ready()
     return Shot(clock_ns, before_ns, time.monotonic_ns())
 
 
-def _deadline_s(taken_by: "Exposures") -> float:
+def _deadline_s(taken_by: ArmedCamera) -> float:
     return time.monotonic() + taken_by.section.timeout_s
 
 

@@ -8,7 +8,7 @@ import pytest
 import tifffile
 
 from daq.acquisition.cameras.files import FilesCamera
-from daq.acquisition.runner import exposures
+from daq.acquisition.runner import armed_camera, exposures
 from daq.acquisition.runner.runner import Runner
 from daq.acquisition.runner.session import Request, begin, reopen
 from daq.acquisition.runs.gaps import gap_sentence
@@ -258,7 +258,7 @@ def test_a_stop_ends_a_stream_while_it_waits_for_a_frame(run, tmp_path):
         with pytest.raises(MotionStopped):
             Runner(hardware, folder, plan.steps).run()
         assert len([wait_s for wait_s in polled if wait_s]) == 3
-        assert max(polled) <= exposures.SLICE_S
+        assert max(polled) <= armed_camera.SLICE_S
         hardware.stage.clear_stop()
     assert sorted(shown(folder)) == list(range(5))
 
