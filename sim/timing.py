@@ -12,21 +12,16 @@ what it hears into a queue and returns, or the box hears its own next command la
 
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 
 from daq.timing.pulses import Role
 from daq.timing.timing_table import TimingTable
-from sim.clock import VirtualClock
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
 from sim.emulators.outputs import Outputs, Pulse
 from sim.emulators.pivlab_synchroniser import OltSyncEmulator
-from sim.emulators.protocol_sim import LINES
-from sim.emulators.pty import PtyPort
 from sim.emulators.quantum_composers import QuantumComposersEmulator
 from sim.emulators.timing_units import emulator_of
-from sim.world import World
 
 TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
 
@@ -96,22 +91,3 @@ class SimulatedTiming:
             for hear in self._hears_time:
                 hear(now_s)
             time.sleep(TICK_S)
-
-
-@contextmanager
-def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterator[TimingTable]:
-    """Put a timing unit up; yield the section with its simulated port."""
-    unit = SimulatedTiming(section, clock)
-    with ExitStack() as stack:
-        if isinstance(clock, VirtualClock):
-            address = f"timing-{id(unit):x}"
-            LINES[address] = unit.line
-            stack.callback(LINES.pop, address)
-            port = f"sim://{address}"
-        else:
-            port = stack.enter_context(PtyPort(unit.line)).path
-        world.timing.append(unit)
-        stack.callback(world.timing.remove, unit)
-        unit.start()
-        stack.callback(unit.close)
-        yield section.model_copy(update={"port": port, "identity": None})

@@ -10,7 +10,6 @@ import secrets
 import threading
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +24,10 @@ from sim.prints.patterns import Chessboard, ParticleSheet, Pose, placed, printed
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
+from sim.timing import SimulatedTiming
+from sim.true_scene import true_scene
 from tracer.bodies import shifted_by
 from tracer.scene import Scene
-
-if TYPE_CHECKING:
-    from sim.timing import SimulatedTiming
-from sim.true_scene import true_scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4
