@@ -336,9 +336,9 @@ class FlowStep:
             if "pair" not in entry or entry["pair"]["exposure"] == "B" or entry["exposure_us"] is None:
                 continue
             if not math.isclose(entry["exposure_us"], now_us, rel_tol=1e-6):
-                what = "background" if entry["pair"].get("background") else "pairs"
+                what = "background was" if entry["pair"].get("background") else "pairs were"
                 raise ResumeRefused(
-                    f"{self._folder.path}: the {what} of this run were exposed for {entry['exposure_us']:g} us "
+                    f"{self._folder.path}: its {what} exposed for {entry['exposure_us']:g} us "
                     f"(frame {number}) and the camera is at {now_us:g} us now; set it back, or begin a new run"
                 )
 
