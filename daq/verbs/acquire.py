@@ -19,6 +19,7 @@ from daq.acquisition.plans.plan import Plan, load_plan, read_plan
 from daq.acquisition.plans.way_out import forecast_from_home
 from daq.acquisition.runner.session import Request, begin, carry_out, check_disk
 from daq.acquisition.runner.watch import watch
+from daq.acquisition.runs.chunk_books import chunk_sentences
 from daq.acquisition.runs.displacement import FILE as MOVED
 from daq.acquisition.runs.displacement import Moved, read_displacements
 from daq.acquisition.runs.gaps import gap_sentence
@@ -197,6 +198,8 @@ def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None
         f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
         f"+ {books['rejected']} rejected + {books['lost']} lost"
     )
+    for sentence in chunk_sentences(folder.entries()):
+        screen.print(sentence)
     for step in done.get("gaps", ()):
         frames = sum(planned["frames"] for planned in folder.about["steps"] if planned["index"] == step["step"])
         screen.print(f"{step['tag']}: {gap_sentence(step['gaps'], frames)}", style="bold")

@@ -12,10 +12,8 @@ record.  Frames of pairs before the first light and behind the last are dropped 
 
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Generator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
@@ -25,12 +23,15 @@ from daq.acquisition.pipeline.lanes import Job, Pipeline
 from daq.acquisition.plans.pulse_order import PulseOrder, pairs_section
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.brightness import BrightnessSign, LightWatch, mean_counts
+from daq.acquisition.runner.chunk import Chunk
 from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runner.interrupts import Interrupts
 from daq.acquisition.runner.light import Light, exposure_of
+from daq.acquisition.runner.marker_sense import MarkerSense
 from daq.acquisition.runner.pair_finder import PairFinder
 from daq.acquisition.runner.progress import Progress
 from daq.acquisition.runner.shot import Shot
+from daq.acquisition.runs.chunk_books import DARK, HALF, LEFT, SURPLUS
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.errors import BadFrame, CameraTimeout, FramesLost, OtherFormat, ResumeRefused
@@ -41,36 +42,7 @@ SLICE_S = 0.05
 SPARE = 2  # pairs fired beyond those that are still wanted: the first ones are lost most easily
 BARREN, MANY = 2, 10  # chunks in a row without a pair; one is enough if so many were fired
 LOST_ANYHOW = 2  # pairs that may be lost, however few were fired
-DARK, SURPLUS, LEFT = "without light", "more than wanted", "left when the chunk ended"
 Pair = tuple[Frame, Frame]
-
-
-@dataclass
-class Chunk:
-    """Books of one chunk; frames are dropped by reason, pairs are kept."""
-
-    fired: int
-    triggers: int
-    kept: int = 0
-    surplus: int = 0
-    dropped: Counter[str] = field(default_factory=Counter)
-
-    @property
-    def lost(self) -> int:
-        """Pairs that were fired and are neither kept nor surplus."""
-        return self.fired - self.kept - self.surplus
-
-    @property
-    def never_came(self) -> int:
-        """Frames that were triggered and never seen whole; below 0 if the camera sent more than were asked for."""
-        return 2 * (self.triggers - self.kept) - sum(self.dropped.values())
-
-    def sentence(self) -> str:
-        """What became of the pairs that were fired."""
-        reasons = ", ".join(f"{number} frames {why}" for why, number in sorted(self.dropped.items()))
-        never = f"{self.never_came} frames never came" if self.never_came > 0 else ""
-        told = "; ".join(filter(None, (reasons, never)))
-        return f"{self.kept} of {self.fired} pairs that were fired are sure ({told or 'nothing else came'})"
 
 
 class FlowStep:
@@ -107,6 +79,7 @@ class FlowStep:
         self._light = light
         self._section = pairs_section(hardware.bench)
         self._watches = (LightWatch(), LightWatch())
+        self._sense = MarkerSense(self._section)
 
     def take(self, step: Step, record: Mapping[str, Any]) -> bool:
         """Have every pair of a step on the disk; False if the end was asked for before the last one.
@@ -123,7 +96,7 @@ class FlowStep:
         FramesLost
             Too many pairs that were fired are not sure; what was kept stays, and the run can be resumed.
         FrameDoubt
-            A and B have changed places.
+            A and B have changed places, or the marker calls B an A.
         CameraError, TimingError, MotionStopped
             What came between; the laser is off, and the run can be resumed.
         """
@@ -133,7 +106,7 @@ class FlowStep:
         number = self._chunks_so_far(step)
         self._require_same_exposure()
         laser = self._light.prepare(order, self._exposures.settings, self._tell)
-        self._watches = (LightWatch(), LightWatch())
+        self._watches, self._sense = (LightWatch(), LightWatch()), MarkerSense(self._section)
         sign, spare, barren, fired, lost, edges = BrightnessSign(), 0, 0, 0, 0, 0
         while place < step.frames:
             if self._interrupts.wanted:
@@ -149,6 +122,7 @@ class FlowStep:
                         place += 2
             finally:
                 self._close(step, chunk, number, utc)
+            self._trust_marker(is_final=False)
             number += 1
             fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
             barren = 0 if chunk.kept else barren + 1
@@ -159,9 +133,15 @@ class FlowStep:
                     f"{lost} of {fired} pairs are lost, in the last chunk {chunk.sentence()}; look at the marker, "
                     "the camera's trigger and the rate, then resume the run"
                 )
+        self._trust_marker(is_final=True)
         self._pipeline.flush()
         self._exposures.verify()
         return True
+
+    def _trust_marker(self, is_final: bool) -> None:
+        """End the run in doubt where the marker calls exposure B an A."""
+        if said := self._sense.doubt(is_final):
+            self._exposures.doubt(said)
 
     def _chunk(
         self, order: PulseOrder, laser: Laser, chunk: Chunk, wanted: int, sign: BrightnessSign
@@ -238,6 +218,7 @@ class FlowStep:
                 is_first, seen = False, seen + 1
                 if pair := finder.add(frame.meta, frame):
                     yield pair
+            self._sense.chunk_ended(finder.last)
             if pair := finder.end():
                 yield pair
         finally:
@@ -280,7 +261,7 @@ class FlowStep:
             if all(lit) and chunk.kept + chunk.surplus < chunk.fired:
                 yield pair
             else:
-                self._drop(chunk, DARK, *pair)
+                self._drop(chunk, HALF if any(lit) and not all(lit) else DARK, *pair)
 
     def _keep(
         self, step: Step, record: Mapping[str, Any], place: int, number: int, first: Frame, second: Frame

@@ -97,6 +97,11 @@ class PairFinder(Generic[T]):
             self._first = None
         return self._release()
 
+    @property
+    def last(self) -> Exposure | None:
+        """What the marker says of the frame that was exposed last; None if nothing, or of `spacing`."""
+        return None if self._last is None or self._section.told_by == "spacing" else self._exposure(self._last)
+
     def _exposure(self, meta: FrameMeta) -> Exposure | None:
         """What the marker says; of `spacing`, B is what comes soon after another frame."""
         section = self._section

@@ -1,6 +1,7 @@
 """The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
 
 from correction.evaluate.regions import MIDDLE
+from daq.acquisition.runs.chunk_books import chunk_sentences
 from daq.acquisition.runs.conservation import Ledger
 from daq.acquisition.runs.displacement import FILE as MOVED
 from daq.acquisition.runs.displacement import read_displacements
@@ -44,6 +45,8 @@ def pairs_chapter(page: Page, found: list[Evaluation]) -> None:
 def books_chapter(page: Page, folder: RunFolder) -> None:
     """What became of every frame."""
     page.heading("Every frame accounted for")
+    for sentence in chunk_sentences(folder.entries()):
+        page.text(f"{sentence[:1].upper()}{sentence[1:]}.")
     done = read_done(folder)
     if done is None:
         page.text("The run is not finished: resume it, or what follows is a part of the plan.")

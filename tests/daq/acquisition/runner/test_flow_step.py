@@ -16,10 +16,12 @@ from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_check import check_run
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.errors import FrameDoubt, FramesLost, PlanError, ResumeRefused, RunUsageError
+from daq.timing.pulses import Role
 from daq.verbs.acquire import acquire
 from daq.verbs.operator import operator_of
 from daq.verbs.resume import resume
 from sim import world
+from sim.timing import SimulatedTiming
 from tests.daq.acquisition.cameras.rigs import need_aravis, need_harvesters
 from tests.daq.flow_bench import DIODES, LAMPS, ToldLight, shows_particles, told, write_flow
 
@@ -75,7 +77,7 @@ def judge(path, pairs):
     pytest.param("burst", LAMPS, "", "aravis", marks=pytest.mark.slow),
     pytest.param("two_blocks by spacing", DIODES, FAULTS, "harvesters", marks=pytest.mark.slow),
 ])  # fmt: skip
-def test_a_flow_keeps_whole_pairs_of_one_pulse_each(tmp_path, shape, channels, faults, backend):
+def test_a_flow_keeps_whole_pairs_of_one_pulse_each(tmp_path, capsys, shape, channels, faults, backend):
     if backend == "aravis":
         need_aravis()
     more = "background: {pairs: 4}\nlost_at_most: 0.9\ndt_measured_us: 100.2\ndt_sigma_us: 0.1\n"
@@ -84,6 +86,24 @@ def test_a_flow_keeps_whole_pairs_of_one_pulse_each(tmp_path, shape, channels, f
     assert [pair.is_background for pair in found.pairs] == [True] * 4 + [False] * 20
     assert {(pair.dt_s, pair.dt_sigma_s) for pair in found.pairs} == {(100.2e-6, 0.1e-6)}
     assert check_run(path).is_sound
+    said = " ".join(capsys.readouterr().out.split())
+    assert "24 are kept" in said
+    assert ("a chunk may begin and end with half a pair; none of these is kept" in said) is (channels == LAMPS)
+
+
+@pytest.mark.slow
+def test_a_marker_on_exposure_b_of_even_frames_ends_the_run_in_doubt(tmp_path, monkeypatch):
+    listen, half_s = SimulatedTiming.listen, 0.02
+
+    def later(self, role, hear):
+        def late(pulse):
+            hear(pulse._replace(rises_s=pulse.rises_s + half_s, falls_s=pulse.falls_s + half_s))
+
+        listen(self, role, late if role is Role.MARKER else hear)
+
+    monkeypatch.setattr(SimulatedTiming, "listen", later)
+    with pytest.raises(FrameDoubt, match="ended with a frame that the marker calls A"):
+        run(tmp_path, shape="straddling", channels=DIODES, backend="aravis", pairs=30, chunk=15)
 
 
 def test_the_end_may_be_asked_for_and_the_run_goes_on_with_whole_pairs(tmp_path, monkeypatch):

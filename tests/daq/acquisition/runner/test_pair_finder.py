@@ -5,6 +5,7 @@ import random
 import pytest
 
 from daq.acquisition.bench.pairs_section import PairsSection
+from daq.acquisition.runner.marker_sense import MarkerSense
 from daq.acquisition.runner.pair_finder import ALONE, DOUBLED, NO_CLOCK, UNMARKED, PairFinder, longest_gap
 from tests.daq.acquisition.runner.frame_trains import RATE_HZ, SECTIONS, Faults, arms, gap_us, train
 
@@ -116,11 +117,62 @@ def test_a_marker_that_is_stuck_gives_no_pairs():
         assert not found
 
 
-def test_a_marker_on_the_second_exposure_of_uneven_frames_gives_no_pairs():
-    section = SECTIONS["two_blocks, line"]
-    frames = [(_with(meta, chunks={"LineStatusAll": 4 * (shows[1] == "B")}), shows)
-              for meta, shows in train(section, 50, KIND, random.Random(0))]  # fmt: skip
-    assert not found_in(section, frames)[0]
+EVEN = [name for name in SECTIONS if name in ("straddling, line", "straddling, counter")]
+
+
+def wired_to_b(section, meta, shows):
+    """The same frame, seen by a marker that is high during B, or by a counter that the trigger of B resets."""
+    if section.told_by == "counter":
+        return _with(meta, chunks={section.counter: 1 if shows[1] == "B" else 2})
+    return _with(meta, chunks={"LineStatusAll": (1 << section.line) * (shows[1] == "B")})
+
+
+def sensed(name, pairs, seed, is_wrong, faults=None):
+    """Chunks after which the sense of a marker was doubted, None if never; and pairs that were swapped."""
+    section, wrong, after = SECTIONS[name], 0, None
+    sense = MarkerSense(section)
+    for number, (_, frames) in enumerate(arms(section, pairs, faults or Faults(), seed)):
+        if is_wrong:
+            frames = [(wired_to_b(section, meta, shows), shows) for meta, shows in frames]
+        found, finder = found_in(section, frames)
+        wrong += len(swapped(found))
+        sense.chunk_ended(finder.last)
+        after = number + 1 if after is None and sense.doubt(False) else after
+    return after or (number + 1 if sense.doubt(True) else None), wrong
+
+
+@pytest.mark.parametrize("name", EVEN)
+def test_a_marker_on_exposure_b_of_even_frames_ends_the_run(name):
+    for seed in range(20):
+        after, wrong = sensed(name, 500, seed, is_wrong=True)
+        assert wrong > 300  # no single pair shows it
+        assert after <= 5
+        assert sensed(name, 50, seed, is_wrong=True, faults=KIND)[0] == 1  # a run of one chunk
+        assert sensed(name, 500, seed, is_wrong=False) == (None, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", EVEN)
+def test_a_right_marker_is_trusted_and_a_wrong_one_found_in_a_hundred_thousand_pairs(name):
+    assert sensed(name, 100_000, seed=4, is_wrong=False) == (None, 0)
+    found = [sensed(name, 500, seed, is_wrong=True)[0] for seed in range(200)]
+    print(f"{name}: found after {sum(found) / len(found):.2f} chunks, at most {max(found)}")
+    assert max(found) <= 10
+
+
+@pytest.mark.parametrize("name", [name for name in SECTIONS if name not in EVEN])
+def test_the_ends_of_chunks_tell_nothing_where_the_frames_themselves_do(name):
+    sense = MarkerSense(SECTIONS[name])
+    for _ in range(10):
+        sense.chunk_ended("A")
+    assert sense.doubt(True) is None
+
+
+@pytest.mark.parametrize("name", [name for name in SECTIONS if name not in EVEN and SECTIONS[name].chunks])
+def test_a_marker_on_exposure_b_of_uneven_frames_gives_no_pairs(name):
+    section = SECTIONS[name]
+    for _, frames in arms(section, 500, KIND, seed=8):
+        assert not found_in(section, [(wired_to_b(section, meta, shows), shows) for meta, shows in frames])[0]
 
 
 def test_a_camera_without_a_clock_gives_no_pairs():
