@@ -2,6 +2,7 @@
 
 import errno
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 from daq.errors import DiskError, RunUsageError
@@ -24,6 +25,8 @@ def require_folder(out: Path | str) -> Path:
     """
     out = Path(out)
     try:
+        with suppress(FileNotFoundError):
+            out.lstat()  # a name that no folder can have is refused by the system
         there = next(place for place in (out, *out.absolute().parents) if place.exists())
         if not there.is_dir():
             raise RunUsageError(f"{there}: is a file, so {out} cannot hold results; give another folder with -o")
