@@ -1,7 +1,8 @@
 """Mean flow by ensemble correlation on disk: mean_ensemble.nc, NetCDF (t, y, x) with one t, y UP.
 
 u, v and sigma_u, sigma_v [m s-1], R_uu, R_vv, R_uv and sigma_R_uu, _vv, _uv [m2 s-2], correlation (share of the
-particles that stay), chc (1 = measured).
+particles that stay), chc (1 = measured).  dt_sigma_u, dt_sigma_v [m s-1]: by that of dt, one factor for all
+vectors (twice `delta_t_sigma_share` of a stress); missing if nobody measured it.
 """
 
 import io
@@ -31,6 +32,9 @@ def write_ensemble(path: Path, flow: EnsembleFlow, about: dict[str, Any]) -> Non
     ):
         for number, name in enumerate(names):
             found[before + name] = (values[..., number], unit)
+    if np.isfinite(flow.dt_sigma_share):
+        for number, name in enumerate(("u", "v")):
+            found[f"dt_sigma_{name}"] = (np.abs(flow.mean_m_s[..., number]) * flow.dt_sigma_share, speed)
     known = np.isfinite(flow.mean_m_s).all(axis=-1)
     found["chc"] = (np.asarray(known, np.int32), "1")
     buffer = io.BytesIO()
@@ -47,7 +51,7 @@ def write_ensemble(path: Path, flow: EnsembleFlow, about: dict[str, Any]) -> Non
         file.Conventions = "CF-1.8"
         file.pivpy_schema_version = SCHEMA
         file.px_per_m_s, file.window_px, file.step_px = flow.px_per_m_s, flow.windows.size_px, flow.windows.step_px
-        file.pairs_used = flow.pairs
+        file.pairs_used, file.delta_t_sigma_share = flow.pairs, np.float64(flow.dt_sigma_share)
         for name, value in about.items():
             setattr(file, name, value)
         file.flush()

@@ -7,7 +7,7 @@ one state, so memory does not grow with their number; parts of a sweep lie on th
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,8 @@ class EnsembleFlow:
         Share of particles that stay.
     pairs : int
         Pairs in the sums.
+    dt_sigma_share : float
+        Standard uncertainty of dt over dt, one factor for all vectors; NaN if nobody measured it.
     """
 
     x_mm: Floats
@@ -71,6 +73,7 @@ class EnsembleFlow:
     stress_sigma_m2_s2: Floats
     correlation: Floats
     pairs: int
+    dt_sigma_share: float = float("nan")
 
 
 def ensemble_flow(
@@ -120,7 +123,8 @@ def ensemble_flow(
         if number < SWEEPS:
             sweep = next_sweep(found, sweep)
     assert found is not None
-    return _on_plane(found, prepared.corrector.map.grid, float(dts.mean()))
+    on_plane = _on_plane(found, prepared.corrector.map.grid, float(dts.mean()))
+    return replace(on_plane, dt_sigma_share=mean.dt_sigma_share)
 
 
 def _swept(

@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.io import netcdf_file
 
 from correction.errors import SeriesError
+from correction.piv.windows import window_grid
 from daq.analysis.piv_file import piv_choice
 from daq.analysis.series import ensemble_series
 from daq.analysis.series.ensemble_file import write_ensemble
 from daq.analysis.series.ensemble_part import part_sums, sum_part
-from daq.analysis.series.ensemble_series import ensemble_flow
+from daq.analysis.series.ensemble_series import EnsembleFlow, ensemble_flow
 from daq.analysis.series.run_series import run_series
 from daq.analysis.series.series_input import series_input
 from daq.analysis.series.series_mean import mean_of_series
@@ -97,3 +99,16 @@ def test_it_is_written(whole, tmp_path):
     first = (tmp_path / "mean.nc").read_bytes()
     write_ensemble(tmp_path / "mean.nc", whole, {"run": "flow"})
     assert (tmp_path / "mean.nc").read_bytes() == first
+
+
+def test_the_error_of_dt_stands_beside_it(tmp_path):
+    speeds, stresses = np.array([[[3.0, -4.0]]]), np.ones((1, 1, 3))
+    windows = window_grid((16, 16), 16, 0.5)
+    places = np.zeros(1)
+    flow = EnsembleFlow(places, places, 1.0, windows, speeds, speeds, stresses, stresses, np.ones((1, 1)), 9)
+    for share, told in ((np.nan, set()), (0.01, {"dt_sigma_u", "dt_sigma_v"})):
+        write_ensemble(tmp_path / "mean.nc", replace(flow, dt_sigma_share=share), {"run": "flow"})
+        with netcdf_file(tmp_path / "mean.nc", mmap=False) as file:
+            assert {name for name in file.variables if name.startswith("dt_")} == told
+            found = [float(file.variables[name][0, 0, 0]) for name in sorted(told)]
+        assert found == pytest.approx([0.03, 0.04][: len(told)])
