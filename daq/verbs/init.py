@@ -115,8 +115,9 @@ def init(
     flow = bench_text(lab, room, laser=True), flow_plan(dt_us)
     texts = scene_text(lab), bench_text(lab, room), target_plan(room), shift_plan(), *flow
     with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
-        _write_checked(Path(trial), texts)
-    _write_checked(require_folder(folder), texts)
+        _write(Path(trial), texts)
+        _check(Path(trial))
+    _write(require_folder(folder), texts)
     write_schemas(folder / "schemas")
     _print(lab, folder)
     return [folder / file for file in FILES]
@@ -129,11 +130,14 @@ def _lab(given: Words) -> Lab:
     return lab if "lens_mm" in given else lab.with_usual_lens()
 
 
-def _write_checked(folder: Path, texts: Iterable[str]) -> None:
-    """Write the files, and see that plans can be carried out on their benches."""
+def _write(folder: Path, texts: Iterable[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for file, text in zip(FILES, texts, strict=True):
         write_text(folder / file, text)
+
+
+def _check(folder: Path) -> None:
+    """See that the plans can be carried out on their benches; what cannot be is never written to the lab."""
     try:
         check_files([folder / "plan-target.yaml", folder / "plan-shift.yaml"], folder / "bench.yaml")
         check_files([folder / "plan-flow.yaml"], folder / "bench-flow.yaml")
