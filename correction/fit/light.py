@@ -7,7 +7,8 @@ stays when the glass is moved back.
 
 What is not known of the light is not known of the index either, and no frame tells: with N-BK7 8 nm are 3e-4 in n,
 0.07 px behind two balls.  A light that nobody tells may be any white lamp: the map is made as if it were the
-scene's own, and its sigma holds what LAMPS would change.  All glasses move together, as they stand in one light.
+scene's own, and its sigma holds the most that one of LAMPS would change.  All glasses move together, as they stand
+in one light.
 """
 
 from dataclasses import dataclass, field
@@ -90,8 +91,7 @@ def index_sigma(medium: Medium, light: Light | None, wavelength_nm: float) -> fl
     if light is not None:
         return light.index_sigma(medium)
     here = medium.n(wavelength_nm)
-    off = [np.hypot(lamp.index(medium) - here, lamp.index_sigma(medium)) for lamp in _lamps()]
-    return -float(np.sqrt(np.mean(np.square(off))))
+    return -max(float(np.hypot(lamp.index(medium) - here, lamp.index_sigma(medium))) for lamp in _lamps())
 
 
 @cache

@@ -20,6 +20,7 @@ from tracer.light_table import LightTable
 from tracer.ray_map import build_ray_map
 
 TRANSFER_PX = 0.01
+NO_WHITE = ("red_led", "blue_led", "line_590")  # the sigma of a light that is not told is made of white lamps
 
 
 def error_and_sigma(fit: SceneFit) -> tuple[float, float]:
@@ -58,7 +59,7 @@ def test_a_light_that_is_not_told_is_in_the_sigma_and_said(name):
     fit = fitted(LAMPS[name].share, None)
     error, sigma = error_and_sigma(fit)
     print(f"{name}: unsaid {error:.4f} px, sigma {sigma:.4f} px")
-    assert error <= (2.5 if name in ("red_led", "blue_led") else 1.25) * sigma  # those two are no white lamps
+    assert error <= (2.2 if name in NO_WHITE else 1.0) * sigma
     assert "light of the target frames is not said" in weaknesses(fit)[0].sentence
 
 
@@ -85,7 +86,7 @@ def test_the_width_once_advised_for_a_band_is_worse_than_the_band():
 def test_what_is_not_known_of_a_light_moves_all_glass_together():
     nominal = lab_scene()
     unsaid, white = doubt_of(nominal, None), doubt_of(nominal, LightTable(colour_temperature_k=4000.0).light())
-    for doubt, least, most in ((unsaid, 1e-3, 2e-3), (white, 2e-4, 5e-4)):
+    for doubt, least, most in ((unsaid, 2e-3, 3e-3), (white, 2e-4, 5e-4)):
         n = np.abs(doubt.step[14:].reshape(-1, 5))
         assert np.all(n[:, :4] == 0.0)
         assert least < n[0, 4] == n[1, 4] < most
