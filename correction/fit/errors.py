@@ -36,5 +36,5 @@ class FitFailed(FitError):  # noqa: N818
     """
 
     def __init__(self, gate: str, value: float, limit: float, reason: str) -> None:
-        self.gate, self.value, self.limit = gate, value, limit
+        self.gate, self.value, self.limit, self.reason = gate, value, limit, reason
         super().__init__(f"the fit failed at gate {gate!r} ({value:.3g}, limit {limit:.3g}): {reason}")

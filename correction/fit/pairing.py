@@ -106,6 +106,7 @@ def pair(
     frames: Sequence[Candidates],
     board: Chessboard,
     pitch_mm: float,
+    further: Sequence[NDArray[np.float64]] = (),
 ) -> list[Start]:
     """Try starts until one explains the frames; best first.
 
@@ -120,6 +121,8 @@ def pair(
     board : Chessboard
     pitch_mm : float
         A corrected pixel on the plane.
+    further : sequence of (F,) float64
+        Full vectors that may be right as well.
     """
     tried: list[Start] = []
 
@@ -133,7 +136,8 @@ def pair(
     def attempt(start: NDArray[np.float64]) -> None:
         tried.append(pair_from(unknowns, unknowns.free(start), frames, board, pitch_mm))
 
-    for start in group_starts(unknowns, full, board):
+    near = group_starts(unknowns, full, board)
+    for start in [near[0], *further, *near[1:]]:
         attempt(start)
         if explained():
             return sorted(tried, key=lambda one: -one.inliers)

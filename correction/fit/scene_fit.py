@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from correction.board import Chessboard
 from correction.board.board_search import SATURATED
@@ -30,6 +31,7 @@ from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, g
 from correction.fit.pairing import pair
 from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
 from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, FitStep, SceneFit, check
+from correction.fit.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
 from correction.fit.unknowns import Unknowns, unknowns_of
@@ -38,6 +40,9 @@ from tracer.scene import Scene
 
 WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
 FEWEST = 12  # corners behind glass from which a fit may begin
+ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
+FOLLOW = 1.0
+DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
 
 
@@ -88,7 +93,10 @@ def fit_scene(
         work.glass()
     fit = work.fits.estimate(work.unknowns, work.full, [*work.bare, *work.behind], work.history)
     say(str(fit.history[-1]))
-    check(fit)
+    try:
+        check(fit)
+    except FitFailed as failed:
+        raise FitFailed(failed.gate, failed.value, failed.limit, work.blamed(failed.reason)) from None
     doubt = doubt_of(nominal, light)
     return replace(fit, measured_scene=back_from_light(fit.scene, nominal, light), light=doubt)
 
@@ -120,6 +128,8 @@ class _Fit:
         self.behind: list[MeasuredFrame] = []
         self.fits = Adjustment()
         self.dispersion: Dispersion | None = None
+        self.outlines: Outlines | None = None
+        self.others: list[NDArray[np.float64]] = []
 
     def note(self, step: FitStep) -> None:
         """Remember a step and say it."""
@@ -129,6 +139,11 @@ class _Fit:
     def height_number(self, frame: TargetFrame) -> int:
         """Number of a frame's height."""
         return int(np.argmin(np.abs(np.array(self.unknowns.heights_mm) - frame.height_mm)))
+
+    def blamed(self, reason: str) -> str:
+        """Say what the rims of the balls show, then the reason of a failure."""
+        seen = self.outlines.in_words(0.0) if self.outlines else ""
+        return f"{seen}; {reason}" if seen else reason
 
     def camera(self) -> None:
         """Stage 1."""
@@ -185,6 +200,7 @@ class _Fit:
 
     def glass(self) -> None:
         """Stage 2."""
+        self.follow_outlines()
         prefixes = [f"{sphere.name}." for sphere in self.unknowns.scene.spheres] + ["glass "]
         unknowns = self.unknowns.around(self.full).only(prefixes)
         coarse = unknowns.only([f"{s.name}.{part}" for s in unknowns.scene.spheres for part in "xyz"] + ["glass "])
@@ -194,6 +210,26 @@ class _Fit:
         for number in self.lost():
             self.find_lost(unknowns, coarse, candidates, number)
         self.fit_glass(unknowns, "pass 2", only_behind=False)
+
+    def follow_outlines(self) -> None:
+        """Put balls whose rims are seen elsewhere where they are seen, and take that for what is known of them."""
+        frame = self.glass_frames[0]
+        least = WEAKEST * float(np.median(find_saddles(self.bare_frames[0].image).strength))
+        number = self.height_number(frame)
+        saddles = find_saddles(frame.image)
+        self.outlines = seen_outlines(self.unknowns, self.full, self.bare[0], saddles, least, number, self.board)
+        if self.outlines is None:
+            return
+        known = [self.priors.sphere(name).centre_mm for name in self.outlines.names]
+        off = self.outlines.surely_off(ASIDE_MM) & (self.outlines.sideways_mm > FOLLOW * np.array(known))
+        if off.any():
+            self.others = [followed(self.unknowns, self.full, self.outlines, alone=True)]
+            self.full = followed(self.unknowns, self.full, self.outlines)
+            start = self.unknowns.start.copy()
+            start[self.unknowns.glass] = self.full[self.unknowns.glass]
+            depths = [f"{name}.z" for name in self.outlines.names]
+            self.unknowns = self.unknowns.around(start).loosened(depths, DEPTH_MM)
+            self.note(FitStep(f"{self.outlines.in_words(ASIDE_MM)}; glass follows"))
 
     def fit_glass(self, unknowns: Unknowns, name: str, only_behind: bool) -> None:
         """Measure the corners where the scene shows them, and fit the glass to them."""
@@ -215,7 +251,7 @@ class _Fit:
 
     def pair(self, coarse: Unknowns, candidates: Candidates) -> None:
         """Find out which corner each saddle shows."""
-        found = pair(coarse, self.full, [candidates], self.board, self.pitch_mm)
+        found = pair(coarse, self.full, [candidates], self.board, self.pitch_mm, self.others)
         best = found[0]
         self.full = coarse.full(best.solution.x)
         remark = f"{best.candidates - best.inliers} saddles on none, {len(found)} start(s)"

@@ -94,6 +94,12 @@ class Unknowns:
         """Return the same unknowns with another centre for its fixed numbers and priors."""
         return replace(self, start=full)
 
+    def loosened(self, names: Sequence[str], least: float) -> "Unknowns":
+        """Return the same unknowns with the sigma of some free numbers raised to `least`, in their own unit."""
+        chosen = np.array([name in names for name in self.names], dtype=np.bool_)
+        factor = np.where(chosen, np.maximum(least / self.sigma, 1.0), 1.0)
+        return replace(self, columns=self.columns * factor)
+
     def camera(self, full: NDArray[np.float64]) -> Camera:
         """Return the camera of a full vector."""
         x, y, z, *turn, focal, cu, cv = full[:9].tolist()

@@ -1,0 +1,111 @@
+"""Balls found by the corners that they hide; what hides them is asked of the independent renderer's optics."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.fit.contact import pushed_apart
+from correction.fit.silhouettes import outlines_of
+from sim.demo.scenes import at_size, named_scene
+from sim.prints.patterns import Pose
+from sim.renderer.rays import last_way
+from sim.renderer.render import tables_of
+from tracer.scene import Scene
+
+SQUARE_MM = 3.5
+CHANCE = 0.03  # of a corner that is missed, or found where none is
+
+
+def corners_and_hidden(truth: Scene, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the lattice in view, and whether glass is in the way to them."""
+    camera = truth.camera
+    along = SQUARE_MM * np.arange(-30, 31)
+    corners = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    corners = np.column_stack((corners, np.zeros(len(corners))))
+    pixel = camera.project(corners)
+    inside = ((pixel > 0.0) & (pixel < np.array(camera.sensor_px) - 1.0)).all(axis=1)
+    corners, eye = corners[inside], np.array(camera.position_mm)
+    tables = tables_of(truth, Pose(), None)
+    way = corners - eye
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    chain = [last_way(*eye, *w, tables.spheres, tables.rods, tables.plane)[6:] for w in way.tolist()]
+    hidden = np.array([passed <= 0.0 or crossed != 0 for passed, crossed in chain])
+    wrong = np.random.default_rng(seed).random(len(hidden)) < CHANCE
+    return corners, hidden ^ wrong
+
+
+def told(truth: Scene, move_mm: np.ndarray) -> Scene:
+    """The scene with its balls somewhere else."""
+    table = truth.sphere_table()
+    table[:, :3] += move_mm
+    rows = pushed_apart(table, 1e-5)[:, :3].tolist()
+    return truth.with_bodies(
+        [replace(ball, centre_mm=tuple(row)) for ball, row in zip(truth.spheres, rows, strict=True)]
+    )
+
+
+def found(truth: Scene, believed: Scene, seed: int):
+    corners, hidden = corners_and_hidden(truth, seed)
+    outlines = outlines_of(believed, truth.camera, np.ones(len(truth.spheres), bool), corners, hidden, SQUARE_MM)
+    assert outlines is not None
+    off = [np.subtract(a.centre_mm, b.centre_mm) for a, b in zip(truth.spheres, believed.spheres, strict=True)]
+    return outlines, np.array(off)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("pair_off_axis", 0), ("pair_off_axis", 1), ("pyramid_500", 2), ("pyramid_500", 3), ("three_spheres_500", 4)],
+)
+def test_balls_are_seen_where_they_stand(name, seed):
+    """Up to 5 mm off, all together or one by itself."""
+    truth = at_size(named_scene(name), 504)
+    rng = np.random.default_rng((1, seed))
+    move = rng.normal(size=3) * (1.0, 1.0, 0.5)
+    move *= rng.uniform(2.0, 5.0) / np.linalg.norm(move)
+    moves = np.tile(move, (len(truth.spheres), 1))
+    if seed % 2:
+        moves[1:] = 0.0
+    outlines, off = found(truth, told(truth, moves), seed)
+    left = np.hypot(*(outlines.move_mm - off)[outlines.own_rim, :2].T)
+    assert outlines.own_rim.any()
+    assert left.max() < 1.0
+    assert np.median(left) < 0.5
+    assert outlines.explained > 0.93
+
+
+def test_what_is_off_is_said_and_what_is_not_is_not():
+    truth = at_size(named_scene("pair_off_axis"), 504)
+    right, _ = found(truth, truth, 1)
+    assert right.in_words(1.0) == ""
+    together, _ = found(truth, told(truth, np.array([[-3.0, 0.0, 0.0]] * 2)), 1)
+    assert "rims of sphere1, sphere2 are all seen" in together.in_words(1.0)
+    assert "mm to the right" in together.in_words(1.0)
+    alone, _ = found(truth, told(truth, np.array([[0.0, 0.0, 0.0], [0.0, 3.7, 0.0]])), 1)
+    assert "rim of sphere2 is seen 3." in alone.in_words(1.0)
+    assert "below" in alone.in_words(1.0)
+    assert "sphere1" not in alone.in_words(1.0)
+
+
+def test_a_ball_behind_another_goes_with_it():
+    truth = at_size(named_scene("three_spheres_500"), 504)
+    outlines, _ = found(truth, told(truth, np.array([[2.0, 3.0, 0.0]] * 3)), 2)
+    assert outlines.own_rim.tolist() == [False, False, True]
+    assert np.all(outlines.move_mm[:2, 1] < -1.0)
+
+
+def test_a_lattice_that_says_nothing_moves_nothing():
+    truth = at_size(named_scene("pair_off_axis"), 504)
+    corners, _ = corners_and_hidden(truth, 1)
+    free = np.ones(2, bool)
+    for hidden in (np.zeros(len(corners), bool), np.ones(len(corners), bool)):
+        assert outlines_of(truth, truth.camera, free, corners, hidden, SQUARE_MM) is None
+    assert outlines_of(truth, truth.camera, free, corners[:20], np.arange(20) < 10, SQUARE_MM) is None
+
+
+def test_a_ball_that_is_held_stays():
+    truth = at_size(named_scene("pair_off_axis"), 504)
+    corners, hidden = corners_and_hidden(truth, 1)
+    believed = told(truth, np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
+    outlines = outlines_of(believed, truth.camera, np.array([True, False]), corners, hidden, SQUARE_MM)
+    assert np.all(outlines.move_mm[1] == 0.0)
