@@ -2,7 +2,16 @@
 
 from enum import IntEnum
 
-RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION, UNSURE = 0, 1, 2, 3, 4, 5, 6  # as kernels see them
+RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION, UNSURE, BLURRED = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    6,
+    7,
+)  # as kernels see them
 
 
 class NodeStatus(IntEnum):
@@ -15,6 +24,7 @@ class NodeStatus(IntEnum):
     OUT_OF_FRAME = OUT_OF_FRAME  # seen, but beside the sensor
     LOW_MAGNIFICATION = LOW_MAGNIFICATION  # seen too small to be worth anything
     UNSURE = UNSURE  # the map's sigma is beyond the limit that was set
+    BLURRED = BLURRED  # the aperture shows it too blurred, or too far from its chief ray
 
 
 MEANING = {
@@ -25,4 +35,5 @@ MEANING = {
     NodeStatus.OUT_OF_FRAME: "out of the frame",
     NodeStatus.LOW_MAGNIFICATION: "magnification below the limit",
     NodeStatus.UNSURE: "sigma of the map beyond the limit",
+    NodeStatus.BLURRED: "blurred by the aperture",
 }

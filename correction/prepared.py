@@ -17,6 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from correction.aperture import through_pupil
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp
@@ -63,6 +64,8 @@ def content_key(
 ) -> str:
     """Hex digest (16 characters) of everything that corrected pixels depend on, but for the frame itself."""
     tree: list[Any] = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
+    if scene.camera.pupil is not None:
+        tree += [scene.camera.pupil.radius_mm, scene.camera.pupil.focus_mm]
     if limit is not None:
         tree += [limit.limit_px, hashlib.sha256(limit.sigma.root.tobytes()).hexdigest()]
     text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
@@ -102,7 +105,7 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    found = _map(scene, layers, maps)
+    found = through_pupil(_map(scene, layers, maps), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
     return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit))
 

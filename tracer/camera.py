@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracer.errors import SceneError
+from tracer.pupil import Pupil
 
 Vector3 = tuple[float, float, float]
 
@@ -68,6 +69,8 @@ class Camera:
         World direction -> camera direction, orthonormal, determinant +1.
     lens : Lens
         Distortion terms.
+    pupil : Pupil, optional
+        Aperture and focus; None is a pinhole, sharp everywhere.
     """
 
     focal_px: float
@@ -76,6 +79,7 @@ class Camera:
     position_mm: Vector3
     rotation: tuple[Vector3, Vector3, Vector3]
     lens: Lens = field(default_factory=Lens)
+    pupil: Pupil | None = None
 
     def __post_init__(self) -> None:
         matrix = np.array(self.rotation)

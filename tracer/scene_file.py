@@ -15,6 +15,7 @@
       position_mm: [0.0, 0.0, 500.0]     # pinhole; default (0, 0, L_mm)
       look_at_mm: [0.0, 0.0, 0.0]        # default the origin; with roll_deg, or a full rotation instead
       lens: {k1: 0.0}                    # acquired -> ideal, see tracer.camera
+      f_number: 22.0                     # with focus_mm, the distance in focus (default L_mm): blur and centroids
     bodies:
       - {name: front, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: crown}
       - {name: hollow, kind: sphere, centre_mm: [0.0, 0.0, 75.0], radius_mm: 25.0, material: crown,
@@ -207,6 +208,8 @@ def _lines_of(document: Document, start: Place) -> set[int]:
 def dump_scene(scene: Scene) -> str:
     """Return the scene as the text of a scene file; `load_scene` of it gives the same content hash."""
     camera = scene.camera
+    pupil = camera.pupil
+    aperture = {} if pupil is None else {"pupil_mm": 2.0 * pupil.radius_mm, "focus_mm": pupil.focus_mm}
     tree = {
         "wavelength_nm": scene.wavelength_nm,
         "ambient": written(scene.ambient),
@@ -217,6 +220,7 @@ def dump_scene(scene: Scene) -> str:
             "position_mm": list(camera.position_mm),
             "rotation": [list(row) for row in camera.rotation],
             "lens": dict(zip(("k1", "k2", "k3", "p1", "p2"), camera.lens.terms().tolist(), strict=True)),
+            **aperture,
         },
         "bodies": [body.section() for body in scene.bodies],
     }

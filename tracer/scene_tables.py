@@ -11,6 +11,7 @@ from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.fit_section import FitTable
 from tracer.medium_table import MediumTable, Positive
+from tracer.pupil import Pupil
 
 
 class LensTable(Table):
@@ -39,6 +40,9 @@ class CameraTable(Table):
     roll_deg: float | None = None
     rotation: Annotated[list[Triple], Field(min_length=3, max_length=3), exactly(3)] | None = None
     lens: LensTable = LensTable()
+    f_number: Annotated[float, Field(ge=0.5, le=1000.0)] | None = None
+    pupil_mm: Positive | None = None
+    focus_mm: Positive | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> "CameraTable":
@@ -51,7 +55,21 @@ class CameraTable(Table):
             raise ValueError("position_mm is missing, and there is no L_mm to put the camera at")
         if self.rotation is not None and (self.look_at_mm is not None or self.roll_deg is not None):
             raise ValueError("give either rotation, or look_at_mm and roll_deg")
+        if self.f_number is not None and (self.f_mm is None or self.pupil_mm is not None):
+            raise ValueError("f_number goes with f_mm; with focal_px give the pupil's diameter, pupil_mm")
+        if self.focus_mm is not None and self.f_number is None and self.pupil_mm is None:
+            raise ValueError("focus_mm says nothing without f_number or pupil_mm")
+        if self.pupil_mm is not None and self.focus_mm is None and self.L_mm is None:
+            raise ValueError("pupil_mm needs focus_mm, the distance from the pinhole to the plane in focus")
         return self
+
+    def pupil(self) -> Pupil | None:
+        """Return the pupil described; None if no aperture is given."""
+        diameter_mm = self.pupil_mm
+        if self.f_number is not None:
+            assert self.f_mm
+            diameter_mm = self.f_mm / self.f_number
+        return None if diameter_mm is None else Pupil(0.5 * diameter_mm, float(self.focus_mm or self.L_mm or 0.0))
 
     def camera(self) -> Camera:
         """Return the camera described."""
@@ -72,7 +90,15 @@ class CameraTable(Table):
             roll_rad = float(np.deg2rad(self.roll_deg or 0.0))
             rotation = look_at(vector3(position), vector3(self.look_at_mm or [0.0, 0.0, 0.0]), roll_rad)
         lens = Lens(**self.lens.model_dump())
-        return Camera(focal_px, (principal[0], principal[1]), (width, height), vector3(position), rotation, lens)
+        return Camera(
+            focal_px,
+            (principal[0], principal[1]),
+            (width, height),
+            vector3(position),
+            rotation,
+            lens,
+            self.pupil(),
+        )
 
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from correction.board.board_search import track_board
 from correction.board.corners import CornerFit
 from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
-from correction.fit.smear import UNSURE, Dispersion, smear_of
+from correction.fit.smear import UNEVEN, UNSURE, Dispersion, pupil_smear, smear_of
 from correction.fit.solver import Corners
 from ground.short_repr import short_repr
 from tracer.branches import text_of
@@ -145,6 +145,11 @@ def glass_frame(
     if dispersion is not None:
         smear = smear_of(scene, pose, dispersion, expected.pixel, expected.axes_px, fit.blur_px)
         sigma = np.hypot(fit.sigma_px, UNSURE * smear.width_px[:, None])
+        fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
+    if scene.camera.pupil is not None:
+        args = pose, expected.pixel, expected.axes_px, fit.blur_px
+        smear = pupil_smear(scene, scene.camera.pupil, *args)
+        sigma = np.hypot(fit.sigma_px, UNEVEN * np.linalg.norm(smear.shift_px, axis=1)[:, None])
         fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
     return _measured(frame.name, board, expected, fit, height_number)
 

@@ -1,4 +1,6 @@
-"""Where a corner seems to stand in light of many colours: behind glass each colour shows it elsewhere.
+"""Where a corner seems to stand that is smeared: by the colours of its light, by the pupil of the lens.
+
+Behind glass each colour shows a corner elsewhere, and so does each part of the pupil (`tracer.blur`).
 
 With u the corner's pixel at the mean index and X_k(u) what colour k shows there, colour k shows the corner at
 
@@ -22,13 +24,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.blur import pupil_views
 from tracer.cells import world_from
 from tracer.light import Light
+from tracer.pupil import Pupil
 from tracer.scene import Scene
 from tracer.sensitivity import Landings, TargetPose, landings_through
 
 COLOURS = 12
-UNSURE = 0.03  # of the smear, as a corner's standard deviation
+UNSURE = 0.03  # of the smear by colour, as a corner's standard deviation
+UNEVEN = 0.1  # of the shift by the pupil: real ones are not quite round, nor as wide as engraved
 
 
 @dataclass(frozen=True)
@@ -98,20 +103,58 @@ def smear_of(
     """
     mean = _landed(scene, pose, pixels, np.zeros(len(scene.spheres)))
     steps = np.array([_displaced(_landed(scene, pose, pixels, step), mean) for step in dispersion.index_step])
-    steps = np.nan_to_num(steps)  # (K, N, 2)
-    weight = dispersion.weight
-    off = steps - np.einsum("k,kni->ni", weight, steps)
-    spread = np.einsum("k,kni,knj->nij", weight, off, off)
+    share = np.broadcast_to(dispersion.weight[:, None], steps.shape[:2])
+    return smeared(np.nan_to_num(steps), share, axes_px, blur_px)
+
+
+def smeared(
+    steps: NDArray[np.float64],
+    share: NDArray[np.float64],
+    axes_px: NDArray[np.float64],
+    blur_px: NDArray[np.float64],
+) -> Smear:
+    """Smear of corners that K parts of the light show elsewhere.
+
+    Parameters
+    ----------
+    steps : (K, N, 2) float64
+        Where each part shows them, from where they are [px].
+    share : (K, N) float64
+        Of each part, 1 in sum over the parts.
+    axes_px, blur_px
+        As of `smear_of`.
+    """
+    off = steps - np.einsum("kn,kni->ni", share, steps)
+    spread = np.einsum("kn,kni,knj->nij", share, off, off)
     along = axes_px.transpose(0, 2, 1)  # (N, edge, 2)
     normal = np.stack((-along[:, :, 1], along[:, :, 0]), axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     across = np.einsum("nei,kni->kne", normal, steps)
-    middle = np.einsum("k,kne->ne", weight, across)
-    variance = np.einsum("k,kne->ne", weight, (across - middle) ** 2)
-    third = np.einsum("k,kne->ne", weight, (across - middle) ** 3)
-    edge = middle - third / (12.0 * np.maximum(blur_px[:, None] ** 2, variance + 1e-12))
+    middle = np.einsum("kn,kne->ne", share, across)
+    variance = np.einsum("kn,kne->ne", share, (across - middle) ** 2)
+    third = np.einsum("kn,kne->ne", share, (across - middle) ** 3)
+    blur2 = np.where(np.isfinite(blur_px), blur_px, 0.0)[:, None] ** 2
+    edge = middle - third / (12.0 * np.maximum(blur2, variance + 1e-12))
     shift = np.linalg.solve(normal, edge[:, :, None])[:, :, 0]
     return Smear(shift, np.sqrt(np.trace(spread, axis1=1, axis2=2)))
+
+
+def pupil_smear(
+    scene: Scene,
+    pupil: Pupil,
+    pose: TargetPose,
+    pixels: NDArray[np.float64],
+    axes_px: NDArray[np.float64],
+    blur_px: NDArray[np.float64],
+) -> Smear:
+    """Predict what the pupil does to corners; arguments as of `smear_of`.
+
+    The print has one brightness towards all parts of the pupil, so that each counts by the light it lets through.
+    """
+    views = pupil_views(scene, pupil, pixels, pose)
+    total = views.light.sum(axis=0)
+    share = views.light / np.where(total > 0.0, total, 1.0)
+    return smeared(np.nan_to_num(views.offset_px), share, axes_px, blur_px)
 
 
 def _landed(

@@ -20,6 +20,7 @@ COLOURS = {
     NodeStatus.OUT_OF_FRAME: ("grey", (150, 156, 168)),
     NodeStatus.LOW_MAGNIFICATION: ("orange", (221, 122, 58)),
     NodeStatus.UNSURE: ("violet", (132, 86, 168)),
+    NodeStatus.BLURRED: ("teal", (64, 142, 142)),
 }
 
 
