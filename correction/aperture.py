@@ -45,6 +45,12 @@ class BlurMap:
     lost: NDArray[np.float64]
 
     @property
+    def left_out(self) -> float:
+        """Share of the nodes seen through glass that are not usable."""
+        behind = np.isfinite(self.width_px)
+        return float(np.mean(~self.usable[behind])) if behind.any() else 0.0
+
+    @property
     def usable(self) -> NDArray[np.bool_]:
         """Nodes (h, w) that are seen through glass and neither too blurred nor too far from their chief ray."""
         near = np.hypot(*np.moveaxis(self.shift_px, -1, 0)) <= FARTHEST_PX

@@ -6,8 +6,10 @@ import matplotlib.image
 import numpy as np
 from rich.table import Table
 
+from correction.aperture import blur_map
 from correction.correction_map import build_correction_map
 from correction.node_status import MEANING, NodeStatus
+from daq.analysis.pictures.blur import draw_blur
 from daq.analysis.pictures.curve import draw_curve
 from daq.analysis.pictures.drawing import scene_figure
 from daq.analysis.pictures.markers import markers
@@ -28,7 +30,7 @@ def trace(scene: Path, out: Path) -> None:
         scene.yaml.
     out : Path
         Folder for ``fig4_markers.png`` (what the camera sees), ``fig5_curve.png`` (spheres in a row only)
-        and ``scene.png`` (the scene from the side).
+        and ``scene.png`` (the scene from the side); ``blur.png`` if the scene says the camera's aperture.
 
     Raises
     ------
@@ -39,6 +41,7 @@ def trace(scene: Path, out: Path) -> None:
     screen = console()
     ray_map = build_ray_map(loaded)
     correction_map = build_correction_map(loaded, ray_map)
+    blur = None if loaded.camera.pupil is None else blur_map(correction_map, loaded)
     table = Table(title=f"{scene.stem}, scene {loaded.content_hash()}")
     table.add_column("", style="bold")
     table.add_column("value", justify="right")
@@ -53,10 +56,15 @@ def trace(scene: Path, out: Path) -> None:
     counts = np.bincount(correction_map.status.ravel(), minlength=len(NodeStatus))
     for status, meaning in MEANING.items():
         table.add_row(f"nodes {meaning}", f"{100.0 * counts[status] / correction_map.status.size:.2f} %")
+    if blur is not None and np.isfinite(blur.width_px).any():
+        table.add_row("blur behind glass, median", f"{np.nanmedian(blur.width_px):.2f} px")
+        table.add_row("left out by the aperture", f"{100.0 * blur.left_out:.1f} % of the view behind glass")
     screen.print(table)
     out.mkdir(parents=True, exist_ok=True)
     matplotlib.image.imsave(out / "fig4_markers.png", np.clip(seen(loaded, markers()), 0.0, 1.0))
     scene_figure(loaded).savefig(out / "scene.png", dpi=120)
+    if blur is not None:
+        draw_blur(out / "blur.png", correction_map.grid, blur)
     if view is not None:
         draw_curve(out / "fig5_curve.png", loaded, view, scene.stem)
     screen.print(f"pictures are in {out}")
