@@ -223,7 +223,7 @@ class _Fit:
         known = [self.priors.sphere(name).centre_mm for name in self.outlines.names]
         off = self.outlines.surely_off(ASIDE_MM) & (self.outlines.sideways_mm > FOLLOW * np.array(known))
         if off.any():
-            self.others = [followed(self.unknowns, self.full, self.outlines, alone=True)]
+            self.others = [followed(self.unknowns, self.full, self.outlines, alone=True), self.full]
             self.full = followed(self.unknowns, self.full, self.outlines)
             start = self.unknowns.start.copy()
             start[self.unknowns.glass] = self.full[self.unknowns.glass]

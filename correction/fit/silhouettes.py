@@ -29,6 +29,7 @@ from correction.fit.solver import Corners, landed
 from correction.fit.unknowns import Unknowns
 from tracer.camera import Camera
 from tracer.scene import Scene
+from tracer.trace import trace
 
 COMMON_MM, OWN_MM = 4.0, 2.0  # standard deviation of a move of all balls together, and of one by itself
 SOFT, SHARP = (2.0, 1.0, 0.4), 0.2  # width of the outline, in squares
@@ -221,7 +222,12 @@ def seen_outlines(
     hidden = np.array([tuple(index) not in found for index in bare.index.tolist()], dtype=np.bool_)
     corners = unknowns.pose(full, height_number).to_world(board.corner_mm(bare.index))
     free = np.array([f"{sphere.name}.x" in unknowns.names for sphere in unknowns.scene.spheres], dtype=np.bool_)
-    return outlines_of(unknowns.scene, unknowns.camera(full), free, corners, hidden, board.square_mm)
+    scene, camera = unknowns.scene, unknowns.camera(full)
+    rest = [body for body in scene.bodies if body not in scene.spheres]
+    clear = np.ones(len(corners), dtype=np.bool_)
+    if rest:  # what hides a corner is then no ball
+        clear = trace(scene.with_camera(camera).with_bodies(rest), camera.project(corners)).recovered
+    return outlines_of(scene, camera, free, corners[clear], hidden[clear], board.square_mm)
 
 
 def followed(
