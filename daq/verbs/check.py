@@ -131,12 +131,7 @@ def _said(path: Path, kind: str, benches: Sequence[Path]) -> str:
     if kind == "bench":
         return _bench_said(load_bench(path))
     if kind == "piv":
-        settings = piv_choice(piv=path).settings
-        return (
-            f"last windows of {settings.windows_px[-1]} px"
-            if hasattr(settings, "windows_px")
-            else "settings of PIV"
-        )
+        return f"last windows of {piv_choice(piv=path).settings.windows_px[-1]} px"
     _, table = read_plan(path)
     if not benches:
         return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)"

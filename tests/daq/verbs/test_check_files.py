@@ -99,3 +99,11 @@ def test_acquire_says_what_is_wrong_with_bench_and_plan_at_once(lab, capsys):
     said = capsys.readouterr().err
     assert "did you mean 'speed_mm_s'" in said
     assert "displacements.1.px: should be a number" in said
+
+
+def test_settings_of_piv(tmp_path):
+    (tmp_path / "piv.yaml").write_text("final_window_px: 16\noverlap: 0.75\n")
+    assert check(tmp_path / "piv.yaml")[0].said == "last windows of 16 px"
+    (tmp_path / "piv.yaml").write_text("overlap: 2\n")
+    with pytest.raises(RunUsageError, match="overlap: should be less than 1, not 2"):
+        check(tmp_path / "piv.yaml")
