@@ -6,7 +6,7 @@ commanded and, if somebody measured it, as measured with its standard deviation.
 against each other; two that contradict one another are named with file and line: nothing tells which one is right.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import isclose
 from typing import NoReturn
 
@@ -23,8 +23,15 @@ SAME = 1e-9  # relative; two lines write the same number
 READ_BACK = 1e-6  # relative; of an exposure that nobody has changed
 
 
-def flow_pairs(folder: RunFolder) -> tuple[list[FramePair], list[int]]:
+def flow_pairs(folder: RunFolder, entries: Sequence[Entry]) -> tuple[list[FramePair], list[int]]:
     """Return the pairs of a flow run in order, and the numbers of frames without their partner.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        The run.
+    entries : sequence of dict
+        Its journal.
 
     Raises
     ------
@@ -33,7 +40,6 @@ def flow_pairs(folder: RunFolder) -> tuple[list[FramePair], list[int]]:
     PairError
         The background was exposed otherwise than the pairs.
     """
-    entries = folder.entries()
     frames = frame_entries(entries)
     lines = {entry["frame"]: line for line, entry in enumerate(entries, start=1) if entry["kind"] == "frame"}
     judge = _Judge(folder, frames, lines)
@@ -51,7 +57,7 @@ def flow_pairs(folder: RunFolder) -> tuple[list[FramePair], list[int]]:
             judge.pair(step, one)
             found.append((step, one))
     times = exposure_times_s(entries, [one for _, one in found])
-    pairs = []
+    pairs, place = [], folder.inside("frames").parent  # no line names a file elsewhere
     for step, one in found:
         record = frames[one]["pair"]
         dt_us = record.get("dt_measured_us", record["dt_us"])
@@ -60,7 +66,7 @@ def flow_pairs(folder: RunFolder) -> tuple[list[FramePair], list[int]]:
             FramePair(
                 f"{step['tag']}_{one:06d}",
                 step["view"] == "glass",
-                (folder.inside(frames[one]["file"]), folder.inside(frames[one + 1]["file"])),
+                (place / frames[one]["file"], place / frames[one + 1]["file"]),
                 dt_s=dt_us * 1e-6,
                 dt_sigma_s=None if sigma_us is None else sigma_us * 1e-6,
                 time_s=times[one],

@@ -30,11 +30,13 @@ from pathlib import Path
 
 from pydantic_core import from_json
 
+from daq.acquisition.runs.frame_entry import FrameEntry
 from daq.acquisition.runs.journal_lines import LINE
 from daq.acquisition.runs.journal_lines import Entry as Entry  # what readers of a journal hold in their hands
 from daq.acquisition.runs.records import CURE, parsed
 from daq.acquisition.runs.seal import sealed
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
+from ground.plain_file import open_plain
 
 try:
     from fcntl import LOCK_EX, LOCK_NB, flock
@@ -42,6 +44,7 @@ except ImportError:  # not a POSIX machine: nobody keeps a second process away t
     flock = None  # type: ignore[assignment]
 
 SYNC_S = 0.25
+LONGEST_LINE = 100_000_000  # bytes; a line that discards a million frames has 8 MB
 _MORE_THAN_WHOLE = re.compile(rb'"seal":"[0-9a-f]{8}"\}.', re.DOTALL)
 
 
@@ -67,13 +70,15 @@ def read_journal(path: Path, has_seals: bool = True) -> list[Entry]:
 
 
 def _entries(path: Path, has_seals: bool) -> Iterator[Entry]:
-    with path.open("rb") as file:
-        for number, line in enumerate(file, start=1):
+    shared: dict[object, object] = {}
+    with open_plain(path) as file:
+        for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), start=1):
             if not line.endswith(b"\n"):
                 if not _is_torn(line):
                     raise RunDamaged(f"{path}:{number}: the end of the file is damaged; {CURE}")
                 return
-            yield parsed(LINE, line, path, number, has_seals)
+            entry: Entry = parsed(LINE, line, path, number, has_seals)
+            yield FrameEntry(entry, shared) if entry["kind"] == "frame" else entry
 
 
 def _is_torn(line: bytes) -> bool:

@@ -3,6 +3,7 @@
 A line of a kind that is not in this table is refused when it is read, so who writes a new kind adds it here.
 """
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, NotRequired
 
 from pydantic import Field, TypeAdapter, with_config
@@ -10,7 +11,7 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 
 from daq.acquisition.runs.records import STRICT, Count, Crc, Positions, Tag, Text, Wide
 
-Entry = dict[str, Any]
+Entry = Mapping[str, Any]
 
 
 @with_config(STRICT)

@@ -59,7 +59,7 @@ def pairs_of(path: Path) -> RunPairs:
     pairs = list(_moved(folder, steps, entries)) if moved else []
     alone: list[int] = []
     if any("dt_us" in step for step in steps):
-        pairs, alone = flow_pairs(folder)
+        pairs, alone = flow_pairs(folder, lines)
     else:
         timed: dict[int, FramePair] = {}
         for step in steps:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.acquisition.plans.steps import Step
+from daq.acquisition.runs.frame_entry import frame_name as frame_name
 from daq.acquisition.runs.journal import read_journal
 from daq.acquisition.runs.journal_lines import Entry
 from daq.acquisition.runs.records import CURE
@@ -91,14 +92,14 @@ class RunFolder:
         Raises
         ------
         RunUnsuitable
-            It is no run folder, or of an unknown layout.
+            It is no run folder, of an unknown layout, or has links that lead out of it.
         RunDamaged
             run.json is not what was written.
         """
         folder = cls(path)
         read_run_file(path)
         for name in ("frames", "corrected"):
-            (path / name).mkdir(exist_ok=True)
+            folder.own(name).mkdir(exist_ok=True)
         return folder
 
     @property
@@ -145,6 +146,17 @@ class RunFolder:
         """Frames of the journal that have no file."""
         return [n for n, entry in frame_entries(entries).items() if not self.inside(str(entry["file"])).is_file()]
 
+    def own(self, name: str) -> Path:
+        """Path of a folder or file of ours in the run that something will be written to.
+
+        Raises
+        ------
+        RunUnsuitable
+            It is a link that leads out of the run folder: whoever made that writes there himself, by -o.
+        """
+        self.inside(name)
+        return self.path / name
+
     def inside(self, name: str) -> Path:
         """Path of a name that was read from a file of the run.
 
@@ -153,15 +165,13 @@ class RunFolder:
         RunUnsuitable
             It leads out of the run folder.
         """
-        path = (self.path / name).resolve()
+        try:
+            path = (self.path / name).resolve()
+        except (OSError, RuntimeError) as error:  # a link to itself
+            raise RunUnsuitable(f"{self.path}: {name!r} leads nowhere ({error})") from None
         if not path.is_relative_to(self.path.resolve()):
-            raise RunUnsuitable(f"{self.path}: names {name!r}, which lies outside the run; refuse to touch it")
+            raise RunUnsuitable(f"{self.path}: {name!r} lies outside the run, so it is not touched; see -o")
         return path
-
-
-def frame_name(number: int) -> str:
-    """Name of a raw frame within its run."""
-    return f"frames/{number:06d}.tif"
 
 
 def _against_plan(entry: Entry, steps: Sequence[PlannedStep]) -> str:
