@@ -20,8 +20,8 @@ from tifffile import COMPRESSION, PHOTOMETRIC
 
 from correction.errors import FrameError
 from ground.memory import require_memory
+from tracer.scene_tables import MOST_PX
 
-MOST_PX = 1 << 28  # no camera of a lab has more
 MOST_PACKED = 1100  # bytes of pixels in a byte of the file
 GREY_BITS = {(1, 8): np.uint8, (1, 16): np.uint16, (3, 32): np.float32}  # by sample format
 PLAIN = (COMPRESSION.NONE, COMPRESSION.ADOBE_DEFLATE, COMPRESSION.DEFLATE, COMPRESSION.PACKBITS)

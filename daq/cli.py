@@ -3,20 +3,27 @@
 Every verb is a public function of the same name in ``daq.verbs``; it is imported only when its verb is
 called, so that ``rtpiv --help`` answers at once.  What people can get wrong comes back as one sentence.
 
-Exit codes: 0 done, 2 usage or configuration, 3 device or disk, 4 interrupted and resumable.
+Exit codes and what is said with them: `daq.exit_codes`.
 """
 
-import errno
 import importlib
 import os
+import signal
 import sys
+import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TextIO
 
 import ground.compile_news as compile_news
+from daq.exit_codes import DEVICE as DEVICE  # who calls main compares with these
+from daq.exit_codes import DONE as DONE
+from daq.exit_codes import INTERRUPTED as INTERRUPTED
+from daq.exit_codes import USAGE as USAGE
+from daq.exit_codes import exit_code, sentence
 from daq.options import parser
+from daq.orderly_end import SIGNALLED, flush_or_leave, orderly_end
+from daq.printable import printable
 
-DONE, USAGE, DEVICE, INTERRUPTED = 0, 2, 3, 4
 THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
 
 
@@ -27,7 +34,7 @@ def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
     if left and options["verb"] == "stage" and not any(word.startswith("-") for word in left):
         options["axes"] += left
     elif left:
-        parser().error(f"unrecognized arguments: {' '.join(left)}")
+        parser().error(printable(f"unrecognized arguments: {' '.join(left)}"))
     return options
 
 
@@ -38,19 +45,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling
-    function = getattr(importlib.import_module(f"daq.verbs.{verb}"), verb)
+    with orderly_end(), warnings.catch_warnings():
+        warnings.showwarning = print_warning
+        try:
+            code = _carried_out(verb, options)
+        except SystemExit as end:
+            if isinstance(end.code, int) and end.code > SIGNALLED:
+                print(f"rtpiv {verb}: ended by {signal.Signals(end.code - SIGNALLED).name}", file=sys.stderr)
+            raise
+        failed = flush_or_leave()
+    if failed is not None and code == DONE:
+        print(f"rtpiv {verb}: {sentence(failed)}", file=sys.stderr)
+        return DEVICE
+    return code
+
+
+def _carried_out(verb: str, options: dict[str, Any]) -> int:
     try:
+        function = getattr(importlib.import_module(f"daq.verbs.{verb}"), verb)
+        for complaint in getattr(sys.modules.get("ground.kernel_cache"), "complaints", ()):
+            print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
         function(**options)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
     except Exception as error:
-        code = _exit_code(error)
+        code = exit_code(error)
         if code is None:
             raise
-        print(f"rtpiv {verb}: {_sentence(error)}", file=sys.stderr)
+        print(f"rtpiv {verb}: {sentence(error, options.get('out'))}", file=sys.stderr)
         return code
     return DONE
+
+
+def print_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Say what a library warns of, without its file and line; it may quote a name with commands in it."""
+    print(f"rtpiv: {printable(str(message))} ({category.__name__})", file=sys.stderr)
 
 
 def print_compiling(functions: int, seconds: float) -> None:
@@ -60,38 +97,6 @@ def print_compiling(functions: int, seconds: float) -> None:
     else:
         text = f"compiling: {functions} functions, {seconds:.0f} s"
     print(text, file=sys.stderr, flush=True)
-
-
-def _sentence(error: Exception) -> str:
-    """What to tell the person; an error of the system itself knows only a file and a reason."""
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        cure = "make room on the disk" if error.errno == errno.ENOSPC else "give another path, or mend this one"
-        return f"{error.filename}: {error.strerror.lower()}; {cure}"
-    return str(error)
-
-
-def _exit_code(error: Exception) -> int | None:
-    """Exit code of an error that a person can cure; None for a bug."""
-    from correction.errors import CorrectionError, FrameDamaged
-    from daq.errors import CameraUsageError, DaqError, RunInterrupted, RunUsageError
-    from ground.errors import GroundError
-    from stages.errors import StageError, StageUsageError
-    from tracer.errors import TracerError
-
-    if isinstance(error, RunInterrupted):
-        return INTERRUPTED
-    if isinstance(error, FrameDamaged):
-        return DEVICE
-    usage = GroundError | TracerError | CorrectionError | RunUsageError | StageUsageError | CameraUsageError
-    if isinstance(error, usage):
-        return USAGE
-    if isinstance(error, DaqError | StageError):
-        return DEVICE
-    if (
-        isinstance(error, OSError) and error.filename is not None
-    ):  # an output folder that cannot be one, a full disk
-        return DEVICE if error.errno == errno.ENOSPC else USAGE
-    return None
 
 
 if __name__ == "__main__":

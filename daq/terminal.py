@@ -1,8 +1,12 @@
-"""What a person sees while a verb works: tables wide enough to read, progress with time left."""
+"""What a person sees while a verb works: tables wide enough to read, progress with time left.
+
+Names of files and what stands in them may hold anything, also bytes that a terminal takes for commands: it would
+clear its screen, rename its window, or answer.  All that is said goes through `printable`.
+"""
 
 import time
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from rich.console import Console
 from rich.progress import (
@@ -13,10 +17,24 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
+
+from daq.printable import printable as printable  # who prints without a console needs it
 
 Item = TypeVar("Item")
 LONG_S = 1.0
 LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wide it is
+
+
+class _Screen(Console):
+    """Prints text as it is: neither markup nor commands to the terminal."""
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401
+        """Every text and cell comes through here."""
+        return super().render_str(printable(text), **options)
 
 
 def console() -> Console:
@@ -24,13 +42,13 @@ def console() -> Console:
 
     Text is printed as it is: `[px]` is a unit and `[a]` may be part of a path, never markup.
     """
-    found = Console(markup=False, emoji=False)
-    return found if found.is_terminal else Console(markup=False, emoji=False, width=LEAST_WIDTH)
+    found = _Screen()
+    return found if found.is_terminal else _Screen(width=LEAST_WIDTH)
 
 
 def error_console() -> Console:
     """Return the console for what is said while a verb works, on standard error."""
-    return Console(markup=False, emoji=False, stderr=True)
+    return _Screen(stderr=True)
 
 
 def progress(items: Iterable[Item], total: int, what: str, after_s: float = 0.0) -> Iterator[Item]:

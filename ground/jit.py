@@ -22,6 +22,7 @@ allocate nothing and raise nothing.  Each is also tested as plain Python through
 
 import inspect
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -67,12 +68,27 @@ def kernel(function: F) -> F:
 
 def _cached(function: F, **options: Any) -> F:  # noqa: ANN401
     """Compile on first call; numba reads the folder for the machine code when a function is given to it."""
-    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    numba.config.CACHE_DIR = str(cache_folder(Path(inspect.getfile(function))))  # type: ignore[attr-defined]
+    folder, before = cache_folder(Path(inspect.getfile(function))), numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    if folder is None:
+        return cast("F", numba.njit(**options | {"cache": False})(function))
+    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
     try:
-        return cast("F", numba.njit(**options)(function))
+        compiled = numba.njit(**options)(function)
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    _keep_if_possible(compiled)
+    return cast("F", compiled)
+
+
+def _keep_if_possible(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
+    """Let a disk that is full cost the next process its time, not this one its results."""
+    kept = compiled._cache.save_overload
+
+    def save(*arguments: object) -> None:
+        with suppress(OSError):
+            kept(*arguments)
+
+    compiled._cache.save_overload = save
 
 
 def kernel_inlined(function: F) -> F:

@@ -12,9 +12,12 @@ Each text is read once a process, as Python itself does.  Files that are not ker
 not by what they import: kernels take constants and named tuples from them, nothing that computes.
 """
 
+import atexit
 import hashlib
 import os
 import re
+import shutil
+import tempfile
 from functools import cache
 from pathlib import Path
 
@@ -26,11 +29,12 @@ KERNEL_FOLDERS = ("kernels", "tracer/bodies", "sim/renderer")
 REGISTERED = {"tracer/kernels/world.py": "tracer/bodies/*.py"}  # what is reached by type instead of by import
 ALWAYS = ("ground/jit.py",)
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
+complaints: list[str] = []  # said by the command line
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([\w.]+)", re.MULTILINE)
 
 
-def cache_folder(source: Path, root: Path = ROOT) -> Path:
-    """Folder for the compiled code of a file: below RTPIV_CACHE, else the user's cache folder.
+def cache_folder(source: Path, root: Path = ROOT) -> Path | None:
+    """Folder for the compiled code of a file: below RTPIV_CACHE, else the user's cache folder; None without one.
 
     Parameters
     ----------
@@ -39,8 +43,39 @@ def cache_folder(source: Path, root: Path = ROOT) -> Path:
     root : path
         Folder of the packages.
     """
-    base = os.environ.get("RTPIV_CACHE") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "rtpiv" / digest_of(source.resolve(), root)
+    base = _base(os.environ.get("RTPIV_CACHE") or os.environ.get("XDG_CACHE_HOME"))
+    return None if base is None else base / "rtpiv" / digest_of(source.resolve(), root)
+
+
+@cache
+def _base(wanted: str | None) -> Path | None:
+    """Folder of all compiled code; what a person should know about it is added to `complaints`.
+
+    One that cannot be written is replaced by a temporary one, which the processes that this one starts share and
+    which goes with it.  Numba would look for others by itself, and end the program if it finds none.
+    """
+    try:
+        base = Path(wanted) if wanted else Path.home() / ".cache"
+        (base / "rtpiv").mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=base / "rtpiv"):
+            return base
+    except (OSError, RuntimeError) as error:  # no folder of this user, too
+        name = getattr(error, "filename", None) or wanted or "the user's cache folder"
+        why = f"{name} cannot be written ({(getattr(error, 'strerror', None) or str(error)).lower()})"
+    complaints.append(f"{why}, so kernels are compiled anew each time; set RTPIV_CACHE to a folder of yours")
+    try:
+        place = tempfile.mkdtemp(prefix="rtpiv-kernels-")
+    except OSError:
+        return None
+    owner = os.getpid()
+
+    def remove() -> None:
+        if os.getpid() == owner:  # not in a forked child
+            shutil.rmtree(place, ignore_errors=True)
+
+    atexit.register(remove)
+    os.environ["RTPIV_CACHE"] = place
+    return Path(place)
 
 
 @cache

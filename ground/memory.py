@@ -11,6 +11,7 @@ from pathlib import Path
 from ground.errors import MemoryShort
 
 SHARE = 0.9  # of what is free; the rest is for everybody else
+ASKED_FROM_BYTES = 50_000_000  # less is not worth asking for
 _GROUP = Path("/sys/fs/cgroup")
 
 
@@ -35,7 +36,7 @@ def require_memory(needed_bytes: float, what: str) -> None:
     MemoryShort
         Less is free.
     """
-    free = free_bytes()
+    free = free_bytes() if needed_bytes >= ASKED_FROM_BYTES else None
     if free is not None and needed_bytes > SHARE * free:
         raise MemoryShort(
             f"{what} needs about {needed_bytes / 1e9:.1f} GB of memory, and {max(0, free) / 1e9:.1f} GB are free"

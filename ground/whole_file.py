@@ -1,8 +1,9 @@
 """Files that are whole or not there."""
 
+import errno
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,6 +24,12 @@ def whole_file(path: Path, let_go: bool = False) -> Iterator[BinaryIO]:
     ------
     stream : binary file
         Written under a temporary name beside `path`; on any error the temporary file is removed.
+
+    Raises
+    ------
+    OSError
+        It cannot be written; `filename` is the final name, and `strerror` says why, also where a library that
+        wrote to the stream left both out.
     """
     temporary = path.with_name(path.name + ".part")
     try:
@@ -33,5 +40,11 @@ def whole_file(path: Path, let_go: bool = False) -> Iterator[BinaryIO]:
             if let_go and hasattr(os, "posix_fadvise"):
                 os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         temporary.replace(path)
+    except OSError as error:
+        if error.errno is None:  # numpy: so many items requested, so many written
+            raise OSError(errno.ENOSPC, f"the disk is full, it took only a part ({error})", str(path)) from error
+        error.filename = str(path)
+        raise
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # a disk that has become read-only keeps it; that is no second error
+            temporary.unlink(missing_ok=True)

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.config import Table
 from ground.errors import MapFileError
-from ground.map_file import load_arrays, save_arrays
+from ground.map_file import Hash, checked, load_arrays, save_arrays
+from ground.memory import require_memory
 from ground.rows import run_rows
 from ground.short_repr import short_repr
 from tracer.branches import Branch, Numbers, number_keys
@@ -25,6 +27,14 @@ from tracer.status import RayStatus
 from tracer.trace import pack_camera
 
 KIND = "ray map"
+BYTES_PER_PX = 27  # of a map, and of the keys of its branches while it is made
+
+
+class RayHeader(Table):
+    """What the header of a stored ray map holds."""
+
+    scene_hash: Hash
+    branches: list[list[str]]
 
 
 @short_repr
@@ -74,12 +84,10 @@ class RayMap(SceneBound):
         header, arrays = load_arrays(path, KIND)
         try:
             plane, status, branch = arrays["plane_mm"], arrays["status"], arrays["branch"]
-            branches = tuple(tuple(str(name) for name in names) for names in header["branches"])
-            scene_hash = str(header["scene_hash"])
         except KeyError as error:
             raise MapFileError(f"{path}: lacks {error}; trace the scene again") from None
-        except TypeError:
-            raise MapFileError(f"{path}: branches are not lists of names; trace the scene again") from None
+        said = checked(path, header, RayHeader)
+        branches = tuple(map(tuple, said.branches))
         fits = plane.shape == (*status.shape, 2) and branch.shape == status.shape and status.ndim == 2
         kinds = plane.dtype.str in ("<f8", "<f4") and branch.dtype.str in ("<u2", "<u4")
         kinds &= status.dtype.str == "|u1"
@@ -94,7 +102,7 @@ class RayMap(SceneBound):
         points = plane[status == RayStatus.RECOVERED]
         if int(status.max(initial=0)) > max(RayStatus) or not np.isfinite(points).all():
             raise MapFileError(f"{path}: holds values that no ray has; trace the scene again")
-        return cls(plane, status, branch, branches, scene_hash)
+        return cls(plane, status, branch, branches, said.scene_hash)
 
 
 def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = False) -> RayMap:
@@ -115,8 +123,14 @@ def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = Fal
     -------
     RayMap
         The same bits for any number of threads.
+
+    Raises
+    ------
+    MemoryShort
+        The map of such a sensor does not fit into memory.
     """
     height, width = scene.camera.shape
+    require_memory(BYTES_PER_PX * height * width, f"the ray map of a sensor of {width} x {height} px")
     kind = np.dtype(np.float32 if single else np.float64)
     if (
         out is not None

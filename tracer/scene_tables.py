@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Annotated, Union
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ground.config import Pair, Table, Triple
 from ground.plain_words import exactly
@@ -12,6 +12,8 @@ from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.fit_section import FitTable
 from tracer.medium_table import MediumTable, Positive
 from tracer.pupil import Pupil
+
+MOST_PX = 1 << 28  # of a sensor; the largest have half of that
 
 
 class LensTable(Table):
@@ -43,6 +45,13 @@ class CameraTable(Table):
     f_number: Annotated[float, Field(ge=0.5, le=1000.0)] | None = None
     pupil_mm: Positive | None = None
     focus_mm: Positive | None = None
+
+    @field_validator("sensor_px")
+    @classmethod
+    def _some_camera_has_it(cls, value: list[int]) -> list[int]:
+        if value[0] * value[1] > MOST_PX:
+            raise ValueError(f"{value[0]} x {value[1]} px is more than the {MOST_PX} that any camera has")
+        return value
 
     @model_validator(mode="after")
     def _complete(self) -> "CameraTable":
@@ -114,5 +123,5 @@ class SceneTable(Table):
     ambient: str | MediumTable = MediumTable(n=1.0)
     glasses: dict[str, MediumTable] = Field(default_factory=dict)
     camera: CameraTable
-    bodies: Annotated[list[AnyBody], Field(max_length=10_000)] = Field(default_factory=list)
+    bodies: Annotated[list[AnyBody], Field(max_length=1000)] = Field(default_factory=list)
     fit: FitTable = FitTable()

@@ -10,22 +10,33 @@ Noise of the frame, PIV, and everything that is not a number of the scene come o
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.fit.result import SceneFit
 from correction.fit.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
+from ground.config import Pair, Table
 from ground.errors import MapFileError
-from ground.map_file import load_arrays, save_arrays
+from ground.map_file import Hash, checked, load_arrays, save_arrays
 from ground.short_repr import short_repr
 from tracer.ray_map import build_ray_map
 
 KIND = "map sigma"
 STEP = 4  # nodes between those computed; sigma is smooth
+
+
+class SigmaHeader(Table):
+    """What the header of a stored map sigma holds."""
+
+    scene_hash: Hash
+    px_mm: Annotated[float, Field(gt=0.0)]
+    origin_mm: Pair
+    pitch_mm: Annotated[float, Field(gt=0.0)]
 
 
 @short_repr
@@ -75,14 +86,16 @@ class MapSigma:
         header, arrays = load_arrays(path, KIND)
         try:
             sigma, behind = arrays["sigma_px"], arrays["behind_glass"]
-            if sigma.dtype.str != "<f4" or sigma.ndim != 3 or behind.shape != sigma.shape[:2]:
-                raise ValueError("shape")
-            x0, y0 = header["origin_mm"]
-            height, width = behind.shape
-            grid = PlaneGrid((float(x0), float(y0)), float(header["pitch_mm"]), (height, width))
-            return cls(grid, sigma, behind != 0, float(header["px_mm"]), str(header["scene_hash"]))
-        except (KeyError, TypeError, ValueError):
-            raise MapFileError(f"{path}: is no map sigma or damaged; run the calibration again") from None
+        except KeyError as error:
+            raise MapFileError(f"{path}: lacks {error}; run the calibration again") from None
+        fits = sigma.dtype.str == "<f4" and behind.dtype.str == "|u1" and sigma.shape == (*behind.shape, 2)
+        if not fits or behind.ndim != 2:
+            raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
+        said = checked(path, header, SigmaHeader)
+        (x0, y0), (height, width) = said.origin_mm, behind.shape
+        return cls(
+            PlaneGrid((x0, y0), said.pitch_mm, (height, width)), sigma, behind != 0, said.px_mm, said.scene_hash
+        )
 
 
 def map_sigma(fit: SceneFit, step: int = STEP) -> MapSigma:

@@ -18,17 +18,30 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ConfigDict
 
 from correction.fit.result import SceneFit
 from correction.fit.unknowns import left_jacobian
+from ground.config import Table
 from ground.errors import MapFileError
-from ground.map_file import load_arrays
+from ground.map_file import Hash, checked, load_arrays
 from tracer.errors import StaleMap
 from tracer.scene import Scene, SceneBound
 from tracer.sensitivity import CAMERA, TARGET, landings
 
 KIND = "scene fit"
 BLOCK = 65536  # pixels at a time: some 60 MB of derivatives
+
+
+class FitHeader(Table):
+    """What the header of a fit file holds; a newer version may have written more."""
+
+    model_config = ConfigDict(extra="allow")
+
+    names: list[str]
+    scene_hash: Hash
+    nominal_hash: Hash
+    history: list[str]
 
 
 @dataclass(frozen=True)
@@ -69,10 +82,10 @@ class SceneSigma(SceneBound):
             The file is damaged, or of a version that did not store it.
         """
         header, arrays = load_arrays(path, KIND)
-        root = arrays.get("scene_root")
-        if root is None or root.dtype != np.float64 or root.ndim != 2:
+        said, root = checked(path, header, FitHeader), arrays.get("scene_root")
+        if root is None or root.dtype.str != "<f8" or root.ndim != 2 or not np.isfinite(root).all():
             raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
-        return cls(str(header["scene_hash"]), root)
+        return cls(said.scene_hash, root)
 
     def spread(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Spread (N, 2, P) [mm] of the plane points that raw pixels (N, 2) show; NaN where none is shown.

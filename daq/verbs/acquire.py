@@ -1,6 +1,6 @@
 """`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
 
-import sys
+import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
@@ -157,11 +157,13 @@ def run_and_report(
             person = operator_of(operator, request.simulate)
             done = carry_out(request, bench, plan, folder, home, watcher, again=again, operator=person)
     except (BadBalance, FrameDoubt):
-        print(f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed", file=sys.stderr)
+        said = f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed"
+        error_console().print(said, soft_wrap=True, highlight=False)
         raise
     except BaseException:
         homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
-        print(f"the run is in {folder.path}; go on with: rtpiv resume {folder.path}{homing}", file=sys.stderr)
+        said = f"the run is in {folder.path}; go on with: rtpiv resume {shlex.quote(str(folder.path))}{homing}"
+        error_console().print(said, soft_wrap=True, highlight=False)
         raise
     print_done(screen, folder, done)
     return done

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Unpack
 
 from correction.errors import PairError
+from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import is_run
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.report.mean import write_mean_page
@@ -69,7 +70,7 @@ def mean(
     path, out, scene, target_clear = Path(path), path_of(out), path_of(scene), path_of(target_clear)
     series = None
     if is_run(path):
-        folder = require_folder(out if out is not None else path / "series")
+        folder = require_folder(out if out is not None else RunFolder(path).own("series"))
         choice = piv_choice(**options)
         given = series_input(path, folder, choice, scene, target_clear, dewarp_order, dt_us=dt_us)
         books = run_series(path.resolve().name, folder, given.given, given.method, workers)

@@ -77,7 +77,7 @@ def report(
     run, scene, target_clear = Path(run), path_of(scene), path_of(target_clear)
     folder = RunFolder.open(run)
     about = folder.about
-    out = require_folder(out if out is not None else run / "report")
+    out = require_folder(out if out is not None else folder.own("report"))
     if _is_flow(run):
         mean(run, out, scene, target_clear, dewarp_order, **options)
         return out / "mean.html"

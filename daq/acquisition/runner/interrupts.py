@@ -12,7 +12,6 @@ The handlers only count; what has to be said to controllers is said by a thread 
 a handler may interrupt the very call that holds a port's lock, or a lock of the standard library.
 """
 
-import os
 import signal
 import threading
 import time
@@ -20,6 +19,7 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+from daq.orderly_end import leave_terminals, terminals_of
 from stages.stop_signals import StopThread
 
 LOOK_S = 0.05
@@ -86,7 +86,7 @@ class Interrupts:
     def __enter__(self) -> Self:
         self._thread = StopThread(lambda: self._stop_now())
         if threading.current_thread() is threading.main_thread():
-            self._terminals = [number for number in (1, 2) if os.isatty(number)]
+            self._terminals = terminals_of()
             for name, handler in (
                 ("SIGINT", self._on_press),
                 ("SIGTERM", self._on_press),
@@ -113,10 +113,7 @@ class Interrupts:
         self.press()
 
     def _on_hangup(self, number: int, frame: FrameType | None) -> None:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        for descriptor in self._terminals:
-            os.dup2(nowhere, descriptor)
-        os.close(nowhere)
+        leave_terminals(self._terminals)
         self.press()
 
     def _on_quit(self, number: int, frame: FrameType | None) -> None:

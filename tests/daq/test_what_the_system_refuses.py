@@ -1,0 +1,219 @@
+"""A full disk, no permission, no memory, no cache: one sentence in every verb, and nothing half-written."""
+
+import errno
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+from daq.cli import DEVICE, USAGE, main
+from daq.options import parser
+from ground.errors import MemoryShort
+from ground.memory import free_bytes, require_memory
+from tests.daq.test_cli import SMALL
+
+WORDS = {
+    "trace": ["scene.yaml"], "calibrate": ["folder", "-o", "out"],
+    "correct": ["a.tif", "--scene", "s", "-o", "out"],
+    "evaluate": ["a.tif", "b.tif", "--scene", "s", "-o", "out"], "focus": ["run"], "join": ["a", "b"],
+    "mean": ["run"], "report": ["run"], "acquire": ["plan"], "resume": ["run"], "check": ["run"], "stage": [],
+    "laser": [], "camera": ["list"], "doctor": [], "init": ["--yes"], "examples": [],
+    "schema": [], "emulate": ["bench"], "benchmark": ["scene"], "demo": [],
+}  # fmt: skip
+
+
+def failing(verb, monkeypatch, error):
+    """Let a verb be one that meets an error of the system somewhere inside."""
+
+    def fails(**options):
+        raise error
+
+    __import__(f"daq.verbs.{verb}")
+    monkeypatch.setattr(sys.modules[f"daq.verbs.{verb}"], verb, fails)
+
+
+@pytest.mark.parametrize("verb", sorted(WORDS))
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "no space left on device; make room"),
+        (OSError(errno.EFBIG, "File too large", "out/a.png"), "out/a.png: file too large; make room"),
+        (OSError(errno.EROFS, "Read-only file system", "out"), "out: read-only file system; give another path"),
+        (PermissionError(errno.EACCES, "Permission denied", "out"), "out: permission denied; give another path"),
+        (OSError(errno.EIO, "Input/output error"), "input/output error; give another path"),
+        (MemoryError("Unable to allocate 6.71 GiB"), "not enough memory (unable to allocate 6.71 GiB); end other"),
+        (MemoryError(), "not enough memory; end other programs"),
+        (MemoryShort("a map needs about 9.0 GB of memory, and 1.0 GB are free"), "a map needs about 9.0 GB"),
+    ],
+)
+def test_every_verb_says_it_in_one_sentence(verb, error, words, monkeypatch, capsys):
+    failing(verb, monkeypatch, error)
+    code = main([verb, *WORDS[verb]])
+    assert code == (USAGE if error.args and error.args[0] in (errno.EROFS, errno.EACCES) else DEVICE)
+    said = capsys.readouterr().err
+    assert said.startswith(f"rtpiv {verb}: ")
+    assert words in said
+    assert len(said.splitlines()) == 1
+
+
+def test_every_verb_that_writes_is_tried():
+    verbs = parser()._subparsers._group_actions[0].choices
+    writing = {name for name, verb in verbs.items() if any("--out" in a.option_strings for a in verb._actions)}
+    assert len(writing) > 8
+    assert writing <= set(WORDS)
+
+
+# A process of its own, whose files may not grow beyond some kB: as a disk that is full, with any user.
+SMALL_FILES = """
+import resource, sys
+from daq.cli import main
+limit, verb = int(sys.argv[1]), sys.argv[2:]
+import daq.verbs.trace, daq.verbs.correct, daq.verbs.evaluate
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+sys.exit(main(verb))
+"""
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    place = tmp_path_factory.mktemp("lab")
+    (place / "scene.yaml").write_text(SMALL)
+    rng = np.random.default_rng(0)
+    for name in ("a", "b"):
+        tifffile.imwrite(place / f"{name}.tif", rng.integers(100, 200, (96, 96)).astype(np.uint16))
+    return place
+
+
+@pytest.mark.parametrize("limit", [0, 5000])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["trace", "scene.yaml"],
+        ["correct", "a.tif", "--scene", "scene.yaml"],
+        ["evaluate", "a.tif", "b.tif", "--scene", "scene.yaml"],
+    ],
+)
+def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(lab, tmp_path, words, limit):
+    out = tmp_path / "out"
+    done = subprocess.run(
+        [sys.executable, "-c", SMALL_FILES, str(limit), *words, "-o", str(out)],
+        cwd=lab, env=os.environ | {"PYTHONPATH": str(Path.cwd())}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == DEVICE, done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith(f"rtpiv {words[0]}: {out}"), done.stderr
+    assert "make room" in last
+    assert "Traceback" not in done.stderr
+    for path in out.rglob("*"):
+        assert not path.name.endswith(".part"), path
+        if path.suffix == ".json":
+            json.loads(path.read_text())
+        elif path.suffix == ".html":
+            assert "</html>" in path.read_text()
+
+
+# A process of its own that may not take more memory than it has, but for a little.
+LITTLE_MEMORY = """
+import resource, sys
+from pathlib import Path
+from daq.cli import main
+import daq.verbs.trace, daq.verbs.correct
+main(["trace", sys.argv[1], "-o", sys.argv[2] + "_small"])
+used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000, used + 300_000_000))
+sys.exit(main(["trace", sys.argv[3], "-o", sys.argv[2]]))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux says what a process has")
+def test_what_does_not_fit_into_memory_is_refused_before_it_is_taken(lab, tmp_path):
+    """A sensor of 12 000 x 12 000 px: 144 million rays."""
+    (tmp_path / "large.yaml").write_text(SMALL.replace("[96, 96]", "[12000, 12000]"))
+    out = tmp_path / "out"
+    done = subprocess.run(
+        [sys.executable, "-c", LITTLE_MEMORY, str(lab / "scene.yaml"), str(out), str(tmp_path / "large.yaml")],
+        env=os.environ | {"PYTHONPATH": str(Path.cwd()), "RTPIV_THREADS": "1"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == DEVICE, done.stderr
+    said = done.stderr.strip().splitlines()
+    assert "12000 x 12000 px needs about" in said[-1], done.stderr
+    assert "GB are free" in said[-1]
+    assert "Traceback" not in done.stderr
+    assert not out.exists()
+
+
+def test_memory_is_asked_for_in_all_places():
+    free = free_bytes()
+    require_memory(1.0, "nothing")
+    if free is not None:
+        assert free > 100_000_000
+        with pytest.raises(MemoryShort, match=r"the world needs about .* GB of memory, and .* GB are free"):
+            require_memory(2.0 * free, "the world")
+
+
+def test_a_limit_of_the_process_counts():
+    code = (
+        "import resource; from ground.memory import free_bytes\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (3_000_000_000,) * 2)\nprint(free_bytes())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert 0 < int(done.stdout) < 3_000_000_000
+    assert resource.getrlimit(resource.RLIMIT_AS)[0] != 3_000_000_000
+
+
+@pytest.mark.parametrize("sensor", ["[65535, 65535]", "[30000, 30000]"])
+def test_a_sensor_that_nobody_has_is_refused_with_its_line(tmp_path, sensor, capsys):
+    (tmp_path / "scene.yaml").write_text(SMALL.replace("[96, 96]", sensor))
+    assert main(["trace", str(tmp_path / "scene.yaml"), "-o", str(tmp_path / "out")]) == USAGE
+    assert "scene.yaml:2: camera.sensor_px: " in capsys.readouterr().err
+
+
+CACHE = """
+import sys
+import numba
+from ground import kernel_cache
+from ground.jit import kernel
+
+@kernel
+def twice(x):
+    return 2.0 * x
+
+print(twice(4.0), *kernel_cache.complaints, sep="|")
+"""
+
+
+@pytest.mark.parametrize("where", ["/proc/none", "/dev/null", "a file"])
+def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said(tmp_path, where):
+    (tmp_path / "a file").write_text("")
+    (tmp_path / "kernels.py").write_text(CACHE)
+    cache = str(tmp_path / where) if where == "a file" else where
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "kernels.py")],
+        env=os.environ | {"PYTHONPATH": str(Path.cwd()), "RTPIV_CACHE": cache, "TMPDIR": str(tmp_path)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    number, complaint = done.stdout.strip().split("|")
+    assert number == "8.0"
+    assert f"{cache}" in complaint
+    assert "RTPIV_CACHE" in complaint
+    assert not list(tmp_path.glob("rtpiv-kernels-*")), "the temporary one goes with the process"
+
+
+def test_a_full_cache_costs_nothing_but_time(tmp_path):
+    (tmp_path / "kernels.py").write_text(
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + CACHE
+    )
+    done = subprocess.run(
+        [sys.executable, "-B", str(tmp_path / "kernels.py")],
+        env=os.environ | {"PYTHONPATH": str(Path.cwd()), "RTPIV_CACHE": str(tmp_path / "cache")},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "8.0"
