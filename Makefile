@@ -40,6 +40,11 @@ fuzz: $(STAMP)
 lamps: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/fit/test_lamps.py
 
+# Random damage to every file that is read: make fuzz-readers CASES=100000 SEED=1
+CASES ?= 10000
+fuzz-readers: $(STAMP)
+	$(BIN)/python -m tests.readers.fuzz --cases $(CASES) --seed $(SEED)
+
 bench: benchmark
 
 benchmark: $(STAMP)

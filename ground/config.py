@@ -3,7 +3,8 @@
 YAML 1.1 is generous in ways that ruin experiments: a duplicate key silently wins, ``1e-3`` is text,
 ``on`` is True, ``010`` is eight and ``12:30`` is 750.  Here each of these is an error with file and line:
 
-* duplicate keys, tags, merge keys, more than MAX_ALIASES aliases, files over MAX_BYTES,
+* duplicate keys, tags, merge keys, more than MAX_ALIASES aliases, files over MAX_BYTES, texts over MAX_TEXT,
+  characters that cannot be printed (they would be commands to the terminal that shows the name),
 * numbers that YAML would not read as the person meant them, NaN and infinity,
 * unknown keys (a wrong unit suffix is an unknown key; the nearest known key is named), missing keys,
   values of the wrong type or outside their range.
@@ -23,12 +24,15 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ground.errors import ConfigError, Problem
+from ground.plain_file import read_plain
 from ground.plain_words import exactly, is_of_a_kind, place_words, sentence
 
 MAX_BYTES = 1_000_000
 MAX_ALIASES = 16
 MAX_NODES = 50_000
 MAX_DEPTH = 32
+MAX_NAME = 100  # characters of a key
+MAX_TEXT = 4096  # characters of a text: the longest path
 
 _NUMBER = re.compile(r"[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)([eE][-+]?\d+)?")
 _INTEGER = re.compile(r"[-+]?(0|[1-9]\d*)")
@@ -105,14 +109,9 @@ def open_document(path: Path | str) -> Document:
     """
     path = Path(path)
     try:
-        with path.open("rb") as stream:
-            raw = stream.read(MAX_BYTES + 1)  # never more, whatever the file claims to be
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            path, [Problem(0, f"cannot be read: {getattr(error, 'strerror', None) or error}")]
-        ) from None
-    if len(raw) > MAX_BYTES:
-        raise ConfigError(path, [Problem(0, f"is larger than the {MAX_BYTES} bytes allowed")])
+        raw = read_plain(path, MAX_BYTES)
+    except OSError as error:
+        raise ConfigError(path, [Problem(0, f"cannot be read: {error.strerror or error}")]) from None
     try:
         root = yaml.compose(raw.decode("utf-8"), _BoundedLoader)
     except UnicodeDecodeError:
@@ -131,6 +130,9 @@ def open_document(path: Path | str) -> Document:
     if reader.is_too_much:
         raise ConfigError(path, list(reader.problems.values()))
     return Document(path, tree, reader.lines, reader.problems)
+
+
+_TOO_MUCH = f"is nested too deeply (at most {MAX_DEPTH} levels) or holds too many values (at most {MAX_NODES})"
 
 
 class _OutOfBounds(yaml.MarkedYAMLError):
@@ -156,7 +158,7 @@ class _BoundedLoader(yaml.composer.Composer, getattr(yaml, "CSafeLoader", yaml.S
         if self.aliases > MAX_ALIASES:
             self._stop(f"uses more than {MAX_ALIASES} aliases; write the values out")
         if self.nodes > MAX_NODES or self.depth > MAX_DEPTH:
-            self._stop("is nested too deeply or holds too many values")
+            self._stop(_TOO_MUCH)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -181,7 +183,7 @@ class _Reader:
         self.nodes += 1
         if self.nodes > MAX_NODES or len(place) > MAX_DEPTH:
             if not self.is_too_much:
-                self.problems[place] = Problem(line, "is nested too deeply or holds too many values")
+                self.problems[place] = Problem(line, _TOO_MUCH)
             self.is_too_much = True
             return None
         if isinstance(node, yaml.MappingNode):
@@ -199,6 +201,8 @@ class _Reader:
                 self.problems[(*place, f"line {line}")] = Problem(line, text)
                 continue
             key = str(key_node.value)
+            if not self._is_sayable(key, MAX_NAME, (*place, f"line {line}"), line):
+                continue
             if key in result:
                 first = self.lines[(*place, key)]
                 text = f"key {key!r} is already given in line {first}"
@@ -208,8 +212,21 @@ class _Reader:
             result[key] = self.value(value_node, (*place, key))
         return result
 
+    def _is_sayable(self, text: str, longest: int, place: Place, line: int) -> bool:
+        """Whether a text can be shown and named after; what cannot is a problem."""
+        if len(text) > longest:
+            said = f"a text of {len(text)} characters; at most {longest} are read"
+        elif not text.replace("\n", "").replace("\t", "").isprintable():
+            said = f"{text[:MAX_NAME]!r} holds characters that cannot be printed"
+        else:
+            return True
+        self.problems[place] = Problem(line, said)
+        return False
+
     def _scalar(self, node: yaml.Node, place: Place) -> str | int | float | bool | None:
         text = str(node.value)
+        if not self._is_sayable(text, MAX_TEXT, place, node.start_mark.line + 1):
+            return None
         if node.tag not in _PLAIN_TAGS:
             line = node.start_mark.line + 1
             self.problems[place] = Problem(line, f"tag {node.tag!r} is not supported; remove it")

@@ -3,23 +3,38 @@
 A file is an uncompressed .npz with one extra member ``header`` (UTF-8 JSON as bytes): what kind of map it
 is, the layout version, the hash of the scene, and what the map itself wants to keep.  Before an array is
 read, its declared shape is compared with the bytes really there, so a damaged or hostile file cannot make
-the reader allocate memory.  Writing goes to a temporary name, is flushed to disk, then renamed.
+the reader allocate memory; what an array holds is said in the one form that numpy writes, and nothing of it is
+evaluated.  Who knows a kind of map says what its header holds (`checked`).  Writing goes to a temporary name, is
+flushed to disk, then renamed.
 """
 
 import json
+import os
+import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, ValidationError
 
+from ground.config import Table
 from ground.errors import MapFileError
+from ground.plain_file import open_plain
 from ground.whole_file import whole_file
 
 LAYOUT = 1
 HEADER_BYTES = 1_000_000
+MOST_SAID = 120  # characters of what a library says
+_MAGIC = b"\x93NUMPY\x01\x00"
+_ARRAY = re.compile(  # as numpy writes it, of plain numbers
+    rb"\{'descr': '(?P<kind>[<>|][biufc][0-9]{1,2})', 'fortran_order': False, "
+    rb"'shape': \((?P<shape>(?:[0-9]{1,18},? ?)*)\), \} *\n"
+)
+Header = TypeVar("Header", bound=Table)
+Hash = Annotated[str, Field(min_length=1, max_length=64)]
 
 
 def save_arrays(path: Path | str, kind: str, header: dict[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -56,34 +71,66 @@ def load_arrays(path: Path | str, kind: str) -> tuple[dict[str, Any], dict[str, 
     """
     path = Path(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            arrays = {info.filename.removesuffix(".npy"): _member(archive, info) for info in archive.infolist()}
+        with open_plain(path) as stream, zipfile.ZipFile(stream) as archive:
+            length = os.fstat(stream.fileno()).st_size
+            arrays = {
+                info.filename.removesuffix(".npy"): _member(archive, info, length) for info in archive.infolist()
+            }
         text = arrays.pop("header").tobytes()
         if len(text) > HEADER_BYTES:
             raise ValueError(f"a header of {len(text)} bytes")
-        header = json.loads(text.decode())
+        header = json.loads(text.decode(), parse_constant=_refuse)
         found, layout = header.pop("kind"), header.pop("layout")
     except OSError as error:
         raise MapFileError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError, TypeError, AttributeError, RuntimeError) as error:
-        raise MapFileError(f"{path}: is damaged or no map file ({error}); trace the scene again") from None
+    except MemoryError:
+        raise
+    except Exception as error:  # whatever zip and JSON make of damage
+        said = "".join(c if c.isprintable() else "?" for c in str(error))[:MOST_SAID]
+        raise MapFileError(f"{path}: is damaged or no map file ({said}); trace the scene again") from None
     if found != kind:
-        raise MapFileError(f"{path}: holds a {found}, not a {kind}")
+        raise MapFileError(f"{path}: holds a {str(found)[:MOST_SAID]}, not a {kind}")
     if layout != LAYOUT:
-        raise MapFileError(f"{path}: has layout {layout}, this version reads {LAYOUT}; trace the scene again")
+        said = str(layout)[:MOST_SAID]
+        raise MapFileError(f"{path}: has layout {said}, this version reads {LAYOUT}; trace the scene again")
     return header, arrays
 
 
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
+def checked(path: Path | str, header: dict[str, Any], model: type[Header]) -> Header:
+    """Check the header of a map against its model.
+
+    Raises
+    ------
+    MapFileError
+        Something is missing, or is not what it should be.
+    """
+    try:
+        return model.model_validate(header)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name = ".".join(str(part) for part in first["loc"])[:MOST_SAID]
+        if first["type"] == "missing":
+            raise MapFileError(f"{path}: lacks '{name}'; make it again") from None
+        raise MapFileError(f"{path}: the header is damaged at '{name}' ({first['msg']}); make it again") from None
+
+
+def _refuse(word: str) -> NoReturn:
+    raise ValueError(f"{word} in the header")
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo, length: int) -> NDArray[Any]:
     """Read one array after checking its declared size against the bytes present."""
-    if info.compress_type != zipfile.ZIP_STORED or info.file_size > Path(str(archive.filename)).stat().st_size:
+    if info.compress_type != zipfile.ZIP_STORED or info.file_size > length:
         raise ValueError(f"member {info.filename!r} is not stored plainly")
     with archive.open(info) as stream:
-        version = np.lib.format.read_magic(stream)
-        if version != (1, 0):
+        if stream.read(len(_MAGIC)) != _MAGIC:
             raise ValueError(f"member {info.filename!r} has an unknown header")
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream, max_header_size=10_000)
-        size = int(np.prod([int(n) for n in shape], dtype=object)) * dtype.itemsize
-        if dtype.hasobject or fortran or size != info.file_size - stream.tell():
+        said = _ARRAY.fullmatch(stream.read(int.from_bytes(stream.read(2), "little")))
+        if said is None:
+            raise ValueError(f"member {info.filename!r} is not described as numpy does it")
+        dtype = np.dtype(said["kind"].decode())
+        shape = [int(number) for number in re.findall(rb"[0-9]+", said["shape"])]
+        size = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if size != info.file_size - stream.tell():
             raise ValueError(f"member {info.filename!r} does not have the size it declares")
         return np.frombuffer(bytearray(stream.read(size)), dtype).reshape(shape)

@@ -6,10 +6,11 @@ file that answers them (``docs/add-a-body.md``).
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from ground.config import Table
 from tracer.camera import Vector3
@@ -35,7 +36,7 @@ class Capsule(NamedTuple):
 class BodySection(Table):
     """A body in a scene file; each kind adds ``kind`` and its numbers."""
 
-    name: str | None = None
+    name: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     kind: str
 
     def body(self, name: str, media: Mapping[str, Medium]) -> "Body":

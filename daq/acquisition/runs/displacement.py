@@ -23,12 +23,13 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 from daq.acquisition.bench.bench_table import TARGET, Bench, Vector
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.journal import Entry
-from daq.acquisition.runs.records import CURE, STRICT, Count, Tag, Way, parsed, read_record
+from daq.acquisition.runs.records import CURE, MOST_BYTES, STRICT, Count, Tag, Way, parsed, read_record
 from daq.acquisition.runs.run_file import SEALED_FROM
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.seal import sealed
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.whole_text import write_text
+from ground.plain_file import read_plain
 
 FILE = "displacements.json"
 
@@ -134,7 +135,7 @@ def read_displacements(folder: RunFolder) -> list[Moved]:
 
 def _sealed_entries(path: Path) -> list[Moved]:
     try:
-        lines = path.read_bytes().split(b"\n")
+        lines = read_plain(path, MOST_BYTES).split(b"\n")
     except OSError as error:
         raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
     if lines[0] != b"[" or lines[-2:] != [b"]", b""]:

@@ -16,11 +16,13 @@ from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from daq.acquisition.runs.seal import SealBroken, unsealed
 from daq.errors import RunDamaged
+from ground.plain_file import read_plain
 
 T = TypeVar("T")
 CURE = "restore the file from a copy, or begin a new run"
 STRICT = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
 _PLACE = re.compile(r" at line (\d+) column \d+")
+MOST_BYTES = 500_000_000  # of a record; a plan of a million steps has 300 MB
 LONGEST_SHOWN = 40  # characters of a wrong value
 
 Count = Annotated[int, Field(ge=0, le=1_000_000_000)]
@@ -70,7 +72,7 @@ def read_record(adapter: TypeAdapter[T], path: Path, sealed: bool) -> T:
         It cannot be read, or is not what was written; with the line where that is known.
     """
     try:
-        data = path.read_bytes()
+        data = read_plain(path, MOST_BYTES)
     except OSError as error:
         raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
     try:

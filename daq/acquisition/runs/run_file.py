@@ -11,8 +11,9 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
-from daq.acquisition.runs.records import CURE, STRICT, Count, Tag, Text, read_record
+from daq.acquisition.runs.records import CURE, MOST_BYTES, STRICT, Count, Tag, Text, read_record
 from daq.errors import RunDamaged, RunUnsuitable
+from ground.plain_file import read_plain
 
 FILE = "run.json"
 LAYOUT = 2
@@ -94,7 +95,7 @@ def read_run_file(folder: Path) -> RunFile:
         It is not what was written.
     """
     path = folder / FILE
-    if not path.is_file():
+    if not path.exists():
         raise RunUnsuitable(f"{folder}: is no run folder (it has no {FILE})")
     return read_record(RUN_FILE, path, sealed=_layout(path) >= SEALED_FROM)
 
@@ -102,7 +103,7 @@ def read_run_file(folder: Path) -> RunFile:
 def _layout(path: Path) -> int:
     """Layout of a run, before anything else is believed; one that is not known makes the rest unreadable."""
     try:
-        tree: Any = json.loads(path.read_bytes())
+        tree: Any = json.loads(read_plain(path, MOST_BYTES))
     except (OSError, ValueError, RecursionError):
         return LAYOUT  # what is wrong with it is said by the one who reads it in full
     layout = tree.get("layout") if isinstance(tree, dict) else None

@@ -21,6 +21,7 @@ from pathlib import Path
 
 from daq.acquisition.runs.records import CURE
 from daq.errors import RunDamaged
+from ground.plain_file import open_plain
 
 ALWAYS = ("run.json", "steps.jsonl")
 PATTERNS = ("camera_*.json", "displacements.json")
@@ -44,7 +45,8 @@ def run_hash(folder: Path, frames: Mapping[str, str]) -> str:
     lines = {name: f"crc32 {crc32}" for name, crc32 in frames.items()}
     for name in (*ALWAYS, *(path.name for pattern in PATTERNS for path in folder.glob(pattern))):
         try:
-            lines[name] = f"sha256 {hashlib.sha256((folder / name).read_bytes()).hexdigest()}"
+            with open_plain(folder / name) as file:
+                lines[name] = f"sha256 {hashlib.file_digest(file, 'sha256').hexdigest()}"
         except OSError as error:
             raise RunDamaged(f"{folder / name}: cannot be read ({error.strerror}); {CURE}") from None
     text = "".join(f"{digits}  {name}\n" for name, digits in sorted(lines.items()))

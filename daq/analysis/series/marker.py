@@ -5,14 +5,21 @@ chunk compares both hashes.
 """
 
 import hashlib
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from daq.acquisition.runs.records import Count, Sha
 from daq.whole_text import write_json
+from ground.plain_file import read_plain
+
+MARKER_BYTES = 10_000_000
+CHUNK_BYTES = 2_000_000_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(strict=True, extra="forbid"))
 class Marker:
     """What is known of a chunk's file.
 
@@ -28,10 +35,13 @@ class Marker:
         Those of them without vectors, by tag, and why.
     """
 
-    key: str
-    sha256: str
-    pairs: int
+    key: Sha
+    sha256: Sha
+    pairs: Count
     failed: dict[str, str]
+
+
+_MARKER: TypeAdapter[Marker] = TypeAdapter(Marker)
 
 
 def marker_path(path: Path) -> Path:
@@ -49,10 +59,9 @@ def write_marker(path: Path, key: str, pairs: int, failed: dict[str, str]) -> Ma
 def sound_content(path: Path, key: str) -> tuple[Marker, bytes] | None:
     """Marker and bytes of a chunk's file; None if it is missing, of another key, or not what was written."""
     try:
-        tree = json.loads(marker_path(path).read_bytes())
-        content = path.read_bytes()
-        marker = Marker(**tree)
-    except (OSError, ValueError, TypeError, RecursionError):
+        marker = _MARKER.validate_json(read_plain(marker_path(path), MARKER_BYTES))
+        content = read_plain(path, CHUNK_BYTES)
+    except (OSError, ValidationError):
         return None
     is_sound = marker.key == key and marker.sha256 == hashlib.sha256(content).hexdigest()
-    return (marker, content) if is_sound and isinstance(marker.failed, dict) else None
+    return (marker, content) if is_sound else None

@@ -19,12 +19,13 @@ from pydantic import Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
 from correction.errors import SeriesError
-from daq.acquisition.runs.records import STRICT, Count, Sha, Tag, Text, Way
+from daq.acquisition.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
 from daq.analysis.series.chunk_file import ChunkContent, read_chunk
 from daq.analysis.series.marker import Marker, sound_content
 from daq.analysis.series.series_plan import chunk_path
 from daq.errors import DiskError, RunUnsuitable
 from daq.whole_text import why, write_json
+from ground.plain_file import read_plain
 
 try:
     from fcntl import LOCK_EX, LOCK_NB, flock
@@ -73,11 +74,13 @@ class SeriesFolder:
         """
         file = self.path / FILE
         try:
-            return _SERIES.validate_json(file.read_bytes())
-        except OSError:
+            return _SERIES.validate_json(read_plain(file, MOST_BYTES))
+        except FileNotFoundError:
             raise RunUnsuitable(
                 f"{self.path}: is no series (it has no {FILE}); evaluate a flow run first"
             ) from None
+        except OSError as error:
+            raise SeriesError(f"{file}: cannot be read ({error.strerror}); evaluate the run again") from None
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]["msg"]
             raise SeriesError(f"{file}: is damaged ({problem}); evaluate the run again") from None

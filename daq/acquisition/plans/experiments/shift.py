@@ -34,6 +34,8 @@ class DisplacementTable(Table):
     def _one_length(self) -> "DisplacementTable":
         if (self.mm is None) == (self.px is None):
             raise ValueError("give exactly one of mm and px")
+        if not (self.mm or self.px):
+            raise ValueError("a displacement of 0 shows nothing; give another length")
         if not math.hypot(*self.along) > 0.0:
             raise ValueError("along must not be zero in every direction")
         return self

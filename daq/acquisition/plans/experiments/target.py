@@ -9,10 +9,11 @@
 The bare frames come first, so the glass moves out once and in once.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.plans.plan_table import PlanTable, Pose
@@ -24,6 +25,14 @@ class StackTable(Table):
     """Places of the target along z."""
 
     z_mm: Annotated[list[float], Field(min_length=1, max_length=10_000)]
+
+    @field_validator("z_mm")
+    @classmethod
+    def _no_height_twice(cls, heights_mm: list[float]) -> list[float]:
+        twice = [z for z, count in Counter(f"{z:g}" for z in heights_mm).items() if count > 1]
+        if twice:
+            raise ValueError(f"names the height {twice[0]} twice; give frames: 2 for more frames of one height")
+        return heights_mm
 
 
 class TargetPlan(PlanTable):

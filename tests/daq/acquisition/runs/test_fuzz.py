@@ -20,40 +20,18 @@ from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import bench_scene, first_view, scene_file, target_views
 from daq.analysis.report.page import Page
 from daq.analysis.report.run import books_chapter, moved_chapter, provenance_chapter
-from daq.cli import DEVICE, _exit_code
+from daq.cli import DEVICE
 from daq.errors import DaqError
+from daq.exit_codes import exit_code
 from daq.verbs.calibrate import nominal_scene
 from ground.errors import GroundError
 from stages.errors import StageError
 from tests.daq.small_run import make_old
+from tests.readers.damage import damaged
 from tracer.errors import TracerError
 
 OURS = (DaqError, CorrectionError, StageError, TracerError, GroundError)
 RECORDS = ("run.json", "steps.jsonl", "done.json", "displacements.json")
-WORDS = (b"NaN", b"-1", b"1e999", b"null", b"true", b'"x"', b"[]", b"{}", b"\0", b"\xff", b"9" * 30, b"\n", b"../")
-
-
-def damaged(data, rng):
-    """Return `data` with one kind of damage at a random place; never equal to it."""
-    while (result := once_damaged(data, rng)) == data:
-        pass
-    return result
-
-
-def once_damaged(data, rng):
-    place, length = rng.randrange(len(data)), rng.choice((1, 1, 2, 8, 100, 5000))
-    end = min(len(data), place + length)
-    before, hit, after = data[:place], data[place:end], data[end:]
-    return rng.choice((
-        before + bytes([hit[0] ^ (1 << rng.randrange(8))]) + hit[1:] + after,
-        before + rng.randbytes(len(hit)) + after,
-        before + bytes(len(hit)) + after,
-        before + after,
-        before + rng.choice(WORDS) + hit + after,
-        before + rng.choice(WORDS) + after,
-        before + hit + hit + after,
-        before,
-    ))  # fmt: skip
 
 
 def report_of(folder):
@@ -97,7 +75,7 @@ def outcome(reader, folder):
     try:
         return reader(folder)
     except OURS as error:
-        said, code = str(error), _exit_code(error)
+        said, code = str(error), exit_code(error)
     assert "\n" not in said, said
     assert code is not None
     return None
@@ -174,7 +152,7 @@ def test_damaged_frames_are_refused_or_their_pixels_are_right(done_run):
         try:
             found = read_acquired(path)
         except OURS as error:
-            said, code = str(error), _exit_code(error)
+            said, code = str(error), exit_code(error)
         else:
             assert np.array_equal(found, right)
             continue
