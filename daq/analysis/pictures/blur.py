@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from correction.aperture import BlurMap
 from correction.grid import PlaneGrid
+from daq.analysis.pictures.saved import save_picture
 
 
 def draw_blur(path: Path, grid: PlaneGrid, blur: BlurMap) -> None:
@@ -29,4 +30,4 @@ def draw_blur(path: Path, grid: PlaneGrid, blur: BlurMap) -> None:
         shown = axes.imshow(values, extent=extent, cmap="viridis", vmin=0.0, vmax=top)
         figure.colorbar(shown, ax=axes, label=label, extend="max")
         axes.set(xlabel="x [mm]", ylabel="y [mm]", title="blur by the aperture" if number == 1 else "")
-    figure.savefig(path, dpi=100)
+    save_picture(figure, path, 100)

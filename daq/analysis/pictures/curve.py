@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from daq.analysis.pictures.saved import save_picture
 from tracer.fov import FieldOfView, radial_curve
 from tracer.scene import Scene
 
@@ -38,7 +39,7 @@ def draw_curve(path: Path, scene: Scene, view: FieldOfView, title: str) -> None:
     axes.plot(image[shown] / radius, abs(plane[shown]) / radius, ":", color="C0", label="beyond the fold")
     axes.axvline(view.silhouette_mm / radius, color="C3", linewidth=1, label="silhouette")
     axes.plot(view.fold_mm / radius, view.edge_mm / radius, "o", color="C1", label="edge of the recovered region")
-    axes.set(xlim=(0, limit), ylim=(0, limit), xlabel="image radius $r_i/R$", ylabel="plane radius $|r_o|/R$")
+    axes.set(xlim=(0, limit), ylim=(0, limit), xlabel="image radius rᵢ / R", ylabel="plane radius |rₒ| / R")
     axes.set_title(title)
     axes.legend()
-    figure.savefig(path, dpi=110)
+    save_picture(figure, path, 110)
