@@ -15,6 +15,7 @@ Vector = tuple[float, float, float]
 ARRANGEMENTS = ("row", "side", "triangle", "pyramid")
 AIR_MM = 0.01  # between balls: what is rounded must not overlap
 ROD_LENGTH_MM = 60.0
+ROD_GAP_MM = 3.0  # a scene fit moves balls and not rods, and refuses what overlaps on its way
 
 
 def most_balls(arrangement: str) -> Sequence[int]:
@@ -60,7 +61,7 @@ def rods_mm(centres: Sequence[Vector], ball_mm: float, support_mm: float) -> lis
     """Start and end of the rods that hold the lowest balls from below; none if they have no diameter."""
     if not support_mm:
         return []
-    reach = ball_mm / 2.0 + support_mm / 2.0 + 0.05
+    reach = ball_mm / 2.0 + support_mm / 2.0 + ROD_GAP_MM
     lowest = min(y for _, y, _ in centres)
     held = [centre for centre in centres if centre[1] < lowest + 1e-3]
     return [((x, round(y - reach, 4), z), (x, round(y - reach - ROD_LENGTH_MM, 4), z)) for x, y, z in held]
