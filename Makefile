@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow fuzz lamps benchmark bench lint picture pins clean
+.PHONY: demo test test-slow fuzz lamps far-starts benchmark bench lint picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -44,6 +44,10 @@ lamps: $(STAMP)
 CASES ?= 10000
 fuzz-readers: $(STAMP)
 	$(BIN)/python -m tests.readers.fuzz --cases $(CASES) --seed $(SEED)
+
+# Balls told up to 5 mm beside their places: found, or refused by name?
+far-starts: $(STAMP)
+	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/fit/test_far_starts.py
 
 bench: benchmark
 
