@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -22,6 +23,7 @@ from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.analysis.pictures.overview import draw_overview
+from daq.analysis.pictures.patterns import Particles, Target, shows_particles
 from daq.analysis.pictures.seen import seen
 from daq.analysis.tasks import sigma_limit
 from daq.terminal import console, progress
@@ -32,6 +34,7 @@ from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
 DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
+CELL_PX, PARTICLE_PX = 8.0, 4.0  # of computer-generated particles: seeding that an eye can follow
 
 
 @dataclass(frozen=True)
@@ -144,9 +147,8 @@ def correct(
         if check_target:
             errors.append(target_error(corrected, corrector, board))
         if index == 0:
-            draw_overview(
-                out / "overview.png", frame, _pattern_seen(loaded, board), corrected, corrector.recovered
-            )
+            computed = _pattern_seen(loaded, board, frame)
+            draw_overview(out / "overview.png", frame, computed, corrected, corrector.status)
         stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
         clipped += cut
         write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
@@ -168,8 +170,8 @@ def _refuse_same_names(frames: list[Path]) -> None:
             raise FrameError(f"{stem}: two results would have this name; rename the frame or use two runs")
 
 
-def _pattern_seen(scene: Scene, board: Chessboard) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Computer-generated image of the target, with half the pixels a side: the overview shows no more."""
+def _pattern_seen(scene: Scene, board: Chessboard, frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Computer-generated image of what a frame shows, with half the pixels a side: the overview shows no more."""
     camera = scene.camera
     (cu, cv), (width, height) = camera.principal_px, camera.sensor_px
     half = replace(
@@ -178,7 +180,9 @@ def _pattern_seen(scene: Scene, board: Chessboard) -> np.ndarray[Any, np.dtype[n
         principal_px=(0.5 * cu - 0.25, 0.5 * cv - 0.25),
         sensor_px=(max(1, width // 2), max(1, height // 2)),
     )
-    return seen(scene.with_camera(half), board.shade, samples=2)
+    px_mm = camera.position_mm[2] / camera.focal_px
+    particles = Particles(CELL_PX * px_mm, PARTICLE_PX * px_mm)
+    return seen(scene.with_camera(half), particles if shows_particles(frame) else Target(board), samples=2)
 
 
 def _print(

@@ -1,8 +1,8 @@
 """`rtpiv trace`: what a scene shows of the plane."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib.image
 import numpy as np
 from rich.table import Table
 
@@ -10,27 +10,60 @@ from correction.aperture import blur_map
 from correction.correction_map import build_correction_map
 from correction.node_status import MEANING, NodeStatus
 from daq.analysis.pictures.blur import draw_blur
+from daq.analysis.pictures.camera_view import draw_camera_view
 from daq.analysis.pictures.curve import draw_curve
 from daq.analysis.pictures.drawing import scene_figure
-from daq.analysis.pictures.markers import markers
+from daq.analysis.pictures.patterns import MarkerBoard, square_for
+from daq.analysis.pictures.plane import draw_plane
+from daq.analysis.pictures.plane_axes import short
 from daq.analysis.pictures.seen import seen
-from daq.terminal import console
+from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
+from daq.terminal import console, progress_if_long
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view
 from tracer.ray_map import build_ray_map
 from tracer.scene_file import load_scene
 
+SHOWN_BODIES = 40
+LONGEST_NAME = 32
 
-def trace(scene: Path, out: Path) -> None:
-    """Trace a scene; print its field of view and leave pictures.
+
+@dataclass(frozen=True)
+class Traced:
+    """What a scene shows of the plane.
+
+    Parameters
+    ----------
+    share : PlaneShare
+        Areas, as a whole and of each body.
+    view : FieldOfView or None
+        Radial figures, of spheres in a row on the camera's perpendicular only.
+    pictures : tuple of Path
+        What was drawn.
+    """
+
+    share: PlaneShare
+    view: FieldOfView | None
+    pictures: tuple[Path, ...]
+
+
+def trace(scene: Path, out: Path) -> Traced:
+    """Trace a scene; print what it shows of the plane, and leave pictures.
 
     Parameters
     ----------
     scene : Path
         scene.yaml.
     out : Path
-        Folder for ``fig4_markers.png`` (what the camera sees), ``fig5_curve.png`` (spheres in a row only)
-        and ``scene.png`` (the scene from the side); ``blur.png`` if the scene says the camera's aperture.
+        Folder for ``plane.png`` (what is recovered of the plane, why the rest is not, and how large it is seen),
+        ``camera_view.png`` (a board with markers as the camera sees it), ``scene.png`` (the scene to scale, cut
+        where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says the
+        camera's aperture.
+
+    Returns
+    -------
+    Traced
+        The figures.
 
     Raises
     ------
@@ -41,38 +74,88 @@ def trace(scene: Path, out: Path) -> None:
     screen = console()
     ray_map = build_ray_map(loaded)
     correction_map = build_correction_map(loaded, ray_map)
+    share = plane_share(loaded, correction_map)
     blur = None if loaded.camera.pupil is None else blur_map(correction_map, loaded)
-    table = Table(title=f"{scene.stem}, scene {loaded.content_hash()}")
-    table.add_column("", style="bold")
-    table.add_column("value", justify="right")
     try:
         view: FieldOfView | None = field_of_view(loaded)
-    except SceneError as error:
+    except SceneError:  # not in a row: the areas say it all
         view = None
-        screen.print(f"no radial figures: {error}")
+    screen.print(_plane_table(f"{scene.stem}, scene {loaded.content_hash()}", share))
+    if share.bodies:
+        screen.print(_body_table(share))
     if view is not None:
-        for name, value in _figures(view):
-            table.add_row(name, value)
-    counts = np.bincount(correction_map.status.ravel(), minlength=len(NodeStatus))
-    for status, meaning in MEANING.items():
-        table.add_row(f"nodes {meaning}", f"{100.0 * counts[status] / correction_map.status.size:.2f} %")
+        screen.print(_radial_table(view))
     if blur is not None and np.isfinite(blur.width_px).any():
-        table.add_row("blur behind glass, median", f"{np.nanmedian(blur.width_px):.2f} px")
-        table.add_row("left out by the aperture", f"{100.0 * blur.left_out:.1f} % of the view behind glass")
-    screen.print(table)
+        screen.print(
+            f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
+            f" {100.0 * blur.left_out:.1f} % of the view behind glass"
+        )
     out.mkdir(parents=True, exist_ok=True)
-    matplotlib.image.imsave(out / "fig4_markers.png", np.clip(seen(loaded, markers()), 0.0, 1.0))
-    scene_figure(loaded).savefig(out / "scene.png", dpi=120)
+    draw_plane(out / "plane.png", loaded, correction_map, share, scene.stem)
+    grid = correction_map.grid
+    del ray_map, correction_map
+    square_mm = square_for(share.size_mm[0])
+    image = seen(loaded, MarkerBoard(square_mm), watched=progress_if_long)
+    draw_camera_view(out / "camera_view.png", image, square_mm, scene.stem)
+    scene_figure(loaded).savefig(out / "scene.png", dpi=130)
+    names = ["plane.png", "camera_view.png", "scene.png"]
     if blur is not None:
-        draw_blur(out / "blur.png", correction_map.grid, blur)
+        draw_blur(out / "blur.png", grid, blur)
+        names.append("blur.png")
     if view is not None:
-        draw_curve(out / "fig5_curve.png", loaded, view, scene.stem)
-    screen.print(f"pictures are in {out}")
+        draw_curve(out / "radial_curve.png", loaded, view, scene.stem)
+        names.append("radial_curve.png")
+    screen.print(f"{', '.join(names)} are in {out}")
+    return Traced(share, view, tuple(out / name for name in names))
 
 
-def _figures(view: FieldOfView) -> list[tuple[str, str]]:
+def _plane_table(title: str, share: PlaneShare) -> Table:
+    """What becomes of the plane that the corrected image covers."""
+    width, height = share.size_mm
+    table = Table(title=title)
+    for name in (f"of the plane, {width:.1f} x {height:.1f} mm", "area [mm\u00b2]", "share"):
+        table.add_column(name, justify="left" if not table.columns else "right")
+    rows = [("recovered", share.recovered_mm2), ("  seen directly", share.direct_mm2)]
+    rows.append(("  through glass", share.glass_mm2))
+    lost = [(MEANING[each], area) for each, area in share.areas_mm2.items() if each != NodeStatus.RECOVERED]
+    rows += [("not recovered", share.whole_mm2 - share.recovered_mm2), *((f"  {why}", area) for why, area in lost)]
+    for name, area in rows:
+        table.add_row(name, f"{area:.1f}", f"{100.0 * area / share.whole_mm2:.2f} %")
+    return table
+
+
+def _body_table(share: PlaneShare) -> Table:
+    """What each body hides, what of that is recovered all the same, and what is seen through it."""
+    unseen = len(share.bodies) - SHOWN_BODIES
+    more = f"; {unseen} smaller ones are left out" if unseen > 0 else ""
+    table = Table(title="bodies, by their outline on the plane" + more)
+    for name in (
+        "body", "outline [mm\u00b2]", "recovered", "lost [mm\u00b2]", "mostly", "shows [mm\u00b2]",
+    ):  # fmt: skip
+        table.add_column(name, justify="left" if name in ("body", "mostly") else "right")
+    largest = sorted(share.bodies, key=lambda body: -body.outline_mm2)[:SHOWN_BODIES]
+    for body in largest:
+        table.add_row(*_body_row(body))
+    return table
+
+
+def _body_row(body: BodyShare) -> tuple[str, ...]:
+    name = short(body.name, LONGEST_NAME)
+    if not body.outline_mm2:
+        return name, "0", "-", "-", "out of view", f"{body.shown_mm2:.1f}"
+    share = f"{100.0 * body.recovered_mm2 / body.outline_mm2:.1f} %"
+    why = MEANING[body.lost_to] if body.lost_to is not None else "-"
+    shows = f"{body.shown_mm2:.1f}" if body.is_glass else "opaque"
+    return name, f"{body.outline_mm2:.1f}", share, f"{body.outline_mm2 - body.recovered_mm2:.1f}", why, shows
+
+
+def _radial_table(view: FieldOfView) -> Table:
+    """Figures of spheres in a row, as Martins et al. (2018) give them."""
     radius = view.radius_mm
-    return [
+    table = Table(title="spheres in a row")
+    table.add_column("")
+    table.add_column("value", justify="right")
+    rows = [
         ("FOV_in = (r_b/R)^2", f"{100.0 * view.inside:.1f} %"),
         ("FOV_total", f"{100.0 * view.total:.1f} %"),
         ("largest recovered r_o/R", f"{view.edge_mm / radius:.3f}"),
@@ -81,3 +164,6 @@ def _figures(view: FieldOfView) -> list[tuple[str, str]]:
         ("r_i/r_o at the centre", f"{view.centre_magnification:+.3f}"),
         ("L/R", f"{view.distance_mm / radius:.3g}"),
     ]
+    for name, value in rows:
+        table.add_row(name, value)
+    return table

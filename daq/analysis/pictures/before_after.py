@@ -8,20 +8,11 @@ from numpy.typing import NDArray
 
 from correction.corrector import Corrector
 from correction.evaluate.image_figures import ImageFigures, image_figures
-from correction.node_status import MEANING, NodeStatus
+from correction.node_status import NodeStatus
 from daq.analysis.pictures.embedded import embedded, grey, tinted
+from daq.analysis.pictures.mask_colours import covered, mask_picture
 
 DEPTHS = (255.0, 4095.0, 65535.0)  # full scales of cameras; 12 bit come in uint16, right- or left-aligned
-COLOURS = {
-    NodeStatus.RECOVERED: ("light", (226, 232, 226)),
-    NodeStatus.RIM: ("slate blue", (56, 66, 92)),
-    NodeStatus.FOLD: ("red", (168, 50, 62)),
-    NodeStatus.BLOCKED: ("black", (40, 40, 40)),
-    NodeStatus.OUT_OF_FRAME: ("grey", (150, 156, 168)),
-    NodeStatus.LOW_MAGNIFICATION: ("orange", (221, 122, 58)),
-    NodeStatus.UNSURE: ("violet", (132, 86, 168)),
-    NodeStatus.BLURRED: ("teal", (64, 142, 142)),
-}
 
 
 @dataclass(frozen=True)
@@ -33,8 +24,6 @@ class BeforeAfter:
     layers : tuple of (str, str)
         Name and data address of pictures that lie over each other: acquired (if of the same size), corrected,
         mask.
-    legend : str
-        What the colours of the mask mean.
     shares : dict
         Status -> share of the nodes, 0 to 1, of those that occur.
     full_scale : float
@@ -44,7 +33,6 @@ class BeforeAfter:
     """
 
     layers: tuple[tuple[str, str], ...]
-    legend: str
     shares: dict[NodeStatus, float]
     full_scale: float
     figures: dict[str, ImageFigures]
@@ -58,17 +46,14 @@ class BeforeAfter:
 def before_after(frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector) -> BeforeAfter:
     """Look at a frame (H, W) as acquired and (h, w) as corrected, NaN where nothing is recovered."""
     limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
-    palette = np.array([COLOURS[status][1] for status in NodeStatus], np.uint8)
-    mask = palette[corrector.status]
-    covered = np.where(corrector.recovered[..., None], 0, mask).astype(np.uint8)
-    layers = [("corrected", embedded(tinted(grey(corrected, limits), covered))), ("mask", embedded(mask))]
+    shown = tinted(grey(corrected, limits), covered(corrector.status))
+    layers = [("corrected", embedded(shown)), ("mask", embedded(mask_picture(corrector.status)))]
     if frame.shape == corrected.shape:
         layers.insert(0, ("acquired", embedded(grey(frame, limits))))
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
-    legend = ", ".join(f"{COLOURS[status][0]}: {MEANING[status]}" for status in shares)
     least = DEPTHS[0] if frame.dtype == np.uint8 else DEPTHS[1]
     full = next((depth for depth in DEPTHS if depth >= max(least, float(np.nanmax(frame)))), DEPTHS[-1])
     named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
     figures = {name: image_figures(image, full, which) for name, (image, which) in named.items()}
-    return BeforeAfter(tuple(layers), legend, shares, full, figures)
+    return BeforeAfter(tuple(layers), shares, full, figures)

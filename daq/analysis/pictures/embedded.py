@@ -26,12 +26,18 @@ def tinted(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np
     return rgb
 
 
+def reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture that is at most WIDEST_PX wide; what is left out is averaged."""
+    height, width = image.shape[:2]
+    if width <= WIDEST_PX:
+        return image
+    size = (WIDEST_PX, max(1, round(height * WIDEST_PX / width)))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
 def embedded(image: NDArray[np.uint8]) -> str:
     """Data address of a picture, grey (H, W) or RGB (H, W, 3), reduced to WIDEST_PX."""
-    height, width = image.shape[:2]
-    if width > WIDEST_PX:
-        size = (WIDEST_PX, round(height * WIDEST_PX / width))
-        image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    image = reduced(image)
     if image.ndim == 3:
         image = np.ascontiguousarray(image[..., ::-1])
     _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])

@@ -1,4 +1,4 @@
-"""Raw | computer-generated | corrected, side by side, with the mask drawn over the last."""
+"""Raw | computer-generated | corrected, side by side, with the mask drawn over the last and its colours below."""
 
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from correction.node_status import NodeStatus
+from daq.analysis.pictures.embedded import grey, reduced, tinted
+from daq.analysis.pictures.mask_colours import covered, swatch
+
 
 def draw_overview(
     path: Path,
     raw: NDArray[Any],
     computed: NDArray[np.float32],
     corrected: NDArray[np.float32],
-    recovered: NDArray[np.bool_],
+    status: NDArray[np.uint8],
 ) -> None:
     """Draw three images side by side as PNG.
 
@@ -25,23 +29,26 @@ def draw_overview(
     raw : ndarray (H, W)
         Acquired frame.
     computed : ndarray (H, W)
-        What the scene's camera should see.
+        What the scene's camera should see of a print like that of the frame, 0 to 1.
     corrected : ndarray (h, w)
-        Corrected frame; what is not recovered is tinted.
-    recovered : ndarray (h, w) bool
-        The mask.
+        Corrected frame.
+    status : ndarray (h, w) uint8
+        NodeStatus; what is not recovered takes the colour of its reason.
     """
-    figure = Figure(figsize=(18.0, 6.4), layout="constrained")
+    figure = Figure(figsize=(18.0, 0.9 + 6.0 * raw.shape[0] / raw.shape[1]), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(1, 3)
     low, high = np.percentile(raw, (0.5, 99.5))
-    shown = np.clip((np.nan_to_num(corrected, nan=low) - low) / max(high - low, 1.0), 0.0, 1.0)
-    tinted = np.repeat(shown[..., None], 3, axis=-1)
-    tinted[~recovered] = (0.22, 0.26, 0.36)
-    images = ((raw, "acquired"), (computed, "computer-generated from the scene"), (tinted, "corrected"))
-    for axes, (image, title) in zip(panels, images, strict=True):
-        limits = {"vmin": low, "vmax": high} if image is raw else {}
-        axes.imshow(image, cmap="gray", interpolation="antialiased", **limits)
+    limits = (float(low), float(high))
+    images = (
+        (grey(raw, limits), "acquired"),
+        (grey(computed, (0.0, max(float(computed.max()), 1e-6))), "computer-generated from the scene"),
+        (tinted(grey(corrected, limits), covered(status)), "corrected"),
+    )
+    for axes, (image, title) in zip(figure.subplots(1, 3), images, strict=True):
+        axes.imshow(reduced(image), cmap="gray", interpolation="antialiased", vmin=0, vmax=255)
         axes.set_title(title)
         axes.set_axis_off()
+    lost = [each for each in NodeStatus if each != NodeStatus.RECOVERED and (status == each).any()]
+    if lost:
+        figure.legend(handles=[swatch(each) for each in lost], loc="outside lower right", ncols=5, frameon=False)
     figure.savefig(path, dpi=100)

@@ -134,6 +134,14 @@ class Page:
             f"<figcaption>{html.escape(caption)}</figcaption></figure>"
         )
 
+    def swatches(self, rows: Sequence[tuple[str, str, str]]) -> None:
+        """Add a legend: (colour as #rrggbb, what it means, a figure)."""
+        inner = "".join(
+            f'<li><i style="background:{html.escape(colour)}"></i>{html.escape(name)} <b>{html.escape(value)}</b>'
+            for colour, name, value in rows
+        )
+        self._parts.append(f'<ul class="swatches">{inner}</ul>')
+
     def html(self) -> str:
         """Return the whole page."""
         title, style = html.escape(self._title), _STYLE.read_text(encoding="utf-8")

@@ -5,7 +5,7 @@ import numpy as np
 from correction.evaluate.shift import shift_errors
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.pictures.before_after import BeforeAfter
-from daq.analysis.pictures.drawing import scene_figure
+from daq.analysis.pictures.drawing import CAPTION, scene_figure
 from daq.analysis.report.figures import (
     colour_limit,
     error_histogram,
@@ -25,7 +25,7 @@ from daq.analysis.report.tables import (
     TRACK_HEAD,
     budget_rows,
     image_rows,
-    mask_rows,
+    mask_swatches,
     region_masks,
     response_rows,
     route_rows,
@@ -53,8 +53,8 @@ def pair_tiles(evaluation: Evaluation) -> list[tuple[str, str, str]]:
 def slider_chapter(page: Page, seen: BeforeAfter, what: str) -> None:
     """Acquired | corrected | mask, and what the mask says."""
     page.heading("Acquired, corrected, recovered")
-    page.slider(seen.layers, f"{what} Drag to compare. Mask: {seen.legend}.")
-    page.table(("nodes of the corrected frame", "share"), mask_rows(seen.shares))
+    page.slider(seen.layers, f"{what} Drag to compare; the colours of the mask, and their share of the nodes:")
+    page.swatches(mask_swatches(seen.shares))
 
 
 def pair_chapters(page: Page, evaluation: Evaluation) -> None:
@@ -77,8 +77,7 @@ def pair_chapters(page: Page, evaluation: Evaluation) -> None:
 def scene_chapter(page: Page, scene: Scene) -> None:
     """What stood before the camera."""
     page.heading("Scene")
-    caption = "Seen along y. Orange rays pass through glass, grey ones beside it; the plane is the black line."
-    page.figure("scene", scene_figure(scene), caption)
+    page.figure("scene", scene_figure(scene), CAPTION)
     rows = [
         (s.name, ", ".join(f"{c:.4f}" for c in s.centre_mm), f"{s.radius_mm:.4f}",
          "opaque" if s.medium is None else ", ".join(

@@ -8,7 +8,7 @@ import numpy as np
 from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import image_table, scene_chapter
-from daq.analysis.report.tables import mask_rows
+from daq.analysis.report.tables import mask_swatches
 from daq.analysis.series.light_file import make_light
 from daq.analysis.series.preview import Preview, preview
 from daq.analysis.series.run_series import SeriesBooks
@@ -68,14 +68,15 @@ def series_chapters(page: Page, given: SeriesInput, books: SeriesBooks, shown: P
 def frames_chapter(page: Page, shown: Preview) -> None:
     """Frame A of a pair after every step."""
     page.heading("Frames, step by step")
-    page.slider(shown.seen.layers, f"Frame A of {shown.tag}. Drag to compare. Mask: {shown.seen.legend}.")
+    said = f"Frame A of {shown.tag}. Drag to compare; the colours of the mask, and their share of the nodes:"
+    page.slider(shown.seen.layers, said)
+    page.swatches(mask_swatches(shown.seen.shares))
     if shown.steps:
         page.table(
             ("step", "what it does"), shown.steps, "In this order; the background goes before the correction"
         )
     else:
         page.text("Nothing was done to the frames but the correction.")
-    page.table(("nodes of the corrected frame", "share"), mask_rows(shown.seen.shares))
     image_table(page, shown.seen)
 
 

@@ -14,6 +14,7 @@ from correction.node_status import MEANING, NodeStatus
 from correction.piv.response import response_of
 from correction.piv.settings import PivSettings
 from daq.analysis.evaluation import Evaluation
+from daq.analysis.pictures.mask_colours import COLOURS, web
 
 SHIFT_HEAD = ("region", "vectors", "bias u, v", "std u, v", "estimated sigma u, v")
 RESPONSE_HEAD = ("wavelength in windows", "clear wave", "wave below the noise")
@@ -33,9 +34,9 @@ BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
 Row = tuple[str, ...]
 
 
-def mask_rows(shares: Mapping[NodeStatus, float]) -> list[Row]:
-    """Rows of what became of the nodes."""
-    return [(MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
+def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, str]]:
+    """Colour, meaning and share of what became of the nodes."""
+    return [(web(COLOURS[status]), MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
 
 
 def shift_rows(result: ShiftResult) -> list[Row]:

@@ -1,0 +1,1 @@
+"""Loops over millions of pixels behind the pictures."""

@@ -1,0 +1,89 @@
+"""What hangs on the plane, at millions of plane points: a chessboard with markers, a target, particles.
+
+Each kernel adds the colour at plane points to a picture; a point that is NaN (no ray arrives) adds nothing and so
+stays dark.  Points (N, 2) [mm], pictures (N, channels).
+"""
+
+import numpy as np
+
+from ground.jit import Array, kernel, kernel_inlined
+
+DARK, BRIGHT = 0.12, 0.88  # of the squares: neither may vanish in paper or ink
+CROSS, DISC, SQUARE, DIAMOND, TRIANGLE = 0, 1, 2, 3, 4
+SHAPES = 5
+
+
+@kernel_inlined
+def in_shape(shape: int, x: float, y: float) -> bool:
+    """Whether a point of the square -1..1 lies in a marker."""
+    if shape == CROSS:
+        return bool(min(abs(x), abs(y)) < 0.28)
+    if shape == DISC:
+        return bool(x * x + y * y < 0.81)
+    if shape == SQUARE:
+        return bool(max(abs(x), abs(y)) < 0.8)
+    if shape == DIAMOND:
+        return bool(abs(x) + abs(y) < 1.0)
+    return bool(y > -0.7 and 2.0 * abs(x) + y < 1.0)
+
+
+@kernel
+def add_markers(plane: Array, square: float, spacing: float, size: float, colours: Array, picture: Array) -> None:
+    """Add squares with a marker every `spacing` [mm] in x and -y along the diagonal; `colours` (M, 3) in turn."""
+    for k in range(plane.shape[0]):
+        x, y = plane[k, 0], plane[k, 1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            continue
+        number = int(np.rint((x - y) / (2.0 * spacing)))
+        across, up = (x - number * spacing) / size, (y + number * spacing) / size
+        if max(abs(across), abs(up)) < 1.0 and in_shape(number % SHAPES, across, up):
+            for channel in range(3):
+                picture[k, channel] += colours[number % colours.shape[0], channel]
+            continue
+        odd = (int(np.floor(x / square)) + int(np.floor(y / square))) % 2
+        for channel in range(3):
+            picture[k, channel] += BRIGHT if odd else DARK
+
+
+@kernel
+def add_target(plane: Array, square: float, discs: Array, disc: float, picture: Array) -> None:
+    """Add a target: squares bright where i + j is odd, turned over within `disc` [mm] across at `discs` (M, 2)."""
+    for k in range(plane.shape[0]):
+        x, y = plane[k, 0], plane[k, 1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            continue
+        bright = (int(np.floor(x / square)) + int(np.floor(y / square))) % 2 == 1
+        for number in range(discs.shape[0]):
+            across, up = x - discs[number, 0], y - discs[number, 1]
+            if across * across + up * up < 0.25 * disc * disc:
+                bright = not bright
+        if bright:
+            picture[k, 0] += 1.0
+
+
+@kernel_inlined
+def mixed(i: int, j: int, turn: int) -> float:
+    """Return a number in [0, 1) that belongs to cell (i, j) (splitmix64)."""
+    word = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
+    word += np.uint64(turn) * np.uint64(0x165667B19E3779F9)
+    word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    word ^= word >> np.uint64(31)
+    return float(word >> np.uint64(11)) * 2.0**-53
+
+
+@kernel
+def add_particles(plane: Array, cell: float, diameter: float, picture: Array) -> None:
+    """Add one Gaussian particle (e^-2 `diameter`, not larger than a `cell`) a cell, at its random place."""
+    for k in range(plane.shape[0]):
+        x, y = plane[k, 0], plane[k, 1]
+        if not (np.isfinite(x) and np.isfinite(y)):
+            continue
+        column, row = int(np.floor(x / cell)), int(np.floor(y / cell))
+        light = 0.0
+        for i in range(row - 1, row + 2):
+            for j in range(column - 1, column + 2):
+                across = (x - (j + mixed(i, j, 1)) * cell) / diameter
+                up = (y - (i + mixed(i, j, 2)) * cell) / diameter
+                light += (0.3 + 0.7 * mixed(i, j, 3)) * np.exp(-8.0 * (across * across + up * up))
+        picture[k, 0] += min(light, 1.0)

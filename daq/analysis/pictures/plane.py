@@ -1,0 +1,88 @@
+"""What a scene shows of the plane: recovered or not and why, and how large it is seen."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from correction.correction_map import CorrectionMap
+from correction.node_status import MEANING, NodeStatus
+from daq.analysis.pictures.mask_colours import COLOURS, THROUGH, Colour, mask_picture, web
+from daq.analysis.pictures.plane_axes import NOTHING, bare, colour_bar, draw_outlines, short
+from daq.analysis.plane_share import PlaneShare
+from tracer.scene import Scene
+
+MOST_PX = 1000  # along the longer side of a panel: a picture shows no more
+SIZES = LinearSegmentedColormap.from_list(  # small is warm: there resolution is lost
+    "sizes", ("#a8323e", "#f0b27a", "#f7f5f0", "#5b93c2", "#173f6b")
+).with_extremes(bad="#9aa2b1")
+LEAST, MOST = 0.25, 4.0  # of the magnification's colours
+
+
+def draw_plane(path: Path, scene: Scene, found: CorrectionMap, share: PlaneShare, title: str) -> None:
+    """Draw the mask with its reasons, and the magnification of the best view, side by side as PNG.
+
+    Parameters
+    ----------
+    path : Path
+        Where to.
+    scene : Scene
+        Whose bodies are outlined.
+    found : CorrectionMap
+        Its map.
+    share : PlaneShare
+        Areas, said in the legend.
+    title : str
+        Said on top.
+    """
+    step = max(1, -(-max(found.grid.shape) // MOST_PX))
+    status, glass = found.status[::step, ::step], found.behind_glass[::step, ::step]
+    colours = mask_picture(status)
+    colours[glass] = THROUGH
+    smallest, largest = found.magnification()
+    size = np.where(status == NodeStatus.RECOVERED, np.sqrt(smallest * largest)[::step, ::step], np.nan)
+    figure = Figure(figsize=(12.4, 2.0 + 5.0 * share.size_mm[1] / share.size_mm[0]), layout="constrained")
+    FigureCanvasAgg(figure)
+    mask, scale = figure.subplots(1, 2)
+    x0, y0 = found.grid.origin_mm
+    (width, height), half = share.size_mm, 0.5 * found.grid.pitch_mm
+    extent = (x0 - half, x0 - half + width, y0 + half - height, y0 + half)
+    mask.imshow(colours, extent=extent, interpolation="nearest")
+    figure.legend(handles=_swatches(share), loc="outside lower center", ncols=3, frameon=False)
+    mask.set_title(f"recovered: {area_text(share.recovered_mm2)} of {area_text(share.whole_mm2)} mm\u00b2")
+    shown = scale.imshow(size, extent=extent, interpolation="nearest", cmap=SIZES, norm=LogNorm(LEAST, MOST))
+    bar = colour_bar(shown, scale, "magnification [sensor px per corrected px]", "both")
+    bar.set_ticks([0.25, 0.5, 1.0, 2.0, 4.0], labels=["1/4", "1/2", "1", "2", "4"])
+    bar.minorticks_off()
+    scale.set_title(f"how large it is seen: 1 is {found.grid.px_per_mm:.4g} px/mm")
+    for axes in (mask, scale):
+        draw_outlines(axes, scene, names=axes is mask)
+        bare(axes)
+        axes.set(xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
+    figure.suptitle(short(title, 60), parse_math=False)
+    figure.savefig(path, dpi=110)
+
+
+def area_text(area_mm2: float) -> str:
+    """Area with four digits, never as a power of ten."""
+    return f"{area_mm2:.0f}" if area_mm2 >= 1000.0 else f"{area_mm2:.4g}"
+
+
+def _swatches(share: PlaneShare) -> list[Patch]:
+    """A swatch for each colour that occurs, with the area it stands for."""
+
+    def swatch(colour: Colour, text: str, area: float) -> Patch:
+        said = f"{text}: {area_text(area)} mm\u00b2, {100.0 * area / share.whole_mm2:.2g} %"
+        return Patch(facecolor=web(colour), edgecolor=NOTHING, label=said)
+
+    found = [swatch(COLOURS[NodeStatus.RECOVERED], "recovered, seen directly", share.direct_mm2)]
+    if share.glass_mm2:
+        found.append(swatch(THROUGH, "recovered, through glass", share.glass_mm2))
+    return found + [
+        swatch(COLOURS[status], MEANING[status], area)
+        for status, area in share.areas_mm2.items()
+        if status != NodeStatus.RECOVERED and area
+    ]

@@ -1,0 +1,98 @@
+"""Axes of pictures on the plane: outlines of bodies, colour bars as tall as what they belong to, short names."""
+
+from collections.abc import Iterable
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tracer.bodies import Body
+from tracer.scene import Scene
+
+INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
+LONGEST_NAME = 18
+MOST_NAMES = 12
+ROUND_STEPS = 72
+
+Floats = NDArray[np.float64]
+
+
+def colour_bar(shown: ScalarMappable, axes: Axes, label: str, extend: str = "neither") -> Colorbar:
+    """Add a colour bar exactly as tall as the axes are, whatever their aspect."""
+    beside = axes.inset_axes((1.03, 0.0, 0.045, 1.0))
+    bar = axes.figure.colorbar(shown, cax=beside, label=label, extend=extend)
+    bar.outline.set_visible(False)
+    return bar
+
+
+def short(name: str, longest: int = LONGEST_NAME) -> str:
+    """Return a name that fits a picture; the middle of a long one is left out."""
+    half = (longest - 1) // 2
+    return name if len(name) <= longest else f"{name[:half]}\N{HORIZONTAL ELLIPSIS}{name[-half:]}"
+
+
+def outline_mm(body: Body, pinhole_mm: Iterable[float]) -> Floats | None:
+    """Outline (N, 2) [mm] that a body throws on the plane from the pinhole; None if it reaches beyond any frame.
+
+    Rays that touch a sphere of radius R at distance d open a cone of half angle asin(R / d); the outline of a
+    capsule is the hull of those of its two ends.
+    """
+    pinhole, (*ends, radius) = np.array(list(pinhole_mm)), body.capsule
+    angle = np.linspace(0.0, 2.0 * np.pi, ROUND_STEPS, endpoint=False)
+    found = []
+    for end in ends:
+        to_end = np.array(end) - pinhole
+        distance = float(np.linalg.norm(to_end))
+        axis = to_end / distance
+        side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0))
+        side /= np.linalg.norm(side)
+        sine = min(radius / distance, 1.0)
+        around = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(axis, side)
+        ways = np.sqrt(1.0 - sine * sine) * axis + sine * around
+        if (ways[:, 2] > -1e-3).any():
+            return None
+        found.append((pinhole - pinhole[2] / ways[:, 2:] * ways)[:, :2])
+    hull = cv2.convexHull(np.vstack(found).astype(np.float32))
+    return np.asarray(hull[:, 0], dtype=np.float64)
+
+
+def draw_outlines(axes: Axes, scene: Scene, names: bool = True) -> None:
+    """Draw what each body throws on the plane as one artist; opaque ones with a broken line."""
+    outlines = [(body, outline_mm(body, scene.camera.position_mm)) for body in scene.seen]
+    known = [(body, outline) for body, outline in outlines if outline is not None]
+    if not known:
+        return
+    styles = ["-" if body.media else "--" for body, _ in known]
+    edges = PolyCollection(
+        [outline for _, outline in known], facecolors="none", edgecolors=INK, linewidths=0.8, linestyles=styles
+    )
+    axes.add_collection(edges, autolim=False)
+    for body, outline in known[:MOST_NAMES] if names else ():
+        x, y = 0.5 * (outline[:, 0].min() + outline[:, 0].max()), outline[:, 1].max()
+        name = axes.annotate(
+            short(body.name), (x, y), (0, 3), textcoords="offset points", ha="center", fontsize=8, color=INK,
+            parse_math=False, annotation_clip=True,
+        )  # fmt: skip
+        name.set_in_layout(False)
+
+
+def bare_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes, without frame."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = figure.add_subplot()
+    bare(axes)
+    return figure, axes
+
+
+def bare(axes: Axes) -> None:
+    """Take the frame of axes away but for two quiet sides."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(SOFT)
+    axes.tick_params(color=SOFT, labelcolor=INK)

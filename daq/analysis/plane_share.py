@@ -1,0 +1,158 @@
+"""How much of the investigation plane a scene shows, in mm^2: as a whole, and behind each body.
+
+A node of the corrected image stands for pitch^2 of the plane.  The OUTLINE of a body are the nodes whose straight
+line to the pinhole it would stop if it were opaque.  Glass gives part of them back, seen through itself or through
+other balls; the mask says why the rest is lost.  What a ball SHOWS is the area whose best view goes through it; it
+may reach beyond the outline, where the view beside the ball is blocked.  Bodies stand behind each other, so areas
+of bodies overlap and do not add up to the whole.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.correction_map import CorrectionMap
+from correction.node_status import NodeStatus
+from daq.analysis.kernels.behind import count_behind
+from tracer.bodies import Body
+from tracer.branches import sphere_of
+from tracer.scene import Scene
+
+Areas = Mapping[NodeStatus, float]
+
+
+@dataclass(frozen=True)
+class BodyShare:
+    """What one body does to the view of the plane.
+
+    Parameters
+    ----------
+    name : str
+        Of the body.
+    is_glass : bool
+        Whether light passes.
+    outline_mm2 : float
+        Area of the plane, within the corrected image, that it hides or bends.
+    within_mm2 : mapping of NodeStatus to float
+        What becomes of that area.
+    shown_mm2 : float
+        Area whose best view goes through the body.
+    """
+
+    name: str
+    is_glass: bool
+    outline_mm2: float
+    within_mm2: Areas
+    shown_mm2: float
+
+    @property
+    def recovered_mm2(self) -> float:
+        """Part of the outline that is recovered, by whichever view."""
+        return self.within_mm2.get(NodeStatus.RECOVERED, 0.0)
+
+    @property
+    def lost_to(self) -> NodeStatus | None:
+        """Why most of what is lost of the outline is lost; None if nothing is."""
+        lost = [status for status, area in self.within_mm2.items() if status != NodeStatus.RECOVERED and area]
+        return max(lost, key=lambda status: self.within_mm2[status]) if lost else None
+
+
+@dataclass(frozen=True)
+class PlaneShare:
+    """What a scene shows of the plane.
+
+    Parameters
+    ----------
+    size_mm : (float, float)
+        Width and height of the corrected image on the plane.
+    areas_mm2 : mapping of NodeStatus to float
+        What becomes of it.
+    direct_mm2, glass_mm2 : float
+        Recovered without glass, and through it.
+    bodies : tuple of BodyShare
+        Those before the plane, in the order of the scene.
+    """
+
+    size_mm: tuple[float, float]
+    areas_mm2: Areas
+    direct_mm2: float
+    glass_mm2: float
+    bodies: tuple[BodyShare, ...]
+
+    @property
+    def whole_mm2(self) -> float:
+        """Area of the corrected image."""
+        return self.size_mm[0] * self.size_mm[1]
+
+    @property
+    def recovered_mm2(self) -> float:
+        """Area that can be recovered."""
+        return self.direct_mm2 + self.glass_mm2
+
+
+def plane_share(scene: Scene, correction_map: CorrectionMap) -> PlaneShare:
+    """Measure what a scene shows of the plane.
+
+    Raises
+    ------
+    StaleMap
+        The map belongs to another scene.
+    """
+    correction_map.check(scene)
+    grid, status = correction_map.grid, correction_map.status
+    node_mm2 = grid.pitch_mm**2
+    height, width = grid.shape
+    numbers = correction_map.branch[0][correction_map.recovered]
+    by_branch = node_mm2 * np.bincount(numbers, minlength=len(correction_map.branches))
+    shown = dict.fromkeys((body.name for body in scene.seen), 0.0)
+    for area, branch in zip(by_branch.tolist(), correction_map.branches, strict=True):
+        for name in {sphere_of(scene, event).name for event in branch} if area else ():
+            shown[name] += area
+    direct_mm2 = float(by_branch[0])
+    return PlaneShare(
+        (width * grid.pitch_mm, height * grid.pitch_mm),
+        _areas(np.bincount(status.ravel(), minlength=len(NodeStatus)), node_mm2),
+        direct_mm2,
+        float(by_branch.sum()) - direct_mm2,
+        tuple(_body_share(body, scene, correction_map, shown[body.name]) for body in scene.seen),
+    )
+
+
+def _body_share(body: Body, scene: Scene, correction_map: CorrectionMap, shown_mm2: float) -> BodyShare:
+    grid = correction_map.grid
+    rows, columns = _reach(body, scene, correction_map)
+    counts = np.zeros(len(NodeStatus), np.int64)
+    start, end, radius_mm = body.capsule
+    count_behind(
+        rows,
+        columns,
+        np.array([*grid.origin_mm, grid.pitch_mm]),
+        np.array(scene.camera.position_mm),
+        np.array([*start, *end, radius_mm]),
+        correction_map.status,
+        counts,
+    )
+    areas = _areas(counts, grid.pitch_mm**2)
+    return BodyShare(body.name, bool(body.media), sum(areas.values()), areas, shown_mm2)
+
+
+def _reach(body: Body, scene: Scene, correction_map: CorrectionMap) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns of the corrected image that a body's outline cannot leave."""
+    (height, width), (*ends, radius_mm) = correction_map.grid.shape, body.capsule
+    points = np.array(ends)
+    low, high = points.min(axis=0) - radius_mm, points.max(axis=0) + radius_mm
+    pinhole = np.array(scene.camera.position_mm)
+    if high[2] >= pinhole[2]:  # beside the camera: its outline may reach anywhere
+        return np.array([0, height]), np.array([0, width])
+    corners = np.array(list(product(*zip(low, high, strict=True))))
+    thrown = pinhole + (corners - pinhole) * (pinhole[2] / (pinhole[2] - corners[:, 2:]))
+    found = correction_map.grid.to_px(thrown[:, :2])
+    (u0, v0), (u1, v1) = np.floor(found.min(axis=0)), np.ceil(found.max(axis=0)) + 1.0
+    return (np.clip([v0, v1], 0, height).astype(np.int64), np.clip([u0, u1], 0, width).astype(np.int64))
+
+
+def _areas(counts: NDArray[np.int64], node_mm2: float) -> Areas:
+    return {status: float(counts[status]) * node_mm2 for status in NodeStatus if counts[status]}
