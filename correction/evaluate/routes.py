@@ -1,13 +1,15 @@
 """Image route and velocity route side by side: which is better where, and one field of the better ones.
 
 The regions are the direct view and the rings of r / R behind glass.  Better is the route with the smaller rms
-error where the true shift is known, and with the smaller rms of its own sigma otherwise.  To join them, the
-traced vectors are interpolated linearly, branch by branch, at nodes of the corrected image that lie among them; a
-node at a rim keeps the image route, whose windows alone know both pictures.
+error where the true shift is known, and with the smaller rms of its own sigma otherwise, if that is more than
+chance (`correction.evaluate.verdicts`); else they are equal, and the image route stays.  To join them, the
+traced vectors are interpolated linearly, branch by branch, at nodes of the corrected image that lie among them;
+a node at a rim keeps the image route, whose windows alone know both pictures.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +20,14 @@ from correction.correction_map import CorrectionMap
 from correction.evaluate.regions import Region, Regions
 from correction.evaluate.shift import Scatter, by_radius, scatter_of, shift_errors
 from correction.evaluate.velocity_route import PlaneVectors
+from correction.evaluate.verdicts import clearly_smaller, independent_share, smaller
 from correction.piv.vector_field import VectorField
 from tracer.branches import sphere_of
 from tracer.scene import Scene
 
 DIRECT = "seen directly"
-CLEARLY = 0.95  # a route is better if its error is at most this share of the other's; else the image route stays
 Rings = Mapping[tuple[float, float], Scatter]
+Better = Literal["image", "velocity", "equal"]
 
 
 @dataclass(frozen=True)
@@ -39,31 +42,34 @@ class Routes:
         Image and velocity route in the direct view.
     known : bool
         Whether the errors are against a true shift; otherwise only counts and sigmas mean something.
+    independent : float
+        Share of the vectors whose windows do not overlap.
     """
 
     image: Rings
     velocity: Rings
     direct: tuple[Scatter, Scatter]
     known: bool
+    independent: float
 
-    def velocity_is_better(self, image: Scatter, velocity: Scatter | None) -> bool:
-        """Whether the velocity route wins a region."""
+    def better(self, image: Scatter, velocity: Scatter | None) -> Better:
+        """Which route wins a region; one that found nothing loses."""
         if velocity is None or not velocity.count:
-            return False
+            return "image"
+        if not image.count:
+            return "velocity"
         if self.known:
-            return velocity.rms_px < CLEARLY * image.rms_px
-        one, two = (float(np.sqrt(np.sum(np.square(scatter.sigma_px)))) for scatter in (image, velocity))
-        return two < CLEARLY * one
+            won = smaller(image.rms_px, velocity.rms_px, (image.count, velocity.count), self.independent)
+        else:
+            won = clearly_smaller(image.rms_sigma_px, velocity.rms_sigma_px)
+        return "image" if won == "first" else "velocity" if won == "second" else "equal"
 
-    def rows(self) -> list[tuple[str, Scatter, Scatter | None, str]]:
+    def rows(self) -> list[tuple[str, Scatter, Scatter | None, Better]]:
         """Region, both scatters, and which is better."""
         regions: list[tuple[str, Scatter, Scatter | None]] = [(DIRECT, *self.direct)]
         regions += [(f"{low:.3f} to {high:.3f}", one, self.velocity.get((low, high)))
                     for (low, high), one in self.image.items()]  # fmt: skip
-        return [
-            (name, one, two, "velocity" if self.velocity_is_better(one, two) else "image")
-            for name, one, two in regions
-        ]
+        return [(name, one, two, self.better(one, two)) for name, one, two in regions]
 
 
 def compare_routes(
@@ -96,13 +102,14 @@ def compare_routes(
     errors = traced.shift_mm / pitch * (1.0, -1.0) - truth
     sigma = traced.sigma_mm / pitch
     velocity = by_radius(errors, sigma, radius_of(traced, correction_map, scene))
-    return Routes(image, velocity, (direct, scatter_of(errors, sigma, traced.branch == 0)), shift_px is not None)
+    both = direct, scatter_of(errors, sigma, traced.branch == 0)
+    return Routes(image, velocity, both, shift_px is not None, independent_share(field.step_px, field.window_px))
 
 
 def joined(
     field: VectorField, regions: Regions, traced: PlaneVectors, correction_map: CorrectionMap, routes: Routes
 ) -> tuple[VectorField, NDArray[np.bool_]]:
-    """Take the velocity route where it is better.
+    """Take the velocity route where it is better beyond chance.
 
     Returns
     -------
@@ -113,10 +120,10 @@ def joined(
         True there.
     """
     wanted = np.zeros(field.flags.shape, bool)
-    if routes.velocity_is_better(*routes.direct):
+    if routes.better(*routes.direct) == "velocity":
         wanted |= regions.region == Region.DIRECT
     for (low, high), image in routes.image.items():
-        if routes.velocity_is_better(image, routes.velocity.get((low, high))):
+        if routes.better(image, routes.velocity.get((low, high))) == "velocity":
             wanted |= (regions.region == Region.GLASS) & (regions.radius >= low) & (regions.radius < high)
     values = _at_nodes(field, traced, correction_map)
     taken = wanted & np.isfinite(values).all(axis=-1)

@@ -19,7 +19,7 @@ from daq.analysis.evaluation import Evaluation, Route
 from daq.analysis.pictures.before_after import before_after
 from daq.analysis.piv_file import PivOptions
 from daq.analysis.report.page import Page
-from daq.analysis.report.pair import image_table, pair_chapters, pair_tiles, scene_chapter, slider_chapter
+from daq.analysis.report.pair import image_table, pair_chapters, pair_summary, scene_chapter, slider_chapter
 from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
 from daq.analysis.series.series_pairs import is_series
 from daq.errors import RunUnsuitable
@@ -92,7 +92,7 @@ def report(
         )
         assert isinstance(found, list)  # a flow has left above
         shown = _most_telling(found)
-        page.tiles(pair_tiles(shown))
+        pair_summary(page, shown)
         pairs_chapter(page, found)
         if len(found) > 1:
             page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from correction.fit.map_sigma import MapSigma
 from correction.fit.result import FitStep
+from daq.analysis.pictures.plane_axes import colour_bar
+
+REACH = 2.0  # an arrow's length over that of the 95th percentile, at most: an outlier must not cross the picture
 
 Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]
 
@@ -22,7 +25,8 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
     path : Path
         Where to.
     panels : list of (title, pixel (N, 2), error_px (N, 2))
-        What to draw; each panel scales its arrows so that the 95th percentile is 1/25 of the frame.
+        What to draw; each panel scales its arrows so that the 95th percentile is 1/25 of the frame, and none is
+        longer than twice that.
     shape : (int, int)
         Rows and columns of the frame.
     """
@@ -31,9 +35,11 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
     for axes, (title, pixel, error) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         length = np.hypot(error[:, 0], error[:, 1])
         typical = max(float(np.percentile(length, 95)), 1e-6)
+        longest = REACH * typical
+        drawn = error * np.minimum(1.0, longest / np.maximum(length, 1e-300))[:, None]
         shown = axes.quiver(
             *pixel.T,
-            *error.T,
+            *drawn.T,
             length,
             angles="xy",
             scale_units="xy",
@@ -41,7 +47,7 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
             width=0.0015,
             clim=(0.0, typical),
         )
-        figure.colorbar(shown, ax=axes, label="distance [px]", shrink=0.8)
+        colour_bar(shown, axes, "distance [px]", "max")
         axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
         axes.set_title(f"{title}: 95 % within {typical:.2f} px")
     figure.savefig(path, dpi=100)
@@ -58,7 +64,7 @@ def draw_map_sigma(path: Path, sigma: MapSigma) -> None:
     x0, y0, pitch = *sigma.grid.origin_mm, sigma.grid.pitch_mm
     extent = (x0, x0 + width * pitch, y0 - height * pitch, y0)
     shown = axes.imshow(np.log10(np.maximum(total, floor)), extent=extent, cmap="viridis")
-    figure.colorbar(shown, ax=axes, label="log10 of sigma [corrected px]")
+    colour_bar(shown, axes, "log10 of sigma [corrected px]")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title="standard deviation of the correction")
     figure.savefig(path, dpi=100)
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -16,16 +17,23 @@ from correction.evaluate.shift import Scatter
 from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from correction.piv.vector_field import VectorField
+from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare, bare_figure, colour_bar
 from tracer.scene import Scene
 
-EVERY = 2  # vectors drawn along each axis
+ARROWS = 30  # drawn along the longer side, at most
+REACH = 1.6  # an arrow's length over that of the 98th percentile, at most: an outlier must not cross the picture
 MOST_TRACKS = 4000  # drawn, evenly chosen
 FEW_DECADES = 1000.0  # from the lowest to the highest: with more of them there is no room for labels between
-INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
 SERIES = ("#2b6a99", "#b4472f", "#6a8f3c", "#8a5a9e")
+CUT = "#c2185b"  # arrows that are longer than drawn
 HEAT = LinearSegmentedColormap.from_list(
     "heat", ("#fbf7ea", "#f4cf6b", "#dd7a3a", "#a8323e", "#451a3f")
 ).with_extremes(bad=NOTHING)
+
+GROUND = LinearSegmentedColormap.from_list(  # behind dark arrows: nowhere dark itself
+    "ground", ("#fffdf6", "#fbe6a2", "#f5b971", "#e88a6a", "#d2728a")
+).with_extremes(bad=NOTHING)
+COMPONENTS = ("u, to the right", "v, down")
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +41,7 @@ Floats = NDArray[np.float64]
 def vector_figure(
     field: VectorField, grid: PlaneGrid, scene: Scene, colour: Floats, label: str, limit: float | None = None
 ) -> Figure:
-    """Draw every second vector over a coloured background, on the plane in mm.
+    """Draw vectors, as many as can be told apart, over a coloured background, on the plane in mm.
 
     Parameters
     ----------
@@ -55,57 +63,58 @@ def vector_figure(
     half = 0.5 * field.step_px * grid.pitch_mm
     extent = (x_mm[0] - half, x_mm[-1] + half, y_mm[-1] - half, y_mm[0] + half)
     top = limit if limit is not None else colour_limit(colour)
-    image = axes.imshow(colour, extent=extent, cmap=HEAT, vmin=0.0, vmax=top, interpolation="nearest")
-    for sphere in scene.spheres:
-        x, y, _ = sphere.centre_mm
-        axes.add_patch(Circle((x, y), sphere.radius_mm, fill=False, edgecolor=SOFT, linewidth=0.8, linestyle="--"))
-    some = (slice(EVERY // 2, None, EVERY), slice(EVERY // 2, None, EVERY))
+    image = axes.imshow(colour, extent=extent, cmap=GROUND, vmin=0.0, vmax=top, interpolation="nearest")
+    _outline(axes, scene)
+    every = max(1, -(-max(field.flags.shape) // ARROWS))
+    some = (slice(every // 2, None, every), slice(every // 2, None, every))
     shown = field.valid[some]
-    u, v = field.u_px[some][shown], -field.v_px[some][shown]
-    longest = max(float(np.percentile(np.hypot(u, v), 98)), 1e-9) if len(u) else 1.0
     grid_x, grid_y = np.meshgrid(x_mm, y_mm)
-    axes.quiver(
-        grid_x[some][shown],
-        grid_y[some][shown],
-        u,
-        v,
-        color=INK,
-        pivot="mid",
-        angles="xy",
-        scale_units="xy",
-        scale=longest / (1.7 * EVERY * half),
-        width=0.0016,
-        headwidth=4.0,
-        headlength=4.5,
-        headaxislength=4.0,
-    )
+    place = np.stack((grid_x[some][shown], grid_y[some][shown]), axis=-1)
+    shift = np.stack((field.u_px[some][shown], -field.v_px[some][shown]), axis=-1)
+    draw_arrows(axes, place, shift, 1.7 * every * half, np.full(len(place), INK))
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=extent[:2], ylim=extent[2:])
-    figure.colorbar(image, ax=axes, label=label, shrink=0.85, extend="max", pad=0.02)
+    colour_bar(image, axes, label, "max")
     return figure
+
+
+def draw_arrows(axes: Axes, place: Floats, shift: Floats, cell_mm: float, colours: NDArray[np.str_]) -> None:
+    """Draw arrows (N, 2) at places (N, 2) [mm] such that a usual one is `cell_mm` long and none much longer.
+
+    What is longer than REACH times the 98th percentile is drawn in a colour of its own, so long and no longer, and
+    counted above the picture.
+    """
+    length = np.hypot(shift[:, 0], shift[:, 1])
+    longest = max(float(np.percentile(length, 98)), 1e-9) if len(length) else 1.0
+    cut = length > REACH * longest
+    drawn = np.where(cut[:, None], shift * (REACH * longest / np.maximum(length, 1e-300))[:, None], shift)
+    axes.quiver(
+        *place.T, *drawn.T, color=np.where(cut, CUT, colours), pivot="mid", angles="xy", scale_units="xy",
+        scale=longest / cell_mm, width=0.0034, headwidth=3.6, headlength=4.2, headaxislength=3.6,
+        edgecolor="white", linewidth=0.3,
+    )  # fmt: skip
+    if cut.any():
+        said = f"{int(cut.sum())} arrows are longer than drawn, up to {length.max() / longest:.3g} times the usual"
+        axes.set_title(said, fontsize=8, color=CUT, loc="right")
 
 
 def track_figure(tracks: PlaneVectors, scene: Scene) -> Figure:
     """Draw tracks where they are, at most `MOST_TRACKS` of them, on the plane in mm."""
     figure, axes = bare_figure(6.2, 5.3)
-    for sphere in scene.spheres:
-        x, y, _ = sphere.centre_mm
-        axes.add_patch(Circle((x, y), sphere.radius_mm, fill=False, edgecolor=SOFT, linewidth=0.8, linestyle="--"))
+    _outline(axes, scene)
     every = -(-len(tracks.branch) // MOST_TRACKS)
     place, shift = tracks.place_mm[::every], tracks.shift_mm[::every]
     low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
-    longest = max(float(np.percentile(np.linalg.norm(shift, axis=1), 98)), 1e-9)
-    axes.quiver(
-        *place.T,
-        *shift.T,
-        color=np.where(tracks.branch[::every] == 0, SERIES[0], SERIES[1]),
-        pivot="mid",
-        angles="xy",
-        scale_units="xy",
-        scale=longest / (0.04 * float(np.max(high - low))),
-        width=0.0018,
-    )
+    colours = np.where(tracks.branch[::every] == 0, SERIES[0], SERIES[1])
+    draw_arrows(axes, place, shift, 0.04 * float(np.max(high - low)), colours)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     return figure
+
+
+def _outline(axes: Axes, scene: Scene) -> None:
+    """Draw the spheres where they stand, as one artist."""
+    circles = [Circle(sphere.centre_mm[:2], sphere.radius_mm) for sphere in scene.spheres]
+    rims = PatchCollection(circles, facecolors="none", edgecolors=INK, linewidths=1.0, linestyles="--")
+    axes.add_collection(rims, autolim=False)
 
 
 def colour_limit(colour: Floats) -> float:
@@ -117,34 +126,56 @@ def colour_limit(colour: Floats) -> float:
 def radius_figure(
     image: Mapping[tuple[float, float], Scatter], velocity: Mapping[tuple[float, float], Scatter]
 ) -> Figure:
-    """Draw the errors of both routes behind the glass against r / R; `velocity` may be empty."""
-    figure, axes = bare_figure(5.6, 3.3)
-    for rings, name, colour in ((image, "image route", SERIES[0]), (velocity, "velocity route", SERIES[1])):
-        if not rings:
-            continue
-        radius = [0.5 * (low + high) for low, high in rings]
-        axes.plot(radius, [scatter.rms_px for scatter in rings.values()], "o-", color=colour, label=f"{name}, rms")
-        sigma = [float(np.sqrt(np.mean(np.square(scatter.sigma_px)))) for scatter in rings.values()]
-        axes.plot(radius, sigma, "--", color=colour, linewidth=1.0, label=f"{name}, its own sigma")
-    axes.set(xlabel="r / R", ylabel="error [px]", yscale="log", xlim=(0.0, None))
-    axes.grid(True, which="both", color=NOTHING, linewidth=0.5)
-    plain_decades(axes)
-    axes.legend(frameon=False, fontsize=8)
+    """Draw the errors of both routes behind the glass against r / R, u and v apart; `velocity` may be empty."""
+    figure, panels = _side_by_side(3.4)
+    for component, axes in enumerate(panels):
+        for rings, name, colour in ((image, "image route", SERIES[0]), (velocity, "velocity route", SERIES[1])):
+            if not rings:
+                continue
+            radius = [0.5 * (low + high) for low, high in rings]
+            rms = [scatter.total_px[component] for scatter in rings.values()]
+            axes.plot(radius, rms, "o-", color=colour, markersize=4, label=f"{name}, rms error")
+            sigma = [scatter.sigma_px[component] for scatter in rings.values()]
+            axes.plot(radius, sigma, "--", color=colour, linewidth=1.0, label="its own sigma")
+        axes.set(xlabel="r / R", yscale="log", xlim=(0.0, None), title=COMPONENTS[component])
+        axes.grid(True, which="both", color=NOTHING, linewidth=0.5)
+    panels[0].set_ylabel("error [px]")
+    for axes in panels:
+        plain_decades(axes)
+    _legend_below(figure, panels[0])
     return figure
 
 
 def error_histogram(errors: Mapping[str, Floats]) -> Figure:
-    """Draw how the errors (N, 2) of regions are spread, per axis together."""
-    figure, axes = bare_figure(5.6, 3.0)
+    """Draw how the errors (N, 2) of regions are spread, u and v apart."""
+    figure, panels = _side_by_side(3.2)
     reach = max((float(np.percentile(np.abs(e), 99)) for e in errors.values() if e.size), default=1.0)
     edges = np.linspace(-reach, reach, 61)
-    for colour, (name, values) in zip(SERIES, errors.items(), strict=False):
-        share, _ = np.histogram(values, edges)
-        heights = 100.0 * share / max(values.size, 1)
-        axes.stairs(heights, edges, color=colour, label=name, linewidth=1.3)
-    axes.set(xlabel="error of u and v [px]", ylabel="share of the vectors [%]", ylim=(0.0, None))
-    axes.legend(frameon=False, fontsize=8)
+    for component, axes in enumerate(panels):
+        for colour, (name, values) in zip(SERIES, errors.items(), strict=False):
+            share, _ = np.histogram(values[:, component], edges)
+            heights = 100.0 * share / max(len(values), 1)
+            axes.stairs(heights, edges, color=colour, label=f"{name}, {len(values)}", linewidth=1.3)
+        axes.axvline(0.0, color=SOFT, linewidth=0.8)
+        axes.set(xlabel="error [px]", ylim=(0.0, None), title=COMPONENTS[component])
+    panels[0].set_ylabel("share of the vectors [%]")
+    _legend_below(figure, panels[0])
     return figure
+
+
+def _side_by_side(height_in: float) -> tuple[Figure, tuple[Axes, Axes]]:
+    """A figure with one panel for u and one for v, on the same scale."""
+    figure = Figure(figsize=(6.4, height_in), layout="constrained")
+    one, other = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes in (one, other):
+        bare(axes)
+        axes.title.set(fontsize=10, color=SOFT)
+    return figure, (one, other)
+
+
+def _legend_below(figure: Figure, axes: Axes) -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
 
 
 def grey_histogram(counts: Mapping[str, tuple[Floats, Floats]]) -> Figure:
@@ -170,15 +201,3 @@ def plain_decades(axes: Axes) -> None:
 def _axes_mm(field: VectorField, grid: PlaneGrid) -> tuple[Floats, Floats]:
     x_mm = grid.origin_mm[0] + field.x_px * grid.pitch_mm
     return x_mm, grid.origin_mm[1] - field.y_px * grid.pitch_mm
-
-
-def bare_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
-    """A figure with one pair of axes, without frame."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    axes = figure.add_subplot()
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_color(SOFT)
-    axes.tick_params(color=SOFT, labelcolor=INK)
-    return figure, axes

@@ -40,13 +40,17 @@ STEPS_HEAD = (
 Floats = NDArray[np.float64]
 
 
-def flow_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
-    """Add the chapters of the mean of the series in a folder."""
+def regions_of_mean(folder: Path, mean: MeanFlow) -> Regions:
+    """Regions of the vectors of a mean, rows from the lowest y up, by the map of the series in a folder."""
     scene = scene_of(folder)
     known = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
     seen = regions_of(known, prepare(scene, maps=folder / "maps").corrector.map, scene)
-    upwards = Regions(seen.region[::-1], seen.radius[::-1])
-    checks_of(page, mean, history(Chunks.of(folder), mean), scene, upwards)
+    return Regions(seen.region[::-1], seen.radius[::-1])
+
+
+def flow_chapters(page: Page, folder: Path, mean: MeanFlow, regions: Regions) -> None:
+    """Add the chapters of the mean of the series in a folder."""
+    checks_of(page, mean, history(Chunks.of(folder), mean), scene_of(folder), regions)
 
 
 def checks_of(page: Page, mean: MeanFlow, found: History, scene: Scene, regions: Regions) -> None:

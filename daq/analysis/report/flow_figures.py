@@ -10,7 +10,8 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from correction.flow.derived import Profile, RimStep
-from daq.analysis.report.figures import HEAT, INK, NOTHING, SERIES, SOFT, bare_figure, plain_decades
+from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare_figure, colour_bar
+from daq.analysis.report.figures import HEAT, SERIES, plain_decades
 from daq.analysis.series.history import BINS, History
 from daq.analysis.series.mean_flow import MeanFlow
 from tracer.scene import Scene
@@ -67,7 +68,7 @@ def streamlines_figure(mean: MeanFlow, scene: Scene, speed: Floats) -> Figure:
         x, y, u, v, color=colour, cmap=LINES, norm=Normalize(0.0, max(top, 1e-9)), density=1.4, linewidth=1.0
     )
     _plane(axes, mean, scene)
-    figure.colorbar(lines.lines, ax=axes, label="mean speed [m/s]", shrink=0.85, pad=0.02)
+    colour_bar(lines.lines, axes, "mean speed [m/s]")
     return figure
 
 
@@ -90,7 +91,7 @@ def maps_figure(
         )  # fmt: skip
         _plane(axes, mean, scene)
         axes.tick_params(labelsize=7)
-        figure.colorbar(image, ax=axes, label=label, shrink=0.85, pad=0.02, extend="both" if both else "max")
+        colour_bar(image, axes, label, "both" if both else "max")
     return figure
 
 

@@ -1,14 +1,17 @@
 """The page of a mean flow: the field, how sure it is, its fluctuations, and every pair that is not in it."""
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from correction.evaluate.regions import Region, Regions
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.analysis.report.figures import vector_figure
-from daq.analysis.report.flow import flow_chapters
-from daq.analysis.report.page import Page
+from daq.analysis.report.flow import flow_chapters, regions_of_mean
+from daq.analysis.report.page import Link, Page
 from daq.analysis.report.pair import scene_chapter
 from daq.analysis.report.run import books_chapter
 from daq.analysis.report.series import frames_chapter, pair_chapter, shown_pair
@@ -52,18 +55,23 @@ def write_mean_page(
     page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
     if mean.doubt:
         page.warning(mean.doubt + ".")
+    regions = regions_of_mean(folder, mean)
+    page.lead(*mean_lead(mean, regions))
     page.tiles(mean_tiles(mean))
     if series is not None and (shown := shown_pair(*series)) is not None:
         frames_chapter(page, shown)
         pair_chapter(page, series[0], shown)
     mean_chapters(page, folder, mean)
-    flow_chapters(page, folder, mean)
+    flow_chapters(page, folder, mean, regions)
     if ensemble is not None:
         ensemble_chapter(page, folder, ensemble)
     left_out_chapter(page, mean)
     if series is not None:
         books_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene_of(folder))
+    page.heading("Files")
+    names = ("mean.nc", "mean_ensemble.nc", "scene.yaml", "series.json")
+    page.links([Link(name, name) for name in names if (folder / name).is_file()])
     page.heading("Provenance")
     content = about["content"]
     page.facts([
@@ -74,27 +82,46 @@ def write_mean_page(
     page.write(path)
 
 
-def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
-    """The figures that matter most: value, name, what it is measured against."""
+def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
+    """Standard uncertainty of the mean with its parts, u and v apart, behind glass if anything is."""
     known = mean.count > 0
-    sigma_px = float(np.nanmedian(mean.sigma_m_s[known])) * mean.px_per_m_s if known.any() else float("nan")
+    behind = known & (regions.region == Region.GLASS)
+    where, name = (behind, "behind glass") if behind.any() else (known, "seen directly")
+    parts = [("random sigma of the mean", mean.sigma_m_s)]
+    if mean.map_sigma_m_s is not None:
+        parts.append(("sigma by the fitted map", mean.map_sigma_m_s))
+    if np.isfinite(mean.resolution_m_s).any():
+        parts.append(("not resolved by the windows", mean.resolution_m_s))
+    if np.isfinite(mean.dt_sigma_share):
+        parts.append(("sigma of dt", mean.dt_sigma_share * np.abs(mean.mean_m_s)))
+    total = np.sqrt(sum(np.square(np.nan_to_num(part)) for _, part in parts))
+    rows: list[tuple[str, ...]] = [(what, *_medians(part, where, mean.px_per_m_s)) for what, part in parts]
+    if mean.map_sigma_m_s is None:
+        rows.append(("sigma by the map", "not known", ""))
+    rows.append(("the same in m/s", *_medians(total, where, 1.0)))
+    value = "{}, {} px".format(*_medians(total, where, mean.px_per_m_s))
+    said = f"total standard uncertainty u, v of the mean: median of {int(where.sum())} vectors {name}"
+    return value, said, ("[px]", "u", "v"), rows
+
+
+def _medians(values: NDArray[np.float64], where: NDArray[np.bool_], scale: float) -> tuple[str, str]:
+    if not where.any():
+        return "-", "-"
+    u, v = scale * np.nanmedian(values[where], axis=0)
+    return f"{u:.4g}", f"{v:.4g}"
+
+
+def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
+    """The figures that matter next: value, name, what it is measured against."""
+    known = mean.count > 0
     speed = np.linalg.norm(mean.mean_m_s[known], axis=-1)
     worth = float(np.nanmedian(mean.effective.samples[known])) if known.any() else float("nan")
-    tiles = [
+    highest = f"{speed.max():.4g} m/s" if len(speed) else "-"
+    return [
         (f"{mean.used}", "pairs in the mean", f"{len(mean.left_out)} are left out"),
-        (f"{speed.max():.4g} m/s", "highest mean speed", f"{int(known.sum())} places"),
-        (f"{sigma_px:.4f} px", "random sigma of the mean", "median over the plane, one component"),
+        (highest, "highest mean speed", f"{int(known.sum())} places"),
         (f"{worth:.0f}", "effective samples", mean.effective.way),
     ]
-    if known.any() and np.isfinite(mean.resolution_m_s[known]).any():
-        missed_px = float(np.nanmedian(mean.resolution_m_s[known])) * mean.px_per_m_s
-        tiles.append((f"{missed_px:.4f} px", "not resolved by the windows", "of the mean; the same in every pair"))
-    if np.isfinite(mean.dt_sigma_share):
-        tiles.append((f"{100.0 * mean.dt_sigma_share:.2g} %", "sigma of dt", "one factor for all vectors"))
-    if mean.map_sigma_m_s is not None:
-        map_px = float(np.nanmedian(mean.map_sigma_m_s)) * mean.px_per_m_s
-        tiles.append((f"{map_px:.4f} px", "sigma by the fitted map", "the same in every pair"))
-    return tiles
 
 
 def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
@@ -106,13 +133,13 @@ def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
     )
     page.heading("Mean velocity")
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)[::-1]
-    said = "Every second vector of the mean, its speed in colour."
-    page.figure("mean", vector_figure(field, grid, scene, speed, "mean speed [m/s]"), said, dense=True)
     sigma = np.linalg.norm(mean.sigma_m_s, axis=-1)[::-1]
-    said = f"Random standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
-    page.figure(
-        "mean_sigma", vector_figure(field, grid, scene, sigma, "sigma of the mean [m/s]"), said, dense=True
-    )
+    with page.row():
+        said = "Vectors of the mean, their speed in colour."
+        page.figure("mean", vector_figure(field, grid, scene, speed, "mean speed [m/s]"), said, dense=True)
+        said = f"Random standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
+        figure = vector_figure(field, grid, scene, sigma, "sigma of the mean [m/s]")
+        page.figure("mean_sigma", figure, said, dense=True)
     if not mean.effective.converged:
         page.warning("The series is too short for its slowest motion: the sigma of the mean is a lower limit.")
     if np.isnan(mean.dt_sigma_share):

@@ -1,16 +1,19 @@
 """One self-contained HTML page: pictures, figures and tables that go straight into a lab book.
 
 No script or style comes from anywhere else, and everything is embedded, so the page can be mailed and will look
-the same in ten years.  Every text that came from a file or a name is escaped.  Figures are also written beside
-the page as they stand in it.  Who wants all of them as SVG for papers and PNG for slides says so: drawing them
-twice takes longer than measuring what they show.
+the same in ten years; only links lead to files beside it.  Every text that came from a file or a name is escaped.
+Figures are also written beside the page as they stand in it.  Who wants all of them as SVG for papers and PNG for
+slides says so: drawing them twice takes longer than measuring what they show.
 """
 
 import base64
 import html
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -20,7 +23,22 @@ from ground.whole_file import whole_file
 PNG_DPI = 170
 
 _STYLE = Path(__file__).with_name("page.css")
-Row = Sequence[str]
+
+
+@dataclass(frozen=True)
+class Link:
+    """Text that leads to a file in the page's folder or below it; `path` is relative to that, with slashes."""
+
+    text: str
+    path: str
+
+    @property
+    def html(self) -> str:
+        """As it stands in a page."""
+        return f'<a href="{html.escape(quote(self.path))}">{html.escape(self.text)}</a>'
+
+
+Row = Sequence[str | Link]
 
 
 class Page:
@@ -52,6 +70,27 @@ class Page:
         """Add a paragraph that nobody overlooks."""
         self._parts.append(f'<p class="warning">{html.escape(text)}</p>')
 
+    def lead(self, value: str, name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Add the one figure that matters most: value, what it is, and a small table of its parts."""
+        top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+        self._parts.append(
+            f'<div class="lead"><div><b>{html.escape(value)}</b><span>{html.escape(name)}</span></div>'
+            f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+        )
+
+    @contextmanager
+    def row(self) -> Iterator[None]:
+        """Set what is added within side by side, where the screen is wide enough."""
+        self._parts.append('<div class="row">')
+        yield
+        self._parts.append("</div>")
+
+    def links(self, links: Sequence[Link]) -> None:
+        """Add a line of links to files in the page's folder."""
+        inner = "".join(f"<li>{link.html}</li>" for link in links)
+        self._parts.append(f'<ul class="links">{inner}</ul>')
+
     def tiles(self, tiles: Sequence[tuple[str, str, str]]) -> None:
         """Add the figures that matter most, large: (value, what it is, what it is measured against)."""
         inner = "".join(
@@ -62,13 +101,11 @@ class Page:
 
     def table(self, head: Row, rows: Sequence[Row], caption: str = "") -> None:
         """Add a table; the first column is text, the others numbers."""
-        top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>" for row in rows
-        )
+        top = "".join(f"<th>{_cell(cell)}</th>" for cell in head)
+        body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
         said = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
         inner = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
-        self._parts.append(f'<figure class="table">{said}<div class="wide">{inner}</div></figure>')
+        self._parts.append(f'<figure class="table">{said}<div class="wide" tabindex="0">{inner}</div></figure>')
 
     def facts(self, rows: Sequence[tuple[str, str]]) -> None:
         """Add names and what they stand for."""
@@ -159,6 +196,10 @@ class Page:
         for name, content in (*self._files.items(), (path.name, self.html().encode())):
             with whole_file(path.with_name(name)) as stream:
                 stream.write(content)
+
+
+def _cell(cell: str | Link) -> str:
+    return cell.html if isinstance(cell, Link) else html.escape(cell)
 
 
 def _framed(inner: str, caption: str) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 
 from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
 from daq.analysis.evaluation import Evaluation
-from daq.analysis.report.page import Page
-from daq.analysis.report.pair import pair_chapters, pair_tiles
+from daq.analysis.report.page import Link, Page
+from daq.analysis.report.pair import pair_chapters, pair_summary
 from daq.analysis.report.tables import ROUTE_HEAD, SIGMA_HEAD, route_rows, sigma_rows, track_summary
 from daq.whole_text import write_json
 
@@ -49,8 +49,11 @@ def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False)
         summary["no_tracks"] = evaluation.no_tracks
     write_json(out / "evaluation.json", summary)
     page = Page("PIV through glass: " + task.name, about["frames"], twice=figures)
-    page.tiles(pair_tiles(evaluation))
+    pair_summary(page, evaluation)
     pair_chapters(page, evaluation)
+    names = ("vectors.nc", "vectors_velocity.nc", "tracks.nc", "vectors.vtk", "evaluation.json")
+    page.heading("Files")
+    page.links([Link(name, name) for name in names if (out / name).is_file()])
     page.heading("Provenance")
     page.facts([*about.items(), ("bodies", ", ".join(body.name for body in task.scene.bodies) or "none")])
     page.write(out / "report.html")

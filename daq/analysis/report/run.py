@@ -1,6 +1,5 @@
 """The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
 
-from correction.evaluate.regions import MIDDLE
 from daq.acquisition.runs.chunk_books import chunk_sentences
 from daq.acquisition.runs.conservation import Ledger
 from daq.acquisition.runs.displacement import FILE as MOVED
@@ -8,35 +7,38 @@ from daq.acquisition.runs.displacement import read_displacements
 from daq.acquisition.runs.done_file import read_done
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.analysis.evaluation import Evaluation
-from daq.analysis.report.page import Page
+from daq.analysis.report.page import Link, Page
+from daq.analysis.report.total import DIRECT, GLASS, totals_of
 
 PAIRS_HEAD = (
     "pair",
     "valid vectors",
+    "behind glass",
     "known shift x, y [mm]",
-    "std beside, behind [px]",
-    "bias beside, behind [px]",
+    "total error beside glass u, v [px]",
+    "total error behind glass u, v [px]",
 )
 SHOWN_PAIRS = 60
 SHOWN_STEPS = 60
-MIDDLE_NAME = f"behind glass, r < {MIDDLE} R"
 
 
 def pairs_chapter(page: Page, found: list[Evaluation]) -> None:
     """Every pair of a run in one line; the pages of the single pairs lie in folders of their names."""
     page.heading("Pairs of this run")
-    rows: list[tuple[str, ...]] = []
+    rows: list[tuple[str | Link, ...]] = []
     for evaluation in found[:SHOWN_PAIRS]:
         result, task = evaluation.shift, evaluation.task
+        totals = {total.region: total for total in totals_of(evaluation)}
         cells = ["-", "-", "-"]
         if result is not None and task.shift_mm is not None:
-            regions = [result.regions.get(name) for name in ("seen directly", MIDDLE_NAME)]
             cells = ["{:+.4f}, {:+.4f}".format(*task.shift_mm)]
-            cells.append(", ".join("-" if r is None else f"{max(r.std_px):.4f}" for r in regions))
-            cells.append(", ".join("-" if r is None else f"{max(map(abs, r.bias_px)):.4f}" for r in regions))
-        rows.append((task.name, str(evaluation.field.counts["valid"]), *cells))
+            known = (totals.get(region) for region in (DIRECT, GLASS))
+            cells += ["-" if total is None else "{:.4f}, {:.4f}".format(*total.total_px) for total in known]
+        behind = str(totals[GLASS].count) if GLASS in totals else "0"
+        name = Link(task.name, f"{task.out.name}/report.html")
+        rows.append((name, str(evaluation.field.counts["valid"]), behind, *cells))
     more = f"; {len(found) - SHOWN_PAIRS} more are in their folders" if len(found) > SHOWN_PAIRS else ""
-    page.table(PAIRS_HEAD, rows, f"Worse axis of each; behind glass up to r = {MIDDLE} R{more}")
+    page.table(PAIRS_HEAD, rows, f"Total error: bias and scatter, rms{more}")
     for evaluation in found:
         if evaluation.task.note:
             page.text(f"{evaluation.task.name}: {evaluation.task.note}")

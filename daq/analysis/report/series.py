@@ -1,5 +1,6 @@
 """The page of a series: what was done to its frames, one pair of it, and every pair that has no vectors."""
 
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,6 +23,8 @@ def write_series_page(path: Path, given: SeriesInput, books: SeriesBooks, figure
     """Write the page of a series that was evaluated."""
     page = Page(f"{given.run.resolve().name}: a flow through glass", f"{books.pairs} pairs", twice=figures)
     shown = shown_pair(given, books)
+    if shown is not None:
+        page.lead(*series_lead(shown))
     page.tiles(series_tiles(given, books, shown))
     series_chapters(page, given, books, shown)
     page.write(path)
@@ -39,6 +42,19 @@ def shown_pair(given: SeriesInput, books: SeriesBooks) -> Preview | None:
         if job.pairs[0].tag not in books.failed:
             return preview(job)
     return None
+
+
+def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
+    """Random uncertainty of a vector of one pair, u and v apart; what the map adds is said with the mean."""
+    field = shown.field
+    both = [np.median(sigma[field.valid]) if field.valid.any() else np.nan
+            for sigma in (field.sigma_u_px, field.sigma_v_px)]  # fmt: skip
+    m_s_per_px = 1e-3 * shown.grid.pitch_mm / shown.dt_s
+    said = (
+        f"random standard uncertainty u, v of one vector: median of {int(field.valid.sum())} of pair {shown.tag}"
+    )
+    rows = [("the same in m/s", *(f"{m_s_per_px * sigma:.4g}" for sigma in both))]
+    return "{:.4f}, {:.4f} px".format(*both), said, ("", "u", "v"), rows
 
 
 def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> list[tuple[str, str, str]]:
@@ -88,8 +104,13 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
         page.warning(field.doubt + ".")
     m_s_per_px = 1e-3 * grid.pitch_mm / shown.dt_s
     speed = np.hypot(field.u_px, field.v_px) * m_s_per_px
-    figure = vector_figure(field, grid, given.method.scene, speed, "speed [m/s]")
-    page.figure("pair", figure, f"Pair {shown.tag}: every second vector, its speed in colour.", dense=True)
+    sigma = np.hypot(field.sigma_u_px, field.sigma_v_px) * m_s_per_px
+    with page.row():
+        figure = vector_figure(field, grid, given.method.scene, speed, "speed [m/s]")
+        page.figure("pair", figure, f"Pair {shown.tag}: vectors, their speed in colour.", dense=True)
+        if np.isfinite(sigma).any():
+            figure = vector_figure(field, grid, given.method.scene, sigma, "estimated sigma [m/s]")
+            page.figure("pair_sigma", figure, "The same before their own random uncertainty.", dense=True)
     page.facts([("time between the frames", f"{shown.dt_s * 1e6:.3f} us"),
                 ("1 px of displacement is", f"{m_s_per_px:.6g} m/s")])  # fmt: skip
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])

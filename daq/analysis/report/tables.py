@@ -1,6 +1,6 @@
 """Figures of an evaluation as rows of text, for the page and for the terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,22 +9,26 @@ from numpy.typing import NDArray
 from correction.evaluate.image_figures import ImageFigures
 from correction.evaluate.regions import MIDDLE, Region
 from correction.evaluate.routes import Routes
-from correction.evaluate.shift import ShiftResult, shift_errors
+from correction.evaluate.shift import ShiftResult
 from correction.node_status import MEANING, NodeStatus
 from correction.piv.response import response_of
 from correction.piv.settings import PivSettings
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.pictures.mask_colours import COLOURS, web
+from daq.analysis.report.total import Total, coverage_of
 
-SHIFT_HEAD = ("region", "vectors", "bias u, v", "std u, v", "estimated sigma u, v")
+SHIFT_HEAD = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "estimated sigma u, v")
 RESPONSE_HEAD = ("wavelength in windows", "clear wave", "wave below the noise")
 SIGMA_HEAD = (
     "region",
     "vectors",
-    "random",
-    "map: displacement",
-    "map: position",
-    "errors within 1 sigma",
+    "random u, v",
+    "map: displacement u, v",
+    "map: position u, v",
+    "within 1 sigma (68 % claimed) u, v",
+    "within 2 sigma (95 %) u, v",
+    "scatter / sigma u, v",
+    "sigma is",
 )
 ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
 TRACK_HEAD = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
@@ -42,34 +46,33 @@ def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, st
 def shift_rows(result: ShiftResult) -> list[Row]:
     """Rows under SHIFT_HEAD."""
     return [
-        (name, str(found.count), _signed(found.bias_px), _pair(found.std_px), _pair(found.sigma_px))
+        (
+            name,
+            str(found.count),
+            *(_pair(found.total_px), _signed(found.bias_px), _pair(found.std_px), _pair(found.sigma_px)),
+        )
         for name, found in result.regions.items()
     ]
 
 
 def sigma_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under SIGMA_HEAD: rms of each share of the uncertainty over u and v, and what it covers.
+    """Rows under SIGMA_HEAD: rms of each share of the uncertainty along u and v, and whether errors keep to it.
 
-    An error is within 1 sigma of random and map together; the common error of the stage is taken off first.
+    Errors are held against random and map together; the common error of the stage is taken off first.
     """
     field, joined = evaluation.field, evaluation.map_sigma
     random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
     nothing = np.full_like(random, np.nan)
     place, moved = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
-    total = np.hypot(random, np.nan_to_num(moved))
-    errors = nothing
-    if evaluation.shift is not None:
-        errors = shift_errors(field, evaluation.shift.shift_px)
-        errors = errors - np.nanmedian(errors.reshape(-1, 2), axis=0)  # what the stage missed is the same for all
     rows: list[Row] = []
     for name, where in region_masks(evaluation).items():
-        if not where.any():
+        parts = [str(int(where.sum())), *(_rms_pair(sigma[where]) for sigma in (random, moved, place))]
+        found = coverage_of(evaluation, where)
+        if found is None:
+            rows.append((name, *parts, "-", "-", "-", "-"))
             continue
-        known = where[..., None] & np.isfinite(errors) & np.isfinite(total)
-        inside = f"{100 * np.mean(np.abs(errors[known]) < total[known]):.0f} %" if known.any() else "-"
-        rows.append(
-            (name, str(int(where.sum())), _rms(random[where]), _rms(moved[where]), _rms(place[where]), inside)
-        )
+        inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
+        rows.append((name, *parts, *inside, "{:.2f}, {:.2f}".format(*found.ratio), found.claim))
     return rows
 
 
@@ -159,6 +162,16 @@ def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
     ]
 
 
+def lead_of(totals: Sequence[Total]) -> tuple[str, str, Row, list[Row]]:
+    """The total with its parts, for the head of a page: value, what it is, head and rows of a small table."""
+    first = totals[0]
+    value = "{:.4f}, {:.4f} px".format(*first.total_px)
+    rows = [(name, *(f"{part:+.4f}" if name == "bias" else f"{part:.4f}" for part in pair))
+            for name, pair in first.parts]  # fmt: skip
+    rows += [(f"total, {other.region}", *(f"{part:.4f}" for part in other.total_px)) for other in totals[1:]]
+    return value, first.said, ("[px]", "u", "v"), rows
+
+
 def budget_rows(evaluation: Evaluation) -> list[Row]:
     """Rows under BUDGET_HEAD: what the comparison with the true shift can be off by, behind the glass."""
     result = evaluation.shift
@@ -184,6 +197,11 @@ def _pair(values: tuple[float, float]) -> str:
 
 def _signed(values: tuple[float, float]) -> str:
     return f"{values[0]:+.4f}, {values[1]:+.4f}"
+
+
+def _rms_pair(values: NDArray[np.float64]) -> str:
+    """Rms of (N, 2) along u and v."""
+    return ", ".join(_rms(values[:, component]) for component in range(2)) if np.isfinite(values).any() else "-"
 
 
 def _rms(values: NDArray[np.float64]) -> str:

@@ -19,12 +19,12 @@ SHIFT_PX = (3.0, -2.0)
 
 @pytest.fixture(scope="module")
 def made():
-    """A field that errs by 0.1 px behind the glass, and traced vectors that err by 0.02 px everywhere."""
+    """A field that errs by 0.3 px behind the glass, and traced vectors that err by 0.02 px everywhere."""
     scene = small_scene("two_spheres_500", 252)
     cmap = build_correction_map(scene, build_ray_map(scene))
     field = uniform_field(cmap.grid.shape, SHIFT_PX, step_px=6, window_px=12)
     regions = regions_of(field, cmap, scene)
-    field = replace(field, u_px=field.u_px + np.where(regions.region == Region.GLASS, 0.1, 0.001))
+    field = replace(field, u_px=field.u_px + np.where(regions.region == Region.GLASS, 0.3, 0.001))
     some = (regions.region == Region.DIRECT) | (regions.region == Region.GLASS)
     nodes = field.grid_px[some] + 1.0
     pitch = cmap.grid.pitch_mm
@@ -38,10 +38,12 @@ def made():
 def test_each_region_takes_its_better_route(made):
     field, regions, traced, cmap, _ = made
     routes = compare_routes(*made, SHIFT_PX)
-    verdicts = {name: better for name, _, _, better in routes.rows() if not name.startswith("1.")}
+    rows = [row for row in routes.rows() if not row[0].startswith("1.")]
+    verdicts = {name: better for name, _, two, better in rows if two.count >= 4}
     assert verdicts.pop("seen directly") == "image"
-    assert len(verdicts) > 6
+    assert len(verdicts) > 5
     assert set(verdicts.values()) == {"velocity"}
+    assert {better for *_, two, better in rows if two.count < 4} <= {"equal"}  # one window alone decides nothing
     assert routes.direct[0].rms_px == pytest.approx(0.001 / np.sqrt(2), rel=1e-3)
     both, by_velocity = joined(field, regions, traced, cmap, routes)
     glass = regions.region == Region.GLASS

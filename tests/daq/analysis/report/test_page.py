@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from daq.analysis.pictures.embedded import embedded, grey, tinted
-from daq.analysis.report.page import Page
+from daq.analysis.report.page import Link, Page
 from tests.daq.analysis.report.browser import browse, measured
 
 
@@ -25,6 +25,13 @@ def page(twice=True):
     made.figure("line", figure, "a line")
     made.figure("dots", figure, "dots", dense=True)
     made.table(("name", *[f"a rather long heading {k}" for k in range(6)]), [("a<b", *"123456")], "caption")
+    made.lead("0.01, 0.02 px", "total <b>", ("[px]", "u", "v"), [("bias <", "+0.01", "-0.02")])
+    with made.row():
+        made.figure("left", figure, "left", dense=True)
+        made.figure("right", figure, "right", dense=True)
+    made.swatches([("#aabbcc", "hidden <by>", "3 %")])
+    made.table(("pair", "n"), [(Link("pair <a", "pair <a/report.html"), "1")])
+    made.links([Link("vectors.nc", "vectors.nc")])
     made.facts([("key <", "value >" + 200 * "x")])
     made.folded("file", "a: <1>\n" + 300 * "y")
     made.text("plain & simple")
@@ -42,9 +49,14 @@ def test_nothing_is_fetched_and_everything_is_escaped():
         "key &lt;",
         "a: &lt;1&gt;",
         "plain &amp; simple",
+        "total &lt;b&gt;",
+        "bias &lt;",
+        "hidden &lt;by&gt;",
+        ">pair &lt;a</a>",
     ):
         assert words in text
-    assert not re.findall(r"""(?:src|href)\s*=\s*["'](?!data:)""", text)
+    assert not re.findall(r"""src\s*=\s*["'](?!data:)""", text)
+    assert re.findall(r"""href\s*=\s*["']([^"']*)""", text) == ["pair%20%3Ca/report.html", "vectors.nc"]
     assert "url(" not in text
     assert "@import" not in text
     assert "viewport" in text
@@ -52,14 +64,21 @@ def test_nothing_is_fetched_and_everything_is_escaped():
 
 def test_figures_are_drawn_as_they_stand_in_the_page_unless_somebody_wants_both(tmp_path):
     page(twice=False).write(tmp_path / "report.html")
-    assert {path.name for path in tmp_path.iterdir()} == {"report.html", "line.svg", "dots.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "report.html",
+        "line.svg",
+        "dots.png",
+        "left.png",
+        "right.png",
+    }
 
 
 def test_pages_and_figures_are_written_whole_or_not_at_all(tmp_path, mocker):
     page().write(tmp_path / "report.html")
     assert (tmp_path / "report.html").read_text().endswith("</html>\n")
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"report.html", "line.svg", "line.png", "dots.svg", "dots.png"}
+    figures = {f"{name}.{kind}" for name in ("line", "dots", "left", "right") for kind in ("svg", "png")}
+    assert names == {"report.html"} | figures
     assert (tmp_path / "line.png").read_bytes().startswith(b"\x89PNG")
     mocker.patch("os.fsync", side_effect=OSError(28, "No space left on device"))
     with pytest.raises(OSError, match="No space"):
