@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from correction.fit.map_sigma import MapSigma
 from correction.fit.result import FitStep
-from daq.analysis.pictures.plane_axes import colour_bar
+from daq.analysis.pictures.plane_axes import colour_bar, plane_panels
 
 REACH = 2.0  # an arrow's length over that of the 95th percentile, at most: an outlier must not cross the picture
 
@@ -30,9 +30,9 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
     shape : (int, int)
         Rows and columns of the frame.
     """
-    figure = Figure(figsize=(8.0 * len(panels), 7.6), layout="constrained")
+    figure, drawn_in = plane_panels(shape[0] / shape[1], len(panels), max(len(panels), 1), 6.4)
     FigureCanvasAgg(figure)
-    for axes, (title, pixel, error) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+    for axes, (title, pixel, error) in zip(drawn_in, panels, strict=True):
         length = np.hypot(error[:, 0], error[:, 1])
         typical = max(float(np.percentile(length, 95)), 1e-6)
         longest = REACH * typical
@@ -55,12 +55,11 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
 
 def draw_map_sigma(path: Path, sigma: MapSigma) -> None:
     """Draw the standard deviation of the correction, both axes together, as PNG on a logarithmic scale."""
-    figure = Figure(figsize=(8.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
     total = np.hypot(sigma.sigma_px[..., 0], sigma.sigma_px[..., 1])
     floor = max(float(np.nanmin(total)), 1e-5) if np.isfinite(total).any() else 1e-5
     height, width = total.shape
+    figure, (axes,) = plane_panels(height / width, width_in=6.0)
+    FigureCanvasAgg(figure)
     x0, y0, pitch = *sigma.grid.origin_mm, sigma.grid.pitch_mm
     extent = (x0, x0 + width * pitch, y0 - height * pitch, y0)
     shown = axes.imshow(np.log10(np.maximum(total, floor)), extent=extent, cmap="viridis")

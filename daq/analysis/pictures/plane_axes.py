@@ -81,6 +81,37 @@ def draw_outlines(axes: Axes, scene: Scene, names: bool = True) -> None:
         name.set_in_layout(False)
 
 
+def plane_panels(
+    ratio: float, count: int = 1, columns: int = 1, width_in: float = 4.2
+) -> tuple[Figure, list[Axes]]:
+    """A figure of panels of one fixed shape with room for labels and a colour bar at each.
+
+    A layout engine does not know how wide a picture of fixed aspect will be, and cuts the label of its bar off.
+
+    Parameters
+    ----------
+    ratio : float
+        Height of a panel over its width.
+    count, columns : int
+        Panels, and how many stand beside each other.
+    width_in : float
+        Width of a panel in inches; a tall one is narrower.
+    """
+    wide = width_in / max(1.0, ratio)
+    tall = max(wide * ratio, 0.3 * wide)
+    left, right, below, above = 0.8, 1.25, 0.6, 0.3
+    rows = -(-count // columns)
+    width, height = columns * (left + wide + right), rows * (below + tall + above)
+    figure = Figure(figsize=(width, height))
+    panels = []
+    for number in range(count):
+        row, column = divmod(number, columns)
+        x, y = column * (left + wide + right) + left, height - (row + 1) * (below + tall + above) + below
+        panels.append(figure.add_axes((x / width, y / height, wide / width, tall / height)))
+        bare(panels[-1])
+    return figure, panels
+
+
 def bare_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
     """A figure with one pair of axes, without frame."""
     figure = Figure(figsize=(width_in, height_in), layout="constrained")

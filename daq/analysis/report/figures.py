@@ -17,7 +17,7 @@ from correction.evaluate.shift import Scatter
 from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from correction.piv.vector_field import VectorField
-from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare, bare_figure, colour_bar
+from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare, bare_figure, colour_bar, plane_panels
 from tracer.scene import Scene
 
 ARROWS = 30  # drawn along the longer side, at most
@@ -58,10 +58,10 @@ def vector_figure(
     limit : float, optional
         End of the colour scale; default the 99th percentile of `colour`.
     """
-    figure, axes = bare_figure(6.2, 5.3)
     x_mm, y_mm = _axes_mm(field, grid)
     half = 0.5 * field.step_px * grid.pitch_mm
     extent = (x_mm[0] - half, x_mm[-1] + half, y_mm[-1] - half, y_mm[0] + half)
+    figure, (axes,) = plane_panels((extent[3] - extent[2]) / (extent[1] - extent[0]))
     top = limit if limit is not None else colour_limit(colour)
     image = axes.imshow(colour, extent=extent, cmap=GROUND, vmin=0.0, vmax=top, interpolation="nearest")
     _outline(axes, scene)

@@ -10,7 +10,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from correction.flow.derived import Profile, RimStep
-from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare_figure, colour_bar
+from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare_figure, colour_bar, plane_panels
 from daq.analysis.report.figures import HEAT, SERIES, plain_decades
 from daq.analysis.series.history import BINS, History
 from daq.analysis.series.mean_flow import MeanFlow
@@ -58,7 +58,7 @@ def steps_figure(steps: RimStep, centre: tuple[float, float]) -> Figure:
 
 def streamlines_figure(mean: MeanFlow, scene: Scene, speed: Floats) -> Figure:
     """Draw streamlines of the mean, in the colour of its speed; vectors are missing where nothing is seen."""
-    figure, axes = bare_figure(6.2, 5.3)
+    figure, (axes,) = plane_panels(_ratio(mean))
     known = np.isfinite(mean.mean_m_s).all(axis=-1)
     u, v = (np.ma.masked_where(~known, np.nan_to_num(mean.mean_m_s[..., k])) for k in range(2))
     x, y = (np.linspace(side[0], side[-1], len(side)) for side in (mean.x_mm, mean.y_mm))
@@ -76,12 +76,10 @@ def maps_figure(
     mean: MeanFlow, scene: Scene, maps: Sequence[tuple[str, Floats]], columns: int = 2, signed: bool = True
 ) -> Figure:
     """Draw scalars (ny, nx) on the plane, each with its own scale."""
-    rows = -(-len(maps) // columns)
-    figure = Figure(figsize=(3.9 * columns, 3.3 * rows), layout="constrained")
+    figure, panels = plane_panels(_ratio(mean), len(maps), columns, 2.9)
     half = 0.5 * (mean.x_mm[1] - mean.x_mm[0])
     extent = (mean.x_mm[0] - half, mean.x_mm[-1] + half, mean.y_mm[0] - half, mean.y_mm[-1] + half)
-    for number, (label, values) in enumerate(maps):
-        axes = figure.add_subplot(rows, columns, number + 1)
+    for axes, (label, values) in zip(panels, maps, strict=True):
         known = values[np.isfinite(values)]
         top = max(float(np.percentile(np.abs(known), 99)), 1e-12) if known.size else 1.0
         both = signed and bool(known.size) and float(np.percentile(known, 2)) < -0.05 * top
@@ -134,6 +132,11 @@ def divergence_figure(ratios: dict[str, Floats]) -> Figure:
     axes.set(xlabel="divergence of the mean / its sigma", ylabel="share [%]", xlim=(-5.0, 5.0))
     axes.legend(frameon=False, fontsize=8)
     return figure
+
+
+def _ratio(mean: MeanFlow) -> float:
+    """Height over width of what is drawn."""
+    return float((mean.y_mm[-1] - mean.y_mm[0]) / (mean.x_mm[-1] - mean.x_mm[0]))
 
 
 def _plane(axes: Axes, mean: MeanFlow, scene: Scene) -> None:

@@ -32,7 +32,7 @@ def drawn(outliers):
 
 
 def test_an_outlier_of_50_px_does_not_cross_the_picture():
-    quiver, usual = arrows(drawn([]))
+    _, usual = arrows(drawn([]))
     shape = usual.shape
     some = [(row, column) for row in range(49) for column in range(49) if (row * 49 + column) % 300 == 151]
     figure = drawn(some)
@@ -55,6 +55,23 @@ def test_arrows_are_dark_on_a_ground_that_never_is():
     ink = luminance([int(INK[k : k + 2], 16) / 255 for k in (1, 3, 5)])
     ground = luminance(GROUND(np.linspace(0.0, 1.0, 64))[:, :3])
     assert ((ground + 0.05) / (ink + 0.05)).min() > 4.0
+
+
+@pytest.mark.parametrize("size", [(400, 400), (160, 600), (600, 160)])
+def test_labels_of_a_picture_are_not_cut_off(size):
+    field = uniform_field(size, (3.0, -2.0))
+    grid = PlaneGrid((-40.0, 40.0), 0.2, size)
+    figure = vector_figure(field, grid, scene_of(), 0.012 * np.ones(field.flags.shape), "true error [px]")
+    figure.draw_without_rendering()
+    whole, (picture, bar) = (
+        figure.bbox,
+        (axes.get_tightbbox() for axes in (figure.axes[0], figure.axes[0].child_axes[0])),
+    )
+    for box in (picture, bar):
+        assert box.x0 >= 0.0
+        assert box.y0 >= 0.0
+        assert box.x1 <= whole.x1
+        assert box.y1 <= whole.y1
 
 
 def test_nothing_measured_is_drawn_all_the_same():

@@ -64,13 +64,8 @@ def test_nothing_is_fetched_and_everything_is_escaped():
 
 def test_figures_are_drawn_as_they_stand_in_the_page_unless_somebody_wants_both(tmp_path):
     page(twice=False).write(tmp_path / "report.html")
-    assert {path.name for path in tmp_path.iterdir()} == {
-        "report.html",
-        "line.svg",
-        "dots.png",
-        "left.png",
-        "right.png",
-    }
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"report.html", "line.svg", "dots.png", "left.png", "right.png"}
 
 
 def test_pages_and_figures_are_written_whole_or_not_at_all(tmp_path, mocker):

@@ -49,7 +49,7 @@ def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
 
 def test_without_glass_it_is_of_what_is_seen_directly():
     (only,) = totals_of(evaluation(glass=False))
-    assert (only.region, only.count) == ("seen directly", 40 * 40)
+    assert (only.region, only.count) == ("seen directly", 39 * 39)
 
 
 def test_without_a_known_shift_it_is_an_uncertainty():
@@ -57,12 +57,12 @@ def test_without_a_known_shift_it_is_an_uncertainty():
     assert not glass.is_error
     assert glass.total_px == pytest.approx((0.025, 0.025))
     assert "uncertainty" in glass.said
-    assert coverage_of(evaluation(known=False), np.ones((40, 40), bool)) is None
+    assert coverage_of(evaluation(known=False), np.ones((39, 39), bool)) is None
 
 
 @pytest.mark.parametrize(("sigma", "claim"), [(0.02, "as claimed"), (0.01, "too small"), (0.04, "too large")])
 def test_sigma_is_held_to_its_claim(sigma, claim):
-    found = coverage_of(evaluation(sigma=sigma), np.ones((40, 40), bool))
+    found = coverage_of(evaluation(sigma=sigma), np.ones((39, 39), bool))
     assert found.claim == claim
     assert found.ratio == pytest.approx((0.02 / sigma,) * 2, rel=0.1)
     if claim == "as claimed":
