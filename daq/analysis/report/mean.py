@@ -87,18 +87,15 @@ def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str]
     known = mean.count > 0
     behind = known & (regions.region == Region.GLASS)
     where, name = (behind, "behind glass") if behind.any() else (known, "seen directly")
-    parts = [("random sigma of the mean", mean.sigma_m_s)]
-    if mean.map_sigma_m_s is not None:
-        parts.append(("sigma by the fitted map", mean.map_sigma_m_s))
-    if np.isfinite(mean.resolution_m_s).any():
-        parts.append(("not resolved by the windows", mean.resolution_m_s))
-    if np.isfinite(mean.dt_sigma_share):
-        parts.append(("sigma of dt", mean.dt_sigma_share * np.abs(mean.mean_m_s)))
-    total = np.sqrt(sum(np.square(np.nan_to_num(part)) for _, part in parts))
+    unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
+    asked = (("random sigma of the mean", mean.sigma_m_s), ("not resolved by the windows", unresolved),
+             ("sigma of dt", mean.dt_sigma_m_s), ("sigma by the fitted map", mean.map_sigma_m_s))  # fmt: skip
+    parts = [(what, part) for what, part in asked if part is not None and np.isfinite(part).any()]
     rows: list[tuple[str, ...]] = [(what, *_medians(part, where, mean.px_per_m_s)) for what, part in parts]
     if mean.map_sigma_m_s is None:
         rows.append(("sigma by the map", "not known", ""))
-    rows.append(("the same in m/s", *_medians(total, where, 1.0)))
+    total = mean.total_sigma_m_s
+    rows.append(("total in m/s", *_medians(total, where, 1.0)))
     value = "{}, {} px".format(*_medians(total, where, mean.px_per_m_s))
     said = f"total standard uncertainty u, v of the mean: median of {int(where.sum())} vectors {name}"
     return value, said, ("[px]", "u", "v"), rows
