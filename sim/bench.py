@@ -6,6 +6,7 @@ the loopback.  `bench_table` says what can be chosen, `world` what is true.
 
 import shutil
 import tempfile
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from importlib import import_module
@@ -14,9 +15,11 @@ from typing import cast
 
 from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
 from daq.acquisition.bench.kinds import kind_of
+from daq.acquisition.plans.steps import Step
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
+from sim.arranged import check_views
 from sim.bench_table import SimulationTable, fault_plan, settings_by_number, simulation_of
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
@@ -88,6 +91,11 @@ class SimulatedBench:
     def check(bench: Bench) -> None:
         """Say what is wrong with the section of a bench file; nothing is put up."""
         simulation_of(bench)
+
+    @staticmethod
+    def check_views(bench: Bench, steps: Iterable[Step]) -> None:
+        """Refuse a plan that cannot be shown, before anything runs."""
+        check_views(bench, steps)
 
     def true_mm(self) -> dict[str, float]:
         """Where every axis really is, in its own coordinate."""

@@ -9,24 +9,23 @@ seed): what a bench does to an experimenter.  The target's plane is z = 0 of the
 import secrets
 import threading
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.bench.bench_table import Bench
+from sim.arranged import arranged, sheet_mm
 from sim.bench_table import SimulationTable
 from sim.flow.images import FlowCamera
 from sim.flow.lit import LitFlow
 from sim.flow.prepared import PreparedPairs
 from sim.prints.frame_truth import WORLDS, FrameTruth, with_truth
-from sim.prints.patterns import Chessboard, ParticleSheet, Pose, placed, printed_particles
+from sim.prints.patterns import Chessboard, ParticleSheet, placed, printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
 from sim.true_scene import true_scene
-from tracer.bodies import shifted_by
 from tracer.scene import Scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
@@ -135,19 +134,13 @@ class World:
                 samples=self._table.samples,
                 seed=self._table.seed,
                 aperture=self._table.pupil,
+                sheet_mm=sheet_mm(self._bench),
             )
         return self._views[key]
 
     def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Chessboard | ParticleSheet]:
         """Scene and print at the true places of their carriages."""
-        offsets = {"camera": np.zeros(3), "glass": np.zeros(3), "target": np.zeros(3)}
-        for name, axis in self._bench.table.stages.axes.items():
-            offsets[axis.carries]["xyz".index(axis.along)] += true_mm[name] - self._bench.home_mm[name]
-        camera = self.scene.camera
-        x, y, z = (float(c) for c in np.add(camera.position_mm, offsets["camera"]))
-        bodies = tuple(body.moved(shifted_by(offsets["glass"])) for body in self.scene.bodies)
-        scene = replace(self.scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
-        pose = Pose().moved(*(float(c) for c in offsets["target"]))
+        scene, pose = arranged(self._bench, self.scene, true_mm)
         if isinstance(self._print, Chessboard):
             return scene, placed(self._print, pose)
         return scene, placed(self._print, pose)

@@ -12,6 +12,7 @@ from correction.resample.sample import Method
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import Bench, Vector
 from daq.acquisition.bench.kinds.stage import idle_stage
+from daq.acquisition.bench.opened import check_views
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.forecast import Forecast, forecast
@@ -62,7 +63,8 @@ def acquire(
     simulate : bool
         Use the bench's simulation in place of the hardware.
     dry_run : bool
-        Print steps, travel, time, disk and violations; open nothing.
+        Print steps, travel, time, disk and violations; open nothing.  With `simulate` also refuse what the
+        simulated bench cannot show.
     home : bool
         Home every axis first, in the configured order; the plan is then judged from the homed place, if the bench
         file says where that is.
@@ -117,6 +119,8 @@ def acquire(
             f"{plan}: {len(said.violations)} of its moves are not allowed; "
             f"step {first.step} ({first.tag}): {first.text}"
         )
+    if simulate:
+        check_views(loaded, steps.steps)
     if dry_run:
         return None
     require_folder(out).mkdir(parents=True, exist_ok=True)

@@ -29,6 +29,7 @@ from sim.renderer.surfaces import (
 Float32 = NDArray[np.float32]
 Int64 = NDArray[np.int64]
 
+BEHIND_MM = 1e-3  # rounding at a body that touches the sheet is far less
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
 
@@ -80,6 +81,8 @@ def last_way(
         height = (
             (ox - plane[0, 0]) * plane[3, 0] + (oy - plane[0, 1]) * plane[3, 1] + (oz - plane[0, 2]) * plane[3, 2]
         )
+        if last >= 0 and height < -BEHIND_MM:  # out of a body that stands beside the sheet, and past it
+            return ox, oy, oz, dx, dy, dz, BLOCKED, chain
         nearest = max(-height / fall, 0.0) if fall < 0.0 else np.inf
         body = -1
         for index in range(spheres.shape[0]):

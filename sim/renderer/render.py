@@ -111,18 +111,24 @@ def render(
 
 
 def render_irradiance(
-    scene: Scene, pattern: Pattern, *, samples: int = 4, seed: int = 0, aperture: Aperture | None = None
+    scene: Scene,
+    pattern: Pattern,
+    *,
+    samples: int = 4,
+    seed: int = 0,
+    aperture: Aperture | None = None,
+    sheet_mm: tuple[float, float] | None = None,
 ) -> NDArray[np.float32]:
-    """Return the light on each pixel, float32 (H, W): 1 = white sheet without glass; see `render`.
+    """Return the light on each pixel, float32 (H, W): 1 = white sheet without glass; see `render` and `tables_of`.
 
     Raises
     ------
     SceneError
-        `samples` is below 1, a body crosses the pattern's plane, or is neither sphere nor rod.
+        `samples` is below 1, a body crosses the pattern's sheet, or is neither sphere nor rod.
     """
     if samples < 1:
         raise SceneError("samples must be at least 1")
-    tables = tables_of(scene, pattern.pose, aperture)
+    tables = tables_of(scene, pattern.pose, aperture, sheet_mm)
     height, width = scene.camera.shape
     out = np.empty((height, width), np.float32)
 
@@ -161,8 +167,22 @@ def _pupil_order(n: int) -> NDArray[np.int64]:
     return np.random.default_rng(n).permutation(n * n)
 
 
-def tables_of(scene: Scene, pose: Pose, aperture: Aperture | None) -> SceneTables:
+def tables_of(
+    scene: Scene, pose: Pose, aperture: Aperture | None, sheet_mm: tuple[float, float] | None = None
+) -> SceneTables:
     """Translate scene, place of the sheet and aperture into arrays.
+
+    Parameters
+    ----------
+    scene : Scene
+        Camera and bodies.
+    pose : Pose
+        Place of the sheet.
+    aperture : Aperture or None
+        A finite pupil.
+    sheet_mm : (float, float), optional
+        Width and height of the sheet about its origin: beside it bodies may cross its plane, such as glass that
+        was driven out, or a support.  Without it the sheet has no end.
 
     Raises
     ------
@@ -171,7 +191,7 @@ def tables_of(scene: Scene, pose: Pose, aperture: Aperture | None) -> SceneTable
     """
     camera, lens = scene.camera, scene.camera.lens
     plane = pose.axes()
-    bodies = [body for body in scene.bodies if _in_front(body, plane)]
+    bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
     if unknown := [body for body in bodies if body not in (*spheres, *rods)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
@@ -216,8 +236,8 @@ def _ball(rod: Rod) -> list[float]:
     return [*(0.5 * (start + end)).tolist(), 0.5 * float(np.linalg.norm(end - start)) + rod.radius_mm]
 
 
-def _in_front(body: Body, plane: NDArray[np.float64]) -> bool:
-    """True if a body lies before the sheet, False if behind it.
+def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, float] | None) -> bool:
+    """True if a body lies before the sheet or reaches past it beside it, False if it is behind.
 
     Raises
     ------
@@ -230,4 +250,15 @@ def _in_front(body: Body, plane: NDArray[np.float64]) -> bool:
         return True
     if max(heights) + radius_mm <= CONTACT_TOL_MM:
         return False
+    if sheet_mm is not None and _beside(body, plane, sheet_mm):
+        return True
     raise SceneError(f"the target cuts through body {body.name!r}; move the target back or the body away")
+
+
+def _beside(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, float]) -> bool:
+    """Whether a box around a body, along the sheet's axes, has no point in common with the sheet."""
+    *ends, radius_mm = body.capsule
+    places = (np.array(ends) - plane[0]) @ plane[1:3].T
+    low, high = places.min(axis=0) - radius_mm, places.max(axis=0) + radius_mm
+    half = 0.5 * np.array(sheet_mm)
+    return bool((low >= half).any() or (high <= -half).any())

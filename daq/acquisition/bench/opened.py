@@ -5,7 +5,7 @@ addresses instead of hardware: it puts another section in place of each device's
 backend and everything above them stay the same, and never know.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -15,6 +15,7 @@ from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSecti
 from daq.acquisition.bench.kinds import kind_of
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.cameras.camera import Camera
+from daq.acquisition.plans.steps import Step
 from daq.errors import PlanError
 from daq.timing.laser import Laser
 from ground.config import Table
@@ -127,6 +128,21 @@ def check_simulation(bench: Bench) -> bool:
     if judge is not None:
         judge(bench)
     return True
+
+
+def check_views(bench: Bench, steps: Iterable[Step]) -> None:
+    """Refuse a plan that the simulated hardware of a bench file cannot show, if that is able to tell.
+
+    Raises
+    ------
+    ConfigError
+        There is no such section, or it is wrong.
+    PlanError
+        A step cannot be shown.
+    """
+    judge = getattr(_simulation_class(bench), "check_views", None)
+    if judge is not None:
+        judge(bench, steps)
 
 
 def _simulation_class(bench: Bench) -> Callable[..., object]:

@@ -1,0 +1,71 @@
+"""Where camera, glass and target stand at given positions of the axes, and whether that can be drawn.
+
+What the renderer cannot draw is said before anything runs (`check_views`): found out by the camera's own process
+after minutes, it reads like a camera that no longer answers.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from daq.acquisition.bench.bench_table import Bench
+from daq.acquisition.plans.steps import Step
+from daq.errors import PlanError
+from sim.bench_table import simulation_of
+from sim.prints.patterns import Pose
+from sim.renderer.render import tables_of
+from sim.true_scene import true_scene
+from tracer.bodies import shifted_by
+from tracer.errors import SceneError
+from tracer.scene import Scene
+
+
+def arranged(bench: Bench, scene: Scene, positions_mm: Mapping[str, float]) -> tuple[Scene, Pose]:
+    """Scene and place of the print, from the `scene` that holds where every axis stands at home.
+
+    Raises
+    ------
+    SceneError
+        Bodies or camera cannot stand there.
+    """
+    offsets = {"camera": np.zeros(3), "glass": np.zeros(3), "target": np.zeros(3)}
+    for name, axis in bench.table.stages.axes.items():
+        offsets[axis.carries]["xyz".index(axis.along)] += positions_mm[name] - bench.home_mm[name]
+    camera = scene.camera
+    x, y, z = (float(c) for c in np.add(camera.position_mm, offsets["camera"]))
+    bodies = tuple(body.moved(shifted_by(offsets["glass"])) for body in scene.bodies)
+    moved = replace(scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
+    return moved, Pose().moved(*(float(c) for c in offsets["target"]))
+
+
+def sheet_mm(bench: Bench) -> tuple[float, float] | None:
+    """Width and height of what hangs on the target's stage, if the bench file says it."""
+    table = bench.table.keep_out
+    return None if table is None else (table.target_size_mm[0], table.target_size_mm[1])
+
+
+def check_views(bench: Bench, steps: Iterable[Step]) -> None:
+    """Refuse what the simulated camera cannot draw.
+
+    Raises
+    ------
+    PlanError
+        A step, or the whole bench, cannot be drawn; names the step, the body and the cure.
+    """
+    table = simulation_of(bench)
+    try:
+        scene = true_scene(bench, table)
+    except SceneError as error:
+        raise PlanError(f"the simulated bench cannot be set up: {error}") from None
+    looked_at = set()
+    for step in steps:
+        if step.positions_mm in looked_at:
+            continue
+        looked_at.add(step.positions_mm)
+        try:
+            there, pose = arranged(bench, scene, step.targets_mm)
+            tables_of(there, pose, table.pupil, sheet_mm(bench))
+        except SceneError as error:
+            said = f"the simulated bench cannot show step {step.index} ({step.tag})"
+            raise PlanError(f"{said}: {error}") from None
