@@ -19,6 +19,8 @@ from daq.analysis.pictures.plane_axes import short
 from daq.analysis.pictures.seen import seen
 from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
 from daq.terminal import console, progress_if_long
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view
 from tracer.ray_map import build_ray_map
@@ -47,14 +49,14 @@ class Traced:
     pictures: tuple[Path, ...]
 
 
-def trace(scene: Path, out: Path) -> Traced:
+def trace(scene: Named, out: Named = "trace") -> Traced:
     """Trace a scene; print what it shows of the plane, and leave pictures.
 
     Parameters
     ----------
-    scene : Path
+    scene : path
         scene.yaml.
-    out : Path
+    out : path
         Folder for ``plane.png`` (what is recovered of the plane, why the rest is not, and how large it is seen),
         ``camera_view.png`` (a board with markers as the camera sees it), ``scene.png`` (the scene to scale, cut
         where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says the
@@ -69,9 +71,12 @@ def trace(scene: Path, out: Path) -> Traced:
     ------
     ConfigError
         The scene file is wrong.
+    RunUsageError, DiskError
+        The folder cannot hold results.
     """
+    scene = Path(scene)
     loaded = load_scene(scene)
-    screen = console()
+    out, screen = require_folder(out), console()
     ray_map = build_ray_map(loaded)
     correction_map = build_correction_map(loaded, ray_map)
     share = plane_share(loaded, correction_map)
