@@ -11,11 +11,13 @@ from daq.analysis.calibration import Calibration
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.report.focus import HEAD as FOCUS_HEAD
 from daq.analysis.report.tables import (
+    CLAIM_HEAD,
     ROUTE_HEAD,
     SHIFT_HEAD,
     SIGMA_HEAD,
     TRACK_HEAD,
     Row,
+    claim_rows,
     route_rows,
     shift_rows,
     sigma_rows,
@@ -38,6 +40,7 @@ def show_evaluation(screen: Console, evaluation: Evaluation) -> None:
         tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
     if evaluation.map_sigma is not None:
         tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
+        tables.append(("errors against their sigma; it claims 68 and 95 %", CLAIM_HEAD, claim_rows(evaluation)))
     if evaluation.routes is not None:
         tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
     if evaluation.tracks is not None:

@@ -10,7 +10,15 @@ from correction.evaluate.vector_file import write_netcdf, write_traced, write_vt
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.report.page import Link, Page
 from daq.analysis.report.pair import pair_chapters, pair_summary
-from daq.analysis.report.tables import ROUTE_HEAD, SIGMA_HEAD, route_rows, sigma_rows, track_summary
+from daq.analysis.report.tables import (
+    CLAIM_HEAD,
+    ROUTE_HEAD,
+    SIGMA_HEAD,
+    claim_rows,
+    route_rows,
+    sigma_rows,
+    track_summary,
+)
 from daq.whole_text import write_json
 
 
@@ -39,6 +47,7 @@ def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False)
     if np.isfinite(field.static_share):
         summary["static_share"] = field.static_share
     summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
+    summary["sigma_claims"] = [dict(zip(CLAIM_HEAD, row, strict=True)) for row in claim_rows(evaluation)]
     if evaluation.shift is not None:
         summary["shift"] = evaluation.shift.to_dict()
     if evaluation.routes is not None:

@@ -19,14 +19,12 @@ from daq.analysis.report.total import Total, coverage_of
 
 SHIFT_HEAD = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "estimated sigma u, v")
 RESPONSE_HEAD = ("wavelength in windows", "clear wave", "wave below the noise")
-SIGMA_HEAD = (
+SIGMA_HEAD = ("region", "vectors", "random u, v", "map: displacement u, v", "map: position u, v")
+CLAIM_HEAD = (
     "region",
     "vectors",
-    "random u, v",
-    "map: displacement u, v",
-    "map: position u, v",
-    "within 1 sigma (68 % claimed) u, v",
-    "within 2 sigma (95 %) u, v",
+    "within 1 sigma u, v",
+    "within 2 sigma u, v",
     "scatter / sigma u, v",
     "sigma is",
 )
@@ -56,23 +54,29 @@ def shift_rows(result: ShiftResult) -> list[Row]:
 
 
 def sigma_rows(evaluation: Evaluation) -> list[Row]:
-    """Rows under SIGMA_HEAD: rms of each share of the uncertainty along u and v, and whether errors keep to it.
-
-    Errors are held against random and map together; the common error of the stage is taken off first.
-    """
+    """Rows under SIGMA_HEAD: rms of each share of the uncertainty along u and v."""
     field, joined = evaluation.field, evaluation.map_sigma
     random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
     nothing = np.full_like(random, np.nan)
     place, moved = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
+    return [
+        (name, str(int(where.sum())), *(_rms_pair(sigma[where]) for sigma in (random, moved, place)))
+        for name, where in region_masks(evaluation).items()
+    ]
+
+
+def claim_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under CLAIM_HEAD: whether errors keep to random and map sigma; none without a known shift.
+
+    What the stage missed is the same for all vectors, and is taken off first.
+    """
     rows: list[Row] = []
     for name, where in region_masks(evaluation).items():
-        parts = [str(int(where.sum())), *(_rms_pair(sigma[where]) for sigma in (random, moved, place))]
         found = coverage_of(evaluation, where)
-        if found is None:
-            rows.append((name, *parts, "-", "-", "-", "-"))
-            continue
-        inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
-        rows.append((name, *parts, *inside, "{:.2f}, {:.2f}".format(*found.ratio), found.claim))
+        if found is not None:
+            inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
+            ratio = "{:.2f}, {:.2f}".format(*found.ratio)
+            rows.append((name, str(int(where.sum())), *inside, ratio, found.claim))
     return rows
 
 
