@@ -77,6 +77,7 @@ def draw_outlines(axes: Axes, scene: Scene, names: bool = True) -> None:
         name = axes.annotate(
             short(body.name), (x, y), (0, 3), textcoords="offset points", ha="center", fontsize=8, color=INK,
             parse_math=False, annotation_clip=True,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
         )  # fmt: skip
         name.set_in_layout(False)
 
