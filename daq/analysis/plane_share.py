@@ -8,7 +8,7 @@ of bodies overlap and do not add up to the whole.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 
 import numpy as np
@@ -45,7 +45,7 @@ class BodyShare:
     name: str
     is_glass: bool
     outline_mm2: float
-    within_mm2: Areas
+    within_mm2: Areas = field(repr=False)
     shown_mm2: float
 
     @property
@@ -77,10 +77,10 @@ class PlaneShare:
     """
 
     size_mm: tuple[float, float]
-    areas_mm2: Areas
+    areas_mm2: Areas = field(repr=False)
     direct_mm2: float
     glass_mm2: float
-    bodies: tuple[BodyShare, ...]
+    bodies: tuple[BodyShare, ...] = field(repr=False)
 
     @property
     def whole_mm2(self) -> float:

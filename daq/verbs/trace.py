@@ -1,6 +1,6 @@
 """`rtpiv trace`: what a scene shows of the plane."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +46,7 @@ class Traced:
 
     share: PlaneShare
     view: FieldOfView | None
-    pictures: tuple[Path, ...]
+    pictures: tuple[Path, ...] = field(repr=False)
 
 
 def trace(scene: Named, out: Named = "trace") -> Traced:
