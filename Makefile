@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow fuzz lamps far-starts benchmark bench lint picture pins clean
+.PHONY: demo test test-slow labs fuzz lamps far-starts benchmark bench lint picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -27,6 +27,11 @@ test: $(STAMP) lint
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
+
+# Hundreds of drawn labs, right and wrong ones: is the wrong model named, is one sigma one sigma?
+LABS ?= 100
+labs: $(STAMP)
+	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_many_labs.py
 
 # Random sequences of commands, faults, stops and restarts before the judge: make fuzz SEQUENCES=100000 SEED=1
 SEQUENCES ?= 10000

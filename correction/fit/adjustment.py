@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from correction.fit.contact import largest_overlap_mm, pushed_apart
 from correction.fit.measurement import MeasuredFrame, whitening
+from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
 from correction.fit.result import FitStep, FittedCorners, SceneFit
 from correction.fit.solver import Corners, Residuals, Solution, minimise, normal_equations, residuals
 from correction.fit.unknowns import Unknowns
+from correction.fit.verdict import judge_model
 from tracer.scene import Scene
 from tracer.sensitivity import SPHERE
 
@@ -31,6 +33,7 @@ class Adjustment:
 
     def __init__(self) -> None:
         self.scales = {False: 1.0, True: 1.0}
+        self.lock_px = np.zeros(2 * TERMS)
 
     def solve(self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> Solution:
         """Fit measured corners; then again with the sigmas that their residuals ask for."""
@@ -43,12 +46,28 @@ class Adjustment:
             solution = minimise(unknowns, evaluate, x, knee=KNEE)
             x = solution.x
             self.rescale(frames, evaluate(x))
+            self.lock_px, _ = self.locked(unknowns, x, frames)
         return solution
 
+    def locked(
+        self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Find the lock on the rows of pixels; and what not knowing it takes of the information on x (P, P)."""
+        asked = []
+        for frame in frames:
+            corners = self.weighted(frame)
+            left = residuals(unknowns, x, corners)
+            good = np.linalg.norm(left.value, axis=1) < OUTLIER  # False for NaN
+            terms = np.asarray(corners.whiten) @ lock_terms(frame.corners.pixel, frame.axes_px, frame.behind)
+            asked.append(LockedCorners(terms[good], left.value[good], left.rate[good]))
+        return better_lock(self.lock_px, x, asked)
+
     def weighted(self, frame: MeasuredFrame) -> Corners:
-        """Corners with their present sigmas."""
+        """Corners with their present sigmas, the lock on pixels taken off."""
         scale = np.where(frame.behind, self.scales[True], self.scales[False])
-        return replace(frame.corners, whiten=whitening(frame.sigma_px, scale))
+        pull = lock_terms(frame.corners.pixel, frame.axes_px, frame.behind) @ self.lock_px
+        pixel = frame.corners.pixel - pull
+        return replace(frame.corners, pixel=pixel, whiten=whitening(frame.sigma_px, scale))
 
     def rescale(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> None:
         """Let the median residual of each region be what its sigmas say (Rayleigh: median r^2 = 2 ln 2)."""
@@ -63,17 +82,24 @@ class Adjustment:
         self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
     ) -> NDArray[np.float64]:
         """Residuals (N, 2) in raw px."""
-        eye = [replace(f.corners, whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
+        eye = [replace(self.weighted(f), whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
         return np.concatenate([residuals(unknowns, x, corners).value for corners in eye])
 
     def step(
-        self, name: str, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
+        self,
+        name: str,
+        unknowns: Unknowns,
+        x: NDArray[np.float64],
+        frames: Sequence[MeasuredFrame],
+        kept: Sequence[NDArray[np.bool_]] | None = None,
     ) -> FitStep:
-        """Say how well frames are fitted: rms per axis of the corners within the outlier limit."""
-        off = np.linalg.norm(self.reprojection(unknowns, x, frames), axis=1)
-        near = off[off < OUTLIER * float(np.nanmedian(off))]
-        per_axis = float(np.sqrt(np.mean(near**2) / 2.0))
-        return FitStep(name, len(off), per_axis, f"{len(off) - len(near)} beyond {OUTLIER:g} sigma")
+        """Say how well frames are fitted: rms per axis of the corners that are not put aside."""
+        off = self.reprojection(unknowns, x, frames)
+        near = np.concatenate(kept or [self.inliers(unknowns, x, frame) for frame in frames])
+        per_axis = float(np.sqrt(np.mean(off[near] ** 2))) if near.any() else float("nan")
+        return FitStep(
+            name, len(off), per_axis, f"{len(off) - np.count_nonzero(near)} put aside beyond {OUTLIER:g} sigma"
+        )
 
     def inliers(self, unknowns: Unknowns, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:
         """Corners within OUTLIER sigmas."""
@@ -125,13 +151,18 @@ class Adjustment:
         # The loss halves the say of honest corners at the edge of it; their information counts in full.
         parts = [residuals(unknowns, solution.x, self.weighted(frame)) for frame in used]
         _, _, normal = normal_equations(unknowns, solution.x, parts, FULL_WEIGHT)
+        normal = normal - self.locked(unknowns, solution.x, used)[1]
+        alone = np.asarray(np.linalg.inv(normal + np.eye(len(solution.x))), dtype=np.float64)
+        weighted = [self.weighted(frame) for frame in measured]
+        left = [residuals(unknowns, solution.x, corners) for corners in weighted]
+        verdict, covariance = judge_model(unknowns, solution.x, measured, weighted, left, alone)
         scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
         corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(
             scene,
             unknowns,
             solution.x,
-            np.asarray(np.linalg.inv(normal + np.eye(len(solution.x))), dtype=np.float64),
+            covariance,
             normal,
             tuple(frame.name for frame in measured),
             corners,
@@ -139,7 +170,8 @@ class Adjustment:
             _summed([frame.refused for frame in measured]),
             pushed,
             scene,
-            (*history, self.step("all together", unknowns, solution.x, used)),
+            verdict,
+            (*history, self.step("all together", unknowns, solution.x, measured, kept)),
         )
 
 

@@ -16,7 +16,8 @@ from ground.map_file import save_arrays
 def save_fit(path: Path | str, fit: SceneFit) -> None:
     """Write a fit, atomically.
 
-    Header: ``names``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``.  Arrays: ``values`` (P,),
+    Header: ``names``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``,
+    ``systematic_px`` (way -> its own error).  Arrays: ``values`` (P,),
     ``covariance`` (P, P) in the units of the names, ``scene_root`` (Q, P) (see `SceneSigma`), ``corner_frame``
     (N,), ``corner_index`` (N, 2), ``corner_px``, ``residual_px`` (N, 2), ``behind``, ``inlier`` (N,).
     """
@@ -27,6 +28,7 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
         "nominal_hash": fit.unknowns.scene.content_hash(),
         "frames": list(fit.frames),
         "history": [str(step) for step in fit.history],
+        "systematic_px": fit.verdict.systematic_px,
     }
     arrays = {
         "values": fit.values,

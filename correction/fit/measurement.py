@@ -57,6 +57,8 @@ class MeasuredFrame:
         For the solver.
     index : (N, 2) int64
         Corner of the board.
+    axes_px : (N, 2, 2) float64
+        Columns: displacement in the image by one square along the board's +x and +y.
     branch_name : (N,) str
         Spheres crossed, joined by " > "; empty for the direct view.
     rim_px : (N,) float64
@@ -72,6 +74,7 @@ class MeasuredFrame:
     name: str
     corners: Corners
     index: NDArray[np.int64]
+    axes_px: NDArray[np.float64]
     branch_name: NDArray[np.str_]
     rim_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
@@ -92,6 +95,7 @@ class MeasuredFrame:
             self,
             corners=self.corners.take(which),
             index=self.index[which],
+            axes_px=self.axes_px[which],
             branch_name=self.branch_name[which],
             rim_px=self.rim_px[which],
             sigma_px=self.sigma_px[which],
@@ -124,7 +128,7 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_num
     corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
     branch_name, rim = np.full(count, ""), np.full(count, np.inf)
     return MeasuredFrame(
-        frame.name, corners, found.index, branch_name, rim, found.sigma_px, {}, dict(found.refused)
+        frame.name, corners, found.index, found.axes_px, branch_name, rim, found.sigma_px, {}, dict(found.refused)
     )
 
 
@@ -167,6 +171,7 @@ def _measured(
         name,
         corners,
         expected.index[valid],
+        expected.axes_px[valid],
         branch_names[valid],
         expected.rim_px[valid],
         fit.sigma_px[valid],

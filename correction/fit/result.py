@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 from correction.fit.errors import FitFailed
 from correction.fit.light import LightDoubt
 from correction.fit.unknowns import Unknowns
+from correction.fit.verdict import Verdict
 from ground.short_repr import short_repr
 from tracer.branches import branch_of
 from tracer.scene import Scene
 
-RMS_LIMIT_PX = 0.3  # a right fit leaves 0.02-0.07, a wrong one at least several times this
+RMS_TIMES = 20.0  # residuals behind glass over those beside it: right fits 1-5, an ellipsoid of 50 um 5-10
+RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves more than either
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
 BRANCH_LIMIT = 0.5  # the same of one branch, if the scene shows at least so many corners on it
 BRANCH_CORNERS = 5
@@ -133,6 +135,7 @@ class SceneFit:
     refused: dict[str, int]
     pushed_mm: float
     measured_scene: Scene
+    verdict: Verdict
     history: tuple[FitStep, ...] = field(default=())
     light: LightDoubt = field(default_factory=LightDoubt)
 
@@ -173,6 +176,11 @@ class SceneFit:
         return self.paired_behind / max(self.expected_behind, 1)
 
 
+def rms_limit_px(able_px: float) -> float:
+    """Largest residual that is still taken as a fit, if corners are good to `able_px` where all is right."""
+    return float(np.clip(RMS_TIMES * able_px, *RMS_BOUNDS_PX))
+
+
 def check(fit: SceneFit) -> None:
     """Hold a fit against its gates.
 
@@ -185,10 +193,13 @@ def check(fit: SceneFit) -> None:
         "check that the scene lists every sphere, its radius and glass, that the board fills the view behind the"
         " glass, and that nothing moved between frames"
     )
+    if fit.verdict.alarms:
+        cure = f"{fit.verdict.sentences[0]}; {cure}"
     if fit.corners.behind.any():
         rms = float(fit.corners.rms_px(behind=True).max())
-        if not rms <= RMS_LIMIT_PX:
-            raise FitFailed("rms behind glass [px]", rms, RMS_LIMIT_PX, cure)
+        limit = rms_limit_px(fit.verdict.able_px)
+        if not rms <= limit:
+            raise FitFailed("rms behind glass [px]", rms, limit, cure)
         if fit.share < SHARE_LIMIT:
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
         for branch_name, count in fit.expected.items():

@@ -27,10 +27,10 @@ from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.light import back_from_light, doubt_of, in_light
 from correction.fit.lost_sphere import likely_places, lost_spheres
-from correction.fit.measurement import MeasuredFrame, TargetFrame, bare_frame, glass_frame
+from correction.fit.measurement import FLOOR_PX, MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
 from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
-from correction.fit.result import PRIOR_LIMIT, RMS_LIMIT_PX, FitStep, SceneFit, check
+from correction.fit.result import PRIOR_LIMIT, FitStep, SceneFit, check, rms_limit_px
 from correction.fit.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
@@ -180,11 +180,13 @@ class _Fit:
 
     def check_camera(self, rms_px: float, pull: float, unknowns: Unknowns, solution: Solution) -> None:
         """Refuse a camera that does not fit the bare target."""
-        if not rms_px <= RMS_LIMIT_PX:
+        sigma = [np.hypot(frame.sigma_px, FLOOR_PX).ravel() for frame in self.bare]
+        limit = rms_limit_px(float(np.nanmedian(np.concatenate(sigma))))
+        if not rms_px <= limit:
             raise FitFailed(
                 "bare target",
                 rms_px,
-                RMS_LIMIT_PX,
+                limit,
                 "the corners of the bare target do not fit any camera near the nominal one; check square_mm, free"
                 " more lens terms in the fit section, or check that the board is flat",
             )

@@ -12,22 +12,23 @@ place, cancels.  The size of the target's squares is taken as exact.  What is no
 (`correction.fit.light`) is one more column of the root.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict
+from pydantic import ConfigDict, Field
 
 from correction.fit.result import SceneFit
 from correction.fit.unknowns import left_jacobian
 from ground.config import Table
 from ground.errors import MapFileError
 from ground.map_file import Hash, checked, load_arrays
+from tracer.branches import name_keys, text_of
 from tracer.errors import StaleMap
 from tracer.scene import Scene, SceneBound
-from tracer.sensitivity import CAMERA, TARGET, landings
+from tracer.sensitivity import CAMERA, TARGET, Landings, landings
 
 KIND = "scene fit"
 BLOCK = 65536  # pixels at a time: some 60 MB of derivatives
@@ -42,6 +43,7 @@ class FitHeader(Table):
     scene_hash: Hash
     nominal_hash: Hash
     history: list[str]
+    systematic_px: dict[str, Annotated[float, Field(ge=0.0, lt=1e6)]] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,13 @@ class SceneSigma(SceneBound):
         Of the fitted scene.
     root : (Q, P) float64
         root root^T is the covariance of the scene's Q numbers: camera (14), then 5 of each sphere.
+    systematic_px : dict
+        Way through the glass ("" beside it) -> standard deviation of its own error, raw px per axis.
     """
 
     scene_hash: str
     root: NDArray[np.float64]
+    systematic_px: dict[str, float] = field(default_factory=dict)
     noun: ClassVar[str] = "fit"
     cure: ClassVar[str] = "calibrate again"
 
@@ -70,7 +75,7 @@ class SceneSigma(SceneBound):
         root = turned @ np.linalg.cholesky(fit.covariance)
         if fit.light.step.size:
             root = np.column_stack((root, fit.light.step))
-        return cls(fit.measured_scene.content_hash(), root)
+        return cls(fit.measured_scene.content_hash(), root, fit.verdict.systematic_px)
 
     @classmethod
     def load(cls, path: Path | str) -> "SceneSigma":
@@ -85,7 +90,7 @@ class SceneSigma(SceneBound):
         said, root = checked(path, header, FitHeader), arrays.get("scene_root")
         if root is None or root.dtype.str != "<f8" or root.ndim != 2 or not np.isfinite(root).all():
             raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
-        return cls(said.scene_hash, root)
+        return cls(said.scene_hash, root, said.systematic_px)
 
     def spread(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Spread (N, 2, P) [mm] of the plane points that raw pixels (N, 2) show; NaN where none is shown.
@@ -103,12 +108,33 @@ class SceneSigma(SceneBound):
             The scene has another number of spheres than the fitted one, and is not without any.
         """
         asked = np.isfinite(pixels).all(axis=1)
-        rate = landings(scene, pixels[asked]).rate[:, :, : -len(TARGET)]
+        rays = landings(scene, pixels[asked])
+        rate = rays.rate[:, :, : -len(TARGET)]
         if rate.shape[2] not in (len(self.root), len(CAMERA)):
             raise StaleMap("the scene has not the spheres of the fitted one; calibrate again")
-        found = np.full((len(pixels), 2, self.root.shape[1]), np.nan)
-        found[asked] = rate @ self.root[: rate.shape[2]]
+        own = self._systematic(scene, pixels[asked], rays)
+        found = np.full((len(pixels), 2, self.root.shape[1] + own.shape[2]), np.nan)
+        found[asked] = np.concatenate((rate @ self.root[: rate.shape[2]], own), axis=2)
         return found
+
+    def _systematic(self, scene: Scene, pixels: NDArray[np.float64], rays: Landings) -> NDArray[np.float64]:
+        """Spread (N, 2, 2 W) [mm] by the W ways' own errors."""
+        if not any(self.systematic_px.values()) or not len(pixels):
+            return np.zeros((len(pixels), 2, 0))
+        out = np.zeros((len(pixels), 2, 2 * len(self.systematic_px)))
+        keys, firsts, which = np.unique(rays.key, return_index=True, return_inverse=True)
+        directions = np.ascontiguousarray(scene.camera.directions(pixels[firsts]))
+        origins = np.tile(np.array(scene.camera.position_mm), (len(firsts), 1))
+        names = name_keys(scene, origins, directions, keys)
+        ways = np.array([text_of(names[int(key)]) for key in keys])[which]
+        for number, (way, size) in enumerate(self.systematic_px.items()):
+            here = ways == way
+            out[here, :, 2 * number : 2 * number + 2] = size * rays.pixel_rate[here]
+        # Too few corners to test: no better than the worst way that was tested.
+        untested = (ways != "") & ~np.isin(ways, list(self.systematic_px))
+        worst = max((size for way, size in self.systematic_px.items() if way), default=0.0)
+        out[untested, :, :2] = worst * rays.pixel_rate[untested]
+        return out
 
     def sigma(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation (N, 2) [mm] of the plane points that raw pixels (N, 2) show."""

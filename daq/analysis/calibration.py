@@ -73,6 +73,28 @@ class Calibration:
             if len(values := worst[region & np.isfinite(worst)])
         }
 
+    @property
+    def account(self) -> dict[str, dict[str, int]]:
+        """What became of the corners, by region: measured = used + put aside; behind glass also all visible."""
+        fit, found = self.fit, dict[str, dict[str, int]]()
+        for name, behind in (("seen directly", False), ("behind glass", True)):
+            here = fit.corners.behind == behind
+            measured, used = int(np.count_nonzero(here)), int(np.count_nonzero(here & fit.corners.inlier))
+            found[name] = {"measured": measured, "used": used, "put aside": measured - used}
+        found["behind glass"]["visible"] = fit.expected_behind
+        return found
+
+    @property
+    def smooth_panels(self) -> list[Panel]:
+        """Smooth part of the residuals behind glass and beside it, all frames, to be drawn."""
+        corners, smooth = self.fit.corners, self.fit.verdict.smooth_px
+        panels = []
+        for name, behind in (("beside the glass", False), ("behind glass", True)):
+            here = corners.behind == behind
+            if here.any():
+                panels.append((f"smooth part of the residuals {name}", corners.pixel[here], smooth[here]))
+        return panels
+
     def to_dict(self) -> dict[str, Any]:
         """Everything a later reader needs, JSON-able."""
         fit, corners = self.fit, self.fit.corners
@@ -91,6 +113,8 @@ class Calibration:
             "visible_behind_glass": fit.expected_behind,
             "used_behind_glass": fit.paired_behind,
             "outliers": int(np.count_nonzero(~corners.inlier)),
+            "corners": self.account,
+            "model": fit.verdict.to_dict(),
             "refused": fit.refused,
             "overlap_removed_mm": fit.pushed_mm,
             "map_sigma_px": self.percentiles,

@@ -49,7 +49,8 @@ def calibrate(
         scene of its bench, as it was when the run began.
     out : path
         Folder: ``scene.yaml`` fitted, ``fit.npz`` (covariance, corners), ``map_sigma.npz`` and ``.png``,
-        ``residuals.png``, ``convergence.png``, ``calibration.json``.
+        ``residuals.png``, ``smooth_residuals.png`` (what the test of the model looks at),
+        ``convergence.png``, ``calibration.json``.
     square_mm, disc_mm : float, optional
         The board, of a folder that is no run (default 2.5 and 1.0): a run knows its own.
 
@@ -90,6 +91,7 @@ def calibrate(
     sigma.save(out / "map_sigma.npz")
     draw_map_sigma(out / "map_sigma.png", sigma)
     draw_convergence(out / "convergence.png", fit.history)
+    draw_residuals(out / "smooth_residuals.png", found.smooth_panels, nominal.camera.shape)
     if found.panels:
         draw_residuals(out / "residuals.png", found.panels, nominal.camera.shape)
     write_json(out / "calibration.json", found.to_dict())

@@ -118,12 +118,16 @@ def show_calibration(screen: Console, found: Calibration) -> None:
     for region, values in found.percentiles.items():
         screen.print(f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.3f} px")
     fit = found.fit
-    if fit.expected_behind:
-        count = int(np.count_nonzero(~fit.corners.inlier))
-        screen.print(
-            f"{fit.paired_behind} of {fit.expected_behind} visible corners behind glass used; {count} outliers"
-            f" of {len(fit.corners.inlier)} corners rejected"
-        )
+    for region, counts in found.account.items():
+        visible = f" of {counts['visible']} visible" if "visible" in counts else ""
+        aside = f"{counts['put aside']} of them put aside beyond 5 sigma"
+        screen.print(f"corners {region}: {counts['measured']}{visible} measured, {aside}")
+    for behind, alike in fit.verdict.correlation.items():
+        if alike.corners:
+            region = "behind glass" if behind else "seen directly"
+            screen.print(f"corners {region}: {alike.corners} are worth {alike.independent:.0f} independent ones")
+    for sentence in fit.verdict.sentences:
+        screen.print(f"model: {sentence}", style="bold red" if fit.verdict.alarms else "")
     for weakness in found.weak:
         screen.print(f"weak: {weakness.sentence}")
 

@@ -39,7 +39,7 @@ def seen(scene: Scene, glass: bool, rng: np.random.Generator) -> MeasuredFrame:
     sigma = np.full_like(pixel, NOISE_PX)
     corners = Corners(0, glass, pixel, BOARD.corner_mm(shown.index), whitening(sigma))
     way = np.array([" > ".join(names) for names in shown.branches])[shown.branch]
-    return MeasuredFrame("drawn", corners, shown.index, way, shown.rim_px, sigma, {}, {})
+    return MeasuredFrame("drawn", corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, {}, {})
 
 
 def drawn(bench: Unknowns, rng: np.random.Generator) -> Scene:

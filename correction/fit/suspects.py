@@ -1,0 +1,289 @@
+"""What is most likely wrong with a model that the test has found wrong.
+
+Every suspect is a change that the fit was not free to make: a ball that is no sphere, a number that was held, a
+board that is bent or has moved between bare and glass frames.  With K the derivatives of the residuals r by its
+numbers a, J and A those of the fit (`correlation`), and B^-1 how large a is in ordinary labs, one
+Newton step from the fit would give
+
+    a = -D^-1 K^T r,        D = K^T K - K^T J A^-1 J^T K + B,
+
+and lower the squares by g = (K^T r) . (D^-1 K^T r) (Rao's score test): nothing is fitted again.  The suspect of
+the largest g, less ln M for each number (Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of
+what noise does not; else it is said that nothing on the list does.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.ball_shape import SHAPES, shape_rates
+from correction.fit.measurement import MeasuredFrame
+from correction.fit.solver import free_rates, landed
+from correction.fit.unknowns import LENS, Unknowns, unit_of
+from tracer.branches import branch_of
+from tracer.sensitivity import TARGET
+
+EXPLAINS = 0.5
+NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
+CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
+LENS_TERM = 1.0
+BALL_ORDINARY = {"radius": 0.1, "n": 0.01}
+CLEAR = 4.0  # sigmas from which a lens term is named
+PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 0.3
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A change that would explain residuals.
+
+    Parameters
+    ----------
+    ball : str
+        The ball concerned, if it is one.
+    sentence : str
+        What is wrong, with its size.
+    gain : float
+        By how much the squares would go down.
+    share : float
+        Of the squares that noise does not explain.
+    map_px : dict
+        Way -> error of the map, raw px per axis (root mean square), that residuals do not show: of a board that is
+        not flat, whose corners do not stand in the plane of the map.
+    """
+
+    ball: str
+    sentence: str
+    gain: float
+    share: float
+    map_px: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Corners with what is left of them, one entry a frame.
+
+    Parameters
+    ----------
+    frames : sequence of MeasuredFrame
+    values : sequence of (N, 2) float64
+        Residuals in sigmas.
+    rates : sequence of (N, 2, P) float64
+        Their derivatives by the free vector.
+    x : (P,) float64
+        The fitted free vector.
+    """
+
+    frames: Sequence[MeasuredFrame]
+    values: Sequence[NDArray[np.float64]]
+    rates: Sequence[NDArray[np.float64]]
+    x: NDArray[np.float64]
+
+
+Columns = list[NDArray[np.float64]]  # (N, 2, q) for each frame, in sigmas
+Say = Callable[[NDArray[np.float64], NDArray[np.float64]], str]
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A change: the ball concerned, ordinary sizes (q,), derivatives, and words for values (q,) with sigmas."""
+
+    ball: str
+    ordinary: NDArray[np.float64]
+    columns: Columns
+    say: Say
+    off_plane: bool = False
+
+
+def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float) -> list[Suspect]:
+    """Every suspect that lowers the squares by more than its numbers are worth, the most likely first.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+        What was free.
+    full : (F,) float64
+        The fitted full vector.
+    seen : Evidence
+    excess : float
+        Squares that noise does not explain.
+    """
+    free = len(seen.x)
+    flat = [rate.reshape(-1, free) for rate in seen.rates]
+    left = [value.ravel() for value in seen.values]
+    covariance = np.linalg.inv(sum(j.T @ j for j in flat) + np.eye(free))
+    slope = covariance @ (
+        sum(j.T @ r for j, r in zip(flat, left, strict=True)) + seen.x
+    )  # nearly zero: it is fitted
+    count = sum(map(len, left))
+    found = []
+    for one in _candidates(unknowns, full, seen):
+        size = len(one.ordinary)
+        own, mixed, pull = np.zeros((size, size)), np.zeros((free, size)), np.zeros(size)
+        for columns, j, r in zip(one.columns, flat, left, strict=True):
+            k = np.nan_to_num(columns.reshape(-1, size)) * one.ordinary
+            own, mixed, pull = own + k.T @ k, mixed + j.T @ k, pull + k.T @ r
+        new = own - mixed.T @ covariance @ mixed
+        if np.diag(new).max() < NOTHING_NEW * np.diag(own).max():
+            continue  # the fit could do the same with what was free
+        matrix = new + np.eye(size)
+        step = np.linalg.solve(matrix, pull - mixed.T @ slope)
+        gain = float((pull - mixed.T @ slope) @ step) - size * np.log(count)
+        if gain > 0.0:
+            sigma = np.sqrt(np.diag(np.linalg.inv(matrix)))
+            sentence = one.say(-step * one.ordinary, sigma * one.ordinary)
+            share = min(gain / max(excess, 1e-12), 1.0)
+            off_plane = _map_px(seen, one.columns, -step * one.ordinary) if one.off_plane else {}
+            found.append(Suspect(one.ball, sentence, gain, share, off_plane))
+    return sorted(found, key=lambda one: -one.gain)
+
+
+def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:
+    """All changes that the fit was not free to make."""
+    every = replace(unknowns, columns=np.eye(len(full)), names=unknowns.full_names)
+    rates, whitened = [], []
+    for frame in seen.frames:
+        rays = landed(every, full, frame.corners)
+        inverse = np.full_like(rays.pixel_rate, np.nan)
+        inverse[rays.recovered] = np.linalg.inv(rays.pixel_rate[rays.recovered])
+        whitened.append(np.asarray(frame.corners.whiten) @ inverse)
+        rates.append(whitened[-1] @ free_rates(every, full, frame.corners, rays))
+    yield from _held_numbers(unknowns, full, rates)
+    for number, sphere in enumerate(unknowns.scene.spheres):
+        columns = _shape_columns(unknowns, full, seen, whitened, number)
+        if sphere.medium is not None and columns is not None:
+            yield _Candidate(
+                sphere.name, np.full(len(SHAPES), SHAPE_MM), columns, partial(_not_round, sphere.name)
+            )
+    first = unknowns.place(0).start
+    moved = [
+        rate[:, :, first : first + len(TARGET)] * float(frame.corners.height_number == 0 and frame.corners.glass)
+        for rate, frame in zip(rates, seen.frames, strict=True)
+    ]
+    yield _Candidate("", np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), moved, _moved)
+    yield _Candidate("", np.full(3, SAG_MM), _bent_columns(unknowns, seen, rates), _bent, off_plane=True)
+
+
+def _map_px(seen: Evidence, columns: Columns, value: NDArray[np.float64]) -> dict[str, float]:
+    """Root mean square [raw px] on every way of what values (q,) change in the frames."""
+    square, count = dict[str, float](), dict[str, int]()
+    for frame, column in zip(seen.frames, columns, strict=True):
+        sigma = 1.0 / np.diagonal(np.asarray(frame.corners.whiten), axis1=1, axis2=2)
+        change = np.nan_to_num(column @ value) * sigma
+        for way in np.unique(frame.branch_name).tolist():
+            here = change[frame.branch_name == way]
+            square[way] = square.get(way, 0.0) + float(np.sum(here**2))
+            count[way] = count.get(way, 0) + here.size
+    return {way: float(np.sqrt(square[way] / count[way])) for way in square}
+
+
+def _held_numbers(
+    unknowns: Unknowns, full: NDArray[np.float64], rates: Sequence[NDArray[np.float64]]
+) -> Iterator[_Candidate]:
+    """Numbers of camera and balls that the fit could not move, or not on their own."""
+    names, spheres = list(unknowns.full_names), [s for s in unknowns.scene.spheres if s.medium is not None]
+    alone = (unknowns.columns != 0.0).sum(axis=0) == 1
+    free = np.any(unknowns.columns[:, alone] != 0.0, axis=1)
+    held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
+    terms = [f"camera.{term}" for term in LENS if f"camera.{term}" in held]
+    if terms:
+        columns = [rate[:, :, [names.index(name) for name in terms]] for rate in rates]
+        yield _Candidate("", np.full(len(terms), LENS_TERM), columns, partial(_lens, terms))
+    for name in held:
+        ball, part = name.split(".")
+        ordinary = CAMERA_ORDINARY.get(part) if ball == "camera" else BALL_ORDINARY.get(part)
+        if ordinary is not None and (ball == "camera" or any(sphere.name == ball for sphere in spheres)):
+            at = names.index(name)
+            columns = [rate[:, :, [at]] for rate in rates]
+            yield _Candidate(
+                "" if ball == "camera" else ball, np.array([ordinary]), columns, partial(_off, name, full[at])
+            )
+    for sphere in spheres:
+        place = [f"{sphere.name}.{axis}" for axis in "xyz"]
+        if set(place) <= set(held):
+            columns = [rate[:, :, [names.index(name) for name in place]] for rate in rates]
+            yield _Candidate(sphere.name, np.full(3, PLACE_MM), columns, partial(_elsewhere, sphere.name))
+    if spheres and not any(name.startswith("glass ") for name in unknowns.names):
+        alike = [names.index(f"{sphere.name}.n") for sphere in spheres]
+        columns = [rate[:, :, alike].sum(axis=2, keepdims=True) for rate in rates]
+        yield _Candidate("", np.array([BALL_ORDINARY["n"]]), columns, partial(_other_glass, full[alike[0]]))
+
+
+def _bent_columns(unknowns: Unknowns, seen: Evidence, rates: Sequence[NDArray[np.float64]]) -> Columns:
+    """Derivatives by a, b, c of a board at z = (a x^2 + b x y + c y^2) / reach^2."""
+    reach = max(float(np.abs(frame.corners.node_mm).max(initial=1.0)) for frame in seen.frames)
+    bend = []
+    for rate, frame in zip(rates, seen.frames, strict=True):
+        x, y = (frame.corners.node_mm / reach).T
+        along_z = rate[:, :, unknowns.place(frame.corners.height_number).start + 2]
+        bend.append(along_z[:, :, None] * np.stack((x * x, x * y, y * y), axis=1)[:, None, :])
+    return bend
+
+
+def _shape_columns(
+    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, whitened: Columns, number: int
+) -> Columns | None:
+    """Derivatives by a ball's shape, where rays cross whole balls only; None if none does."""
+    names = [sphere.name for sphere in unknowns.scene.spheres]
+    camera, table = unknowns.camera(full), unknowns.spheres(full)
+    columns, crosses = [], False
+    for frame, to_sigma in zip(seen.frames, whitened, strict=True):
+        column = np.zeros((len(frame), 2, len(SHAPES)))
+        for way in np.unique(frame.branch_name):
+            events = branch_of(str(way))
+            if set(events) <= set(names) and names[number] in events:
+                here, crosses = frame.branch_name == way, True
+                pose = unknowns.pose(full, frame.corners.height_number)
+                crossed = [names.index(event) for event in events]
+                rate = shape_rates(camera, table, crossed, number, frame.corners.pixel[here], pose)
+                column[here] = to_sigma[here] @ rate
+        columns.append(column)
+    return columns if crosses else None
+
+
+def _off(name: str, was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    unit, factor = unit_of(name)
+    text = f"{name} was held at {was * factor:.6g}{f' {unit}' if unit else ''} and seems to be off by"
+    cure = "free it in the fit section" if name.startswith("camera.") else "free it, or measure it"
+    return f"{text} {float(value[0]) * factor:+.2g} +- {float(sigma[0]) * factor:.1g}; {cure}"
+
+
+def _lens(terms: Sequence[str], value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    far = np.abs(value) / sigma
+    named = [
+        f"{name} {v:+.2g} +- {s:.1g}"
+        for name, v, s, many in zip(terms, value, sigma, far, strict=True)
+        if many > CLEAR or many == far.max()
+    ]
+    return f"a lens term is missing: the lens seems to have {', '.join(named)}; free it in fit.camera"
+
+
+def _elsewhere(ball: str, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    by = ", ".join(f"{axis} {v:+.3f}" for axis, v in zip("xyz", value, strict=True))
+    return f"the ball `{ball}` does not stand where it was held: it seems to be off by {by} mm"
+
+
+def _other_glass(was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    return (
+        f"the glass was held at n = {was:.5f} and seems to have {was + value[0]:.5f} +- {sigma[0]:.1g}; check the"
+        " glass, and the light of the target frames"
+    )
+
+
+def _not_round(ball: str, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    radii = np.linalg.eigvalsh(np.tensordot(value, np.array(SHAPES), axes=1))
+    differ = f"its radii seem to differ by {1e3 * (radii[-1] - radii[0]):.0f} um"
+    return f"the ball `{ball}` is not the sphere of the file: {differ}"
+
+
+def _moved(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    by = ", ".join(f"{axis} {v:+.3f}" for axis, v in zip("xyz", value[:3], strict=True))
+    return f"board or camera seem to have moved between the bare frames and those with glass, by {by} mm"
+
+
+def _bent(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 21), np.linspace(-1.0, 1.0, 21))
+    z = value[0] * x * x + value[1] * x * y + value[2] * y * y
+    return f"the board is not flat: over what is seen of it, it seems to bend by {1e3 * np.ptp(z):.0f} um"

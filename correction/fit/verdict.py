@@ -1,0 +1,174 @@
+"""The verdict on a fitted model, in numbers and in words.
+
+The test of every way (`model_test`) says whether and where the model is wrong, the suspects say what it most
+likely is, and the correlation of neighbours (`correlation`) says what the covariance must count.  What the test
+finds is an error of the map of its own, `systematic_px`, on every way whose residuals bend more than noise would,
+even where that is too little for an alarm: corners or model may be to blame, and the map is not taken for better.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.correlation import Correlation, Lattice, correlation_of, with_correlation
+from correction.fit.measurement import MeasuredFrame
+from correction.fit.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
+from correction.fit.solver import Corners, Residuals, landed
+from correction.fit.suspects import EXPLAINS, Evidence, Suspect, suspects
+from correction.fit.unknowns import Unknowns
+from correction.grid import grid_of
+
+COUNTED = 0.05  # chance of noise below which what bends is counted as an error of the map
+DIRECT = "the view beside the glass"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What residuals say about the model.
+
+    Parameters
+    ----------
+    ways : tuple of WayTest
+        The test of every way that shows enough corners.
+    correlation : dict
+        Behind glass or not -> how neighbours err alike.
+    suspects : tuple of Suspect
+        What would explain an alarm, the most likely first; empty without one.
+    smooth_px : (N, 2) float64
+        Smooth part of the residual of every corner, raw px.
+    """
+
+    ways: tuple[WayTest, ...]
+    correlation: dict[bool, Correlation]
+    suspects: tuple[Suspect, ...]
+    smooth_px: NDArray[np.float64]
+
+    @property
+    def alarms(self) -> tuple[WayTest, ...]:
+        """Ways on which the model is wrong, the worst first."""
+        return tuple(sorted((way for way in self.ways if way.alarm), key=lambda way: -way.excess))
+
+    @property
+    def able_px(self) -> float:
+        """What corners are good to beside the glass, raw px per axis: the rough part of their residuals."""
+        return next((way.rough_px for way in self.ways if not way.way), 0.0)
+
+    @property
+    def cause(self) -> Suspect | None:
+        """What most likely is wrong, if anything on the list explains it."""
+        return self.suspects[0] if self.suspects and self.suspects[0].share >= EXPLAINS else None
+
+    @property
+    def systematic_px(self) -> dict[str, float]:
+        """Way -> standard deviation of the map's own error on it, raw px per axis; of all ways tested."""
+        unlike_noise = COUNTED / max(len(self.ways), 1)
+        found = {way.way: way.smooth_px if way.chance_of_noise < unlike_noise else 0.0 for way in self.ways}
+        if self.cause is not None:
+            found.update({way: max(size, found.get(way, 0.0)) for way, size in self.cause.map_px.items()})
+        return found
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The verdict in words."""
+        if not self.alarms:
+            worst = max((way.smooth_px for way in self.ways), default=0.0)
+            return (
+                f"the model is right as far as the corners tell: residuals bend smoothly by no more than"
+                f" {max(worst, 0.001):.3f} px (chance of a false alarm {100 * FALSE_ALARMS:.0f} %)",
+            )
+        worst_way = self.alarms[0]
+        best = self.cause
+        where = _where(worst_way.way)
+        worth = (
+            f"residuals through {where} bend smoothly by {worst_way.smooth_px:.2g} px rms,"
+            f" {worst_way.largest_px:.2g} at most; its map is worth {worst_way.map_px:.2g} px"
+        )
+        if best is None:
+            cause = (
+                f"what is seen through {where} is not what the scene shows, and no cause on the list explains it"
+            )
+            cure = "check that the scene lists every body, that balls and board are clean and whole, and focus"
+            found = [f"{cause}: {worth}; {cure}"]
+        else:
+            found = [f"{best.sentence}: {worth}"]
+            rivals = [one for one in self.suspects[1:3] if one.gain > 0.9 * best.gain]
+            found += [f"or nearly as likely: {one.sentence}" for one in rivals]
+        for way in self.alarms[1:]:
+            found.append(
+                f"also through {_where(way.way)}: {way.smooth_px:.2g} px; its map is worth {way.map_px:.2g}"
+            )
+        return tuple(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {
+            "right": not self.alarms,
+            "false_alarms": FALSE_ALARMS,
+            "sentences": list(self.sentences),
+            "ways": [asdict(way) for way in self.ways],
+            "suspects": [asdict(one) for one in self.suspects],
+            "independent_corners": {
+                ("behind glass" if behind else "seen directly"): {
+                    "corners": one.corners,
+                    "independent": round(one.independent, 1),
+                    "correlation_of_neighbours": one.neighbours,
+                }
+                for behind, one in self.correlation.items()
+            },
+        }
+
+
+def judge_model(
+    unknowns: Unknowns,
+    x: NDArray[np.float64],
+    frames: Sequence[MeasuredFrame],
+    weighted: Sequence[Corners],
+    parts: Sequence[Residuals],
+    covariance: NDArray[np.float64],
+) -> tuple[Verdict, NDArray[np.float64]]:
+    """Test the model, and enlarge the covariance by what corners have in common.
+
+    Parameters
+    ----------
+    unknowns, x :
+        What was free, and the fitted free vector (P,).
+    frames, weighted, parts :
+        All measured corners, frame by frame, with the sigmas that the fit used and the residuals that it left.
+    covariance : (P, P) float64
+        As if corners were independent.
+
+    Returns
+    -------
+    verdict : Verdict
+    covariance : (P, P) float64
+        Enlarged.
+    """
+    full = unknowns.full(x)
+    pitch_mm = grid_of(unknowns.camera(full)).pitch_mm
+    rests, lattices, sighted = [], [], []
+    for frame, corners, part in zip(frames, weighted, parts, strict=True):
+        sigma = 1.0 / np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)
+        rays = landed(unknowns, full, corners)
+        rest = Remainder(
+            frame.branch_name, corners.pixel, part.value * sigma, sigma, np.nan_to_num(rays.pixel_rate) / pitch_mm
+        )
+        rests.append(rest)
+        rate = np.nan_to_num(part.rate)
+        lattices.append(Lattice(frame.index, frame.branch_name, rest.clipped, rate))
+        sighted.append(replace(frame, corners=corners))
+    ways = tuple(ways_tested(rests))
+    correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
+    found: list[Suspect] = []
+    if any(way.alarm for way in ways):
+        seen = Evidence(sighted, [one.value for one in lattices], [one.rate for one in lattices], x)
+        found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
+    smooth = np.concatenate([smooth_part(rest)[0] for rest in rests])
+    verdict = Verdict(ways, correlation, tuple(found), smooth)
+    return verdict, with_correlation(covariance, lattices, correlation)
+
+
+def _where(way: str) -> str:
+    return f"`{way}`" if way else DIRECT

@@ -1,0 +1,182 @@
+"""Labs drawn at random, right ones and ones that their file does not describe, with corners as cameras give them.
+
+Corners come from `drawn_optics`, with the errors that fitted corners of rendered frames have: noise of a size that
+the window knows, and the lock on the rows of pixels that it does not know (0.004-0.02 px, measured on frames
+without noise), which fades as edges lean.  Nothing is rendered: a lab takes a second.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from correction.board import Chessboard
+from correction.correction_map import build_correction_map
+from correction.fit.adjustment import Adjustment
+from correction.fit.map_sigma import sigma_at
+from correction.fit.measurement import MeasuredFrame, whitening
+from correction.fit.prediction import expect
+from correction.fit.result import SceneFit
+from correction.fit.solver import Corners
+from correction.fit.unknowns import unknowns_of
+from correction.grid import PlaneGrid, grid_of
+from sim.demo.scenes import at_size, misaligned, named_scene
+from tests.correction.fit.drawn_optics import Ball, Lab, corners_px, shown_mm
+from tracer.fit_section import FitNamedTable, FitTable
+from tracer.media import ConstantMedium
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+from tracer.sensitivity import TargetPose
+from tracer.trace import trace
+
+SIZE_PX = 1008
+BOARD = Chessboard(3.5, 1.4)
+SCENES = ("two_spheres_500", "pair_off_axis", "three_spheres_500", "one_sphere_500")
+FAULTS = ("ellipsoid", "index", "bent board", "ball off", "lens term")
+NODES = 60  # points of the map that are asked, behind glass and beside it
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A fitted lab with the truth about it."""
+
+    fault: str
+    noise_px: float
+    ball: str
+    fit: SceneFit
+    pixels: np.ndarray  # (M, 2) behind glass
+    error_px: np.ndarray  # (M, 2) of the map, corrected px
+    sigma_px: np.ndarray  # (M, 2)
+
+    @property
+    def cost_px(self) -> float:
+        """Root mean square of the map's error behind glass."""
+        return float(np.sqrt(np.mean(np.sum(self.error_px**2, axis=1))))
+
+
+def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: float | None = None) -> Drawn:
+    """Draw a lab, take its corners, fit it.
+
+    Parameters
+    ----------
+    seed : int
+        Of everything.
+    fault : str
+        One of FAULTS, or nothing: then the file is right.
+    noise_px : float, optional
+        Noise of a corner; drawn from 0.003 (clean) to 0.03 if not given.
+    size : float, optional
+        Of the fault: of an ellipsoid the difference of its radii [mm], drawn if not given.
+    """
+    rng = np.random.default_rng((16, seed))
+    noise = float(rng.choice([0.003, 0.006, 0.015, 0.03])) if noise_px is None else noise_px
+    name = SCENES[rng.integers(len(SCENES))]
+    nominal = at_size(named_scene(name), SIZE_PX)
+    truth = misaligned(nominal, 1000 + seed)
+    priors = FitTable()
+    ball = truth.spheres[rng.integers(len(truth.spheres))].name
+    shapes: dict[str, np.ndarray] = {}
+    bend = (0.0, 0.0, 0.0)
+    if fault == "ellipsoid":
+        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+        radii = rng.uniform(-1.0, 1.0, 3)
+        radii -= radii.mean()
+        difference = float(rng.choice([0.01, 0.02, 0.05])) if size is None else size
+        shapes[ball] = turn @ np.diag(radii * difference / np.ptp(radii)) @ turn.T
+    elif fault == "index":
+        priors = priors.model_copy(update={"n": 0.0})
+        nominal = with_index(nominal, truth, 1e-3 * float(rng.choice([-1.0, 1.0])))
+    elif fault == "bent board":
+        half = float(0.5 * SIZE_PX * grid_of(truth.camera).pitch_mm)
+        a, b, c = rng.uniform(-1.0, 1.0, 3)
+        sag = 0.1 / (0.5 * half**2 * max(abs(a), abs(c)))
+        bend = (a * sag, b * sag, c * sag)
+    elif fault == "ball off":
+        nominal = nominal.with_bodies(truth.bodies)
+        truth = lifted(truth, ball, 0.2)
+        priors = priors.model_copy(update={"named": {ball: FitNamedTable(centre_mm=0.0)}})
+    elif fault == "lens term":
+        lens = replace(truth.camera.lens, k2=float(rng.choice([-1.0, 1.0])) * 1.5, p1=float(rng.normal()) * 3e-4)
+        truth = truth.with_camera(replace(truth.camera, lens=lens))
+    room = truth.n_ambient
+    balls = tuple(
+        Ball(
+            s.centre_mm, s.radius_mm, s.medium.n(truth.wavelength_nm) / room, shapes.get(s.name, np.zeros((3, 3)))
+        )
+        for s in truth.spheres
+    )
+    lock_px = float(rng.uniform(0.0, 0.02))
+    frames = []
+    for glass in (False, True):
+        lab = Lab(truth.camera, balls if glass else (), bend)
+        frames.append(photographed(truth if glass else truth.with_bodies(()), lab, glass, noise, lock_px, rng))
+    bench = unknowns_of(nominal, [0.0], priors)
+    fit = Adjustment().estimate(bench, bench.start, frames, ())
+    pixels, error = map_error(fit, truth, Lab(truth.camera, balls), rng)
+    sigma = sigma_at(fit, pixels, True) / grid_of(truth.camera).pitch_mm
+    return Drawn(fault, noise, ball, fit, pixels, error, sigma)
+
+
+def with_index(nominal: Scene, truth: Scene, off: float) -> Scene:
+    """The nominal scene with the true index, off by so much."""
+    by_name = {s.name: s.medium.n(truth.wavelength_nm) for s in truth.spheres}
+    return nominal.with_bodies([replace(s, medium=ConstantMedium(by_name[s.name] + off)) for s in nominal.spheres])
+
+
+def lifted(truth: Scene, ball: str, up_mm: float) -> Scene:
+    """The true scene with one ball glued higher, and those above it with it."""
+    low = next(s.centre_mm[2] for s in truth.spheres if s.name == ball)
+    bodies = []
+    for sphere in truth.spheres:
+        x, y, z = sphere.centre_mm
+        bodies.append(replace(sphere, centre_mm=(x, y, z + up_mm if z >= low else z)))
+    return truth.with_bodies(bodies)
+
+
+def photographed(
+    truth: Scene, lab: Lab, glass: bool, noise_px: float, lock_px: float, rng: np.random.Generator
+) -> MeasuredFrame:
+    """Corners as they are measured in a frame."""
+    shown = expect(truth, TargetPose(), BOARD)
+    node = BOARD.corner_mm(shown.index)
+    pixel = corners_px(lab, shown.pixel, node)
+    shown = shown.take(np.isfinite(pixel[:, 0]) & (shown.rim_px > 6.0))
+    pixel = corners_px(lab, shown.pixel, BOARD.corner_mm(shown.index))
+    sigma = noise_px * np.exp(0.3 * rng.normal(size=pixel.shape))
+    pixel = pixel + sigma * rng.normal(size=pixel.shape) + lock_px * locked(pixel, shown.axes_px)
+    corners = Corners(0, glass, pixel, BOARD.corner_mm(shown.index), whitening(sigma))
+    way = np.array([" > ".join(names) for names in shown.branches])[shown.branch]
+    names, counts = np.unique(way[way != ""], return_counts=True)
+    expected = dict(zip(names.tolist(), counts.tolist(), strict=True))
+    return MeasuredFrame(
+        "glass" if glass else "bare", corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, expected, {}
+    )
+
+
+def locked(pixel: np.ndarray, axes_px: np.ndarray) -> np.ndarray:
+    """Pull (N, 2) towards pixel centres of edges along rows and columns, which fades as they lean."""
+    out = np.zeros_like(pixel)
+    for axis in range(2):  # u: the edge that runs more along v, and the other way round
+        along, across = np.abs(axes_px[:, 1 - axis]), np.abs(axes_px[:, axis])
+        edge = np.argmax(along / np.maximum(across, 1e-12), axis=1)
+        lean = np.take_along_axis(across, edge[:, None], 1)[:, 0]
+        out[:, axis] = -np.sin(2.0 * np.pi * pixel[:, axis]) * np.sinc(0.84 * lean)
+    return out
+
+
+def map_error(fit: SceneFit, truth: Scene, lab: Lab, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (M, 2) that show nodes behind glass, and the error (M, 2) [corrected px] of the fitted map there."""
+    grid = grid_of(truth.camera)
+    coarse = PlaneGrid(grid.origin_mm, 4 * grid.pitch_mm, (grid.shape[0] // 4, grid.shape[1] // 4))
+    seen = build_correction_map(truth, build_ray_map(truth), coarse, min_magnification=2.0, max_magnification=64.0)
+    pixels = seen.pixel[0][seen.behind_glass]
+    pixels = pixels[rng.permutation(len(pixels))[: 2 * NODES]]
+    found = trace(fit.scene, pixels)
+    true_mm, through = shown_mm(lab, pixels)
+    order = {sphere.name: number for number, sphere in enumerate(truth.spheres, start=1)}
+    codes = dict.fromkeys(found.branches, 0)
+    for key, branch in found.branches.items():
+        for event in branch:
+            codes[key] = codes[key] * (len(lab.balls) + 1) + order[event]
+    same = np.array([codes[int(key)] for key in found.rays["key"]]) == through
+    chosen = np.flatnonzero(same & found.recovered & np.isfinite(true_mm[:, 0]))[:NODES]
+    return pixels[chosen], (found.plane_mm - true_mm)[chosen] / grid.pitch_mm

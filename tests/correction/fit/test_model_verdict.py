@@ -1,0 +1,152 @@
+"""Does the fit know when its model is wrong?  A few drawn labs; hundreds of them behind `make labs`."""
+
+import numpy as np
+import pytest
+
+from correction.fit.ball_shape import SHAPES, shape_rates
+from correction.fit.correlation import FURTHEST, Lattice, correlation_of, with_correlation
+from correction.fit.model_test import FALSE_ALARMS, Remainder, ways_tested
+from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
+from sim.demo.scenes import at_size, named_scene
+from tests.correction.fit.drawn_labs import drawn_lab
+from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
+from tracer.sensitivity import TargetPose
+
+LATTICE = np.stack(np.meshgrid(np.arange(20), np.arange(12)), axis=-1).reshape(-1, 2)
+PIXEL = 40.0 + 22.0 * LATTICE
+
+
+def remainder(residual_px: np.ndarray, way: str = "ball", sigma: float = 0.02) -> Remainder:
+    count = len(residual_px)
+    return Remainder(
+        np.full(count, way), PIXEL, residual_px, np.full((count, 2), sigma), np.tile(np.eye(2), (count, 1, 1))
+    )
+
+
+def bent(size_px: float) -> np.ndarray:
+    """A smooth field: cubic along u."""
+    x = (PIXEL[:, 0] - PIXEL[:, 0].mean()) / np.ptp(PIXEL[:, 0])
+    return size_px * np.stack((x**3 - 0.15 * x, x**2 - 0.08), axis=1)
+
+
+def test_right_models_raise_no_more_alarms_than_said_whatever_the_sigmas_are():
+    rng = np.random.default_rng(1)
+    alarms = 0
+    for _ in range(150):
+        factor = np.exp(rng.normal())  # sigmas that are all wrong by one factor
+        tests = ways_tested([remainder(0.02 * factor * rng.normal(size=PIXEL.shape), way) for way in ("", "ball")])
+        alarms += any(test.alarm for test in tests)
+    assert alarms <= 150 * FALSE_ALARMS
+
+
+def test_a_field_that_bends_is_found_and_measured_below_the_noise():
+    rng = np.random.default_rng(2)
+    noise = 0.02 * rng.normal(size=PIXEL.shape)
+    field = bent(0.3)
+    (test,) = ways_tested([remainder(noise + field)])
+    size = float(np.sqrt(np.mean(field**2)))
+    assert size < 0.02
+    assert test.alarm
+    assert test.smooth_px == pytest.approx(size, rel=0.2)
+    assert test.rough_px == pytest.approx(0.02, rel=0.1)
+    assert test.map_px == pytest.approx(np.sqrt(2.0) * size, rel=0.2)
+
+
+def test_a_few_wrong_corners_are_no_wrong_model():
+    rng = np.random.default_rng(3)
+    residual = 0.02 * rng.normal(size=PIXEL.shape)
+    residual[rng.choice(len(residual), 6)] += 3.0
+    (test,) = ways_tested([remainder(residual)])
+    assert not test.alarm
+
+
+def lattice(value: np.ndarray) -> Lattice:
+    rate = np.stack((np.ones_like(value), value * 0.0 + PIXEL / 100.0), axis=2)
+    return Lattice(LATTICE, np.full(len(value), "ball"), value, rate)
+
+
+def test_independent_corners_count_in_full_and_alike_ones_for_few():
+    rng = np.random.default_rng(4)
+    noise = rng.normal(size=PIXEL.shape)
+    alone = correlation_of([lattice(noise)], True)
+    assert alone.independent == alone.corners == len(PIXEL)
+    alike = correlation_of([lattice(0.3 * noise + bent(10.0))], True)
+    assert alike.independent < 0.2 * len(PIXEL)
+    assert len(alike.by_distance) <= FURTHEST
+
+
+def test_the_covariance_holds_the_scatter_of_means_of_corners_that_err_alike():
+    """The mean of a field of patches scatters by what the sandwich says, not by 1 / sqrt(N)."""
+    rng = np.random.default_rng(5)
+    patch = LATTICE // 3
+    means, said = [], []
+    for _ in range(60):
+        field = rng.normal(size=(8, 8, 2))
+        value = 0.7 * field[patch[:, 0], patch[:, 1]] + 0.7 * rng.normal(size=PIXEL.shape)
+        seen = lattice(value)
+        seen = Lattice(seen.index, seen.branch_name, value, np.ones((*value.shape, 1)))
+        found = {True: correlation_of([seen], True)}
+        means.append(value.mean())
+        said.append(with_correlation(np.array([[1.0 / value.size]]), [seen], found)[0, 0])
+    assert np.std(means) > 1.5 / np.sqrt(2 * len(PIXEL))
+    assert np.std(means) == pytest.approx(np.sqrt(np.mean(said)), rel=0.35)
+
+
+def test_the_lock_on_pixels_is_found_and_fades_where_edges_lean():
+    rng = np.random.default_rng(6)
+    axes = np.tile(22.0 * np.array([[1.0, 0.01], [0.01, -1.0]]), (len(PIXEL), 1, 1))
+    pixel = PIXEL + rng.uniform(0.0, 1.0, PIXEL.shape)
+    behind = np.zeros(len(pixel), bool)
+    terms = lock_terms(pixel, axes, behind)
+    true = np.zeros(2 * TERMS)
+    true[[0, TERMS // 2]] = -0.017, 0.012
+    value = terms @ true / 0.004 + rng.normal(size=pixel.shape)
+    asked = [LockedCorners(terms / 0.004, value, np.ones((*pixel.shape, 1)) * np.array([[[1.0], [0.0]]]))]
+    found, taken = better_lock(np.zeros(2 * TERMS), np.zeros(1), asked)
+    np.testing.assert_allclose(found, true, atol=0.0015)
+    assert 0.0 <= taken[0, 0] < len(pixel)
+    leaning = np.tile(22.0 * np.array([[1.0, 0.3], [0.3, -1.0]]), (len(PIXEL), 1, 1))
+    assert np.abs(lock_terms(pixel, leaning, behind)).max() < 0.1 * np.abs(terms).max()
+
+
+def test_landing_points_move_with_a_balls_shape_as_optics_of_another_hand_say():
+    scene = at_size(named_scene("two_spheres_500"), 700)
+    pixels = np.random.default_rng(7).uniform(250.0, 450.0, (200, 2))
+    table = scene.sphere_table()
+    order = [int(row) for row in np.argsort(-table[:, 2])]
+    step = 1e-3
+    truth = tuple(
+        Ball(s.centre_mm, s.radius_mm, float(row[4])) for s, row in zip(scene.spheres, table, strict=True)
+    )
+    _, through = shown_mm(Lab(scene.camera, truth), pixels)
+    pixels = pixels[through == 7]  # the second ball, then the first
+    assert len(pixels) > 50
+    for ball in range(2):
+        rates = shape_rates(scene.camera, table, order, ball, pixels, TargetPose())
+        for number, shape in enumerate(SHAPES):
+            ends = []
+            for sign in (1.0, -1.0):
+                balls = tuple(
+                    Ball(s.centre_mm, s.radius_mm, float(table[i, 4]), sign * step * shape * (i == ball))
+                    for i, s in enumerate(scene.spheres)
+                )
+                ends.append(shown_mm(Lab(scene.camera, balls), pixels)[0])
+            np.testing.assert_allclose(
+                rates[:, :, number], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-3, atol=1e-5
+            )
+
+
+@pytest.mark.parametrize(
+    ("seed", "fault", "words"), [(205, "", "the model is right"), (205, "ellipsoid", "not the sphere")]
+)
+def test_drawn_labs_are_judged_and_the_cause_is_named(seed, fault, words):
+    lab = drawn_lab(seed, fault)
+    verdict = lab.fit.verdict
+    assert words in verdict.sentences[0]
+    assert bool(verdict.alarms) == bool(fault)
+    if fault:
+        assert f"`{lab.ball}`" in verdict.sentences[0]
+        assert verdict.cause.ball == lab.ball
+        assert verdict.to_dict()["right"] is False
+    inside = np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px)
+    assert inside > 0.8
