@@ -1,6 +1,6 @@
 """Corners measured in frames: from the bare target by search, behind glass from the present scene's prediction."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,28 @@ class TargetFrame:
 
 
 @dataclass(frozen=True)
+class LostCorners:
+    """Corners, M of them, that the scene shows in a frame and that could not be measured.
+
+    Parameters
+    ----------
+    index : (M, 2) int64
+        Corner of the board.
+    pixel : (M, 2) float64
+        Where it was expected.
+    branch_name : (M,) str
+        Spheres crossed, joined by " > "; empty for the direct view.
+    rim_px : (M,) float64
+        Distance to the border of the branch.
+    """
+
+    index: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    pixel: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    branch_name: NDArray[np.str_] = field(default_factory=lambda: np.zeros(0, "<U1"))
+    rim_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True)
 class MeasuredFrame:
     """Corners of one frame, N valid ones, with what was expected and not found.
 
@@ -69,6 +91,8 @@ class MeasuredFrame:
         Name of a branch -> corners behind glass that the scene shows.
     refused : dict
         Reason -> corners that could not be measured.
+    lost : LostCorners
+        Those of them that the scene shows.
     """
 
     name: str
@@ -80,6 +104,7 @@ class MeasuredFrame:
     sigma_px: NDArray[np.float64]
     expected: dict[str, int]
     refused: dict[str, int]
+    lost: LostCorners = field(default_factory=LostCorners)
 
     def __len__(self) -> int:
         return len(self.index)
@@ -177,4 +202,5 @@ def _measured(
         fit.sigma_px[valid],
         dict(zip(names.tolist(), counts.tolist(), strict=True)),
         reasons,
+        LostCorners(expected.index[~valid], expected.pixel[~valid], branch_names[~valid], expected.rim_px[~valid]),
     )

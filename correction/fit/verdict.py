@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.correlation import Correlation, Lattice, correlation_of, with_correlation
+from correction.fit.hidden import Hidden, hidden_patches
 from correction.fit.measurement import MeasuredFrame
 from correction.fit.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
 from correction.fit.solver import Corners, Residuals, landed
@@ -39,12 +40,15 @@ class Verdict:
         What would explain an alarm, the most likely first; empty without one.
     smooth_px : (N, 2) float64
         Smooth part of the residual of every corner, raw px.
+    hidden : tuple of Hidden
+        Patches of corners that should be seen and are not.
     """
 
     ways: tuple[WayTest, ...]
     correlation: dict[bool, Correlation]
     suspects: tuple[Suspect, ...]
     smooth_px: NDArray[np.float64]
+    hidden: tuple[Hidden, ...] = ()
 
     @property
     def alarms(self) -> tuple[WayTest, ...]:
@@ -73,6 +77,15 @@ class Verdict:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in words."""
+        return (*self._of_residuals(), *map(str, self.hidden))
+
+    @property
+    def is_right(self) -> bool:
+        """Whether nothing speaks against the model."""
+        return not (self.alarms or self.hidden)
+
+    def _of_residuals(self) -> tuple[str, ...]:
+        """What residuals say."""
         if not self.alarms:
             worst = max((way.smooth_px for way in self.ways), default=0.0)
             return (
@@ -105,10 +118,11 @@ class Verdict:
     def to_dict(self) -> dict[str, Any]:
         """JSON-able."""
         return {
-            "right": not self.alarms,
+            "right": self.is_right,
             "false_alarms": FALSE_ALARMS,
             "sentences": list(self.sentences),
             "ways": [asdict(way) for way in self.ways],
+            "hidden": [asdict(patch) for patch in self.hidden],
             "suspects": [asdict(one) for one in self.suspects],
             "independent_corners": {
                 ("behind glass" if behind else "seen directly"): {
@@ -166,7 +180,7 @@ def judge_model(
         seen = Evidence(sighted, [one.value for one in lattices], [one.rate for one in lattices], x)
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
     smooth = np.concatenate([smooth_part(rest)[0] for rest in rests])
-    verdict = Verdict(ways, correlation, tuple(found), smooth)
+    verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames))
     return verdict, with_correlation(covariance, lattices, correlation)
 
 

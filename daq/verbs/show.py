@@ -127,7 +127,7 @@ def show_calibration(screen: Console, found: Calibration) -> None:
             region = "behind glass" if behind else "seen directly"
             screen.print(f"corners {region}: {alike.corners} are worth {alike.independent:.0f} independent ones")
     for sentence in fit.verdict.sentences:
-        screen.print(f"model: {sentence}", style="bold red" if fit.verdict.alarms else "")
+        screen.print(f"model: {sentence}", style="" if fit.verdict.is_right else "bold red")
     for weakness in found.weak:
         screen.print(f"weak: {weakness.sentence}")
 

@@ -13,7 +13,7 @@ from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.fit.adjustment import Adjustment
 from correction.fit.map_sigma import sigma_at
-from correction.fit.measurement import MeasuredFrame, whitening
+from correction.fit.measurement import LostCorners, MeasuredFrame, whitening
 from correction.fit.prediction import expect
 from correction.fit.result import SceneFit
 from correction.fit.solver import Corners
@@ -31,7 +31,8 @@ from tracer.trace import trace
 SIZE_PX = 1008
 BOARD = Chessboard(3.5, 1.4)
 SCENES = ("two_spheres_500", "pair_off_axis", "three_spheres_500", "one_sphere_500")
-FAULTS = ("ellipsoid", "index", "bent board", "ball off", "lens term")
+FAULTS = ("ellipsoid", "index", "bent board", "ball off", "lens term", "support")
+SUPPORT_PX = 24.0  # half width of what hides a strip: a rod of 2 mm near the board
 NODES = 60  # points of the map that are asked, behind glass and beside it
 
 
@@ -75,6 +76,7 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
     priors = FitTable()
     ball = truth.spheres[rng.integers(len(truth.spheres))].name
     shapes: dict[str, np.ndarray] = {}
+    hidden: tuple[np.ndarray, float] | None = None
     bend = (0.0, 0.0, 0.0)
     if fault == "ellipsoid":
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
@@ -97,6 +99,10 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
     elif fault == "lens term":
         lens = replace(truth.camera.lens, k2=float(rng.choice([-1.0, 1.0])) * 1.5, p1=float(rng.normal()) * 3e-4)
         truth = truth.with_camera(replace(truth.camera, lens=lens))
+    elif fault == "support":
+        turn = float(rng.uniform(0.0, np.pi))
+        along = np.array([np.cos(turn), np.sin(turn)])
+        hidden = along, float(along @ truth.camera.project(np.array(truth.spheres[-1].centre_mm)))
     room = truth.n_ambient
     balls = tuple(
         Ball(
@@ -108,7 +114,9 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
     frames = []
     for glass in (False, True):
         lab = Lab(truth.camera, balls if glass else (), bend)
-        frames.append(photographed(truth if glass else truth.with_bodies(()), lab, glass, noise, lock_px, rng))
+        frames.append(
+            photographed(truth if glass else truth.with_bodies(()), lab, glass, noise, lock_px, rng, hidden)
+        )
     bench = unknowns_of(nominal, [0.0], priors)
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     pixels, error = map_error(fit, truth, Lab(truth.camera, balls), rng)
@@ -133,23 +141,32 @@ def lifted(truth: Scene, ball: str, up_mm: float) -> Scene:
 
 
 def photographed(
-    truth: Scene, lab: Lab, glass: bool, noise_px: float, lock_px: float, rng: np.random.Generator
+    truth: Scene,
+    lab: Lab,
+    glass: bool,
+    noise_px: float,
+    lock_px: float,
+    rng: np.random.Generator,
+    hidden_px: tuple[np.ndarray, float] | None = None,
 ) -> MeasuredFrame:
-    """Corners as they are measured in a frame."""
+    """Corners as they are measured in a frame; a support hides a strip: its normal (2,) and its distance [px]."""
     shown = expect(truth, TargetPose(), BOARD)
     node = BOARD.corner_mm(shown.index)
     pixel = corners_px(lab, shown.pixel, node)
-    shown = shown.take(np.isfinite(pixel[:, 0]) & (shown.rim_px > 6.0))
-    pixel = corners_px(lab, shown.pixel, BOARD.corner_mm(shown.index))
-    sigma = noise_px * np.exp(0.3 * rng.normal(size=pixel.shape))
-    pixel = pixel + sigma * rng.normal(size=pixel.shape) + lock_px * locked(pixel, shown.axes_px)
-    corners = Corners(0, glass, pixel, BOARD.corner_mm(shown.index), whitening(sigma))
     way = np.array([" > ".join(names) for names in shown.branches])[shown.branch]
     names, counts = np.unique(way[way != ""], return_counts=True)
     expected = dict(zip(names.tolist(), counts.tolist(), strict=True))
-    return MeasuredFrame(
-        "glass" if glass else "bare", corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, expected, {}
-    )
+    seen = np.isfinite(pixel[:, 0]) & (shown.rim_px > 6.0) & ~(rng.random(len(pixel)) < 0.02)
+    if glass and hidden_px is not None:
+        along, offset = hidden_px
+        seen &= np.abs(pixel @ along - offset) > SUPPORT_PX
+    lost = LostCorners(shown.index[~seen], shown.pixel[~seen], way[~seen], shown.rim_px[~seen])
+    pixel, shown, way = pixel[seen], shown.take(seen), way[seen]
+    sigma = noise_px * np.exp(0.3 * rng.normal(size=pixel.shape))
+    pixel = pixel + sigma * rng.normal(size=pixel.shape) + lock_px * locked(pixel, shown.axes_px)
+    corners = Corners(0, glass, pixel, BOARD.corner_mm(shown.index), whitening(sigma))
+    name = "glass" if glass else "bare"
+    return MeasuredFrame(name, corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, expected, {}, lost)
 
 
 def locked(pixel: np.ndarray, axes_px: np.ndarray) -> np.ndarray:
