@@ -43,7 +43,7 @@ def spoiled(frames, kind):
     return {
         "sizes": (a, b[:-2]),
         "smaller than the scene": (a[:100, :100], b[:100, :100]),
-        "colour": (np.repeat(a[..., None], 3, axis=-1), b),
+        "colour": (np.stack((a, a // 2, a), axis=-1), b),
         "constant": (a, np.full_like(b, 90)),
         "stack": (np.stack((a, b)), b),
         "one frame": (a,),
@@ -54,11 +54,11 @@ def spoiled(frames, kind):
 SENTENCES = {
     "sizes": "b.tif: is 224 x 222 px, the scene's camera 224 x 224 px",
     "smaller than the scene": "a.tif: is 100 x 100 px, the scene's camera 224 x 224 px",
-    "colour": "a.tif: has shape (224, 224, 3); one grey image is needed",
+    "colour": "a.tif: shows colours; one grey image is needed",
     "constant": "frame B is constant",
-    "stack": "one frame a file is needed",
+    "stack": "a.tif: holds 2 pages; say which",
     "one frame": "give two frames and --scene",
-    "NaN": "pixels are NaN or infinite",
+    "NaN": "such values in all; give frames as acquired",
 }
 
 
@@ -114,7 +114,7 @@ def test_a_fit_that_cannot_be_used_is_said_and_left_out(good, tmp_path, capsys):
     assert "no uncertainty of the map" in capsys.readouterr().out
     summary = json.loads((tmp_path / "out" / "evaluation.json").read_text())
     assert "is damaged" in summary["no_map_sigma"]
-    header = {"scene_hash": "0123456789abcdef"}
+    header = {"names": [], "scene_hash": "0123456789abcdef", "nominal_hash": "0" * 16, "history": []}
     save_arrays(tmp_path / "fit.npz", "scene fit", header, {"scene_root": np.eye(14)})
     assert evaluate(tmp_path, tmp_path / "scene.yaml", frames) == DONE
     assert "the fit belongs to scene 0123456789abcdef" in " ".join(capsys.readouterr().out.split())
