@@ -7,6 +7,8 @@ from pathlib import Path
 
 from daq.errors import DiskError, RunUsageError
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
 
 def require_folder(out: Path | str) -> Path:
     """Return the folder for results if it can be written to; it is not made yet if it is not there.
@@ -35,7 +37,8 @@ def require_folder(out: Path | str) -> Path:
             probe.flush()
     except (OSError, ValueError) as error:
         reason = str(getattr(error, "strerror", None) or error).lower()
+        if getattr(error, "errno", None) in FULL:
+            raise DiskError(f"{out}: {reason}; make room, or give another folder with -o") from None
         text = f"{out}: {reason}, so it cannot hold results; give another folder with -o"
-        full = getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT)
-        raise (DiskError if full else RunUsageError)(text) from None
+        raise RunUsageError(text) from None
     return out

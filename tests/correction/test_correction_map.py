@@ -245,7 +245,7 @@ def test_a_stored_map_of_a_sensor_that_its_pixels_leave_is_refused(tmp_path, sen
     _, cmap = inverted("two_spheres_500")
     path = tmp_path / "map.npz"
     replace(cmap, sensor_px=sensor_px).save(path)
-    with pytest.raises(MapFileError, match="make the map again"):
+    with pytest.raises(MapFileError, match=r"make (the map|it) again"):
         CorrectionMap.load(path)
 
 

@@ -84,9 +84,9 @@ sys.exit(main(verb))
 def lab(tmp_path_factory):
     place = tmp_path_factory.mktemp("lab")
     (place / "scene.yaml").write_text(SMALL)
-    rng = np.random.default_rng(0)
-    for name in ("a", "b"):
-        tifffile.imwrite(place / f"{name}.tif", rng.integers(100, 200, (96, 96)).astype(np.uint16))
+    seen = np.random.default_rng(0).integers(100, 200, (96, 96)).astype(np.uint16)
+    for name, shift in (("a", 0), ("b", 2)):
+        tifffile.imwrite(place / f"{name}.tif", np.roll(seen, shift, axis=1))
     return place
 
 

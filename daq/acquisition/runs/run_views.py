@@ -1,5 +1,6 @@
 """What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view."""
 
+import os
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,8 +45,8 @@ class View:
 
 
 def is_run(path: Path) -> bool:
-    """Whether a folder is a run."""
-    return (path / FILE).is_file()
+    """Whether a folder is a run, if only by the name of a record that can no longer be read."""
+    return os.path.lexists(path / FILE)
 
 
 def bench_scene(path: Path) -> str:

@@ -158,7 +158,7 @@ def test_a_box_that_stays_on_is_doubted(mocker):
     with desk() as (laser, emulator, _, _):
         to_armed(laser)
         laser.fire(20)
-        mocker.patch.object(emulator, "_stop")
+        mocker.patch.object(emulator, "_end_periods")
         with pytest.raises(LaserDoubt, match="still on"):
             laser.wait()
         assert laser.state is LaserState.UNKNOWN

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from daq.acquisition.bench.bench_table import CameraSection
 from daq.acquisition.cameras.frame import FrameMeta
-from daq.acquisition.runner import exposures as exposures_module
+from daq.acquisition.runner import armed_camera as armed_camera_module
 from daq.acquisition.runner import single_frames as single_frames_module
 from daq.acquisition.runner import streaming as streaming_module
 from daq.acquisition.runner.exposures import Exposures
@@ -80,7 +80,7 @@ class Session:
 def play(monkeypatch):
     """Play a session in a time of its own; one session begins where the one before has ended."""
     time = FakeTime()
-    for module in (exposures_module, single_frames_module, streaming_module):
+    for module in (armed_camera_module, single_frames_module, streaming_module):
         monkeypatch.setattr(module, "time", time)
     return lambda script, frames_per_stop=1, **options: Session(time, script, frames_per_stop, **options)
 
