@@ -68,8 +68,10 @@ def check(paths: Sequence[Named] | Named, bench: Named | None = None) -> list[Fi
     given = paths_of(paths)
     runs = [path for path in given if is_run(path)]
     folders = {path: sorted(path.glob("*.yaml")) for path in given if path.is_dir() and path not in runs}
-    if empty := [path for path, files in folders.items() if not files]:
+    empty = [path for path, files in folders.items() if not files]
+    if empty and not runs:
         raise RunUsageError(f"{empty[0]}: is neither a run nor a folder with .yaml files; name what to check")
+    runs = [path for path in given if path in runs or path in empty]  # among runs one that is none is a finding
     files = [file for path in given if path not in runs for file in folders.get(path, [path])]
     checks: list[FileCheck | RunCheck] = []
     wrong: Exception | None = None
