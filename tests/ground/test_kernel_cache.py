@@ -110,8 +110,8 @@ def test_no_stale_callee_is_ever_run(tmp_path):
     kernels.mkdir(parents=True)
     for package in (ground, kernels.parent, kernels):
         (package / "__init__.py").touch()
-    for name in ("jit.py", "kernel_cache.py"):
-        (ground / name).write_bytes((ROOT / "ground" / name).read_bytes())
+    for path in (ROOT / "ground").glob("*.py"):
+        (ground / path.name).write_bytes(path.read_bytes())
     (kernels / "callee.py").write_text(CALLEE.format("3.0"))
     (kernels / "caller.py").write_text(CALLER)
     (kernels / "other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
