@@ -144,6 +144,7 @@ def nominal(scene):
     return Camera(scale, (1007.5, 1007.5), (2016, 2016), place, look_at(place, (0.0, 0.0, 0.0)))
 
 
+@pytest.mark.slow
 def test_a_photographed_board_gives_its_warp():
     size = (420, 420)
     camera = Camera(4000.0, (209.5, 209.5), size, (0.0, 0.0, 400.0), look_at((0.0, 0.0, 400.0), (0.0, 0.0, 0.0)))

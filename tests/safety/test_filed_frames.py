@@ -27,7 +27,7 @@ def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypat
 
     def swapped(entries):
         """Two frames of different stops change places, as after a frame that came late."""
-        found = frame_entries(entries)
+        found = {number: dict(entry) for number, entry in frame_entries(entries).items()}
         one, other = found[0], found[len(found) - 1]
         assert one["measured_mm"] != other["measured_mm"]
         for key in ("file", "crc32"):
@@ -38,7 +38,7 @@ def test_a_run_says_the_truth_and_a_frame_that_lies_is_found(tmp_path, monkeypat
     assert {wrong.frame for wrong in misfiled(run)} == {0, 7}
 
     def doubled(entries):
-        found = frame_entries(entries)
+        found = {number: dict(entry) for number, entry in frame_entries(entries).items()}
         found[2] = found[1] | {"frame": 2}
         return found
 

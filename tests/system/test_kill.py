@@ -123,6 +123,7 @@ def whole_run(folder, repeats, *options):
     return RunFolder(next((folder / "runs").glob("*_plan")))
 
 
+@pytest.mark.slow
 def test_kill_twice(tmp_path):
     whole = whole_run(tmp_path / "whole", 10, "--no-correct")
     prepare(tmp_path / "killed", 10)

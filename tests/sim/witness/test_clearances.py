@@ -78,6 +78,7 @@ def test_one_axis_at_a_time_it_agrees_with_the_guard():
     assert refused > 25
 
 
+@pytest.mark.slow
 def test_a_way_in_small_stretches_is_judged_like_the_way_as_a_whole():
     """What lies in the neighbourhood known to be free is not looked at: nothing may be missed there."""
     rng = random.Random(5)

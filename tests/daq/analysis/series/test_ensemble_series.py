@@ -55,6 +55,7 @@ def test_it_measures_mean_and_stresses(whole):
     assert (np.diff(whole.y_mm) > 0.0).all()
 
 
+@pytest.mark.slow
 def test_two_workers_and_a_cut_off_sweep_leave_the_same_bits(series, whole, monkeypatch):
     given, mean = series
     assert bits(ensemble_flow(given, mean, 16, workers=2)) == bits(whole)
