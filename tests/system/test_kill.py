@@ -208,6 +208,7 @@ def check_stream(run, kept, frames):
 
 
 @pytest.mark.parametrize("of_camera", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
 def test_a_stream_keeps_what_it_has(tmp_path, of_camera):
     prepare_stream(tmp_path, 150)
     run, kept = stream_with_kills(tmp_path, 2, 1, 1.0, of_camera)

@@ -183,6 +183,7 @@ def test_growth_takes_no_saddle_twice_and_keeps_kinds_alternating():
 @pytest.mark.parametrize(
     ("scene", "least", "limit_px"), [("one_sphere", 3000, 0.027), ("two_spheres", 4200, 0.019)]
 )
+@pytest.mark.slow
 def test_supplied_boards_without_and_with_a_start(scene, least, limit_px):
     path = FRAMES / scene / "target_clear.tif"
     if not path.exists():

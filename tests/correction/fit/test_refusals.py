@@ -87,6 +87,7 @@ def test_wrong_glass_is_never_silent():
     assert caught.value.value != caught.value.limit
 
 
+@pytest.mark.slow
 def test_a_sphere_that_the_scene_does_not_list_is_never_silent():
     nominal = bench(*MADE).nominal
     with pytest.raises((FitFailed, GlassNotSeen)):

@@ -72,6 +72,7 @@ def packed_bed(columns: int) -> Scene:
     return small_scene("pyramid_500", 252).with_bodies(balls)
 
 
+@pytest.mark.slow
 def test_hardly_a_node_is_missing_to_which_its_neighbour_leads() -> None:
     """Careful Newton from the view of the node beside it: what it finds lies between the last pixels and the rim.
 
