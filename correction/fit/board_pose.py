@@ -19,6 +19,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from correction.fit.contact import pushed_apart
+from correction.fit.supports import clear_of
 from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
 from tracer.fit_section import FitCameraTable
@@ -63,7 +64,8 @@ def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
     spheres[:, :3] = spheres[:, :3] @ turn.T
     places = map(vector3, pushed_apart(spheres)[:, :3])
     placed = {s.name: replace(s, centre_mm=place) for s, place in zip(scene.spheres, places, strict=True)}
-    bodies = tuple(placed.get(body.name) or body.moved(point) for body in scene.bodies)
+    balls = tuple(placed.values())
+    bodies = tuple(placed.get(body.name) or clear_of(body.moved(point), balls) for body in scene.bodies)
     return replace(scene, camera=camera, bodies=bodies)
 
 

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tracer.bodies import Body
+from correction.fit.supports import carried
+from tracer.bodies import Body, Sphere
 from tracer.camera import Camera, Lens, Vector3
 from tracer.fit_section import FOCAL_SHARE, FitTable
 from tracer.media import Medium, shifted
@@ -127,7 +128,7 @@ class Unknowns:
         return TargetPose((x, y, z), _rows(Rotation.from_rotvec(turn).as_matrix().T))
 
     def moved(self, full: NDArray[np.float64]) -> Scene:
-        """Return the scene of a full vector.
+        """Return the scene of a full vector; supports go with the balls that they hold (`supports`).
 
         Raises
         ------
@@ -139,7 +140,12 @@ class Unknowns:
         for sphere, (x, y, z, radius, n), old in zip(self.scene.spheres, rows, self.start_of_glass(), strict=True):
             medium = None if sphere.medium is None else shifted(sphere.medium, n - float(old[4]))
             moved[sphere.name] = replace(sphere, centre_mm=(x, y, z), radius_mm=radius, medium=medium)
-        bodies = tuple(moved.get(body.name, body) for body in self.scene.bodies)
+        balls = Sphere.among(moved.values())
+        bodies = tuple(
+            moved.get(body.name)
+            or (body if isinstance(body, Sphere) else carried(body, self.scene.spheres, balls))
+            for body in self.scene.bodies
+        )
         return replace(self.scene, camera=self.camera(full), bodies=bodies)
 
     def start_of_glass(self) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ Vector = tuple[float, float, float]
 ARRANGEMENTS = ("row", "side", "triangle", "pyramid")
 AIR_MM = 0.01  # between balls: what is rounded must not overlap
 ROD_LENGTH_MM = 60.0
-ROD_GAP_MM = 3.0  # a scene fit moves balls and not rods, and refuses what overlaps on its way
+ROD_GAP_MM = 0.01  # what is rounded must not overlap
 
 
 def most_balls(arrangement: str) -> Sequence[int]:
