@@ -16,6 +16,7 @@ from daq.analysis.pictures.drawing import scene_figure
 from daq.analysis.pictures.patterns import MarkerBoard, square_for
 from daq.analysis.pictures.plane import draw_plane
 from daq.analysis.pictures.plane_axes import short
+from daq.analysis.pictures.saved import save_picture
 from daq.analysis.pictures.seen import seen
 from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
 from daq.terminal import console, progress_if_long
@@ -102,7 +103,7 @@ def trace(scene: Named, out: Named = "trace") -> Traced:
     square_mm = square_for(share.size_mm[0])
     image = seen(loaded, MarkerBoard(square_mm), watched=progress_if_long)
     draw_camera_view(out / "camera_view.png", image, square_mm, scene.stem)
-    scene_figure(loaded).savefig(out / "scene.png", dpi=130)
+    save_picture(scene_figure(loaded), out / "scene.png", 130)
     names = ["plane.png", "camera_view.png", "scene.png"]
     if blur is not None:
         draw_blur(out / "blur.png", grid, blur)

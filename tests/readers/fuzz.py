@@ -31,6 +31,7 @@ from tests.readers.originals import ORIGINALS, WARM, scene_read, write_originals
 LONGEST_S = 2.0
 MOST_MB = 500.0
 HUNG_S = 60
+MOST_VIRTUAL = 6_000_000_000  # bytes of address space: a reader that takes all there is must not take the computer
 LONGEST_SENTENCE = 2000  # characters of one problem
 SPOILT = 0.03  # share of cases whose file is none
 
@@ -166,6 +167,7 @@ def main(arguments=None):
     given = parser.parse_args(arguments)
     folder = Path(tempfile.mkdtemp(prefix="rtpiv-readers-"))
     try:
+        resource.setrlimit(resource.RLIMIT_AS, (MOST_VIRTUAL, MOST_VIRTUAL))
         playground, begun_s, computed_s = Playground(folder), time.monotonic(), time.process_time()
         numbers = range(given.first, given.first + given.cases) if given.only is None else [given.only]
         tally = fuzz(given.seed, numbers, playground, given.enough)

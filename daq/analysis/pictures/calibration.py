@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from correction.fit.map_sigma import MapSigma
 from correction.fit.result import FitStep
 from daq.analysis.pictures.plane_axes import colour_bar, plane_panels
+from daq.analysis.pictures.saved import save_picture
 
 REACH = 2.0  # an arrow's length over that of the 95th percentile, at most: an outlier must not cross the picture
 
@@ -50,7 +51,7 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
         colour_bar(shown, axes, "distance [px]", "max")
         axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
         axes.set_title(f"{title}: 95 % within {typical:.2f} px")
-    figure.savefig(path, dpi=100)
+    save_picture(figure, path, 100)
 
 
 def draw_map_sigma(path: Path, sigma: MapSigma) -> None:
@@ -65,7 +66,7 @@ def draw_map_sigma(path: Path, sigma: MapSigma) -> None:
     shown = axes.imshow(np.log10(np.maximum(total, floor)), extent=extent, cmap="viridis")
     colour_bar(shown, axes, "log10 of sigma [corrected px]")
     axes.set(xlabel="x [mm]", ylabel="y [mm]", title="standard deviation of the correction")
-    figure.savefig(path, dpi=100)
+    save_picture(figure, path, 100)
 
 
 def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:
@@ -82,4 +83,4 @@ def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:
     axes.set(xscale="log", xlabel="rms per axis [px], with the number of corners", title="convergence of the fit")
     axes.invert_yaxis()
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=100)
+    save_picture(figure, path, 100)

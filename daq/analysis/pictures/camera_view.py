@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from daq.analysis.pictures.plane_axes import bare, short
+from daq.analysis.pictures.saved import save_picture
 
 
 def draw_camera_view(path: Path, image: NDArray[np.float32], square_mm: float, title: str) -> None:
@@ -21,4 +22,4 @@ def draw_camera_view(path: Path, image: NDArray[np.float32], square_mm: float, t
     said = f"{short(title, 40)}: squares of {square_mm:g} mm on the plane; black: no light arrives"
     axes.set_title(said, fontsize=10, parse_math=False)
     axes.set(xlabel="u [px]", ylabel="v [px]")
-    figure.savefig(path, dpi=130)
+    save_picture(figure, path, 130)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from correction.node_status import NodeStatus
 from daq.analysis.pictures.embedded import grey, reduced, tinted
 from daq.analysis.pictures.mask_colours import covered, swatch
+from daq.analysis.pictures.saved import save_picture
 
 
 def draw_overview(
@@ -51,4 +52,4 @@ def draw_overview(
     lost = [each for each in NodeStatus if each != NodeStatus.RECOVERED and (status == each).any()]
     if lost:
         figure.legend(handles=[swatch(each) for each in lost], loc="outside lower right", ncols=5, frameon=False)
-    figure.savefig(path, dpi=100)
+    save_picture(figure, path, 100)

@@ -12,6 +12,7 @@ from correction.correction_map import CorrectionMap
 from correction.node_status import MEANING, NodeStatus
 from daq.analysis.pictures.mask_colours import COLOURS, THROUGH, Colour, mask_picture, web
 from daq.analysis.pictures.plane_axes import NOTHING, bare, colour_bar, draw_outlines, short
+from daq.analysis.pictures.saved import save_picture
 from daq.analysis.plane_share import PlaneShare
 from tracer.scene import Scene
 
@@ -63,7 +64,7 @@ def draw_plane(path: Path, scene: Scene, found: CorrectionMap, share: PlaneShare
         bare(axes)
         axes.set(xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
     figure.suptitle(short(title, 60), parse_math=False)
-    figure.savefig(path, dpi=110)
+    save_picture(figure, path, 110)
 
 
 def area_text(area_mm2: float) -> str:
