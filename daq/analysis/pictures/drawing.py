@@ -87,7 +87,8 @@ def _from_the_camera(axes: Axes, scene: Scene, cuts: Sequence[Section], corners:
     room = 0.07 * float(high[1] - low[1])
     taken: list[tuple[float, float]] = []
     for body, outline in known[:MOST_NAMES]:
-        x, y = (0.5 * (outline.min(axis=0) + outline.max(axis=0))).tolist()
+        shown = np.clip(outline, low, high)  # a rod may leave the picture: its name stands on what is seen of it
+        x, y = (0.5 * (shown.min(axis=0) + shown.max(axis=0))).tolist()
         while any(abs(y - other_y) < room and abs(x - other_x) < 4.0 * room for other_x, other_y in taken):
             y -= room
         taken.append((x, y))
