@@ -39,7 +39,9 @@ from correction.piv.static import static_share, still_correlation
 from correction.piv.uncertainty import correlation_statistics, sampling_error_px
 from correction.piv.vector_field import VectorField, VectorFlag
 from correction.piv.windows import WindowGrid, window_grid
+from ground.memory import require_memory
 
+BYTES_PER_PX = 32  # that all passes hold at most; measured 30 at 2016 x 2016 and 4032 x 4032
 DOUBTFUL_SHARE, GAIN = 0.6, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
 CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time
 
@@ -77,8 +79,14 @@ def evaluate_pair(
         Different sizes, a mask of another size or kind, nothing valid, or a frame without texture.
     FrameError
         A frame that is none.
+    MemoryShort
+        The passes do not fit into memory.
     """
     settings = settings or PivSettings()
+    size = np.shape(frame_a)
+    require_memory(
+        BYTES_PER_PX * float(np.prod(size)), f"evaluating a pair of {' x '.join(map(str, size[::-1]))} px"
+    )
     sides = list(settings.windows_px)
     # Frames are prepared anew for each trial: nobody holds them while one goes on.
     field = _evaluated(prepared(frame_a, frame_b, valid, sides[-1]), sides, settings, threads)

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from ground.memory import require_memory
 from ground.rows import run_rows
 from sim.flow.kernels.splat import count_bands, order_by_band, splat
 from sim.flow.kernels.views import NUMBERS, cell_bins, find_images, judge_cells, trace_nodes
@@ -37,6 +38,7 @@ Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 STEP_PX = 2.0
+BYTES_PER_NODE = 60.0  # of a grid of rays with its bins, chains included while it is traced
 BRIGHTEST = 6.0
 BLOCK_POINTS = 4096
 BAND_ROWS = 64
@@ -104,6 +106,8 @@ class ParticleView:
     ------
     SceneError
         A body crosses z = 0 or is neither sphere nor rod.
+    MemoryShort
+        The rays of all points of the pupil do not fit into memory.
     """
 
     def __init__(
@@ -128,6 +132,10 @@ class ParticleView:
         radius_mm = aperture.pupil_radius_mm if aperture is not None else 0.0
         places = radius_mm * pupil_points(points_of_pupil if aperture is not None else 1)
         rows, columns = (int(np.ceil((side + 2.0 * MARGIN_PX) / step_px)) + 1 for side in self.shape)
+        require_memory(
+            BYTES_PER_NODE * rows * columns * len(places),
+            f"a view of {columns} x {rows} nodes from {len(places)} points of the pupil",
+        )
         traced = [self._trace(rows, columns, place) for place in places]
         self.corners_mm = _extent(traced, self._bare_mm(), heights_mm)
         self._edge_mm = BIN_CELLS * step_px * self._tables.px_mm

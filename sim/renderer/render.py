@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.memory import require_memory
 from ground.rows import run_rows
 from sim.prints.patterns import Pattern, Pose
 from sim.renderer.rays import trace_pixels, weighted_mean
@@ -24,6 +25,7 @@ from tracer.errors import SceneError
 from tracer.scene import CONTACT_TOL_MM, Scene
 
 BLOCK_ROWS = 4
+BYTES_PER_PX = 30.0  # light, counts and noise of a frame
 CROWDED = 2.5
 
 
@@ -105,7 +107,11 @@ def render(
     ------
     SceneError
         A body crosses the pattern's plane.
+    MemoryShort
+        A frame does not fit into memory.
     """
+    height, width = scene.camera.shape
+    require_memory(BYTES_PER_PX * height * width, f"a rendered frame of {width} x {height} px")
     light = render_irradiance(scene, pattern, samples=samples, seed=seed, aperture=aperture)
     return sensor.expose(light, seed=seed, illumination=illumination)
 
