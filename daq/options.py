@@ -50,7 +50,11 @@ def parser() -> argparse.ArgumentParser:
 
     correct = verbs.add_parser("correct", help="frames as if the glass were not there")
     correct.add_argument(
-        "frames", type=Path, nargs="+", metavar="FRAME", help="acquired frames (.tif, .png, .bmp)"
+        "frames",
+        type=Path,
+        nargs="+",
+        metavar="FRAME",
+        help="acquired frames (.tif, .png, .bmp; page 2 of a stack: stack.tif@2)",
     )
     correct.add_argument("--scene", type=Path, required=True, help="scene.yaml")
     correct.add_argument("-o", "--out", type=Path, default=Path("corrected"), help="folder (default: corrected)")
