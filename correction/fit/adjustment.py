@@ -13,10 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.contact import largest_overlap_mm, pushed_apart
+from correction.fit.held import doubted
 from correction.fit.measurement import MeasuredFrame, whitening
 from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
 from correction.fit.result import FitStep, FittedCorners, SceneFit
-from correction.fit.solver import Corners, Residuals, Solution, minimise, normal_equations, residuals
+from correction.fit.solver import (
+    Corners,
+    Residuals,
+    Solution,
+    minimise,
+    newton_step,
+    normal_equations,
+    residuals,
+)
 from correction.fit.unknowns import Unknowns
 from correction.fit.verdict import judge_model
 from tracer.scene import Scene
@@ -149,21 +158,29 @@ class Adjustment:
         used = [frame.taken(which) for frame, which in zip(measured, kept, strict=True)]
         solution = self.solve(unknowns, solution.x, used)
         # The loss halves the say of honest corners at the edge of it; their information counts in full.
-        parts = [residuals(unknowns, solution.x, self.weighted(frame)) for frame in used]
-        _, _, normal = normal_equations(unknowns, solution.x, parts, FULL_WEIGHT)
-        normal = normal - self.locked(unknowns, solution.x, used)[1]
-        alone = np.asarray(np.linalg.inv(normal + np.eye(len(solution.x))), dtype=np.float64)
+        free, wide = len(solution.x), doubted(unknowns)
+        at = np.concatenate((solution.x, np.zeros(len(wide.names) - free)))
+        parts = [residuals(wide, at, self.weighted(frame)) for frame in used]
+        _, slope, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
+        normal = normal - self.locked(wide, at, used)[1]
+        alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
         weighted = [self.weighted(frame) for frame in measured]
-        left = [residuals(unknowns, solution.x, corners) for corners in weighted]
-        verdict, covariance = judge_model(unknowns, solution.x, measured, weighted, left, alone)
+        left = [residuals(wide, at, corners) for corners in weighted]
+        verdict, covariance = judge_model(unknowns, wide, at, measured, weighted, left, alone)
+        root = wide.columns @ np.linalg.cholesky(covariance)
+        if len(at) > free:
+            root = np.column_stack((root, wide.columns @ newton_step(wide, at, slope, normal)))
+        if verdict.cause is not None and verdict.cause.change is not None:
+            root = np.column_stack((root, verdict.cause.change))
         scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
         corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(
             scene,
             unknowns,
             solution.x,
-            covariance,
-            normal,
+            covariance[:free, :free],
+            normal[:free, :free],
+            root,
             tuple(frame.name for frame in measured),
             corners,
             _summed([frame.expected for frame in measured]),

@@ -106,6 +106,8 @@ class SceneFit:
         Of x.
     normal : (P, P) float64
         Normal matrix of the data alone.
+    root : (F, R) float64
+        root root^T is the covariance of the full vector: of what was free, and of what was held and may be wrong.
     frames : tuple of str
         Names of the frames.
     corners : FittedCorners
@@ -129,6 +131,7 @@ class SceneFit:
     x: NDArray[np.float64]
     covariance: NDArray[np.float64]
     normal: NDArray[np.float64]
+    root: NDArray[np.float64]
     frames: tuple[str, ...]
     corners: FittedCorners
     expected: dict[str, int]

@@ -1,10 +1,10 @@
 """How unsure a fitted scene is, in the tracer's own numbers, and what that does to points of the plane.
 
-A fit gives the covariance C of its free vector x; the tracer gives the derivative G of a landing point by the
-numbers of the scene (`tracer.sensitivity`; rotations about the world's axes at the fitted pose).  Between them
-stands T = d numbers / d x, so with C = L L^T one matrix says everything:
+A fit gives a root of the covariance of its full vector, of what was free and of what was held (`fit.held`); the
+tracer gives the derivative G of a landing point by the numbers of the scene (`tracer.sensitivity`; rotations about
+the world's axes at the fitted pose).  With T = d numbers / d vector one matrix says everything:
 
-    root = T L,        spread of a pixel's plane point = G root,        sigma^2 = sum of its squares.
+    root = T root of the vector,   spread of a pixel's plane point = G root,   sigma^2 = sum of its squares.
 
 Rows of `spread` at two pixels belong to the same draws.  Hence the sigma of the DIFFERENCE of two plane points is
 the length of the difference of their spreads: what both share, such as a camera that stands 0.1 mm beside its
@@ -70,9 +70,8 @@ class SceneSigma(SceneBound):
     def of(cls, fit: SceneFit) -> "SceneSigma":
         """Uncertainty of the scene of a fit."""
         unknowns, full = fit.unknowns, fit.unknowns.full(fit.x)
-        turned = unknowns.columns[: unknowns.glass.stop].copy()
-        turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
-        root = turned @ np.linalg.cholesky(fit.covariance)
+        root = fit.root[: unknowns.glass.stop].copy()
+        root[3:6] = left_jacobian(full[3:6]) @ root[3:6]
         if fit.light.step.size:
             root = np.column_stack((root, fit.light.step))
         return cls(fit.measured_scene.content_hash(), root, fit.verdict.systematic_px)

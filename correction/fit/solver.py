@@ -189,6 +189,22 @@ def _step(
     return np.asarray(step, dtype=np.float64), float(-slope @ step)
 
 
+def newton_step(
+    unknowns: Unknowns, x: NDArray[np.float64], gradient: NDArray[np.float64], normal: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Step (P,) from x to the minimum of the linear model: gradient (P,), normal matrix (P, P) of data alone."""
+    return _step(gradient, normal, 0.0, *_walls(unknowns, x))[0]
+
+
+def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Overlaps (K,) that push at x, in units of WALL_MM, and their derivatives (K, F) by the full vector."""
+    depth, rate = walls(unknowns.spheres(unknowns.full(x)))
+    active = depth > 0.0
+    out = np.zeros((int(active.sum()), len(unknowns.start)))
+    out[:, unknowns.glass] = rate.reshape(len(depth), -1)[active]
+    return depth[active] / WALL_MM, out / WALL_MM
+
+
 def minimise(
     unknowns: Unknowns,
     evaluate: Evaluate,

@@ -7,13 +7,15 @@ Newton step from the fit would give
 
     a = -D^-1 K^T r,        D = K^T K - K^T J A^-1 J^T K + B,
 
-and lower the squares by g = (K^T r) . (D^-1 K^T r) (Rao's score test): nothing is fitted again.  The suspect of
-the largest g, less ln M for each number (Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of
-what noise does not; else it is said that nothing on the list does.
+and lower the squares by g = (K^T r) . (D^-1 K^T r) (Rao's score test): nothing is fitted again.  Balls that touch
+push each other as rows of J and K of their own.  The suspect of the largest g, less ln M for each number
+(Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of what noise does not; else it is said that
+nothing on the list does.  Had it been known, the fit would have gone elsewhere by -A^-1 J^T K a: with a itself
+the `change`, an error of the map.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,12 +23,13 @@ from numpy.typing import NDArray
 
 from correction.fit.ball_shape import SHAPES, shape_rates
 from correction.fit.measurement import MeasuredFrame
-from correction.fit.solver import free_rates, landed
+from correction.fit.solver import free_rates, landed, touching
 from correction.fit.unknowns import LENS, Unknowns, unit_of
 from tracer.branches import branch_of
 from tracer.sensitivity import TARGET
 
 EXPLAINS = 0.5
+UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
 CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
 LENS_TERM = 1.0
@@ -49,16 +52,19 @@ class Suspect:
         By how much the squares would go down.
     share : float
         Of the squares that noise does not explain.
-    map_px : dict
-        Way -> error of the map, raw px per axis (root mean square), that residuals do not show: of a board that is
-        not flat, whose corners do not stand in the plane of the map.
+    change : (F,) float64 or None
+        Of the full vector, if it is what is wrong; None if no vector can say it: a ball's shape.
     """
 
     ball: str
     sentence: str
     gain: float
     share: float
-    map_px: dict[str, float] = field(default_factory=dict)
+    change: NDArray[np.float64] | None
+
+    def to_dict(self) -> dict[str, object]:
+        """JSON-able."""
+        return {"ball": self.ball, "sentence": self.sentence, "gain": self.gain, "share": self.share}
 
 
 @dataclass(frozen=True)
@@ -88,13 +94,18 @@ Say = Callable[[NDArray[np.float64], NDArray[np.float64]], str]
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A change: the ball concerned, ordinary sizes (q,), derivatives, and words for values (q,) with sigmas."""
+    """A change: the ball concerned, ordinary sizes (q,), derivatives, and words for values (q,) with sigmas.
+
+    `moves` (F, q) is what it does to the full vector: all zero if it is no change of the map by itself, None if it
+    is one that the vector cannot say. `by_hand`: the fit section held it, which it need not.
+    """
 
     ball: str
     ordinary: NDArray[np.float64]
     columns: Columns
     say: Say
-    off_plane: bool = False
+    moves: NDArray[np.float64] | None
+    by_hand: bool = False
 
 
 def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float) -> list[Suspect]:
@@ -110,34 +121,57 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
     excess : float
         Squares that noise does not explain.
     """
-    free = len(seen.x)
+    free, (depth, wall) = len(seen.x), touching(unknowns, seen.x)
     flat = [rate.reshape(-1, free) for rate in seen.rates]
     left = [value.ravel() for value in seen.values]
-    covariance = np.linalg.inv(sum(j.T @ j for j in flat) + np.eye(free))
-    slope = covariance @ (
-        sum(j.T @ r for j, r in zip(flat, left, strict=True)) + seen.x
-    )  # nearly zero: it is fitted
-    count = sum(map(len, left))
-    found = []
+    own = sum(j.T @ j for j in flat) + np.eye(free)
+    slope = sum(j.T @ r for j, r in zip(flat, left, strict=True)) + seen.x
+    already = _stepped(slope, own, depth, wall @ unknowns.columns)[2]  # nearly nothing: it is fitted
+    count, found = sum(map(len, left)), []
     for one in _candidates(unknowns, full, seen):
         size = len(one.ordinary)
-        own, mixed, pull = np.zeros((size, size)), np.zeros((free, size)), np.zeros(size)
+        normal, gradient = np.eye(free + size), np.concatenate((slope, np.zeros(size)))
+        normal[:free, :free] = own
         for columns, j, r in zip(one.columns, flat, left, strict=True):
             k = np.nan_to_num(columns.reshape(-1, size)) * one.ordinary
-            own, mixed, pull = own + k.T @ k, mixed + j.T @ k, pull + k.T @ r
-        new = own - mixed.T @ covariance @ mixed
-        if np.diag(new).max() < NOTHING_NEW * np.diag(own).max():
+            normal[free:, free:] += k.T @ k
+            normal[:free, free:] += j.T @ k
+            gradient[free:] += k.T @ r
+        normal[free:, :free] = normal[:free, free:].T
+        direct = np.zeros((len(full), size)) if one.moves is None else one.moves * one.ordinary
+        moves = np.column_stack((unknowns.columns, direct))
+        step, inverse, gain = _stepped(gradient, normal, depth, wall @ moves)
+        spread = inverse[free:, free:]
+        if np.linalg.inv(spread).diagonal().max() - 1.0 < NOTHING_NEW * normal.diagonal()[free:].max():
             continue  # the fit could do the same with what was free
-        matrix = new + np.eye(size)
-        step = np.linalg.solve(matrix, pull - mixed.T @ slope)
-        gain = float((pull - mixed.T @ slope) @ step) - size * np.log(count)
+        gain -= already + size * np.log(count)
         if gain > 0.0:
-            sigma = np.sqrt(np.diag(np.linalg.inv(matrix)))
-            sentence = one.say(-step * one.ordinary, sigma * one.ordinary)
+            sentence = one.say(step[free:] * one.ordinary, np.sqrt(np.diag(spread)) * one.ordinary)
             share = min(gain / max(excess, 1e-12), 1.0)
-            off_plane = _map_px(seen, one.columns, -step * one.ordinary) if one.off_plane else {}
-            found.append(Suspect(one.ball, sentence, gain, share, off_plane))
-    return sorted(found, key=lambda one: -one.gain)
+            rank = gain if one.by_hand else UNTOUCHED * gain
+            change = None if one.moves is None else moves @ step
+            found.append((rank, Suspect(one.ball, sentence, gain, share, change)))
+    return [suspect for _, suspect in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _stepped(
+    gradient: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    wall: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Newton step, inverse of the normal matrix, decrease of the squares; walls (K, P + q) only push."""
+    pushing = np.ones(len(depth), np.bool_)
+    while True:
+        rows, by = wall[pushing], depth[pushing]
+        inverse = np.linalg.inv(normal + rows.T @ rows)
+        slope = gradient + rows.T @ by
+        step = -inverse @ slope
+        let_go = pushing & (depth + wall @ step < 0.0)
+        if not let_go.any():
+            free_of = float(np.sum(depth[~pushing] ** 2))
+            return np.asarray(step), np.asarray(inverse), float(-slope @ step) + free_of
+        pushing &= ~let_go
 
 
 def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:
@@ -154,29 +188,16 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     for number, sphere in enumerate(unknowns.scene.spheres):
         columns = _shape_columns(unknowns, full, seen, whitened, number)
         if sphere.medium is not None and columns is not None:
-            yield _Candidate(
-                sphere.name, np.full(len(SHAPES), SHAPE_MM), columns, partial(_not_round, sphere.name)
-            )
+            say = partial(_not_round, sphere.name)
+            yield _Candidate(sphere.name, np.full(len(SHAPES), SHAPE_MM), columns, say, None)
     first = unknowns.place(0).start
     moved = [
         rate[:, :, first : first + len(TARGET)] * float(frame.corners.height_number == 0 and frame.corners.glass)
         for rate, frame in zip(rates, seen.frames, strict=True)
     ]
-    yield _Candidate("", np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), moved, _moved)
-    yield _Candidate("", np.full(3, SAG_MM), _bent_columns(unknowns, seen, rates), _bent, off_plane=True)
-
-
-def _map_px(seen: Evidence, columns: Columns, value: NDArray[np.float64]) -> dict[str, float]:
-    """Root mean square [raw px] on every way of what values (q,) change in the frames."""
-    square, count = dict[str, float](), dict[str, int]()
-    for frame, column in zip(seen.frames, columns, strict=True):
-        sigma = 1.0 / np.diagonal(np.asarray(frame.corners.whiten), axis1=1, axis2=2)
-        change = np.nan_to_num(column @ value) * sigma
-        for way in np.unique(frame.branch_name).tolist():
-            here = change[frame.branch_name == way]
-            square[way] = square.get(way, 0.0) + float(np.sum(here**2))
-            count[way] = count.get(way, 0) + here.size
-    return {way: float(np.sqrt(square[way] / count[way])) for way in square}
+    still = np.zeros((len(full), len(TARGET)))
+    yield _Candidate("", np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), moved, _moved, still)
+    yield _Candidate("", np.full(3, SAG_MM), _bent_columns(unknowns, seen, rates), _bent, still[:, :3])
 
 
 def _held_numbers(
@@ -187,28 +208,34 @@ def _held_numbers(
     alone = (unknowns.columns != 0.0).sum(axis=0) == 1
     free = np.any(unknowns.columns[:, alone] != 0.0, axis=1)
     held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
+    every = np.eye(len(names))
+
+    def numbered(
+        ball: str, ordinary: NDArray[np.float64], at: list[int], say: Say, by_hand: bool = False
+    ) -> _Candidate:
+        return _Candidate(ball, ordinary, [rate[:, :, at] for rate in rates], say, every[:, at], by_hand)
+
     terms = [f"camera.{term}" for term in LENS if f"camera.{term}" in held]
     if terms:
-        columns = [rate[:, :, [names.index(name) for name in terms]] for rate in rates]
-        yield _Candidate("", np.full(len(terms), LENS_TERM), columns, partial(_lens, terms))
+        yield numbered("", np.full(len(terms), LENS_TERM), list(map(names.index, terms)), partial(_lens, terms))
     for name in held:
         ball, part = name.split(".")
         ordinary = CAMERA_ORDINARY.get(part) if ball == "camera" else BALL_ORDINARY.get(part)
         if ordinary is not None and (ball == "camera" or any(sphere.name == ball for sphere in spheres)):
             at = names.index(name)
-            columns = [rate[:, :, [at]] for rate in rates]
-            yield _Candidate(
-                "" if ball == "camera" else ball, np.array([ordinary]), columns, partial(_off, name, full[at])
-            )
+            of = "" if ball == "camera" else ball
+            yield numbered(of, np.array([ordinary]), [at], partial(_off, name, full[at]), part == "radius")
     for sphere in spheres:
         place = [f"{sphere.name}.{axis}" for axis in "xyz"]
         if set(place) <= set(held):
-            columns = [rate[:, :, [names.index(name) for name in place]] for rate in rates]
-            yield _Candidate(sphere.name, np.full(3, PLACE_MM), columns, partial(_elsewhere, sphere.name))
+            say = partial(_elsewhere, sphere.name)
+            yield numbered(sphere.name, np.full(3, PLACE_MM), list(map(names.index, place)), say, True)
     if spheres and not any(name.startswith("glass ") for name in unknowns.names):
         alike = [names.index(f"{sphere.name}.n") for sphere in spheres]
         columns = [rate[:, :, alike].sum(axis=2, keepdims=True) for rate in rates]
-        yield _Candidate("", np.array([BALL_ORDINARY["n"]]), columns, partial(_other_glass, full[alike[0]]))
+        moves = every[:, alike].sum(axis=1, keepdims=True)
+        say = partial(_other_glass, full[alike[0]])
+        yield _Candidate("", np.array([BALL_ORDINARY["n"]]), columns, say, moves, True)
 
 
 def _bent_columns(unknowns: Unknowns, seen: Evidence, rates: Sequence[NDArray[np.float64]]) -> Columns:

@@ -212,7 +212,7 @@ def unknowns_of(
             column[place] = spread_of
             columns.append(column)
             names.append(start.names[place])
-    for name, medium in _glasses(scene).items():
+    for name, medium in glasses(scene).items():
         spread_of = priors.index(medium.name)
         if spread_of > 0.0:
             column = np.zeros(len(start.names))
@@ -256,7 +256,7 @@ def left_jacobian(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.eye(3) + half * cross + third * cross @ cross)
 
 
-def _glasses(scene: Scene) -> dict[str, Medium]:
+def glasses(scene: Scene) -> dict[str, Medium]:
     """Name of the free number -> medium; spheres of equal media are of one glass."""
     found: dict[str, Medium] = {}
     for sphere in scene.spheres:

@@ -67,12 +67,14 @@ class Verdict:
 
     @property
     def systematic_px(self) -> dict[str, float]:
-        """Way -> standard deviation of the map's own error on it, raw px per axis; of all ways tested."""
+        """Way -> standard deviation of the map's own error on it, raw px per axis; of all ways tested.
+
+        What the cause explains is counted as its change of the scene (`SceneFit.root`).
+        """
         unlike_noise = COUNTED / max(len(self.ways), 1)
-        found = {way.way: way.smooth_px if way.chance_of_noise < unlike_noise else 0.0 for way in self.ways}
-        if self.cause is not None:
-            found.update({way: max(size, found.get(way, 0.0)) for way, size in self.cause.map_px.items()})
-        return found
+        known = self.cause.share if self.cause is not None and self.cause.change is not None else 0.0
+        left = float(np.sqrt(1.0 - known))
+        return {way.way: left * way.smooth_px if way.chance_of_noise < unlike_noise else 0.0 for way in self.ways}
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -123,7 +125,7 @@ class Verdict:
             "sentences": list(self.sentences),
             "ways": [asdict(way) for way in self.ways],
             "hidden": [asdict(patch) for patch in self.hidden],
-            "suspects": [asdict(one) for one in self.suspects],
+            "suspects": [one.to_dict() for one in self.suspects],
             "independent_corners": {
                 ("behind glass" if behind else "seen directly"): {
                     "corners": one.corners,
@@ -137,6 +139,7 @@ class Verdict:
 
 def judge_model(
     unknowns: Unknowns,
+    wide: Unknowns,
     x: NDArray[np.float64],
     frames: Sequence[MeasuredFrame],
     weighted: Sequence[Corners],
@@ -147,20 +150,24 @@ def judge_model(
 
     Parameters
     ----------
-    unknowns, x :
-        What was free, and the fitted free vector (P,).
+    unknowns : Unknowns
+        What was free, P numbers.
+    wide : Unknowns
+        With H further ones that were held and are doubted.
+    x : (P + H,) float64
+        The fitted free vector, and zeros.
     frames, weighted, parts :
         All measured corners, frame by frame, with the sigmas that the fit used and the residuals that it left.
-    covariance : (P, P) float64
+    covariance : (P + H, P + H) float64
         As if corners were independent.
 
     Returns
     -------
     verdict : Verdict
-    covariance : (P, P) float64
+    covariance : (P + H, P + H) float64
         Enlarged.
     """
-    full = unknowns.full(x)
+    full, free = wide.full(x), len(unknowns.names)
     pitch_mm = grid_of(unknowns.camera(full)).pitch_mm
     rests, lattices, sighted = [], [], []
     for frame, corners, part in zip(frames, weighted, parts, strict=True):
@@ -177,7 +184,8 @@ def judge_model(
     correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
     found: list[Suspect] = []
     if any(way.alarm for way in ways):
-        seen = Evidence(sighted, [one.value for one in lattices], [one.rate for one in lattices], x)
+        values, rates = [one.value for one in lattices], [one.rate[:, :, :free] for one in lattices]
+        seen = Evidence(sighted, values, rates, x[:free])
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
     smooth = np.concatenate([smooth_part(rest)[0] for rest in rests])
     verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames))

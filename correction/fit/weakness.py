@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
+from correction.fit.held import doubted
 from correction.fit.hollow import two_gases
 from correction.fit.result import SceneFit
 from correction.fit.unknowns import unit_of
@@ -44,6 +45,14 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
     """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
     found = [Weakness((), fit.light.sentence)] if fit.light.sentence else []
     found += [Weakness((), sentence) for sentence in two_gases(fit.unknowns.scene)]
+    wide = doubted(fit.unknowns)
+    if held := wide.names[len(fit.names) :]:
+        sizes = zip(held, wide.sigma[-len(held) :].tolist(), strict=True)
+        text = (
+            f"held, but how well known is not said: {', '.join(f'{name} (say {size:g})' for name, size in sizes)}"
+        )
+        counted = "the map's sigma holds what the frames leave open of that"
+        found.append(Weakness(held, f"{text}; {counted}; free them, or give their sigma in the fit section"))
     lost = {name for sphere in fit.unknowns.scene.spheres for name in _unseen(fit, sphere)}
     for name in sorted({name.split(".")[0] for name in lost}):
         text = f"no corner is seen through {name}: its place is what the scene file says"

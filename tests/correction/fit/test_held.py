@@ -1,0 +1,49 @@
+"""Numbers that the fit section holds: the map's sigma counts them, and a wrong one is named."""
+
+import numpy as np
+import pytest
+
+from correction.fit import adjustment
+from correction.fit.held import ORDINARY, ORDINARY_N, doubted
+from correction.fit.unknowns import unknowns_of
+from correction.fit.weakness import weaknesses
+from sim.demo.scenes import at_size, named_scene
+from tests.correction.fit.drawn_labs import drawn_lab
+from tracer.fit_section import FitNamedTable, FitTable
+
+SCENE = at_size(named_scene("two_spheres_500"), 700)
+
+
+def test_what_is_free_or_has_a_sigma_is_not_doubted_again():
+    assert doubted(unknowns_of(SCENE, [0.0], FitTable())).names == unknowns_of(SCENE, [0.0], FitTable()).names
+    measured = unknowns_of(SCENE, [0.0], FitTable(n=1e-6))
+    assert doubted(measured).names == measured.names
+
+
+def test_what_is_held_is_doubted_by_its_ordinary_size_and_one_glass_has_one_index():
+    held = unknowns_of(SCENE, [0.0], FitTable(n=0.0, named={"sphere1": FitNamedTable(centre_mm=0.0)}))
+    wide = doubted(held)
+    glass = next(name for name in wide.names if name.startswith("glass "))
+    assert wide.names[len(held.names) :] == ("sphere1.x", "sphere1.y", "sphere1.z", glass)
+    np.testing.assert_allclose(wide.sigma[len(held.names) :], [*[ORDINARY["z"]] * 3, ORDINARY_N])
+    moved = wide.full_names, np.flatnonzero(wide.columns[:, -1])
+    assert [moved[0][at] for at in moved[1]] == ["sphere1.n", "sphere2.n"]
+
+
+def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_it_was_held(monkeypatch):
+    def largest() -> float:
+        lab = drawn_lab(20086, "index")
+        assert any("held, but how well known is not said" in weak.sentence for weak in weaknesses(lab.fit))
+        return float(np.sqrt(np.mean((lab.error_px / lab.sigma_px) ** 2)))
+
+    assert largest() < 1.5
+    monkeypatch.setattr(adjustment, "doubted", lambda unknowns: unknowns)
+    assert largest() > 2.5
+
+
+@pytest.mark.parametrize("seed", [20011, 20032])
+def test_a_ball_held_off_its_place_is_named_though_others_lean_on_it(seed):
+    lab = drawn_lab(seed, "ball off")
+    said = lab.fit.verdict.sentences[0]
+    assert f"the ball `{lab.ball}` does not stand where it was held" in said
+    assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8
