@@ -2,7 +2,7 @@
 
 from enum import IntEnum
 
-RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION, UNSURE, BLURRED = (
+RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION, UNSURE, BLURRED, IN_GLASS = (
     0,
     1,
     2,
@@ -11,6 +11,7 @@ RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION, UNSURE, BLURRED 
     5,
     6,
     7,
+    8,
 )  # as kernels see them
 
 
@@ -25,6 +26,7 @@ class NodeStatus(IntEnum):
     LOW_MAGNIFICATION = LOW_MAGNIFICATION  # seen too small to be worth anything
     UNSURE = UNSURE  # the map's sigma is beyond the limit that was set
     BLURRED = BLURRED  # the aperture shows it too blurred, or too far from its chief ray
+    IN_GLASS = IN_GLASS  # the light sheet runs through a body there
 
 
 MEANING = {
@@ -36,4 +38,5 @@ MEANING = {
     NodeStatus.LOW_MAGNIFICATION: "magnification below the limit",
     NodeStatus.UNSURE: "sigma of the map beyond the limit",
     NodeStatus.BLURRED: "blurred by the aperture",
+    NodeStatus.IN_GLASS: "inside a body",
 }

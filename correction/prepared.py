@@ -22,6 +22,7 @@ from correction.correction_map import CorrectionMap, build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp
 from correction.fit.sigma_limit import SigmaLimit
+from correction.in_glass import outside_glass
 from correction.resample.sample import Method
 from ground.errors import GroundError
 from tracer.errors import TracerError
@@ -67,7 +68,8 @@ def content_key(
     if scene.camera.pupil is not None:
         tree += [scene.camera.pupil.radius_mm, scene.camera.pupil.focus_mm]
     if limit is not None:
-        tree += [limit.limit_px, hashlib.sha256(limit.sigma.root.tobytes()).hexdigest()]
+        of_sigma = limit.sigma.root.tobytes() + limit.sigma.plane_root.tobytes()
+        tree += [limit.limit_px, hashlib.sha256(of_sigma).hexdigest()]
     text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -105,7 +107,7 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    found = through_pupil(_map(scene, layers, maps), scene)
+    found = outside_glass(through_pupil(_map(scene, layers, maps), scene), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
     return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit))
 

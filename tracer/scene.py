@@ -17,12 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
-from tracer.bodies import KINDS, Body, Sphere
+from tracer.bodies import KINDS, Body, Sphere, vector3
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
+from tracer.light_sheet import LightSheet
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 
 CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
+DEEPEST_CUT_MM = 1.0  # that a light sheet may run into a body which touches the target's plane
 
 
 class SceneBound:
@@ -60,6 +62,11 @@ class Scene:
         Vacuum wavelength at which every index is taken.
     ambient : Medium
         What fills the room between the bodies.
+    sheet : LightSheet, optional
+        Where particles are lit, if that is not the investigation plane.  No ray to the target depends on it, so
+        the content hash does not; see `in_light_sheet`.
+    cut_mm : float
+        How far bodies may reach through the plane: not through the target's, a little through a light sheet.
 
     Raises
     ------
@@ -71,6 +78,8 @@ class Scene:
     bodies: tuple[Body, ...] = ()
     wavelength_nm: float = 532.0
     ambient: Medium = VACUUM
+    sheet: LightSheet | None = None
+    cut_mm: float = 0.0
 
     def __post_init__(self) -> None:
         check_wavelength(self.wavelength_nm)
@@ -100,6 +109,32 @@ class Scene:
     def with_camera(self, camera: Camera) -> "Scene":
         """Return the same scene with another camera."""
         return replace(self, camera=camera)
+
+    def in_light_sheet(self) -> "Scene":
+        """Return the scene as particles are seen: moved so that the light sheet is z = 0; itself without a sheet.
+
+        Raises
+        ------
+        SceneError
+            The sheet runs through a body, or lies behind the camera.
+        """
+        sheet = self.sheet
+        if sheet is None:
+            return self
+        if sheet.is_target_plane:
+            return replace(self, sheet=None, cut_mm=DEEPEST_CUT_MM)
+        camera = self.camera
+        first, second, third = (vector3(row) for row in camera.rotation_matrix @ sheet.axes().T)
+        moved = replace(camera, position_mm=sheet.place(camera.position_mm), rotation=(first, second, third))
+        bodies = tuple(body.moved(sheet.place) for body in self.bodies)
+        cut = [b for b in bodies if b.lowest_mm < -DEEPEST_CUT_MM and b.highest_mm > CONTACT_TOL_MM]
+        if cut:
+            names = ", ".join(f"{body.name!r} ({-body.lowest_mm:.3g} mm deep)" for body in cut)
+            raise SceneError(
+                f"the light sheet at z = {sheet.z_mm:g} mm runs through {names}; put the bodies where they stood"
+                " while the sheet was on, or correct z_mm and the tilt of the sheet"
+            )
+        return Scene(moved, bodies, self.wavelength_nm, self.ambient, cut_mm=DEEPEST_CUT_MM)
 
     def sphere_table(self) -> NDArray[np.float64]:
         """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""
@@ -167,7 +202,7 @@ class Scene:
         for body in self.bodies:
             if body.distance_mm(camera) <= 0.0:
                 problems.append((body.name, f"the camera is inside body {body.name!r}"))
-            if body.lowest_mm < -CONTACT_TOL_MM and body.highest_mm > CONTACT_TOL_MM:
+            if body.lowest_mm < -CONTACT_TOL_MM - self.cut_mm and body.highest_mm > CONTACT_TOL_MM:
                 text = f"body {body.name!r} reaches {-body.lowest_mm:.6g} mm through the investigation plane"
                 problems.append((body.name, f"{text}; it may touch z = 0, not cross it"))
         return problems

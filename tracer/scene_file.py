@@ -21,6 +21,7 @@
       - {name: hollow, kind: sphere, centre_mm: [0.0, 0.0, 75.0], radius_mm: 25.0, material: crown,
          core: {radius_mm: 24.0, material: air}}   # gas inside; a core may have a core itself
       - {name: support, kind: rod, start_mm: [0.0, -40.0, 10.0], end_mm: [0.0, -60.0, 10.0], radius_mm: 4.0}
+    sheet: {z_mm: 0.2, sigma_mm: 0.05}   # optional: where particles are lit, see tracer.light_sheet
     fit:                                 # optional: what a scene fit may change, see tracer.fit_section
       spheres: {centre_mm: 1.0, radius_mm: 0.02}
 
@@ -28,6 +29,7 @@ What each section may hold stands in ``tracer.scene_tables``.
 """
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -38,6 +40,7 @@ from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.fit_section import FitTable
+from tracer.light_sheet import LightSheet
 from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium, medium_called
 from tracer.medium_table import medium_of, written
 from tracer.scene import Scene
@@ -70,10 +73,14 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
                 problems.append(Problem(document.line(at), text))
     ambient = _tried(lambda: medium_of(table.ambient, media), document.line(("ambient",)), problems)
     camera = _tried(table.camera.camera, document.line(("camera",)), problems)
+    sheet = None if table.sheet is None else _tried(table.sheet.light_sheet, document.line(("sheet",)), problems)
     scene = None
     if camera is not None:
+        if sheet is not None and not sheet.place(camera.position_mm)[2] > 0.0:
+            text = f"sheet: a light sheet at z = {sheet.z_mm:g} mm lies behind the camera; is z_mm right?"
+            problems.append(Problem(document.line(("sheet",)), text))
         try:
-            scene = Scene(camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM)
+            scene = Scene(camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM, sheet)
         except SceneError as error:
             for name, text in error.problems:
                 at = ("bodies", names.index(name)) if name in names else ("ambient",)
@@ -223,5 +230,12 @@ def dump_scene(scene: Scene) -> str:
             **aperture,
         },
         "bodies": [body.section() for body in scene.bodies],
+        **({} if scene.sheet is None else {"sheet": _sheet_section(scene.sheet)}),
     }
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=110)
+
+
+def _sheet_section(sheet: LightSheet) -> dict[str, Any]:
+    """The light sheet as a scene file has it."""
+    said = asdict(sheet) | {"correlation": list(sheet.correlation)}
+    return {key: value for key, value in said.items() if value is not None}

@@ -9,7 +9,8 @@ from ground.config import Pair, Table, Triple
 from ground.plain_words import exactly
 from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
-from tracer.fit_section import FitTable
+from tracer.fit_section import FitTable, Sigma
+from tracer.light_sheet import STEEPEST_DEG, UNMEASURED_DEG, UNMEASURED_MM, LightSheet
 from tracer.medium_table import MediumTable, Positive
 from tracer.pupil import Pupil
 
@@ -116,6 +117,27 @@ else:
     AnyBody = Annotated[Union[tuple(kind.Section for kind in KINDS)], Field(discriminator="kind")]  # noqa: UP007
 
 
+Tilt = Annotated[float, Field(ge=-STEEPEST_DEG, le=STEEPEST_DEG)]
+Correlation = Annotated[float, Field(ge=-1.0, le=1.0)]
+
+
+class SheetTable(Table):
+    """The light sheet: where particles are lit."""
+
+    z_mm: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
+    tilt_x_deg: Tilt = 0.0
+    tilt_y_deg: Tilt = 0.0
+    sigma_mm: Sigma = UNMEASURED_MM
+    tilt_sigma_deg: Sigma = UNMEASURED_DEG
+    correlation: Annotated[list[Correlation], Field(min_length=3, max_length=3), exactly(3)] | None = None
+    thickness_mm: Positive | None = None
+
+    def light_sheet(self) -> LightSheet:
+        """Return the sheet described."""
+        said = self.model_dump(exclude={"correlation"})
+        return LightSheet(**said, correlation=vector3(self.correlation or (0.0, 0.0, 0.0)))
+
+
 class SceneTable(Table):
     """A whole scene file."""
 
@@ -124,4 +146,5 @@ class SceneTable(Table):
     glasses: dict[str, MediumTable] = Field(default_factory=dict)
     camera: CameraTable
     bodies: Annotated[list[AnyBody], Field(max_length=1000)] = Field(default_factory=list)
+    sheet: SheetTable | None = None
     fit: FitTable = FitTable()

@@ -9,10 +9,11 @@ the world's axes at the fitted pose).  With T = d numbers / d vector one matrix 
 Rows of `spread` at two pixels belong to the same draws.  Hence the sigma of the DIFFERENCE of two plane points is
 the length of the difference of their spreads: what both share, such as a camera that stands 0.1 mm beside its
 place, cancels.  The size of the target's squares is taken as exact.  What is not known of the target's light
-(`correction.fit.light`) is one more column of the root.
+(`correction.fit.light`) is one more column of the root.  Particles lie in the light sheet: the same uncertainty as
+seen there (`in_light_sheet`), and that of the sheet's own place, which moves all of the field together.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -28,7 +29,7 @@ from ground.map_file import Hash, checked, load_arrays
 from tracer.branches import name_keys, text_of
 from tracer.errors import StaleMap
 from tracer.scene import Scene, SceneBound
-from tracer.sensitivity import CAMERA, TARGET, Landings, landings
+from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, landings
 
 KIND = "scene fit"
 BLOCK = 65536  # pixels at a time: some 60 MB of derivatives
@@ -58,11 +59,14 @@ class SceneSigma(SceneBound):
         root root^T is the covariance of the scene's Q numbers: camera (14), then 5 of each sphere.
     systematic_px : dict
         Way through the glass ("" beside it) -> standard deviation of its own error, raw px per axis.
+    plane_root : (6, K) float64
+        The same of the plane's pose (`tracer.sensitivity.TARGET`); K = 0: it is the target's, which defines z = 0.
     """
 
     scene_hash: str
     root: NDArray[np.float64]
     systematic_px: dict[str, float] = field(default_factory=dict)
+    plane_root: NDArray[np.float64] = field(default_factory=lambda: np.zeros((len(TARGET), 0)))
     noun: ClassVar[str] = "fit"
     cure: ClassVar[str] = "calibrate again"
 
@@ -91,6 +95,17 @@ class SceneSigma(SceneBound):
             raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
         return cls(said.scene_hash, root, said.systematic_px)
 
+    def in_light_sheet(self, scene: Scene) -> "SceneSigma":
+        """Return the uncertainty of the scene as particles in its light sheet are seen (see `Scene`)."""
+        if scene.sheet is None:
+            return self
+        root, axes = self.root.copy(), scene.sheet.axes()
+        spheres = range(len(CAMERA), len(root), len(SPHERE))
+        for at in (CAMERA.index("x"), CAMERA.index("rx"), *spheres):
+            root[at : at + 3] = axes @ root[at : at + 3]
+        seen = scene.in_light_sheet().content_hash()
+        return replace(self, scene_hash=seen, root=root, plane_root=scene.sheet.pose_root())
+
     def spread(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Spread (N, 2, P) [mm] of the plane points that raw pixels (N, 2) show; NaN where none is shown.
 
@@ -111,9 +126,10 @@ class SceneSigma(SceneBound):
         rate = rays.rate[:, :, : -len(TARGET)]
         if rate.shape[2] not in (len(self.root), len(CAMERA)):
             raise StaleMap("the scene has not the spheres of the fitted one; calibrate again")
-        own = self._systematic(scene, pixels[asked], rays)
-        found = np.full((len(pixels), 2, self.root.shape[1] + own.shape[2]), np.nan)
-        found[asked] = np.concatenate((rate @ self.root[: rate.shape[2]], own), axis=2)
+        parts = [rate @ self.root[: rate.shape[2]], self._systematic(scene, pixels[asked], rays)]
+        parts.append(rays.rate[:, :, -len(TARGET) :] @ self.plane_root)
+        found = np.full((len(pixels), 2, sum(part.shape[2] for part in parts)), np.nan)
+        found[asked] = np.concatenate(parts, axis=2)
         return found
 
     def _systematic(self, scene: Scene, pixels: NDArray[np.float64], rays: Landings) -> NDArray[np.float64]:

@@ -78,10 +78,14 @@ def tasks_of(
     fitted = load_scene(scene)
     board = board_of([*paths, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
     dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
-    tasks = [_task(pair, fitted, out) for pair in given.pairs] or [_two_frames(paths, fitted, out, shift_mm)]
+    printed = any(pair.measured_mm is not None for pair in given.pairs)  # moved on the stage of the target
+    seen = fitted if printed else fitted.in_light_sheet()
+    tasks = [_task(pair, seen, out) for pair in given.pairs] or [_two_frames(paths, seen, out, shift_mm)]
+    if not printed and fitted.sheet is not None:
+        tasks = [replace(task, note=f"Measured in {fitted.sheet.summary}.") for task in tasks]
     for path in [path for task in tasks for path in task.frames]:
         read_acquired(path, fitted.camera.shape)
-    sigma = scene_sigma_beside(scene, fitted, target_clear is not None)
+    sigma = scene_sigma_beside(scene, fitted, target_clear is not None, in_light_sheet=not printed)
     return Tasks(tuple(tasks), dewarp, sigma, len(given.alone))
 
 
@@ -105,22 +109,38 @@ def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
     return replace(task, shift_mm=(x, y))
 
 
-def sigma_limit(scene: Path, fitted: Scene, dewarped: bool, limit_px: float) -> SigmaLimit:
-    """Limit of the map's sigma, by the fit beside a scene file.
+def sigma_limit(
+    scene: Path, fitted: Scene, dewarped: bool, limit_px: float, *, in_light_sheet: bool = True
+) -> SigmaLimit:
+    """Limit of the map's sigma, by the fit beside a scene file; see `scene_sigma_beside`.
 
     Raises
     ------
     MapUsageError
         There is no fit that would know the sigma, or the limit is not positive.
     """
-    sigma = scene_sigma_beside(scene, fitted, dewarped)
+    sigma = scene_sigma_beside(scene, fitted, dewarped, in_light_sheet=in_light_sheet)
     if isinstance(sigma, str):
         raise MapUsageError(f"--sigma-limit needs the uncertainty of the scene: {sigma}")
     return SigmaLimit(sigma, limit_px)
 
 
-def scene_sigma_beside(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma | str:
-    """Uncertainty of the scene from the fit beside its file, or why there is none."""
+def scene_sigma_beside(
+    scene: Path, fitted: Scene, dewarped: bool, *, in_light_sheet: bool = True
+) -> SceneSigma | str:
+    """Uncertainty of the scene from the fit beside its file, or why there is none.
+
+    Parameters
+    ----------
+    scene : Path
+        Scene file.
+    fitted : Scene
+        As loaded from it.
+    dewarped : bool
+        Whether a dewarp stands in for the camera's lens terms, of which the fit knows nothing.
+    in_light_sheet : bool
+        Whether particles are looked at, which lie in the scene's light sheet, and not the target.
+    """
     if not scene.with_name(FIT_FILE).is_file():
         return "there is no fit beside the scene; run rtpiv calibrate"
     if dewarped:
@@ -130,4 +150,4 @@ def scene_sigma_beside(scene: Path, fitted: Scene, dewarped: bool) -> SceneSigma
         sigma.check(fitted)
     except (GroundError, TracerError) as error:
         return str(error)
-    return sigma
+    return sigma.in_light_sheet(fitted) if in_light_sheet else sigma

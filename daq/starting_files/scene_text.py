@@ -54,7 +54,8 @@ camera:                     # sees {field} mm of the plane without glass, {lab.p
 # or your own: {{n: 1.492}} at this wavelength
 bodies:
 {lines}
-{hold}# fit:                      # what `rtpiv calibrate` may change: standard deviations; the defaults are
+{hold}# sheet: {{z_mm: 0.0, sigma_mm: 0.5}}  # the light sheet, where it is not quite the plane of the target
+# fit:                      # what `rtpiv calibrate` may change: standard deviations; the defaults are
 #   spheres: {{centre_mm: 1.0, radius_mm: 0.02}}
 #   n: 0.005
 """

@@ -158,7 +158,8 @@ def _scene_said(scene: Scene) -> str:
     camera = scene.camera
     width, height = camera.sensor_px
     scale = camera.focal_px / abs(camera.position_mm[2] / float(camera.rotation_matrix[2][2]))
-    return f"{bodies}; camera of {width} x {height} px, {scale:.1f} px/mm on the plane"
+    sheet = "" if scene.sheet is None else f"; {scene.sheet.summary}"
+    return f"{bodies}; camera of {width} x {height} px, {scale:.1f} px/mm on the plane{sheet}"
 
 
 def _bench_said(bench: Bench) -> str:

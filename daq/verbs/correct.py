@@ -22,6 +22,7 @@ from correction.resample.sample import Method
 from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.shown_plane import shows_light_sheet
 from daq.analysis.pictures.overview import draw_overview
 from daq.analysis.pictures.patterns import Particles, Target, shows_particles
 from daq.analysis.pictures.seen import seen
@@ -98,7 +99,8 @@ def correct(
     as_float : bool
         Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
     check_target : bool
-        The frames show the target: measure its corners against the regular grid.
+        The frames show the target: measure its corners against the regular grid.  Frames that do not, and are not
+        of a run that photographed a print, show particles in the scene's light sheet.
     sigma_limit_px : float, optional
         Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
 
@@ -120,15 +122,19 @@ def correct(
     """
     screen = console()
     frames, scene, target_clear = paths_of(frames), Path(scene), path_of(target_clear)
-    loaded = load_scene(scene)
+    fitted = load_scene(scene)
+    particles = not check_target and shows_light_sheet(frames)
+    loaded = fitted.in_light_sheet() if particles else fitted
     shape = loaded.camera.shape
     _refuse_same_names(frames)
     for path in frames:
         read_acquired(path, shape)
     out = require_folder(out)
     board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
-    dewarp = dewarp_of(target_clear, loaded.camera, board, dewarp_order)
-    limit = None if sigma_limit_px is None else sigma_limit(scene, loaded, dewarp is not None, sigma_limit_px)
+    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+    limit = None
+    if sigma_limit_px is not None:
+        limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
     corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
     grid = corrector.map.grid
     about: dict[str, Any] = {
@@ -159,6 +165,9 @@ def correct(
     summary["target_errors"] = [error.to_dict() for error in errors]
     write_json(out / "correction.json", summary)
     _print(screen, loaded, dewarp, corrector, frames, errors, out)
+    if fitted.sheet is not None:
+        plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
+        screen.print(f"corrected for {plane}")
     files = tuple(out / f"{stem_of(path)}.tif" for path in frames)
     return Corrected(files, out / "mask.tif", float(corrector.recovered.mean()), tuple(errors))
 

@@ -131,6 +131,8 @@ def _single_frame(
     board = board_of([folder.path])
     dewarp = dewarp_of(target_clear, scene.camera, board, dewarp_order)
     through = scene if view.glass else scene.with_bodies(())
+    if view.shows == "flow":
+        through = through.in_light_sheet()
     corrector = prepare(through, dewarp).corrector
     frame = read_acquired(view.path, scene.camera.shape)
     corrected = corrector(frame)

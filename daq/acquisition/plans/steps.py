@@ -66,6 +66,11 @@ class Step:
         return self.gaps_at_most > 0.0 or self.pulses is not None
 
     @property
+    def shows_light_sheet(self) -> bool:
+        """Whether its frames show particles in a light sheet, and no print on the target's stage."""
+        return self.pulses is not None or self.group > 1
+
+    @property
     def targets_mm(self) -> dict[str, float]:
         """Position of every axis as a dict."""
         return dict(self.positions_mm)

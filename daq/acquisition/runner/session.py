@@ -8,13 +8,13 @@ what moves depends on the bench's scene only through keep-out and scale, so both
 import shutil
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from correction.resample.sample import Method
 from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.bench_table import Bench
+from daq.acquisition.bench.bench_table import Bench, digest
 from daq.acquisition.bench.opened import OpenBench, open_bench
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
@@ -91,27 +91,31 @@ class Request:
 def hashes(request: Request, bench: Bench, plan: Plan) -> dict[str, str | None]:
     """What must not change between the sessions of a run."""
     corrected = load_scene(request.scene) if request.scene is not None else bench.scene
+    sheet = corrected.sheet
     return {
         "plan": plan.content_hash(),
         "bench": bench.content_hash(),
         "scene": bench.scene.content_hash(),
         "scene for the correction": corrected.content_hash() if request.correct else None,
+        "light sheet": digest(asdict(sheet)) if request.correct and sheet is not None else None,
     }
 
 
 def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable[Step] = ()) -> Corrections | None:
     """Return what corrects the frames of a run, the dewarp fitted; None if nothing is to be corrected.
 
-    The glass is taken where the steps have it: a flow plan keeps it off the light sheet.
+    The glass is taken where the steps have it: a flow plan keeps it off the light sheet, which its frames show.
     """
     if not request.correct:
         return None
     scene = load_scene(request.scene) if request.scene is not None else bench.scene
     dewarp = dewarp_of(request.target_clear, scene.camera, bench.table.target.board, request.dewarp_order)
-    seen = [step for step in steps if step.on_plane and step.view == BEHIND_GLASS]
-    places = {glass_off_scene_mm(bench.table, step.targets_mm) for step in seen}
+    seen = [step for step in steps if step.on_plane]
+    places = {glass_off_scene_mm(bench.table, step.targets_mm) for step in seen if step.view == BEHIND_GLASS}
     if len(places) == 1:
         scene = with_glass_at(scene, places.pop())
+    if any(step.shows_light_sheet for step in seen):
+        scene = scene.in_light_sheet()
     return Corrections(scene, dewarp, request.method, maps)
 
 

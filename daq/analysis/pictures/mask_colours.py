@@ -16,6 +16,7 @@ COLOURS: dict[NodeStatus, Colour] = {
     NodeStatus.LOW_MAGNIFICATION: (221, 122, 58),
     NodeStatus.UNSURE: (132, 86, 168),
     NodeStatus.BLURRED: (64, 142, 142),
+    NodeStatus.IN_GLASS: (104, 128, 150),
 }
 THROUGH: Colour = (176, 208, 231)  # recovered, and seen through glass
 _PALETTE = np.array([COLOURS[status] for status in NodeStatus], np.uint8)

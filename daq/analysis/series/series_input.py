@@ -89,7 +89,7 @@ def series_input(
         _keep(scene.with_name(FIT_FILE), out / FIT_FILE)
     usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
     through = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.with_bodies(())
-    method = Method(through, dewarp, choice.settings, choice.preparation or usual)
+    method = Method(through.in_light_sheet(), dewarp, choice.settings, choice.preparation or usual)
     return SeriesInput(run, out, given, method)
 
 

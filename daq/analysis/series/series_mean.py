@@ -57,7 +57,8 @@ def mean_of_series(folder: Path) -> MeanFlow:
 def scene_of(folder: Path) -> Scene:
     """Scene that the camera of a series looked through."""
     scene, about = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about
-    return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.with_bodies(())
+    through = with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.with_bodies(())
+    return through.in_light_sheet()
 
 
 def grid_of_series(folder: Path) -> PlaneGrid:
