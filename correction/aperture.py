@@ -23,6 +23,7 @@ from tracer.scene import Scene
 NODES = 30_000
 WIDEST_PX = 3.0  # standard deviation of a picture: windows and tracks still see particles of it
 FARTHEST_PX = 0.2
+STEEP_PX = 0.01  # a smaller shift is the same at the centroid and at the chief ray
 MOST_LOST = 0.05  # share of the pupil that does not show the node on its branch
 
 
@@ -53,9 +54,16 @@ class BlurMap:
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Nodes (h, w) that are seen through glass and neither too blurred nor too far from their chief ray."""
-        near = np.hypot(*np.moveaxis(self.shift_px, -1, 0)) <= FARTHEST_PX
-        with np.errstate(invalid="ignore"):
-            return np.asarray(near & (self.width_px <= WIDEST_PX) & (self.lost <= MOST_LOST))
+        return _usable(self.shift_px, self.width_px, self.lost)
+
+
+def _usable(
+    shift_px: NDArray[np.float64], width_px: NDArray[np.float64], lost: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Pictures that are neither too wide nor too far from their chief ray."""
+    with np.errstate(invalid="ignore"):
+        near = np.hypot(*np.moveaxis(shift_px, -1, 0)) <= FARTHEST_PX
+        return np.asarray(near & (width_px <= WIDEST_PX) & (lost <= MOST_LOST))
 
 
 def blur_map(found: CorrectionMap, scene: Scene, nodes: int = NODES) -> BlurMap:
@@ -78,6 +86,42 @@ def blur_map(found: CorrectionMap, scene: Scene, nodes: int = NODES) -> BlurMap:
     fine = np.asarray(cv2.remap(table, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float64)
     fine[~behind] = (0.0, 0.0, np.nan, 0.0)
     return BlurMap(fine[..., :2], fine[..., 2], fine[..., 3])
+
+
+def chief_pixels(
+    scene: Scene, pixels: NDArray[np.float64], behind: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Take off raw centroids of particles what the pupil does to them: what follows traces chief rays.
+
+    The shift is first that of the chief ray through the centroid itself; where that is large, once more that of
+    the ray which it leads to.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the camera's pupil; of a pinhole nothing is taken off.
+    pixels : (N, 2) float64
+        Centroids in the raw frame.
+    behind : (N,) bool
+        Which are seen through glass.
+
+    Returns
+    -------
+    pixels : (N, 2) float64
+        Of the chief rays.
+    usable : (N,) bool
+        False where the picture is too wide, or too far from its chief ray, as in a map.
+    """
+    if scene.camera.pupil is None or not behind.any():
+        return pixels, np.ones(len(pixels), bool)
+    moved, usable = np.array(pixels), np.ones(len(pixels), bool)
+    which = np.flatnonzero(behind)
+    for _ in range(2):
+        blur = pupil_views(scene, scene.camera.pupil, moved[which]).of_particles()
+        moved[which] = pixels[which] - np.nan_to_num(blur.shift_px)
+        usable[which] = _usable(blur.shift_px, blur.width_px, blur.lost)
+        which = which[np.hypot(*blur.shift_px.T) > STEEP_PX]  # False for NaN
+    return moved, usable
 
 
 def through_pupil(found: CorrectionMap, scene: Scene) -> CorrectionMap:

@@ -7,7 +7,8 @@ displacements only; Minor et al. (2007) found terms missing in it.  Here neither
 
     plane displacement = X(u + d/2) - X(u - d/2),      plane position = midpoint of the two,
 
-is exact for any displacement and any glass.  The route keeps windows of constant size on the sensor: it
+is exact for any displacement and any glass (of a camera with a pupil, between the chief rays of what the ends
+show: `correction.aperture`).  The route keeps windows of constant size on the sensor: it
 resolves more where the view is magnified and less where it shrinks, and never resamples the frames.
 """
 
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.aperture import chief_pixels
 from correction.errors import PairError
 from correction.piv.outliers import outliers
 from correction.piv.pair import evaluate_pair
@@ -140,9 +142,11 @@ def _on_plane(
     centre = field.grid_px[field.valid]
     shift = np.stack((field.u_px, field.v_px), axis=-1)[field.valid]
     sigma = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[field.valid]
-    first, last = trace(scene, centre - 0.5 * shift), trace(scene, centre + 0.5 * shift)
+    glass = np.full(len(centre), number != 0)
+    ends = [chief_pixels(scene, centre + half * shift, glass) for half in (-0.5, 0.5)]
+    first, last = (trace(scene, pixels) for pixels, _ in ends)
     rate = landings(scene, centre).pixel_rate
-    good = first.recovered & last.recovered & (first.rays["key"] == last.rays["key"])
+    good = ends[0][1] & ends[1][1] & first.recovered & last.recovered & (first.rays["key"] == last.rays["key"])
     good &= np.isfinite(rate).all(axis=(1, 2)) & np.isfinite(sigma).all(
         axis=1
     )  # without sigma, no peak to speak of

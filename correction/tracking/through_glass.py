@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from correction.aperture import chief_pixels
 from correction.errors import PairError
 from correction.evaluate.velocity_route import PlaneVectors, usable_branches
 from correction.grid import PlaneGrid
@@ -109,13 +110,14 @@ def _carried(frame: NDArray[Any], views: NDArray[np.int32], scene: Scene, grid: 
     inside = whole[row, column] & (views[row, column] > 0)
     raw, sigma_px, height = (part[inside] for part in found)
     branch = (views[row, column][inside] - 1).astype(np.uint16)
+    chief, usable = chief_pixels(scene, raw, branch != 0)
     point, rate = np.zeros((len(raw), 2)), np.zeros((len(raw), 2, 2))
     way, lands = np.zeros(len(raw), np.int64), np.zeros(len(raw), bool)
     for begin in range(0, len(raw), BLOCK):
         some = slice(begin, begin + BLOCK)
-        rays = landings(scene, raw[some])
+        rays = landings(scene, chief[some])
         point[some], rate[some], way[some], lands[some] = rays.point_mm, rays.pixel_rate, rays.key, rays.recovered
-    lands &= np.isfinite(rate).all(axis=(1, 2))
+    lands &= usable & np.isfinite(rate).all(axis=(1, 2))
     sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate**2, sigma_px**2))
     on_plane = Particles(grid.to_px(point), sigma_mm / grid.pitch_mm, height)
     return Carried(raw[lands], Particles(*(part[lands] for part in on_plane)), way[lands], branch[lands])

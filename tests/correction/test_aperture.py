@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.aperture import FARTHEST_PX, blur_map
+from correction.aperture import FARTHEST_PX, blur_map, chief_pixels
 from correction.node_status import NodeStatus
 from correction.prepared import content_key, prepare
 from ground.errors import ConfigError
@@ -41,6 +41,27 @@ def test_nodes_are_looked_up_at_centroids():
     assert np.hypot(*step.T).max() <= FARTHEST_PX + 1e-6
     direct = wide.recovered & ~behind
     assert np.array_equal(wide.pixel[0][direct], pinhole.pixel[0][direct])
+
+
+@pytest.mark.parametrize(("f_number", "moved_px", "left_px"), [(22.0, 0.01, 0.001), (8.0, 0.1, 0.05)])
+def test_raw_centroids_go_back_to_their_chief_rays(f_number, moved_px, left_px):
+    """Tracks and raw vectors are traced along chief rays: what the pupil moved is taken off, or left out."""
+    scene = at(f_number)
+    pinhole = prepare(at(None)).corrector.map
+    chief = pinhole.pixel[0][pinhole.behind_glass][::13]
+    blur = pupil_views(scene, scene.camera.pupil, chief).of_particles()
+    seen = np.isfinite(blur.shift_px).all(axis=1) & (blur.lost == 0.0)
+    behind = np.ones(np.count_nonzero(seen), bool)
+    found, usable = chief_pixels(scene, (chief + blur.shift_px)[seen], behind)
+    off = np.hypot(*(found - chief[seen]).T)
+    before = np.hypot(*blur.shift_px[seen].T)
+    assert usable.mean() > 0.95
+    assert before[usable].max() > moved_px
+    assert np.quantile(off[usable], 0.99) < 0.05 * np.quantile(before[usable], 0.99)
+    assert off[usable].max() < left_px
+    beside, kept = chief_pixels(scene, chief, np.zeros(len(chief), bool))
+    assert kept.all()
+    assert np.array_equal(beside, chief)
 
 
 def test_between_traced_nodes_the_blur_is_interpolated():
