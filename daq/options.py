@@ -114,6 +114,7 @@ def parser() -> argparse.ArgumentParser:
         "--ensemble", type=int, choices=(8, 16, 32), metavar="PX",
         help="also by ensemble correlation, windows of 8, 16 or 32 px: for rims, walls, thin seeding",
     )  # fmt: skip
+    _sigma_limit_option(mean)
     _series_options(mean)
     _piv_options(mean)
 

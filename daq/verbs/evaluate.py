@@ -46,7 +46,7 @@ def evaluate(
 
     A flow run, or a stream of more than ten pairs, becomes a series (`daq.analysis.series`): files of chunks in
     m/s and one page.  The same call goes on where an earlier one stopped.  What only concerns single pairs
-    (shift_mm, route, vtk, tracking, sigma_limit_px) is refused for a series, dt_us and workers for single pairs.
+    (shift_mm, route, vtk, tracking) is refused for a series, dt_us and workers for single pairs.
 
     Parameters
     ----------
@@ -102,12 +102,13 @@ def evaluate(
     choice = piv_choice(**options)
     run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
     if run is not None and is_series(run, pairs_of(run)):
-        if shift_mm is not None or route != "image" or vtk or tracking or sigma_limit_px is not None:
+        if shift_mm is not None or route != "image" or vtk or tracking:
             raise PairError(
-                "--shift-mm, --route, --tracking, --sigma-limit and --vtk are for single pairs, and this run is a"
-                " series; leave them out"
+                "--shift-mm, --route, --tracking and --vtk are for single pairs, and this run is a series; leave"
+                " them out"
             )
-        series = series_input(run, out, choice, scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us)
+        dewarping = (target_clear, dewarp_order, square_mm, disc_mm)
+        series = series_input(run, out, choice, scene, *dewarping, dt_us, sigma_limit_px)
         return _series(run.resolve().name, out, series, workers, figures)
     if dt_us is not None or workers is not None:
         raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")

@@ -32,6 +32,7 @@ def mean(
     dt_us: float | None = None,
     workers: int | None = None,
     ensemble: int | None = None,
+    sigma_limit_px: float | None = None,
     **options: Unpack[PivOptions],
 ) -> MeanFlow:
     """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.
@@ -44,7 +45,7 @@ def mean(
     out : path, optional
         Folder of the series, default ``series`` inside the run: ``mean.nc`` and ``mean.html``, beside what
         `evaluate` writes there.
-    scene, target_clear, dewarp_order, figures, dt_us, workers
+    scene, target_clear, dewarp_order, figures, dt_us, workers, sigma_limit_px
         As for `evaluate`; of a run only.
     ensemble : {8, 16, 32}, optional
         Also by ensemble correlation with windows of this side [px], into ``mean_ensemble.nc``: for rims, walls and
@@ -72,7 +73,9 @@ def mean(
     if is_run(path):
         folder = require_folder(out if out is not None else RunFolder(path).own("series"))
         choice = piv_choice(**options)
-        given = series_input(path, folder, choice, scene, target_clear, dewarp_order, dt_us=dt_us)
+        given = series_input(
+            path, folder, choice, scene, target_clear, dewarp_order, None, None, dt_us, sigma_limit_px
+        )
         books = run_series(path.resolve().name, folder, given.given, given.method, workers)
         show_series(screen, books)
         series = given, books
@@ -84,6 +87,7 @@ def mean(
             or target_clear is not None
             or dt_us is not None
             or ensemble is not None
+            or sigma_limit_px is not None
             or any(value is not None for value in options.values())
         ):
             raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")

@@ -51,7 +51,7 @@ def evaluate_chunk(job: ChunkJob) -> Marker:
 def correction_of(maps: Path, method: Method) -> PreparedCorrection:
     """Correction of a series, made or loaded once by each process; DiskError if its map cannot be kept."""
     try:
-        return _corrections(maps).of(method.scene, method.dewarp)
+        return _corrections(maps).of(method.scene, method.dewarp, limit=method.limit)
     except OSError as error:
         raise DiskError(f"{maps}: {why(error)}; make room, then give the same command again") from error
 

@@ -1,7 +1,7 @@
 """From a run to what its series needs: pairs, scene, dewarp, settings; the folder keeps a copy of the scene."""
 
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from correction.background.preparation import SLIDING_MINIMUM, Preparation
@@ -13,7 +13,7 @@ from daq.acquisition.runs.run_views import scene_file
 from daq.analysis.piv_file import PivChoice
 from daq.analysis.series.series_pairs import PairsOfSeries, pairs_of_series
 from daq.analysis.series.series_plan import Method
-from daq.analysis.tasks import FIT_FILE
+from daq.analysis.tasks import FIT_FILE, sigma_limit
 from daq.errors import DiskError
 from daq.whole_text import why
 from ground.whole_file import whole_file
@@ -54,6 +54,7 @@ def series_input(
     square_mm: float | None = None,
     disc_mm: float | None = None,
     dt_us: float | None = None,
+    sigma_limit_px: float | None = None,
 ) -> SeriesInput:
     """Collect what the series of a run needs.
 
@@ -65,11 +66,13 @@ def series_input(
         Folder of the series.
     choice : PivChoice
         How pairs are evaluated; unless it says otherwise, a sliding minimum is taken off.
-    scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us
+    scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us, sigma_limit_px
         As for the verb `evaluate`.
 
     Raises
     ------
+    MapUsageError
+        There is no fit beside the scene that would know the sigma of the map.
     PairError, ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
         What pairs, scene, target or run make impossible.
     DiskError
@@ -89,7 +92,12 @@ def series_input(
         _keep(scene.with_name(FIT_FILE), out / FIT_FILE)
     usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
     through = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.with_bodies(())
-    method = Method(through.in_light_sheet(), dewarp, choice.settings, choice.preparation or usual)
+    through = through.in_light_sheet()
+    limit = None
+    if sigma_limit_px is not None:  # glass that a stage has carried on is known as well as where it was fitted
+        limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px)
+        limit = replace(limit, sigma=replace(limit.sigma, scene_hash=through.content_hash()))
+    method = Method(through, dewarp, choice.settings, choice.preparation or usual, limit)
     return SeriesInput(run, out, given, method)
 
 

@@ -20,6 +20,7 @@ from typing import Any
 from correction.background.preparation import SLIDING_MINIMUM, Preparation
 from correction.background.sliding_minimum import REACH_STEPS
 from correction.dewarp import Dewarp
+from correction.fit.sigma_limit import SigmaLimit
 from correction.flow.merge_tree import chunks_of
 from correction.piv.settings import PivSettings
 from correction.prepared import content_key
@@ -80,12 +81,15 @@ class Method:
         Of the correlation.
     preparation : Preparation
         What is done to the frames.
+    limit : SigmaLimit, optional
+        Nodes of which the map is less sure are left out.
     """
 
     scene: Scene
     dewarp: Dewarp | None
     settings: PivSettings
     preparation: Preparation
+    limit: SigmaLimit | None = None
 
     @cached_property
     def content(self) -> dict[str, Any]:
@@ -93,7 +97,7 @@ class Method:
         return {
             "layout": LAYOUT,
             "versions": {name: version(name) for name in COMPUTES},
-            "correction": content_key(self.scene, self.dewarp),
+            "correction": content_key(self.scene, self.dewarp, limit=self.limit),
             "settings": asdict(self.settings),
             "preparation": list(self.preparation.steps),
         }

@@ -12,6 +12,8 @@ import pytest
 from scipy.io import netcdf_file
 
 from correction.errors import PairError, SeriesError
+from correction.fit.scene_sigma import SceneSigma
+from correction.fit.sigma_limit import SigmaLimit
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.analysis.series.marker import marker_path
@@ -31,6 +33,7 @@ from tests.daq.analysis.series.small_series import (
     markers,
     method_of,
 )
+from tracer.sensitivity import CAMERA
 
 PAIRS = 11
 SHIFT_PX = (2.0, -1.0)  # right, down
@@ -242,6 +245,21 @@ def test_other_settings_are_never_mixed(copy, folder, run):
     with pytest.raises(SeriesError, match="made with other settings"):
         mean_flow(Chunks.of(out))
     assert again(out, folder, run, "minimum").kept == PAIRS - 4
+
+
+def test_what_the_map_is_too_unsure_of_is_left_out_of_every_pair(copy, folder, run):
+    """A camera known to 1 mm along x: 0.8 px everywhere, more than one limit allows and less than another."""
+    out, _ = copy
+    usual = method_of(folder, "sliding-minimum")
+    root = np.zeros((len(CAMERA), 1))
+    root[0] = 1.0
+    sigma = SceneSigma(usual.scene.content_hash(), root)
+    strict, lax = (replace(usual, limit=SigmaLimit(sigma, px)) for px in (0.5 * PX_PER_MM, 2.0 * PX_PER_MM))
+    with pytest.raises(PairError, match="no pair gave a vector"):
+        run_series("flow", out, given_of(run), strict, 1, 4)
+    assert run_series("flow", out, given_of(run), lax, 1, 4).kept == 0
+    with_limit, without = (mean_flow(Chunks.of(where)) for where in (out, folder / "made"))
+    np.testing.assert_array_equal(with_limit.mean_m_s, without.mean_m_s)
 
 
 def test_longer_chunks_leave_no_old_ones_behind_and_nothing_else_is_touched(copy, folder, run):
