@@ -10,10 +10,9 @@ The shift is smooth: it is traced at some NODES nodes behind glass, best view on
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from correction.correction_map import CorrectionMap
 from correction.node_status import NodeStatus
@@ -68,6 +67,8 @@ def _usable(
 
 def blur_map(found: CorrectionMap, scene: Scene, nodes: int = NODES) -> BlurMap:
     """Blur at every node behind glass of a map; the scene's camera must have a pupil."""
+    import cv2
+
     assert scene.camera.pupil is not None
     height, width = found.grid.shape
     behind = found.behind_glass
@@ -79,7 +80,7 @@ def blur_map(found: CorrectionMap, scene: Scene, nodes: int = NODES) -> BlurMap:
     if (
         coarse.any()
     ):  # beyond the glass goes on what is next to it, so that nothing is mixed with what is not there
-        nearest = distance_transform_edt(~coarse, return_distances=False, return_indices=True)
+        nearest = scipy.ndimage.distance_transform_edt(~coarse, return_distances=False, return_indices=True)
         table = table[tuple(nearest)]
     columns, rows = np.meshgrid(np.arange(width) / step, np.arange(height) / step)
     at = columns.astype(np.float32), rows.astype(np.float32)

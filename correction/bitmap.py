@@ -7,7 +7,6 @@ import struct
 import zlib
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,8 +16,6 @@ from correction.tiff_page import MOST_PACKED, check_size, one_channel
 _PNG = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}  # of the colour types of PNG
 _GREY = 0
-
-cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it finds is in our one sentence
 
 
 def grey_bitmap(content: bytes, shape: tuple[int, int] | None) -> NDArray[Any]:
@@ -40,6 +37,9 @@ def grey_bitmap(content: bytes, shape: tuple[int, int] | None) -> NDArray[Any]:
     FrameError
         Why it is no grey image, as the rest of a sentence.
     """
+    import cv2
+
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what it finds is in our one sentence
     width, height = _png_size(content) if content.startswith(_PNG) else _bmp_size(content)
     if shape is not None and (height, width) != shape:
         raise FrameError(other_size((height, width), shape))

@@ -23,8 +23,8 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from correction.board import Chessboard
 from correction.board.board_search import track_board
@@ -300,8 +300,8 @@ def coverage(points_px: NDArray[np.float64], sensor_px: tuple[int, int], spacing
     half = 0.5 * spacing_px
     corners = half * np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
     try:
-        hull = ConvexHull((points_px[:, None] + corners).reshape(-1, 2))
-    except QhullError:
+        hull = scipy.spatial.ConvexHull((points_px[:, None] + corners).reshape(-1, 2))
+    except scipy.spatial.QhullError:
         return 0.0
     width, height = sensor_px
     u, v = np.meshgrid(np.linspace(0.0, width - 1.0, PROBES), np.linspace(0.0, height - 1.0, PROBES))

@@ -13,7 +13,6 @@ pixels than that does not have them.
 import os
 from typing import Any, BinaryIO
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from tifffile import COMPRESSION, PHOTOMETRIC
@@ -145,6 +144,8 @@ def _needs_opencv(page: Any) -> bool:  # noqa: ANN401
 
 def _by_opencv(page: Any, stream: BinaryIO, number: int) -> Pixels:  # noqa: ANN401
     """Decode by OpenCV's codecs, which invert and turn some images themselves: the tags that say so are hidden."""
+    import cv2
+
     stream.seek(0)
     altered = bytearray(stream.read())
     order = "little" if page.parent.byteorder == "<" else "big"

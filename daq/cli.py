@@ -45,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling
+    compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
     with orderly_end(), warnings.catch_warnings():
         warnings.showwarning = print_warning
         try:
@@ -63,8 +64,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _carried_out(verb: str, options: dict[str, Any]) -> int:
     try:
         function = getattr(importlib.import_module(f"daq.verbs.{verb}"), verb)
-        for complaint in getattr(sys.modules.get("ground.kernel_cache"), "complaints", ()):
-            print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
         function(**options)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

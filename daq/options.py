@@ -4,6 +4,13 @@ import argparse
 import math
 from pathlib import Path
 
+PICTURES = {  # what a verb draws when all else is written and said
+    "trace": "the pictures",
+    "calibrate": "the pictures",
+    "correct": "the overview",
+    "evaluate": "the page",
+}
+
 
 class _Version(argparse.Action):
     """Looked up only when asked for: the library that knows it is slow to import."""
@@ -139,6 +146,10 @@ def parser() -> argparse.ArgumentParser:
 
     demo = verbs.add_parser("demo", help="see through simulated glass, from frames to pictures")
     demo.add_argument("-o", "--out", type=Path, default=Path("demo"), help="folder for everything (default: demo)")
+    for name, left_out in PICTURES.items():
+        verbs.choices[name].add_argument(
+            "--no-pictures", dest="pictures", action="store_false", help=f"leave out {left_out}"
+        )
     for verb in verbs.choices.values():  # before the verb or behind it
         verb.add_argument(
             "--threads", type=_count, metavar="N", default=argparse.SUPPRESS, help="cores to use (default: all)"

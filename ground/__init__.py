@@ -10,6 +10,8 @@
     rows          a kernel over the rows of an image, on all cores
     jit           the only place where numba options are chosen
     compile_news  that kernels are being compiled
+    compiler      where kernels are given to numba, as late as that can be
+    unowned       arrays whose slices count no references
     kernel_cache  where compiled kernels are kept
 
 Nothing here knows a scene, a camera or a stage; what only one package needs lives there.

@@ -1,6 +1,7 @@
 """News of kernels being compiled: once on each computer, about a minute in all, in which nothing else is said.
 
-Whoever talks to a person sets `watch`; without it nobody is told.  Kernels from the cache are no news.
+Whoever talks to a person sets `watch` and `complain`; without them nobody is told.  Kernels from the cache are
+no news.
 """
 
 import threading
@@ -9,6 +10,7 @@ from collections.abc import Callable
 
 SAY_EVERY_S = 5.0
 
+complain: Callable[[str], None] | None = None  # gets what is wrong with the folder of compiled code
 watch: Callable[[int, float], None] | None = None  # gets how many functions are compiled, and the seconds since
 
 

@@ -18,82 +18,74 @@ taking an array out of a tuple within a loop is not free.
 
 ``kernel`` functions take scalars and contiguous arrays, write into ``out`` arguments that stand last,
 allocate nothing and raise nothing.  Each is also tested as plain Python through ``.py_func``.
+
+A kernel is given to numba when it is first called, with those that it calls, and numba is imported no earlier: a
+command that traces nothing waits for neither, one that does finds the machine code of what it calls, in which its
+callees already are.  What numba itself is taught (`overload`, `unowned`) waits as well; see `ground.compiler`.
 """
 
-import inspect
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
+from functools import update_wrapper
+from threading import RLock
 from typing import Any, TypeVar, cast
 
-import numba
-from numba.core import cgutils, event, types
-from numba.extending import intrinsic, overload
-from numba.np.arrayobj import make_array
 from numpy.typing import NDArray
-
-from ground.compile_news import CompileCount
-from ground.kernel_cache import cache_folder
 
 Array = NDArray[Any]  # what kernels take; each docstring says shape and dtype
 F = TypeVar("F", bound=Callable[..., Any])
 
-
-class _Compiling(event.Listener):
-    """Hears of functions that no cache holds, and counts them."""
-
-    def __init__(self) -> None:
-        self._count = CompileCount()
-
-    def on_start(self, event: object) -> None:
-        """One is about to be compiled."""
-        self._count.begun()
-
-    def on_end(self, event: object) -> None:
-        """One is compiled."""
-        self._count.done()
-
-
-event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]
-
-
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "fastmath": {"contract"}, "error_model": "numpy"}
 OVERLOADED: Any = {name: value for name, value in _OPTIONS.items() if name != "cache"}  # what types choose
+overloads: list[tuple[Any, Callable[..., Any], dict[str, Any]]] = []  # not yet given to numba
+_one_at_a_time = RLock()  # kernels are called from many threads
+
+
+class Kernel:
+    """A function that is given to numba when it is first called; numba takes it for what it then is.
+
+    Parameters
+    ----------
+    py_func : callable
+        The function as plain Python.
+    options : dict
+        Of `numba.njit`.
+    """
+
+    def __init__(self, py_func: Callable[..., Any], options: dict[str, Any]) -> None:
+        update_wrapper(self, py_func)
+        self.py_func = py_func
+        self._options = options
+        self._compiled: Any = None
+
+    @property
+    def compiled(self) -> Any:  # noqa: ANN401 - numba has no types
+        """Numba's own object for it."""
+        if self._compiled is None:
+            from ground.compiler import given_to_numba
+
+            with _one_at_a_time:
+                if self._compiled is None:
+                    self._compiled = given_to_numba(self.py_func, self._options)
+        return self._compiled
+
+    def __call__(self, *arguments: Any) -> Any:  # noqa: ANN401
+        """Run the compiled function."""
+        return (self._compiled or self.compiled)(*arguments)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - signatures, stats and what else numba knows of it
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self.compiled, name)
 
 
 def kernel(function: F) -> F:
     """Compile `function` with the house options; ``.py_func`` stays reachable."""
-    return _cached(function, **_OPTIONS)
-
-
-def _cached(function: F, **options: Any) -> F:  # noqa: ANN401
-    """Compile on first call; numba reads the folder for the machine code when a function is given to it."""
-    folder, before = cache_folder(Path(inspect.getfile(function))), numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    if folder is None:
-        return cast("F", numba.njit(**options | {"cache": False})(function))
-    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-    try:
-        compiled = numba.njit(**options)(function)
-    finally:
-        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
-    _keep_if_possible(compiled)
-    return cast("F", compiled)
-
-
-def _keep_if_possible(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
-    """Let a disk that is full cost the next process its time, not this one its results."""
-    kept = compiled._cache.save_overload
-
-    def save(*arguments: object) -> None:
-        with suppress(OSError):
-            kept(*arguments)
-
-    compiled._cache.save_overload = save
+    return cast("F", Kernel(function, _OPTIONS))
 
 
 def kernel_inlined(function: F) -> F:
     """Compile like `kernel`, but always into its caller: one call left in a loop stops its vectorisation."""
-    return _cached(function, forceinline=True, **_OPTIONS)
+    return cast("F", Kernel(function, {"forceinline": True, **_OPTIONS}))
 
 
 def kernel_composed(function: F) -> F:
@@ -102,7 +94,17 @@ def kernel_composed(function: F) -> F:
     It is part of its caller's file in the cache.  In its own it would never be found again: which function an
     argument was is known within one process only.
     """
-    return cast("F", numba.njit(forceinline=True, **OVERLOADED)(function))
+    return cast("F", Kernel(function, {"forceinline": True, **OVERLOADED}))
+
+
+def overload(function: Callable[..., Any], **options: Any) -> Callable[[F], F]:  # noqa: ANN401
+    """Let compiled code take what the function below writes for its types instead of `function`, as numba does."""
+
+    def kept(writer: F) -> F:
+        overloads.append((function, writer, options))
+        return writer
+
+    return kept
 
 
 def unowned(array: Array) -> Array:
@@ -113,24 +115,3 @@ def unowned(array: Array) -> Array:
     kernel holds its arrays until it returns, so nothing needs to be counted.
     """
     return array
-
-
-@intrinsic  # type: ignore[untyped-decorator, unused-ignore]
-def _without_owner(typing_context: object, array: types.Type) -> tuple[Any, Callable[..., Any]]:
-    """Copy an array's structure and leave out who owns the memory."""
-
-    def build(context: object, builder: object, signature: Any, arguments: Any) -> object:  # noqa: ANN401
-        copy = make_array(signature.return_type)(context, builder, value=arguments[0])  # type: ignore[no-untyped-call]
-        copy.meminfo = cgutils.get_null_value(copy.meminfo.type)  # type: ignore[no-untyped-call]
-        copy.parent = cgutils.get_null_value(copy.parent.type)  # type: ignore[no-untyped-call]
-        return copy._getvalue()
-
-    return array(array), build
-
-
-@overload(unowned)
-def _unowned(array: types.Type) -> Callable[[types.Type], object] | None:
-    def compiled(array: types.Type) -> object:
-        return _without_owner(array)  # type: ignore[call-arg]
-
-    return compiled if isinstance(array, types.Array) else None

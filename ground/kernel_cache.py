@@ -21,15 +21,14 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-import numba
+import ground.compile_news as compile_news
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim")
-KERNEL_FOLDERS = ("kernels", "tracer/bodies", "sim/renderer")
+KERNEL_FOLDERS = ("kernels", "tracer/bodies", "sim/renderer", "sim/prints")
 REGISTERED = {"tracer/kernels/world.py": "tracer/bodies/*.py"}  # what is reached by type instead of by import
-ALWAYS = ("ground/jit.py",)
+ALWAYS = ("ground/jit.py", "ground/unowned.py")
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
-complaints: list[str] = []  # said by the command line
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([\w.]+)", re.MULTILINE)
 
 
@@ -49,7 +48,7 @@ def cache_folder(source: Path, root: Path = ROOT) -> Path | None:
 
 @cache
 def _base(wanted: str | None) -> Path | None:
-    """Folder of all compiled code; what a person should know about it is added to `complaints`.
+    """Folder of all compiled code; what a person should know about it is said at once.
 
     One that cannot be written is replaced by a temporary one, which the processes that this one starts share and
     which goes with it.  Numba would look for others by itself, and end the program if it finds none.
@@ -62,7 +61,9 @@ def _base(wanted: str | None) -> Path | None:
     except (OSError, RuntimeError) as error:  # no folder of this user, too
         name = getattr(error, "filename", None) or wanted or "the user's cache folder"
         why = f"{name} cannot be written ({(getattr(error, 'strerror', None) or str(error)).lower()})"
-    complaints.append(f"{why}, so kernels are compiled anew each time; set RTPIV_CACHE to a folder of yours")
+    complaint = f"{why}, so kernels are compiled anew each time; set RTPIV_CACHE to a folder of yours"
+    if compile_news.complain is not None:
+        compile_news.complain(complaint)
     try:
         place = tempfile.mkdtemp(prefix="rtpiv-kernels-")
     except OSError:
@@ -81,6 +82,8 @@ def _base(wanted: str | None) -> Path | None:
 @cache
 def digest_of(source: Path, root: Path = ROOT) -> str:
     """Digest (16 hex digits) of everything that the compiled code of a file is made of."""
+    import numba  # by now whoever asks has it
+
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted({*dependencies(source, root), *(root / name for name in ALWAYS)}):
         digest.update(path.name.encode() + b"\0" + _content(path))

@@ -25,9 +25,9 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.optimize import lsq_linear
 
 from ground.config import Table
 from stages.errors import Obstructed, StageUsageError
@@ -181,5 +181,5 @@ def _distance(gap: Vector, plus: Vector, minus: Vector) -> float:
     columns = columns[np.any(columns != 0.0, axis=1)]
     if not len(columns):
         return float(np.linalg.norm(gap))
-    solution = lsq_linear(columns.T, -gap, bounds=(0.0, 1.0), method="bvls", tol=1e-12)
+    solution = scipy.optimize.lsq_linear(columns.T, -gap, bounds=(0.0, 1.0), method="bvls", tol=1e-12)
     return float(np.linalg.norm(columns.T @ solution.x + gap))

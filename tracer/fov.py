@@ -21,8 +21,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq
 
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens
@@ -114,7 +114,9 @@ def field_of_view(scene: Scene) -> FieldOfView:
     fold = outer
     for low, high in pairwise(inner):
         if curve(high)[2] * rising <= 0.0:
-            fold = float(brentq(lambda r: curve(r)[2], low, high, xtol=1e-14 * silhouette, rtol=1e-14))
+            fold = float(
+                scipy.optimize.brentq(lambda r: curve(r)[2], low, high, xtol=1e-14 * silhouette, rtol=1e-14)
+            )
             break
     return FieldOfView(
         radius_mm=max(sphere.radius_mm for sphere in spheres),

@@ -8,8 +8,8 @@ not move the correlation peak; particles that glass dims then count as much as t
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.errors import FrameError
 
@@ -60,8 +60,8 @@ def min_max_normalised(
     if not least_range > 0 or window_px < 2:
         raise FrameError(f"least_range must be positive and window_px at least 2, got {least_range}, {window_px}")
     share = _window_mean(usable.astype(np.float32), window_px)[usable]
-    low = ndimage.minimum_filter(np.where(usable, values, np.float32(np.inf)), window_px)
-    high = ndimage.maximum_filter(np.where(usable, values, np.float32(-np.inf)), window_px)
+    low = scipy.ndimage.minimum_filter(np.where(usable, values, np.float32(np.inf)), window_px)
+    high = scipy.ndimage.maximum_filter(np.where(usable, values, np.float32(-np.inf)), window_px)
     result = np.full(values.shape, np.nan, np.float32)
     floor, top = (_window_mean(np.where(usable, x, np.float32(0)), window_px)[usable] / share for x in (low, high))
     result[usable] = (values[usable] - floor) / np.maximum(top - floor, np.float32(least_range))
@@ -78,5 +78,7 @@ def _noise(values: NDArray[np.float32]) -> float:
 
 def _window_mean(values: NDArray[np.float32], window_px: int) -> NDArray[np.float32]:
     """Mean over the window; of even size, it leans to the side that the minimum does not lean to."""
-    mean: NDArray[np.float32] = ndimage.uniform_filter(values, window_px, origin=-1 if window_px % 2 == 0 else 0)
+    mean: NDArray[np.float32] = scipy.ndimage.uniform_filter(
+        values, window_px, origin=-1 if window_px % 2 == 0 else 0
+    )
     return mean

@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from correction.board.chessboard import QUARTER_TURNS, Chessboard
 from correction.board.lattice_growth import Patch
@@ -98,7 +97,7 @@ def place_by_prediction(
         return None
     kinds = board.corner_sign(index)
     votes: Counter[Placing] = Counter()
-    trees = {turn: cKDTree(predicted_px[kinds == turn]) for turn in (1, -1) if np.any(kinds == turn)}
+    trees = {turn: scipy.spatial.cKDTree(predicted_px[kinds == turn]) for turn in (1, -1) if np.any(kinds == turn)}
     for turn in QUARTER_TURNS:
         # A quarter turn exchanges the kinds of corners; half turns keep them.
         swap = -1 if turn[0][0] == 0 else 1
@@ -186,7 +185,7 @@ def _disc_squares(
     a, b = 0.5 + offset[..., 0], 0.5 + offset[..., 1]
     weights = np.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), axis=-1)
     points = np.einsum("rak,nkc->nrac", weights, patch.position_px[corners])
-    values = ndimage.map_coordinates(
+    values = scipy.ndimage.map_coordinates(
         frame.astype(np.float32), [points[..., 1], points[..., 0]], order=1, mode="nearest"
     ).mean(axis=2)
     middle, rim = values[:, :3].mean(axis=1), values[:, -2:].mean(axis=1)

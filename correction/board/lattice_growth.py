@@ -13,8 +13,8 @@ view from the front (v points down, hence det < 0).
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from correction.board.saddles import Saddles
 
@@ -52,7 +52,7 @@ def grow_patches(saddles: Saddles) -> list[Patch]:
     """Return all patches, largest first."""
     if len(saddles) < LEAST_CORNERS:
         return []
-    tree = cKDTree(saddles.position_px)
+    tree = scipy.spatial.cKDTree(saddles.position_px)
     axes, good = _seeds(saddles, tree)
     free = np.ones(len(saddles), dtype=bool)
     patches = []
@@ -94,7 +94,7 @@ def _sign(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> int:
     )
 
 
-def _seeds(saddles: Saddles, tree: cKDTree) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _seeds(saddles: Saddles, tree: "scipy.spatial.cKDTree") -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Axes (N, 2, 2) of every saddle from its nearest neighbours along its edges, and whether all four exist."""
     position, edges = saddles.position_px, saddles.edges
     count = min(NEIGHBOURS, len(saddles))
@@ -119,7 +119,9 @@ def _seeds(saddles: Saddles, tree: cKDTree) -> tuple[NDArray[np.float64], NDArra
     return axes, good
 
 
-def _grow(saddles: Saddles, tree: cKDTree, seed: int, axes: NDArray[np.float64], free: NDArray[np.bool_]) -> Patch:
+def _grow(
+    saddles: Saddles, tree: "scipy.spatial.cKDTree", seed: int, axes: NDArray[np.float64], free: NDArray[np.bool_]
+) -> Patch:
     """Grow one patch from a seed; corners taken are no longer free."""
     sign = _sign(saddles.edges[seed], axes)
     found: dict[Index, tuple[int, NDArray[np.float64], int]] = {}

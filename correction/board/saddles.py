@@ -12,7 +12,6 @@ along an edge can be checked.
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -54,6 +53,8 @@ def find_saddles(frame: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> 
     mask : (H, W) bool, optional
         True where candidates may lie.
     """
+    import cv2
+
     smooth = cv2.GaussianBlur(frame.astype(np.float32), (0, 0), SMOOTH_PX, borderType=cv2.BORDER_REPLICATE)
     uu = cv2.sepFilter2D(smooth, cv2.CV_32F, np.array([1.0, -2.0, 1.0]), np.array([1.0]))
     vv = cv2.sepFilter2D(smooth, cv2.CV_32F, np.array([1.0]), np.array([1.0, -2.0, 1.0]))

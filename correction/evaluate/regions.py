@@ -8,7 +8,6 @@ sphere of its branch that stands nearest the plane, r = |node - centre| / R, as 
 from dataclasses import dataclass
 from enum import IntEnum
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,6 +61,8 @@ def regions_of(field: VectorField, correction_map: CorrectionMap, scene: Scene) 
     scene : Scene
         Its scene: where the spheres stand.
     """
+    import cv2
+
     recovered = correction_map.recovered
     branch = np.where(recovered, correction_map.branch[0].astype(np.int64) + 1, 0)
     # An even window lies around x + 1/2: its anchor is the pixel after the centre.

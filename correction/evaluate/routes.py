@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator
-from scipy.spatial import cKDTree
 
 from correction.correction_map import CorrectionMap
 from correction.evaluate.regions import Region, Regions
@@ -157,8 +156,8 @@ def _at_nodes(field: VectorField, traced: PlaneVectors, correction_map: Correcti
             continue
         place = grid.to_px(traced.place_mm[mine])
         what = np.hstack((traced.shift_mm[mine] * (1.0, -1.0), traced.sigma_mm[mine])) / grid.pitch_mm
-        found = LinearNDInterpolator(place, what)(nodes[here])
-        far, _ = cKDTree(place).query(nodes[here])
+        found = scipy.interpolate.LinearNDInterpolator(place, what)(nodes[here])
+        far, _ = scipy.spatial.cKDTree(place).query(nodes[here])
         found[far > field.window_px] = np.nan
         values[here] = found
     return values

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,6 +94,8 @@ def target_error(corrected: NDArray[np.float32], corrector: Corrector, board: Ch
     TargetError
         Figures for all corners, those seen directly, and those behind glass.
     """
+    import cv2
+
     grid = corrector.map.grid
     whole = corrector.recovered & (_same_branch(corrector.map.branch[0]) > 0)
     reach = np.ones((2 * SOFTEN_REACH_PX + 1,) * 2, np.uint8)
@@ -125,6 +126,8 @@ def target_error(corrected: NDArray[np.float32], corrector: Corrector, board: Ch
 
 def _same_branch(branch: NDArray[np.uint16]) -> NDArray[np.uint8]:
     """1 where a node and its neighbours show the same branch."""
+    import cv2
+
     low = cv2.erode(branch, np.ones((3, 3), np.uint8))
     high = cv2.dilate(branch, np.ones((3, 3), np.uint8))
     return np.asarray(low == high, dtype=np.uint8)

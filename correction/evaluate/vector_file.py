@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import netcdf_file
 
 from correction.evaluate.vector_map_sigma import VectorMapSigma
 from correction.evaluate.velocity_route import PlaneVectors
@@ -77,7 +77,7 @@ def write_netcdf(
     units, kind = _units(dt_s), "displacement" if dt_s is None else "velocity"
     standard = {"u": f"u_{kind}", "v": f"v_{kind}", "chc": "validity_flag"}
     buffer = io.BytesIO()
-    with netcdf_file(buffer, "w", version=2) as file:
+    with scipy.io.netcdf_file(buffer, "w", version=2) as file:
         for name, size in (("y", len(y_mm)), ("x", len(x_mm)), ("t", 1)):
             file.createDimension(name, size)
         for name, values, unit in (("x", x_mm, "mm"), ("y", y_mm, "mm"), ("t", np.zeros(1), "frame")):
@@ -115,7 +115,7 @@ def write_traced(path: Path, traced: PlaneVectors, about: dict[str, Any], dt_s: 
         "branch": traced.branch.astype(np.int32),
     }
     units, buffer = _units(dt_s), io.BytesIO()
-    with netcdf_file(buffer, "w", version=2) as file:
+    with scipy.io.netcdf_file(buffer, "w", version=2) as file:
         file.createDimension("vector", len(traced.branch))
         for name, values in columns.items():
             variable = file.createVariable(name, "i4" if values.dtype.kind in "iu" else "f8", ("vector",))

@@ -14,9 +14,8 @@ does not.
 from dataclasses import replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
 
 from correction.fit.contact import pushed_apart
 from correction.fit.supports import clear_of
@@ -42,13 +41,15 @@ def turn_of_bench(nominal: Camera, seen: Camera, known: FitCameraTable) -> NDArr
     spread_mm, spread = max(known.position_mm, 1e-3), np.deg2rad(max(known.rotation_deg, 1e-3))
 
     def misses(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-        bench = Rotation.from_rotvec(turn).as_matrix()
-        left = Rotation.from_matrix(seen.rotation_matrix @ bench @ rows.T).as_rotvec()
+        bench = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
+        left = scipy.spatial.transform.Rotation.from_matrix(seen.rotation_matrix @ bench @ rows.T).as_rotvec()
         away = np.array(seen.position_mm) - bench @ place
         return np.concatenate((away / spread_mm, left / spread, turn / np.deg2rad(LARGE_DEG)))
 
-    start = Rotation.from_matrix(seen.rotation_matrix.T @ rows).as_rotvec()
-    return np.asarray(Rotation.from_rotvec(least_squares(misses, start).x).as_matrix())
+    start = scipy.spatial.transform.Rotation.from_matrix(seen.rotation_matrix.T @ rows).as_rotvec()
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_rotvec(scipy.optimize.least_squares(misses, start).x).as_matrix()
+    )
 
 
 def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
@@ -71,7 +72,9 @@ def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
 
 def in_words(turn: NDArray[np.float64]) -> str:
     """Say how the board hangs."""
-    about_x, about_y, about_z = (-np.rad2deg(Rotation.from_matrix(turn).as_rotvec())).tolist()
+    about_x, about_y, about_z = (
+        -np.rad2deg(scipy.spatial.transform.Rotation.from_matrix(turn).as_rotvec())
+    ).tolist()
     return (
         f"the board is turned by {about_z:+.1f} deg in its plane and leans by {about_x:+.1f} deg about x and"
         f" {about_y:+.1f} deg about y against the scene; the world follows the board, camera and glass with it"

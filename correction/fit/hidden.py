@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.fit.measurement import MeasuredFrame
 
@@ -88,6 +88,6 @@ def _largest(index: NDArray[np.int64], chosen: NDArray[np.intp]) -> NDArray[np.i
     at = index[chosen] - index.min(axis=0)
     board = np.zeros(np.ptp(index, axis=0) + 1, bool)
     board[at[:, 0], at[:, 1]] = True
-    label, _ = ndimage.label(board, np.ones((3, 3)))
+    label, _ = scipy.ndimage.label(board, np.ones((3, 3)))
     own = label[at[:, 0], at[:, 1]]
     return np.flatnonzero(own == np.bincount(own).argmax())

@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import f, ncf
 
 FALSE_ALARMS = 0.01  # chance that a right lab raises any alarm
 SHARE = 0.1  # of a corner's squares that may be smooth though the model is right; rendered frames show 0.00-0.04
@@ -155,7 +155,7 @@ def ways_tested(frames: Sequence[Remainder]) -> list[WayTest]:
         rough_square = max(rough / m, 1e-12)
         excess = max(energy - k * rough_square, 0.0)
         ratio = energy / k / rough_square
-        chance = float(np.nan_to_num(ncf.sf(ratio, k, m, 2.0 * count * SHARE), nan=0.0))
+        chance = float(np.nan_to_num(scipy.stats.ncf.sf(ratio, k, m, 2.0 * count * SHARE), nan=0.0))
         shrink = np.sqrt(excess / max(energy, 1e-300))
         tests.append(
             WayTest(
@@ -168,7 +168,7 @@ def ways_tested(frames: Sequence[Remainder]) -> list[WayTest]:
                 excess,
                 rough_square,
                 chance,
-                float(f.sf(ratio, k, m)),
+                float(scipy.stats.f.sf(ratio, k, m)),
                 False,
             )
         )

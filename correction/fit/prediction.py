@@ -13,7 +13,6 @@ window.  Windows are shortened until it is below TWIST_PX at their ends.
 from dataclasses import dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -105,6 +104,8 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     SceneError
         The target stands where a body is.
     """
+    import cv2
+
     seen_from_target = in_target_frame(scene, pose)
     ray_map = build_ray_map(seen_from_target)
     grid = _lattice(seen_from_target, board)

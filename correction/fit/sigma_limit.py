@@ -8,8 +8,8 @@ stands for the nodes around it, and the worst of its neighbours counts, so that 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
 from correction.correction_map import CorrectionMap
 from correction.errors import MapUsageError
@@ -76,5 +76,5 @@ class SigmaLimit:
             seen = scene if behind else scene.with_bodies(())
             spread = self.sigma.sigma(seen, pixels[here]) / found.grid.pitch_mm
             worst[here] = np.nan_to_num(spread.max(axis=1), nan=np.inf)
-        worst = maximum_filter(worst, 3)
+        worst = scipy.ndimage.maximum_filter(worst, 3)
         return np.asarray(np.repeat(np.repeat(worst, STEP, 0), STEP, 1)[:height, :width] > self.limit_px)

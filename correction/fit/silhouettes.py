@@ -16,9 +16,8 @@ there corners are paired.  A ball behind another has no rim of its own: it goes 
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.special import expit
 
 from correction.board import Chessboard
 from correction.board.saddles import Saddles
@@ -157,13 +156,13 @@ def outlines_of(
         return np.asarray(np.arcsin(half) - np.arccos(cosine)), np.asarray(turn - smaller)
 
     def misses(moves: NDArray[np.float64], width: float) -> NDArray[np.float64]:
-        share = expit(margins(moves)[0].max(axis=1) / (width * square))
+        share = scipy.special.expit(margins(moves)[0].max(axis=1) / (width * square))
         return np.concatenate(((hidden - share) / WRONG, tight @ moves))
 
     def slopes(moves: NDArray[np.float64], width: float) -> NDArray[np.float64]:
         inside, rate = margins(moves)
         foremost = inside.argmax(axis=1)
-        share = expit(inside.max(axis=1) / (width * square))
+        share = scipy.special.expit(inside.max(axis=1) / (width * square))
         steep = share * (1.0 - share) / (width * square * WRONG)
         by_centre = np.zeros((len(ray), count, 3))
         every = np.arange(len(ray))
@@ -172,7 +171,7 @@ def outlines_of(
 
     moves = np.zeros(3 * len(moving))
     for width in (*SOFT, SHARP):
-        found = least_squares(misses, moves, slopes, args=(width,), max_nfev=15)
+        found = scipy.optimize.least_squares(misses, moves, slopes, args=(width,), max_nfev=15)
         moves = found.x
     covariance = np.linalg.inv(found.jac.T @ found.jac) if len(moves) else np.zeros((0, 0))
     inside, _ = margins(moves)

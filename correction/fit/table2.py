@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from correction.board import Chessboard
 from correction.evaluate.target_error import TargetError, target_error
@@ -75,7 +75,7 @@ def computed_against_acquired(
             continue
         # One lattice corner may be on several sheets: lift indices far apart, then take the nearest pixel.
         far = 4.0 * FARTHEST_PX
-        tree = cKDTree(np.c_[expected.pixel[theirs], far * expected.index[theirs]])
+        tree = scipy.spatial.cKDTree(np.c_[expected.pixel[theirs], far * expected.index[theirs]])
         away, found = tree.query(np.c_[corners.pixel[mine], far * corners.index[mine]])
         near = away < FARTHEST_PX
         pairs.append((mine[near], theirs[found[near]]))

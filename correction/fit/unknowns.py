@@ -20,8 +20,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from correction.fit.supports import carried
 from tracer.bodies import Body, Sphere
@@ -104,7 +104,9 @@ class Unknowns:
     def camera(self, full: NDArray[np.float64]) -> Camera:
         """Return the camera of a full vector."""
         x, y, z, *turn, focal, cu, cv = full[:9].tolist()
-        rotation = self.scene.camera.rotation_matrix @ Rotation.from_rotvec(turn).as_matrix().T
+        rotation = (
+            self.scene.camera.rotation_matrix @ scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T
+        )
         lens = Lens(*full[9:14].tolist())
         return replace(
             self.scene.camera,
@@ -125,7 +127,7 @@ class Unknowns:
     def pose(self, full: NDArray[np.float64], height_number: int) -> TargetPose:
         """Return the target's pose at one of the heights."""
         x, y, z, *turn = full[self.place(height_number)].tolist()
-        return TargetPose((x, y, z), _rows(Rotation.from_rotvec(turn).as_matrix().T))
+        return TargetPose((x, y, z), _rows(scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T))
 
     def moved(self, full: NDArray[np.float64]) -> Scene:
         """Return the scene of a full vector; supports go with the balls that they hold (`supports`).

@@ -10,7 +10,7 @@ well all the same, to LOOSE of what was known before.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
+import scipy
 
 from correction.fit.held import doubted
 from correction.fit.hollow import two_gases
@@ -65,7 +65,7 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
             found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
     root = np.sqrt(np.diag(fit.covariance))
     tied = np.abs(fit.covariance / np.outer(root, root)) > TIED
-    count, group = connected_components(tied, directed=False)
+    count, group = scipy.sparse.csgraph.connected_components(tied, directed=False)
     for number in range(count):
         members = group == number
         names = tuple(name for name, member in zip(fit.names, members, strict=True) if member)

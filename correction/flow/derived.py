@@ -23,8 +23,8 @@ bends more within the reach (a jet narrower than that) shows in the residuals, a
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
 Floats = NDArray[np.float64]
 DEGREE = 4  # of the surface: a jet as wide as the reach leaves a tenth of it with 2, a thousandth with 4
@@ -137,7 +137,9 @@ def profile(field: PlaneField, start: tuple[float, float], end: tuple[float, flo
     count = max(round(length / float(field.x[1] - field.x[0])) + 1, 2)
     points = first + np.linspace(0.0, 1.0, count)[:, None] * (last - first)
     values = np.concatenate((field.uv, field.sigma), axis=-1)
-    found = RegularGridInterpolator((field.y, field.x), values, bounds_error=False)(points[:, ::-1])
+    found = scipy.interpolate.RegularGridInterpolator((field.y, field.x), values, bounds_error=False)(
+        points[:, ::-1]
+    )
     return Profile(np.linspace(0.0, length, count), points, found[:, :2], found[:, 2:])
 
 

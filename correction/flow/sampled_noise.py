@@ -9,9 +9,8 @@ along u and one along v. Frame A is sampled at -d/2 and frame B at d/2: K is the
 from functools import cache
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.interpolate import BSpline
 
 from correction.piv.prepare import SHARPEST, SMOOTHEST
 
@@ -48,8 +47,10 @@ def _tables(reach: int) -> tuple[Floats, Floats, Floats]:
     """Correlations (FRACTIONS, 2 reach + 1) of c with c, c with b and b with b, along one axis."""
     impulse = np.zeros(2 * LENGTH + 1)
     impulse[LENGTH] = 1.0
-    cardinal = ndimage.spline_filter1d(impulse, DEGREE, mode="mirror")
-    basis = BSpline.basis_element(np.arange(DEGREE + 2.0) - 0.5 * (DEGREE + 1), extrapolate=False)
+    cardinal = scipy.ndimage.spline_filter1d(impulse, DEGREE, mode="mirror")
+    basis = scipy.interpolate.BSpline.basis_element(
+        np.arange(DEGREE + 2.0) - 0.5 * (DEGREE + 1), extrapolate=False
+    )
     at = np.arange(-LENGTH, LENGTH + 1.0)
     tables = np.empty((3, FRACTIONS, 2 * reach + 1))
     for n, fraction in enumerate(np.linspace(0.0, 1.0, FRACTIONS)):

@@ -10,8 +10,8 @@ linear guess of the flow.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.errors import SeriesError
 from correction.flow.cells import cells_of
@@ -137,5 +137,5 @@ def sweep_with(
 
 
 def _blurred(values: Floats, sigma_steps: float) -> Floats:
-    blurred: Floats = ndimage.gaussian_filter(values, (sigma_steps, sigma_steps, 0.0), mode="nearest")
+    blurred: Floats = scipy.ndimage.gaussian_filter(values, (sigma_steps, sigma_steps, 0.0), mode="nearest")
     return blurred

@@ -8,8 +8,8 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import fft
 
 from correction.piv.deform import DeformedPair
 from correction.piv.kernels.fft import BLOCK, PAIRS, correlate_pairs
@@ -71,9 +71,9 @@ def correlation_planes(a: Floats, b: Floats, work: Floats, out: Floats) -> None:
     if _power_of_two(size):
         correlate_pairs(a, b, *_tables(size), work, out)
         return
-    spectrum_a, spectrum_b = fft.rfft2(a), fft.rfft2(b)
+    spectrum_a, spectrum_b = scipy.fft.rfft2(a), scipy.fft.rfft2(b)
     multiply_conjugate(spectrum_a.reshape(-1), spectrum_b.reshape(-1))
-    out[:] = fft.irfft2(spectrum_a, s=(size, size), overwrite_x=True)
+    out[:] = scipy.fft.irfft2(spectrum_a, s=(size, size), overwrite_x=True)
 
 
 def correlate_windows(

@@ -18,8 +18,8 @@ the noise of a linear one is the integral of its gain^2 over all waves.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.piv.outliers import smoothed
 
@@ -104,11 +104,11 @@ def _noise(sigma_px: Floats) -> Floats:
 
 
 def _blurred(values: Floats, sigma_steps: float) -> Floats:
-    result: Floats = ndimage.gaussian_filter(values, sigma_steps, mode="constant")
+    result: Floats = scipy.ndimage.gaussian_filter(values, sigma_steps, mode="constant")
     return result
 
 
 def _around(values: Floats) -> Floats:
     """Sum over 3 x 3 neighbours."""
-    total: Floats = ndimage.convolve(values, np.ones((3, 3)), mode="constant")
+    total: Floats = scipy.ndimage.convolve(values, np.ones((3, 3)), mode="constant")
     return total

@@ -14,7 +14,6 @@ both frames meet (`correction.piv.deform`).
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -89,4 +88,6 @@ def without_gaps(a: Floats, b: Floats, seen: NDArray[np.bool_], texture: Texture
 
 def blurred(frame: Floats, sigma_px: float) -> Floats:
     """Frame under a Gaussian of standard deviation `sigma_px`."""
+    import cv2
+
     return np.asarray(cv2.GaussianBlur(frame, (0, 0), sigma_px), np.float32)

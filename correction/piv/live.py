@@ -7,7 +7,6 @@ the frame as it came. Displacements are good to a few hundredths of a pixel.
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,6 +66,8 @@ def live_vectors(
 
 def _joined(frame: NDArray[Any]) -> NDArray[np.float32]:
     """Means of 2 x 2 pixels."""
+    import cv2
+
     height, width = frame.shape[0] // 2, frame.shape[1] // 2
     whole = np.asarray(frame[: 2 * height, : 2 * width], np.float32)
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), np.float32)

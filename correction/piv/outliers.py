@@ -14,8 +14,8 @@ shift it.  All moments of the fit are Gaussian convolutions.
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.piv.kernels.median import normalised_residual
 
@@ -52,7 +52,7 @@ def outliers(
     if not rejected.any() or not accepted.any():
         return rejected
     side = 2 * RADIUS + 1
-    judged: NDArray[np.bool_] = candidates & ndimage.binary_dilation(rejected, np.ones((side, side), bool))
+    judged: NDArray[np.bool_] = candidates & scipy.ndimage.binary_dilation(rejected, np.ones((side, side), bool))
     trend = smoothed(field, accepted, FILL_SIGMA)
     judged &= _residual(field - trend, accepted, judged, epsilon_px, threshold) > threshold
     return judged
@@ -97,13 +97,13 @@ def filled(field: NDArray[np.float64], valid: NDArray[np.bool_]) -> tuple[NDArra
     if valid.all():
         return field, valid
     weight = valid.astype(float)
-    near = ndimage.convolve(weight, np.ones((5, 5)), mode="constant") >= 3
+    near = scipy.ndimage.convolve(weight, np.ones((5, 5)), mode="constant") >= 3
     values = np.where(valid[..., None], field, 0.0)
     plane, supported = _weighted_plane(values, weight, FILL_SIGMA, 1e-3)
     fill = np.where(valid[..., None], field, plane)
     known = valid | supported
     if not known.all():
-        nearest: Any = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+        nearest: Any = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
         fill = fill[nearest[0], nearest[1]]
     return fill, near
 
@@ -116,7 +116,9 @@ def _weighted_plane(
     y, x = np.mgrid[0.0:ny, 0.0:nx]
 
     def moment(quantity: NDArray[np.float64]) -> NDArray[np.float64]:
-        blurred: NDArray[np.float64] = ndimage.gaussian_filter(weight * quantity, sigma_steps, mode="constant")
+        blurred: NDArray[np.float64] = scipy.ndimage.gaussian_filter(
+            weight * quantity, sigma_steps, mode="constant"
+        )
         return blurred
 
     one = np.ones_like(weight)

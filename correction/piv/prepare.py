@@ -18,7 +18,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,6 +63,8 @@ class Pair:
 
     def coefficients(self, threads: int | None = None) -> tuple[Floats, Floats]:
         """Coefficients (H, W) of both frames, see 3. above."""
+        import cv2
+
         share = np.float32(np.clip((SMOOTHEST - self.spread_px2) / (SMOOTHEST - SHARPEST), 0.0, 1.0))
         if share == 1.0:
             blur = BLUR * min(1.0, max(0.0, (TINY - self.spread_px2) / (TINY - TINIEST)))
@@ -77,6 +78,8 @@ class Pair:
 
     def halved(self) -> "Pair":
         """The same at half the resolution, for whoever looks for pixels and not for their fractions."""
+        import cv2
+
         size = self.a.shape[1] // 2 * 2, self.a.shape[0] // 2 * 2
         a, b, valid = (
             np.asarray(
@@ -182,6 +185,8 @@ def _usual_deviation(values: Floats, side_px: int) -> float:
 
 
 def _mean_around(values: Floats, side_px: int) -> Floats:
+    import cv2
+
     mean: Any = cv2.blur(values, (side_px, side_px), borderType=cv2.BORDER_REFLECT)
     return np.asarray(mean, np.float32)
 

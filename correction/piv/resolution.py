@@ -17,8 +17,8 @@ window is none of these, and twice as wrong as they say.
 """
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.piv.refine import window_weights
 from correction.piv.response import response_of
@@ -72,5 +72,5 @@ def second_differences(vectors: Floats, apart: int) -> Floats:
         wide = np.concatenate([ends[0], field, ends[1]])
         second = wide[2 * step :] - 2.0 * field + wide[: -2 * step]
         square += 0.5 * np.square(np.moveaxis(second, 0, axis)).sum(axis=-1)
-    around: Floats = ndimage.uniform_filter(square, 3, mode="nearest")
+    around: Floats = scipy.ndimage.uniform_filter(square, 3, mode="nearest")
     return np.sqrt(np.maximum(around, 0.0))  # running sums may leave less than nothing

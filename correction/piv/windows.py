@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
 
 from correction.errors import PairError
 
@@ -110,7 +110,7 @@ def spline_coefficients(field: NDArray[np.float64], axis: int) -> NDArray[np.flo
     bands = np.ones((3, len(nodes)))
     bands[1] = 4.0
     bands[1, [0, -1]], bands[0, 1], bands[2, -2] = 6.0, 0.0, 0.0
-    found = solve_banded((1, 1), bands, 6.0 * nodes.reshape(len(nodes), -1))
+    found = scipy.linalg.solve_banded((1, 1), bands, 6.0 * nodes.reshape(len(nodes), -1))
     return np.moveaxis(found.reshape(nodes.shape), 0, axis)
 
 

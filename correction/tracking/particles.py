@@ -12,8 +12,8 @@ all particles leave. The covariance of the fit under that noise, or the rest if 
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 Floats = NDArray[np.float64]
 
@@ -53,9 +53,9 @@ def find_particles(frame: NDArray[Any], valid: NDArray[np.bool_] | None = None) 
         return Particles(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
     values = np.where(usable, values - np.median(values[usable]), 0.0)
     noise = _noise(values, usable)
-    smooth = ndimage.gaussian_filter(values, BLUR_PX)
-    peaks = (smooth == ndimage.maximum_filter(smooth, 3)) & (smooth > ABOVE * BLURRED * noise)
-    peaks &= ndimage.binary_erosion(usable, np.ones((5, 5), bool))
+    smooth = scipy.ndimage.gaussian_filter(values, BLUR_PX)
+    peaks = (smooth == scipy.ndimage.maximum_filter(smooth, 3)) & (smooth > ABOVE * BLURRED * noise)
+    peaks &= scipy.ndimage.binary_erosion(usable, np.ones((5, 5), bool))
     rows, columns = np.nonzero(peaks)
     pixels = values[rows[:, None] + DOWN.astype(int), columns[:, None] + ACROSS.astype(int)]
     height, place, width, covariance, rest = _fit(pixels, noise)

@@ -15,8 +15,8 @@ An image at a rim, whose 5 x 5 px show two ways, is left out, and so is what the
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from correction.aperture import chief_pixels
 from correction.errors import PairError
@@ -106,7 +106,7 @@ def _carried(frame: NDArray[Any], views: NDArray[np.int32], scene: Scene, grid: 
     found = find_particles(frame, views > 0)
     column, row = np.rint(found.place_px).astype(int).T
     side = len(SIDE)
-    whole = ndimage.minimum_filter(views, side) == ndimage.maximum_filter(views, side)
+    whole = scipy.ndimage.minimum_filter(views, side) == scipy.ndimage.maximum_filter(views, side)
     inside = whole[row, column] & (views[row, column] > 0)
     raw, sigma_px, height = (part[inside] for part in found)
     branch = (views[row, column][inside] - 1).astype(np.uint16)

@@ -12,9 +12,8 @@ less than one particle's own displacement, which has no window at all: 0.018 px 
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
-from scipy.spatial import cKDTree
 
 from correction.errors import PairError
 from correction.piv.outliers import filled
@@ -127,8 +126,8 @@ def match(a: Particles, b: Particles, shift_px: Floats, reach_px: float) -> Trac
         return Tracks(*(np.zeros((0, 2)),) * 3, nobody, nobody)
     expected = a.place_px.copy()
     expected[:, :2] += shift_px
-    far, there = cKDTree(b.place_px).query(expected, k=2)
-    _, back = cKDTree(expected).query(b.place_px)
+    far, there = scipy.spatial.cKDTree(b.place_px).query(expected, k=2)
+    _, back = scipy.spatial.cKDTree(expected).query(b.place_px)
     one = there[:, 0]
     good = (back[one] == np.arange(len(one))) & (far[:, 0] < reach_px) & (far[:, 1] > CLEARER * far[:, 0])
     first, last = np.nonzero(good)[0], one[good]
@@ -140,7 +139,7 @@ def match(a: Particles, b: Particles, shift_px: Floats, reach_px: float) -> Trac
 def local_plane(tracks: Tracks, at_px: Floats) -> Floats:
     """Displacements (N, 2) at places (N, 2): planes through the nearest tracks, weighted by distance and sigma."""
     count = min(FIT, len(tracks.place_px))
-    far, near = cKDTree(tracks.place_px).query(at_px, k=count)
+    far, near = scipy.spatial.cKDTree(tracks.place_px).query(at_px, k=count)
     reach = np.maximum(far[:, min(FEWEST, count) - 1], NARROWEST_PX)[:, None]
     weight = np.exp(-np.square(far / reach)) / (np.square(tracks.sigma_px[near]).sum(axis=-1) + 1e-4)
     off = (tracks.place_px[near] - at_px[:, None]) / reach[..., None]
@@ -155,7 +154,9 @@ def local_plane(tracks: Tracks, at_px: Floats) -> Floats:
 def _of_field(field: VectorField, at_px: Floats) -> Floats:
     """Displacements (N, 2) of a field at places (N, 2), continued beyond its nodes."""
     vectors, _ = filled(np.nan_to_num(np.stack([field.u_px, field.v_px], axis=-1)), field.valid)
-    across = RegularGridInterpolator((field.y_px, field.x_px), vectors, bounds_error=False, fill_value=None)
+    across = scipy.interpolate.RegularGridInterpolator(
+        (field.y_px, field.x_px), vectors, bounds_error=False, fill_value=None
+    )
     found: Floats = across(at_px[:, ::-1])
     return found
 
@@ -167,7 +168,7 @@ def _proven(tracks: Tracks) -> Tracks:
             f"only {len(tracks.place_px)} particles match; check pairing and focus, or use windows where there are"
             " many"
         )
-    _, near = cKDTree(tracks.place_px).query(tracks.place_px, k=NEIGHBOURS + 1)
+    _, near = scipy.spatial.cKDTree(tracks.place_px).query(tracks.place_px, k=NEIGHBOURS + 1)
     around = tracks.shift_px[near[:, 1:]]
     usual = np.median(around, axis=1)
     spread = np.median(np.linalg.norm(around - usual[:, None], axis=-1), axis=1)

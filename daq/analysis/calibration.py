@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from correction.board import Chessboard
 from correction.evaluate.target_error import TargetError
@@ -14,7 +15,8 @@ from correction.fit.result import SceneFit
 from correction.fit.table2 import RegionErrors, aligned, computed_against_acquired, corrected_against_grid
 from correction.fit.unknowns import unit_of
 from correction.fit.weakness import Weakness, weaknesses
-from daq.analysis.pictures.calibration import Panel
+
+Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]  # title, pixels (N, 2), errors (N, 2) [px]
 
 
 @dataclass(frozen=True)

@@ -83,8 +83,8 @@ class Evaluation:
         What was asked.
     grid : PlaneGrid
         Nodes of the corrected frames.
-    seen : BeforeAfter
-        Frame A as acquired and corrected.
+    seen : BeforeAfter or None
+        Frame A as acquired and corrected, for a page.
     field : VectorField
         Vectors on the corrected image, of the image route unless the better routes were asked for.
     regions : Regions
@@ -111,7 +111,7 @@ class Evaluation:
 
     task: Task
     grid: PlaneGrid
-    seen: BeforeAfter
+    seen: BeforeAfter | None
     field: VectorField
     regions: Regions
     shift: ShiftResult | None
@@ -134,6 +134,7 @@ def evaluate_task(
     settings: PivSettings | None = None,
     preparation: Preparation | None = None,
     tracking: bool = False,
+    pictures: bool = True,
 ) -> Evaluation:
     """Evaluate one pair.
 
@@ -155,6 +156,8 @@ def evaluate_task(
         What is done to the corrected frames; two frames have no background.
     tracking : bool
         Also follow single particles from raw frame to raw frame.
+    pictures : bool
+        Also make what only a page shows: `Evaluation.seen`.
 
     Raises
     ------
@@ -196,7 +199,7 @@ def evaluate_task(
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
-    seen = before_after(frame_a, corrected_a, corrector)
+    seen = before_after(frame_a, corrected_a, corrector) if pictures else None
     return Evaluation(
         task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
         no_tracks,

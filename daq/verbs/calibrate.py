@@ -15,8 +15,7 @@ from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import TargetView, is_run, load_kept, target_views
-from daq.analysis.calibration import calibration_of
-from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
+from daq.analysis.calibration import Calibration, calibration_of
 from daq.terminal import console, error_console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of
@@ -36,6 +35,7 @@ def calibrate(
     out: Named = "fit",
     square_mm: float | None = None,
     disc_mm: float | None = None,
+    pictures: bool = True,
 ) -> SceneFit:
     """Fit a scene to frames of its target.
 
@@ -53,6 +53,8 @@ def calibrate(
         ``convergence.png``, ``calibration.json``.
     square_mm, disc_mm : float, optional
         The board, of a folder that is no run (default 2.5 and 1.0): a run knows its own.
+    pictures : bool
+        Draw pictures, after all else is written.
 
     Returns
     -------
@@ -89,16 +91,25 @@ def calibrate(
     out.mkdir(parents=True, exist_ok=True)
     save_fit(out / "fit.npz", fit)
     sigma.save(out / "map_sigma.npz")
-    draw_map_sigma(out / "map_sigma.png", sigma)
-    draw_convergence(out / "convergence.png", fit.history)
-    draw_residuals(out / "smooth_residuals.png", found.smooth_panels, nominal.camera.shape)
-    if found.panels:
-        draw_residuals(out / "residuals.png", found.panels, nominal.camera.shape)
     write_json(out / "calibration.json", found.to_dict())
     write_text(out / "scene.yaml", dump_scene(fit.measured_scene))
     show_calibration(console(), found)
-    console().print(f"scene.yaml, covariance, map sigma and pictures are in {out}")
+    if pictures:
+        _draw(out, found, nominal.camera.shape)
+    console().print(
+        f"scene.yaml, covariance{', map sigma and pictures' if pictures else ' and map sigma'} are in {out}"
+    )
     return fit
+
+
+def _draw(out: Path, found: Calibration, shape: tuple[int, int]) -> None:
+    from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
+
+    draw_map_sigma(out / "map_sigma.png", found.sigma)
+    draw_convergence(out / "convergence.png", found.fit.history)
+    draw_residuals(out / "smooth_residuals.png", found.smooth_panels, shape)
+    if found.panels:
+        draw_residuals(out / "residuals.png", found.panels, shape)
 
 
 def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:

@@ -23,10 +23,6 @@ from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.shown_plane import shows_light_sheet
-from daq.analysis.pictures.overview import draw_overview
-from daq.analysis.pictures.patterns import Particles, Target, shows_particles
-from daq.analysis.pictures.seen import seen
-from daq.analysis.tasks import sigma_limit
 from daq.terminal import console, progress
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
@@ -73,6 +69,7 @@ def correct(
     as_float: bool = False,
     check_target: bool = False,
     sigma_limit_px: float | None = None,
+    pictures: bool = True,
 ) -> Corrected:
     """Correct frames that were taken through the glass of a scene.
 
@@ -103,6 +100,8 @@ def correct(
         of a run that photographed a print, show particles in the scene's light sheet.
     sigma_limit_px : float, optional
         Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
+    pictures : bool
+        Draw ``overview.png``, after all else is written.
 
     Returns
     -------
@@ -134,6 +133,8 @@ def correct(
     dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
     limit = None
     if sigma_limit_px is not None:
+        from daq.analysis.tasks import sigma_limit
+
         limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
     corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
     grid = corrector.map.grid
@@ -153,8 +154,7 @@ def correct(
         if check_target:
             errors.append(target_error(corrected, corrector, board))
         if index == 0:
-            computed = _pattern_seen(loaded, board, frame)
-            draw_overview(out / "overview.png", frame, computed, corrected, corrector.status)
+            shown = frame, corrected
         stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
         clipped += cut
         write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
@@ -164,10 +164,13 @@ def correct(
     summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
     summary["target_errors"] = [error.to_dict() for error in errors]
     write_json(out / "correction.json", summary)
-    _print(screen, loaded, dewarp, corrector, frames, errors, out)
+    _print(screen, loaded, dewarp, corrector, frames, errors)
     if fitted.sheet is not None:
         plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
         screen.print(f"corrected for {plane}")
+    if pictures:
+        _draw(out / "overview.png", loaded, board, *shown, corrector)
+    screen.print(f"{len(frames)} frame(s){', mask and overview' if pictures else ' and mask'} are in {out}")
     files = tuple(out / f"{stem_of(path)}.tif" for path in frames)
     return Corrected(files, out / "mask.tif", float(corrector.recovered.mean()), tuple(errors))
 
@@ -179,8 +182,19 @@ def _refuse_same_names(frames: list[Path]) -> None:
             raise FrameError(f"{stem}: two results would have this name; rename the frame or use two runs")
 
 
-def _pattern_seen(scene: Scene, board: Chessboard, frame: NDArray[Any]) -> NDArray[np.float32]:
-    """Computer-generated image of what a frame shows, with half the pixels a side: the overview shows no more."""
+def _draw(
+    path: Path,
+    scene: Scene,
+    board: Chessboard,
+    frame: NDArray[Any],
+    corrected: NDArray[np.float32],
+    corrector: Corrector,
+) -> None:
+    """Draw a frame as acquired, computer-generated (with half the pixels a side: nobody sees more), corrected."""
+    from daq.analysis.pictures.overview import draw_overview
+    from daq.analysis.pictures.patterns import Particles, Target, shows_particles
+    from daq.analysis.pictures.seen import seen
+
     camera = scene.camera
     (cu, cv), (width, height) = camera.principal_px, camera.sensor_px
     half = replace(
@@ -191,7 +205,8 @@ def _pattern_seen(scene: Scene, board: Chessboard, frame: NDArray[Any]) -> NDArr
     )
     px_mm = camera.position_mm[2] / camera.focal_px
     particles = Particles(CELL_PX * px_mm, PARTICLE_PX * px_mm)
-    return seen(scene.with_camera(half), particles if shows_particles(frame) else Target(board), samples=2)
+    pattern = particles if shows_particles(frame) else Target(board)
+    draw_overview(path, frame, seen(scene.with_camera(half), pattern, samples=2), corrected, corrector.status)
 
 
 def _print(
@@ -201,7 +216,6 @@ def _print(
     corrector: Corrector,
     frames: list[Path],
     errors: list[TargetError],
-    out: Path,
 ) -> None:
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     share = ", ".join(
@@ -223,4 +237,3 @@ def _print(
             for row in error.rows():
                 table.add_row(stem_of(path), *row)
         screen.print(table)
-    screen.print(f"{len(frames)} frame(s), mask and overview are in {out}")

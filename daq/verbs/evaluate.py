@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Unpack
 
+from rich.console import Console
+
 from correction.errors import PairError
 from correction.fit.sigma_limit import SigmaLimit
 from correction.prepared import PreparedCorrection, PreparedCorrections
@@ -11,8 +13,7 @@ from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_views import is_run
 from daq.analysis.evaluation import Evaluation, Route, Task, evaluate_task
 from daq.analysis.piv_file import PivOptions, piv_choice
-from daq.analysis.report.pair_folder import write_pair
-from daq.analysis.report.series import write_series_page
+from daq.analysis.report.pair_folder import write_pair, write_pair_page
 from daq.analysis.series.run_series import SeriesBooks, run_series
 from daq.analysis.series.series_input import SeriesInput, series_input
 from daq.analysis.series.series_pairs import is_series
@@ -40,6 +41,7 @@ def evaluate(
     workers: int | None = None,
     tracking: bool = False,
     sigma_limit_px: float | None = None,
+    pictures: bool = True,
     **options: Unpack[PivOptions],
 ) -> list[Evaluation] | SeriesBooks:
     """Correct pairs of frames and measure their displacements: a page for each, or the series of a flow run.
@@ -81,6 +83,8 @@ def evaluate(
         Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
     sigma_limit_px : float, optional
         Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
+    pictures : bool
+        Write ``report.html``, after all else is written and said.
     **options
         How pairs are correlated, see `daq.analysis.piv_file.PivOptions`.
 
@@ -109,7 +113,7 @@ def evaluate(
             )
         dewarping = (target_clear, dewarp_order, square_mm, disc_mm)
         series = series_input(run, out, choice, scene, *dewarping, dt_us, sigma_limit_px)
-        return _series(run.resolve().name, out, series, workers, figures)
+        return _series(run.resolve().name, out, series, workers, figures, pictures)
     if dt_us is not None or workers is not None:
         raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
     if target_clear is not None and (route != "image" or tracking):
@@ -121,21 +125,39 @@ def evaluate(
 
     def measured(task: Task, prepared: PreparedCorrection) -> Evaluation:
         evaluation = evaluate_task(
-            task, prepared, given.sigma, stage_sigma_um, route, choice.settings, choice.preparation, tracking
+            task,
+            prepared,
+            given.sigma,
+            stage_sigma_um,
+            route,
+            choice.settings,
+            choice.preparation,
+            tracking,
+            pictures,
         )
-        write_pair(evaluation, vtk, figures)
+        write_pair(evaluation, vtk)
+        show_evaluation(screen, evaluation, page=pictures)
+        if pictures:
+            write_pair_page(evaluation, figures)
         return evaluation
 
-    return _each(given, _limit(given, sigma_limit_px), measured)
+    screen = console()
+    return _each(screen, given, _limit(given, sigma_limit_px), measured)
 
 
-def _series(name: str, out: Path, given: SeriesInput, workers: int | None, figures: bool) -> SeriesBooks:
+def _series(
+    name: str, out: Path, given: SeriesInput, workers: int | None, figures: bool, pictures: bool
+) -> SeriesBooks:
     """Evaluate a series and write its page."""
     books = run_series(name, out, given.given, given.method, workers)
-    write_series_page(out / "report.html", given, books, figures)
     screen = console()
     show_series(screen, books)
-    screen.print(f"look at {out / 'report.html'}; average with: rtpiv mean {out}")
+    if pictures:
+        from daq.analysis.report.series import write_series_page
+
+        write_series_page(out / "report.html", given, books, figures)
+    look = f"look at {out / 'report.html'}; " if pictures else ""
+    screen.print(f"{look}average with: rtpiv mean {out}")
     return books
 
 
@@ -149,10 +171,12 @@ def _limit(given: Tasks, limit_px: float | None) -> SigmaLimit | None:
 
 
 def _each(
-    given: Tasks, limit: SigmaLimit | None, measured: Callable[[Task, PreparedCorrection], Evaluation]
+    screen: Console,
+    given: Tasks,
+    limit: SigmaLimit | None,
+    measured: Callable[[Task, PreparedCorrection], Evaluation],
 ) -> list[Evaluation]:
     """Evaluate one pair after the other; one of several that cannot be is named and left out."""
-    screen = console()
     if given.alone:
         screen.print(f"{given.alone} frames lost their partner and are in no pair")
     if isinstance(given.sigma, str):
@@ -168,7 +192,6 @@ def _each(
             failed = error
             screen.print(f"{task.name} is left out: {error}", style="bold red")
             continue
-        show_evaluation(screen, evaluation)
         found.append(evaluation)
     if failed is not None and not found:
         raise failed

@@ -7,7 +7,6 @@ from correction.errors import PairError
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import is_run
 from daq.analysis.piv_file import PivOptions, piv_choice
-from daq.analysis.report.mean import write_mean_page
 from daq.analysis.series.ensemble_file import write_ensemble
 from daq.analysis.series.ensemble_series import ensemble_flow
 from daq.analysis.series.mean_flow import MeanFlow
@@ -100,6 +99,8 @@ def mean(
         by_ensemble = ensemble_flow(given, found, ensemble, workers)
         said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
         write_ensemble(folder / "mean_ensemble.nc", by_ensemble, said)
+    from daq.analysis.report.mean import write_mean_page
+
     write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
     show_mean(screen, found, folder / "mean.html")
     return found

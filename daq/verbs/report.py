@@ -19,8 +19,6 @@ from daq.analysis.evaluation import Evaluation, Route
 from daq.analysis.pictures.before_after import before_after
 from daq.analysis.piv_file import PivOptions
 from daq.analysis.report.page import Page
-from daq.analysis.report.pair import image_table, pair_chapters, pair_summary, scene_chapter, slider_chapter
-from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
 from daq.analysis.series.series_pairs import is_series
 from daq.errors import RunUnsuitable
 from daq.terminal import console
@@ -81,6 +79,9 @@ def report(
     if _is_flow(run):
         mean(run, out, scene, target_clear, dewarp_order, **options)
         return out / "mean.html"
+    from daq.analysis.report.pair import pair_chapters, pair_summary
+    from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
+
     out.mkdir(parents=True, exist_ok=True)
     scene = scene or scene_file(run, out)
     loaded = load_scene(scene)
@@ -125,6 +126,8 @@ def _single_frame(
     page: Page, folder: RunFolder, scene: Scene, target_clear: Path | None, dewarp_order: int
 ) -> None:
     """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
+    from daq.analysis.report.pair import image_table, scene_chapter, slider_chapter
+
     view = first_view(folder)
     if view is None:
         raise RunUnsuitable(f"{folder.path}: holds no frame yet; resume the run first")

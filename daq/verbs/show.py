@@ -2,35 +2,37 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from daq.analysis.calibration import Calibration
-from daq.analysis.evaluation import Evaluation
-from daq.analysis.report.focus import HEAD as FOCUS_HEAD
-from daq.analysis.report.tables import (
-    CLAIM_HEAD,
-    ROUTE_HEAD,
-    SHIFT_HEAD,
-    SIGMA_HEAD,
-    TRACK_HEAD,
-    Row,
-    claim_rows,
-    route_rows,
-    shift_rows,
-    sigma_rows,
-    track_rows,
-)
-from daq.analysis.series.mean_flow import MeanFlow
-from daq.analysis.series.run_series import SeriesBooks
+if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
+    from daq.analysis.calibration import Calibration
+    from daq.analysis.evaluation import Evaluation
+    from daq.analysis.report.tables import Row
+    from daq.analysis.series.mean_flow import MeanFlow
+    from daq.analysis.series.run_series import SeriesBooks
 
 SHOWN = 10  # pairs that are named one by one
 
 
-def show_evaluation(screen: Console, evaluation: Evaluation) -> None:
-    """Say how well a pair was measured."""
+def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:
+    """Say how well a pair was measured, and where the page will be."""
+    from daq.analysis.report.tables import (
+        CLAIM_HEAD,
+        ROUTE_HEAD,
+        SHIFT_HEAD,
+        SIGMA_HEAD,
+        TRACK_HEAD,
+        claim_rows,
+        route_rows,
+        shift_rows,
+        sigma_rows,
+        track_rows,
+    )
+
     counts = ", ".join(f"{count} {name}" for name, count in evaluation.field.counts.items())
     screen.print(f"{evaluation.task.name}: {counts}")
     if evaluation.field.doubt:
@@ -54,10 +56,11 @@ def show_evaluation(screen: Console, evaluation: Evaluation) -> None:
         for row in rows:
             table.add_row(*row)
         screen.print(table)
-    screen.print(f"look at {evaluation.task.out / 'report.html'}")
+    if page:
+        screen.print(f"look at {evaluation.task.out / 'report.html'}")
 
 
-def show_series(screen: Console, books: SeriesBooks) -> None:
+def show_series(screen: Console, books: "SeriesBooks") -> None:
     """Say what became of the pairs of a series."""
     done = f"{books.pairs - len(books.failed)} of {books.pairs} pairs have vectors"
     screen.print(done + (f"; {books.kept} of them had been evaluated before" if books.kept else ""))
@@ -67,8 +70,10 @@ def show_series(screen: Console, books: SeriesBooks) -> None:
         screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
 
 
-def show_focus(screen: Console, rows: Sequence[Row], said: str, page: Path) -> None:
+def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) -> None:
     """Say where a view is sharp."""
+    from daq.analysis.report.focus import HEAD as FOCUS_HEAD
+
     table = Table(title="best focus")
     for number, column in enumerate(FOCUS_HEAD):
         table.add_column(column, justify="right" if number else "left")
@@ -79,7 +84,7 @@ def show_focus(screen: Console, rows: Sequence[Row], said: str, page: Path) -> N
     screen.print(f"look at {page}")
 
 
-def show_mean(screen: Console, mean: MeanFlow, page: Path) -> None:
+def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
     """Say how well a mean flow is known."""
     seen = mean.count > 0
     if mean.doubt:
@@ -111,7 +116,7 @@ def show_mean(screen: Console, mean: MeanFlow, page: Path) -> None:
     screen.print(f"look at {page}")
 
 
-def show_calibration(screen: Console, found: Calibration) -> None:
+def show_calibration(screen: Console, found: "Calibration") -> None:
     """Say what a fit has found, and what the frames left open."""
     screen.print(_number_table(found))
     screen.print(_error_table(found))
@@ -132,7 +137,7 @@ def show_calibration(screen: Console, found: Calibration) -> None:
         screen.print(f"weak: {weakness.sentence}")
 
 
-def _number_table(found: Calibration) -> Table:
+def _number_table(found: "Calibration") -> Table:
     table = Table(title=f"fitted scene {found.fit.measured_scene.content_hash()}; the rest was held fixed")
     for name in ("free number", "fitted", "sigma", "moved", "prior sigma"):
         table.add_column(name, justify="left" if name == "free number" else "right")
@@ -144,7 +149,7 @@ def _number_table(found: Calibration) -> Table:
     return table
 
 
-def _error_table(found: Calibration) -> Table:
+def _error_table(found: "Calibration") -> Table:
     table = Table(title="position error of target points [px] (Table 2)")
     for name in ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest"):
         table.add_column(name, justify="left" if name in ("sense", "scene", "region") else "right")

@@ -6,18 +6,10 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from correction.aperture import blur_map
-from correction.correction_map import build_correction_map
+from correction.aperture import BlurMap, blur_map
+from correction.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING, NodeStatus
-from daq.analysis.pictures.blur import draw_blur
-from daq.analysis.pictures.camera_view import draw_camera_view
-from daq.analysis.pictures.curve import draw_curve
-from daq.analysis.pictures.drawing import scene_figure
-from daq.analysis.pictures.patterns import MarkerBoard, square_for
-from daq.analysis.pictures.plane import draw_plane
-from daq.analysis.pictures.plane_axes import short
-from daq.analysis.pictures.saved import save_picture
-from daq.analysis.pictures.seen import seen
+from daq.analysis.pictures.names import short
 from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
 from daq.terminal import console, progress_if_long
 from daq.verbs.output import require_folder
@@ -25,6 +17,7 @@ from daq.verbs.paths import Named
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view
 from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
 SHOWN_BODIES = 40
@@ -50,7 +43,7 @@ class Traced:
     pictures: tuple[Path, ...] = field(repr=False)
 
 
-def trace(scene: Named, out: Named = "trace") -> Traced:
+def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
     """Trace a scene; print what it shows of the plane, and leave pictures.
 
     Parameters
@@ -62,6 +55,8 @@ def trace(scene: Named, out: Named = "trace") -> Traced:
         ``camera_view.png`` (a board with markers as the camera sees it), ``scene.png`` (the scene to scale, cut
         where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says the
         camera's aperture.
+    pictures : bool
+        Draw them, after the figures are printed; else the folder is left alone.
 
     Returns
     -------
@@ -96,23 +91,47 @@ def trace(scene: Named, out: Named = "trace") -> Traced:
             f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
             f" {100.0 * blur.left_out:.1f} % of the view behind glass"
         )
-    out.mkdir(parents=True, exist_ok=True)
-    draw_plane(out / "plane.png", loaded, correction_map, share, scene.stem)
-    grid = correction_map.grid
-    del ray_map, correction_map
+    names: list[str] = []
+    if pictures:
+        del ray_map
+        out.mkdir(parents=True, exist_ok=True)
+        names = _draw(out, scene.stem, loaded, correction_map, share, blur, view)
+        screen.print(f"{', '.join(names)} are in {out}")
+    return Traced(share, view, tuple(out / name for name in names))
+
+
+def _draw(
+    out: Path,
+    name: str,
+    scene: Scene,
+    correction_map: CorrectionMap,
+    share: PlaneShare,
+    blur: BlurMap | None,
+    view: FieldOfView | None,
+) -> list[str]:
+    """Draw all pictures; return their names."""
+    from daq.analysis.pictures.blur import draw_blur
+    from daq.analysis.pictures.camera_view import draw_camera_view
+    from daq.analysis.pictures.curve import draw_curve
+    from daq.analysis.pictures.drawing import scene_figure
+    from daq.analysis.pictures.patterns import MarkerBoard, square_for
+    from daq.analysis.pictures.plane import draw_plane
+    from daq.analysis.pictures.saved import save_picture
+    from daq.analysis.pictures.seen import seen
+
+    draw_plane(out / "plane.png", scene, correction_map, share, name)
     square_mm = square_for(share.size_mm[0])
-    image = seen(loaded, MarkerBoard(square_mm), watched=progress_if_long)
-    draw_camera_view(out / "camera_view.png", image, square_mm, scene.stem)
-    save_picture(scene_figure(loaded), out / "scene.png", 130)
+    image = seen(scene, MarkerBoard(square_mm), watched=progress_if_long)
+    draw_camera_view(out / "camera_view.png", image, square_mm, name)
+    save_picture(scene_figure(scene), out / "scene.png", 130)
     names = ["plane.png", "camera_view.png", "scene.png"]
     if blur is not None:
-        draw_blur(out / "blur.png", grid, blur)
+        draw_blur(out / "blur.png", correction_map.grid, blur)
         names.append("blur.png")
     if view is not None:
-        draw_curve(out / "radial_curve.png", loaded, view, scene.stem)
+        draw_curve(out / "radial_curve.png", scene, view, name)
         names.append("radial_curve.png")
-    screen.print(f"{', '.join(names)} are in {out}")
-    return Traced(share, view, tuple(out / name for name in names))
+    return names
 
 
 def _plane_table(title: str, share: PlaneShare) -> Table:

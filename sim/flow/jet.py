@@ -29,8 +29,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import ncx2
 
 from ground.rows import run_rows
 from sim.flow.kernels.jet import jet_at
@@ -102,9 +102,11 @@ class Jet:
         disc, speed = np.empty((2, len(widths), len(places) + 1))
         for i, width in enumerate(np.exp(widths)):
             # Chance to end inside the unit circle: non-central chi-square with two degrees of freedom.
-            speed[i, 1:] = np.sqrt(ncx2.cdf(1.0 / width**2, 2, squared / width**2))
+            speed[i, 1:] = np.sqrt(scipy.stats.ncx2.cdf(1.0 / width**2, 2, squared / width**2))
             # Mean over the disc by Simpson's rule in r^2.
-            middle = np.sqrt(ncx2.cdf(1.0 / width**2, 2, 0.5 * (squared[1:] + squared[:-1]) / width**2))
+            middle = np.sqrt(
+                scipy.stats.ncx2.cdf(1.0 / width**2, 2, 0.5 * (squared[1:] + squared[:-1]) / width**2)
+            )
             parts = (speed[i, 2:] + 4.0 * middle + speed[i, 1:-1]) * np.diff(squared) / 6.0
             disc[i, 1] = speed[i, 1]
             disc[i, 2:] = np.cumsum(parts) / squared[1:]

@@ -22,8 +22,8 @@ correction: the same room that renders the bench's targets traces these rays.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from ground.memory import require_memory
 from ground.rows import run_rows
@@ -280,5 +280,5 @@ def _spot_table(sigma_px: float) -> Float64:
     reach = int(np.ceil(REACH_SIGMAS * sigma_px + 0.5))
     place = np.arange(PHASES + 1)[:, None] / PHASES
     edges = np.arange(-reach, reach + 3)[None, :] - 0.5
-    parts = np.diff(ndtr((edges - place) / sigma_px), axis=1)
+    parts = np.diff(scipy.special.ndtr((edges - place) / sigma_px), axis=1)
     return np.asarray(parts / parts.sum(axis=1, keepdims=True))

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from ground.jit import kernel
 from sim.renderer.rays import Float32, Int64
-from sim.renderer.surfaces import Float64, compiled
+from sim.renderer.surfaces import Float64
 
 
-@compiled
+@kernel
 def chessboard(
     points: Float64, square: float, disc_radius: float, discs: Float64, dark: float, bright: float, out: Float32
 ) -> None:
@@ -22,7 +23,7 @@ def chessboard(
         out[index] = bright if odd else dark
 
 
-@compiled
+@kernel
 def particles(
     points: Float64,
     places: Float64,
@@ -57,7 +58,7 @@ def particles(
         out[index] = min(total, 1.0)
 
 
-@compiled
+@kernel
 def printed_image(points: Float64, image: Float32, pixel: float, outside: float, out: Float32) -> None:
     """Bilinear value of an image printed with `pixel` mm a pixel, centred on the origin, row 0 at the top."""
     rows, columns = image.shape

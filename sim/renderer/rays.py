@@ -14,11 +14,11 @@ Vectors are three scalars each: numba keeps them in registers.
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.jit import kernel
 from sim.renderer.surfaces import (
     BLOCKED,
     SOLID,
     Float64,
-    compiled,
     entry_rod,
     entry_sphere,
     far_side,
@@ -33,7 +33,7 @@ BEHIND_MM = 1e-3  # rounding at a body that touches the sheet is far less
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
 
-@compiled
+@kernel
 def pixel_shift(seed: int, row: int, column: int) -> tuple[float, float, float]:
     """Three numbers in [0, 1) that belong to a pixel (splitmix64 of seed, row and column)."""
     state = np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15)
@@ -55,7 +55,7 @@ def pixel_shift(seed: int, row: int, column: int) -> tuple[float, float, float]:
     return first, second, third
 
 
-@compiled
+@kernel
 def last_way(
     ox: float,
     oy: float,
@@ -119,7 +119,7 @@ def last_way(
     return ox, oy, oz, dx, dy, dz, BLOCKED, chain
 
 
-@compiled
+@kernel
 def to_plane(
     ox: float,
     oy: float,
@@ -144,7 +144,7 @@ def to_plane(
     return u, v, transmittance
 
 
-@compiled
+@kernel
 def camera_ray(
     u: float, v: float, lens_u: float, lens_v: float, camera: Float64
 ) -> tuple[float, float, float, float, float, float]:
@@ -171,7 +171,7 @@ def camera_ray(
     )
 
 
-@compiled
+@kernel
 def may_meet(u: float, v: float, camera: Float64, bounds: Float64) -> bool:
     """Whether a ray of this pixel may meet a ball of `bounds` (x, y, z, radius); errs on the safe side."""
     ox, oy, oz, dx, dy, dz = camera_ray(u, v, 0.0, 0.0, camera)
@@ -187,7 +187,7 @@ def may_meet(u: float, v: float, camera: Float64, bounds: Float64) -> bool:
     return False
 
 
-@compiled
+@kernel
 def trace_pixels(
     pixels: Int64,
     n: int,
@@ -242,7 +242,7 @@ def trace_pixels(
         spread[index] = max(high_x - low_x, high_y - low_y) if arrived == count else (np.inf if arrived else 0.0)
 
 
-@compiled
+@kernel
 def weighted_mean(values: Float32, weights: Float32, out: Float32) -> None:
     """Mean over the samples of a pixel, (N, S) -> (N,): light that does not arrive counts as dark."""
     for index in range(values.shape[0]):

@@ -10,8 +10,8 @@ acts before the photons are counted.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
 
 from tracer.errors import SceneError
 
@@ -58,7 +58,7 @@ class Sensor:
         rng = np.random.default_rng(seed)
         light = np.maximum(irradiance, 0.0)
         if self.blur_px > 0.0:
-            light = gaussian_filter(light, self.blur_px, mode="nearest")
+            light = scipy.ndimage.gaussian_filter(light, self.blur_px, mode="nearest")
         counts = np.asarray(light * np.float32(illumination * self.white_counts))
         if np.isfinite(self.electrons_per_count):
             electrons = rng.poisson(counts * np.float32(self.electrons_per_count))

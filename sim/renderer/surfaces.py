@@ -17,26 +17,18 @@ Only refracted rays are followed; what is reflected is lost, unless at a core ev
 Vectors are three scalars each: numba keeps them in registers.
 """
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
-
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-F = TypeVar("F", bound=Callable[..., Any])
+from ground.jit import kernel
+
 Float64 = NDArray[np.float64]
 
 BLOCKED = 0.0
 SOLID = 6  # numbers of a sphere before those of its cores
 
 
-def compiled(function: F) -> F:
-    """Compile with the options of the whole project, in memory only: there is no cache to go stale."""
-    return cast("F", numba.njit(cache=False, nogil=True, fastmath={"contract"}, error_model="numpy")(function))
-
-
-@compiled
+@kernel
 def snell(
     dx: float, dy: float, dz: float, nx: float, ny: float, nz: float, eta: float
 ) -> tuple[float, float, float, float]:
@@ -54,7 +46,7 @@ def snell(
     return eta * dx + along * nx, eta * dy + along * ny, eta * dz + along * nz, transmitted
 
 
-@compiled
+@kernel
 def entry_sphere(
     ox: float,
     oy: float,
@@ -76,7 +68,7 @@ def entry_sphere(
     return float(0.5 * (-b - np.sqrt(discriminant)))
 
 
-@compiled
+@kernel
 def entry_rod(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, rod: Float64) -> float:
     """Path length to a rod ahead (cylinder with ball ends; row of the rod table), infinity if it is missed."""
     sx, sy, sz, ex, ey, ez, radius = rod[0], rod[1], rod[2], rod[3], rod[4], rod[5], rod[6]
@@ -103,7 +95,7 @@ def entry_rod(ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, 
     return float(nearest)
 
 
-@compiled
+@kernel
 def far_side(
     ox: float,
     oy: float,
@@ -124,7 +116,7 @@ def far_side(
     return ox + t * dx, oy + t * dy, oz + t * dz
 
 
-@compiled
+@kernel
 def through_cores(
     ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, s: Float64
 ) -> tuple[float, float, float, float, float, float, float]:

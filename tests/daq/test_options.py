@@ -75,7 +75,7 @@ def test_compiling_is_said_once_and_goes_on(capsys, monkeypatch):
 def test_a_kernel_that_no_cache_holds_is_news(monkeypatch):
     import numba
 
-    import ground.jit  # noqa: F401 - listens
+    import ground.compiler  # noqa: F401 - listens
 
     told = []
     monkeypatch.setattr(compile_news, "SAY_EVERY_S", 0.0)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from daq.cli import DEVICE, USAGE, main
+from daq.cli import DEVICE, DONE, USAGE, main
 from daq.options import parser
 from ground.errors import MemoryShort
 from ground.memory import free_bytes, require_memory
@@ -87,6 +87,12 @@ def lab(tmp_path_factory):
     seen = np.random.default_rng(0).integers(100, 200, (96, 96)).astype(np.uint16)
     for name, shift in (("a", 0), ("b", 2)):
         tifffile.imwrite(place / f"{name}.tif", np.roll(seen, shift, axis=1))
+    scene, pair = str(place / "scene.yaml"), [str(place / f"{name}.tif") for name in "ab"]
+    for words in (
+        ["trace", scene],
+        ["evaluate", *pair, "--scene", scene],
+    ):  # who may write nothing keeps no kernel
+        assert main([*words, "-o", str(tmp_path_factory.mktemp("compiled"))]) == DONE
     return place
 
 
@@ -178,14 +184,16 @@ def test_a_sensor_that_nobody_has_is_refused_with_its_line(tmp_path, sensor, cap
 CACHE = """
 import sys
 import numba
-from ground import kernel_cache
+from ground import compile_news
 from ground.jit import kernel
 
 @kernel
 def twice(x):
     return 2.0 * x
 
-print(twice(4.0), *kernel_cache.complaints, sep="|")
+complaints = []
+compile_news.complain = complaints.append
+print(twice(4.0), *complaints, sep="|")
 """
 
 

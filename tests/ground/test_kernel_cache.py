@@ -13,6 +13,7 @@ from ground.kernel_cache import PACKAGES, ROOT, dependencies, digest_of
 KERNELS = sorted(path for name in PACKAGES for path in (ROOT / name).glob("**/kernels/*.py"))
 TREE = {
     "ground/jit.py": "from ground.kernel_cache import cache_folder\n",
+    "ground/unowned.py": "import ground.jit\n",
     "tracer/constants.py": "import tracer.far\nSIDE = 2.0\n",
     "tracer/far.py": "",
     "tracer/kernels/inner.py": "from tracer.constants import SIDE\n",
@@ -50,6 +51,7 @@ def tree(tmp_path):
         ("sphere", {"sphere", "world", "rays"}),  # reached by type
         ("alone", {"alone"}),
         ("jit", {Path(name).stem for name in TREE}),
+        ("unowned", {Path(name).stem for name in TREE}),
     ],
 )
 def test_an_edit_is_seen_by_what_is_compiled_from_it_and_by_nothing_else(tree, edited, seen_by):

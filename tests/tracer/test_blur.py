@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from ground.jit import kernel
 from sim.demo.scenes import at_size, named_scene
 from sim.prints.patterns import Pose
 from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import Aperture, tables_of
-from sim.renderer.surfaces import compiled
 from tracer.blur import pupil_views
 from tracer.errors import SceneError
 from tracer.pupil import Pupil
@@ -20,7 +20,7 @@ SIDE = 49  # samples of a picture along each side
 PARTS = 150  # of the pupil, and as many opposite to them
 
 
-@compiled
+@kernel
 def spot_light(camera, spheres, rods, plane, first, parts, x, y, spot_mm, light):
     for row in range(light.shape[0]):
         for column in range(light.shape[1]):

@@ -14,9 +14,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from numba.extending import overload
-
-from ground.jit import OVERLOADED, Array, kernel, kernel_inlined, unowned
+from ground.jit import OVERLOADED, Array, kernel, kernel_inlined, overload, unowned
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.branches import FIRST_OTHER, NOTHING
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, OPAQUE, RADIUS

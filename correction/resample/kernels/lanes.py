@@ -8,8 +8,8 @@ read and what is written are apart, nor may it reorder a sum.  Both steps below 
   fifth degree whose coefficients differ by lane.  3 ns a sample instead of 20.
 * `copy_pair`, two neighbouring pixels as one integer of twice the width, whatever their type.
 
-Each is an ordinary Python function, the definition, which compiled code replaces by the vectors; the sums differ
-by the order of their terms and nothing else.
+Each is an ordinary Python function, the definition, which compiled code replaces by the vectors (`lane_code`);
+the sums differ by the order of their terms and nothing else.
 """
 
 from fractions import Fraction
@@ -17,13 +17,10 @@ from math import comb
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic, overload
 
-from ground.jit import Array
+from ground.jit import Array, overload
 
-Code = Any  # a type of numba, a value of LLVM, or who writes them
+Code = Any  # a type of numba, or who writes for it
 
 TAPS = 6
 WIDE = 8  # lanes read a row of the footprint: the coefficients must reach that far, and be finite
@@ -77,97 +74,21 @@ def copy_pair(flat: Array, first: int, out: Array, place: int) -> None:
     out[place], out[place + 1] = flat[first], flat[first + 1]
 
 
-_FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-_EIGHT, _FOUR = ir.VectorType(_FLOAT, 8), ir.VectorType(_FLOAT, 4)
-
-
-def _pick(builder: Code, vector: Code, lanes: list[int]) -> Code:
-    """Lanes of a vector as a new vector."""
-    mask = ir.Constant(ir.VectorType(_INT, len(lanes)), lanes)
-    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), mask)
-
-
-def _everywhere(builder: Code, number: Code) -> Code:
-    """Eight lanes of one number."""
-    return _pick(builder, builder.insert_element(ir.Constant(_EIGHT, ir.Undefined), number, _INT(0)), [0] * 8)
-
-
-@intrinsic
-def _footprint_sum(
-    typing_context: Code,
-    flat: Code,
-    first: Code,
-    stride: Code,
-    s: Code,
-    y0: Code,
-    y1: Code,
-    y2: Code,
-    y3: Code,
-    y4: Code,
-    y5: Code,
-) -> tuple[Code, Code]:
-    """`footprint_sum` in vectors: 6 loads, 12 multiply-adds for rows and weights, one sum across lanes."""
-    signature = types.float32(flat, types.intp, types.intp, *[types.float32] * 7)
-
-    def emit(context: Code, builder: Code, signature: Code, arguments: Code) -> Code:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        first, stride, s, *rows = arguments[1:]
-        kind = ir.FunctionType(_EIGHT, [_EIGHT] * 3)
-        multiply_add = cgutils.get_or_insert_function(builder.module, kind, "llvm.fmuladd.v8f32")  # type: ignore[no-untyped-call]
-
-        def fma(a: Code, b: Code, c: Code) -> Code:
-            return builder.call(multiply_add, [a, b, c])
-
-        c = [ir.Constant(_EIGHT, [ir.Constant(_FLOAT, value) for value in row]) for row in TAP_POLYNOMIALS]
-        s = _everywhere(builder, s)
-        s2 = builder.fmul(s, s)
-        pairs = [fma(s, c[power + 1], c[power]) for power in (0, 2, 4)]  # by twos: a shorter chain than Horner's
-        x = fma(builder.fmul(s2, s2), pairs[2], fma(s2, pairs[1], pairs[0]))
-        place, sums = builder.gep(data, [first]), []
-        for row, weight in enumerate(rows):
-            lanes = builder.load(builder.bitcast(place, _EIGHT.as_pointer()), align=4)
-            weight = _everywhere(builder, weight)
-            if row < 2:
-                sums.append(builder.fmul(weight, lanes))
-            else:
-                sums[row % 2] = fma(weight, lanes, sums[row % 2])
-            place = builder.gep(place, [stride])
-        total = builder.fmul(builder.fadd(*sums), x)
-        total = builder.fadd(_pick(builder, total, [0, 1, 2, 3]), _pick(builder, total, [4, 5, 6, 7]))
-        total = builder.fadd(total, _pick(builder, total, [2, 3, 0, 1]))
-        return builder.fadd(builder.extract_element(total, _INT(0)), builder.extract_element(total, _INT(1)))
-
-    return signature, emit
-
-
-@intrinsic
-def _copy_pair(typing_context: Code, flat: Code, first: Code, out: Code, place: Code) -> tuple[Code, Code]:
-    """`copy_pair` as one load and one store."""
-    signature = types.void(flat, types.intp, out, types.intp)
-
-    def emit(context: Code, builder: Code, signature: Code, arguments: Code) -> Code:
-        source = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        target = context.make_array(signature.args[2])(context, builder, arguments[2]).data
-        size = context.get_abi_sizeof(context.get_data_type(signature.args[0].dtype))
-        both = ir.IntType(16 * size).as_pointer()
-        pair = builder.load(builder.bitcast(builder.gep(source, [arguments[1]]), both), align=size)
-        builder.store(pair, builder.bitcast(builder.gep(target, [arguments[3]]), both), align=size)
-        return context.get_dummy_value()
-
-    return signature, emit
-
-
 @overload(footprint_sum, jit_options={"forceinline": True}, strict=False)
 def _in_lanes(*_: Code) -> Code:
+    from correction.resample.kernels.lane_code import footprint_sum_code
+
     def compiled(flat, first, stride, s, y0, y1, y2, y3, y4, y5):  # type: ignore[no-untyped-def]  # noqa
-        return _footprint_sum(flat, first, stride, s, y0, y1, y2, y3, y4, y5)  # type: ignore[call-arg]
+        return footprint_sum_code(flat, first, stride, s, y0, y1, y2, y3, y4, y5)  # type: ignore[call-arg]
 
     return compiled
 
 
 @overload(copy_pair, jit_options={"forceinline": True}, strict=False)
 def _as_one(*_: Code) -> Code:
+    from correction.resample.kernels.lane_code import copy_pair_code
+
     def compiled(flat, first, out, place):  # type: ignore[no-untyped-def]  # noqa
-        _copy_pair(flat, first, out, place)  # type: ignore[call-arg]
+        copy_pair_code(flat, first, out, place)  # type: ignore[call-arg]
 
     return compiled

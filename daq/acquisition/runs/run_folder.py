@@ -19,9 +19,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.frame_entry import frame_name as frame_name
 from daq.acquisition.runs.journal import read_journal
 from daq.acquisition.runs.journal_lines import Entry
@@ -30,6 +29,9 @@ from daq.acquisition.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep
 from daq.acquisition.runs.seal import write_record
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.whole_text import sync_folder
+
+if TYPE_CHECKING:
+    from daq.acquisition.plans.steps import Step
 
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 
@@ -223,7 +225,7 @@ def finished_steps(entries: Iterable[Entry]) -> set[int]:
     return finished
 
 
-def remaining(steps: Iterable[Step], entries: Iterable[Entry], again: Container[int] = ()) -> list[Step]:
+def remaining(steps: Iterable["Step"], entries: Iterable[Entry], again: Container[int] = ()) -> list["Step"]:
     """Plan minus journal, and the finished steps that are to be taken `again`."""
     done = finished_steps(entries)
     return [step for step in steps if step.index not in done or step.index in again]

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
-from typing import Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
-from daq.acquisition.bench.bench_table import TARGET, BenchTable
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
@@ -19,6 +18,9 @@ from ground.config import read
 from ground.errors import ConfigError, GroundError
 from tracer.errors import TracerError
 from tracer.scene_file import load_scene
+
+if TYPE_CHECKING:  # most commands have no run, and do not wait for the models of benches
+    from daq.acquisition.bench.bench_table import BenchTable
 
 T = TypeVar("T")
 
@@ -103,6 +105,8 @@ def target_views(path: Path) -> list[TargetView]:
     RunDamaged
         What it says is not what was written.
     """
+    from daq.acquisition.bench.bench_table import TARGET
+
     folder = RunFolder.open(path)
     about, entries = folder.about, frame_entries(folder.entries())
     steps = [s for s in about["steps"] if s["shows"] == "chessboard" and s["first_frame"] in entries]
@@ -144,6 +148,8 @@ def _files(folder: RunFolder) -> dict[int, Path]:
     return {number: folder.inside(entry["file"]) for number, entry in frame_entries(folder.entries()).items()}
 
 
-def bench_table(folder: RunFolder) -> BenchTable:
+def bench_table(folder: RunFolder) -> "BenchTable":
     """Bench file of a run as it was when the run began."""
+    from daq.acquisition.bench.bench_table import BenchTable
+
     return load_kept(folder, "bench", lambda file: read(file, BenchTable))

@@ -13,8 +13,8 @@ where it is smallest.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 Float64 = NDArray[np.float64]
 
@@ -52,8 +52,8 @@ def _detail(frame: NDArray[np.generic], part: NDArray[np.bool_]) -> Float64:
     """What differs from the mean light around, which is taken within the part alone."""
     inside = part.astype(np.float64)
     values = np.where(part, frame.astype(np.float64), 0.0)
-    share = uniform_filter(inside, LEVEL_PX, mode="constant")
-    level = uniform_filter(values, LEVEL_PX, mode="constant") / np.maximum(share, 1e-9)
+    share = scipy.ndimage.uniform_filter(inside, LEVEL_PX, mode="constant")
+    level = scipy.ndimage.uniform_filter(values, LEVEL_PX, mode="constant") / np.maximum(share, 1e-9)
     return np.asarray(np.where(part, values - level, 0.0))
 
 

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from correction.aperture import BlurMap
 from correction.grid import PlaneGrid
+from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.saved import save_picture
 
 

@@ -5,17 +5,15 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from correction.fit.map_sigma import MapSigma
 from correction.fit.result import FitStep
+from daq.analysis.calibration import Panel
+from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.plane_axes import colour_bar, plane_panels
 from daq.analysis.pictures.saved import save_picture
 
 REACH = 2.0  # an arrow's length over that of the 95th percentile, at most: an outlier must not cross the picture
-
-Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]
 
 
 def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> None:

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from daq.analysis.pictures.plane_axes import bare, short
+from daq.analysis.pictures.canvas import Figure
+from daq.analysis.pictures.names import short
+from daq.analysis.pictures.plane_axes import bare
 from daq.analysis.pictures.saved import save_picture
 
 

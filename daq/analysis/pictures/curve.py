@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
+from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.saved import save_picture
 from tracer.fov import FieldOfView, radial_curve
 from tracer.scene import Scene

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Polygon
 
-from daq.analysis.pictures.plane_axes import INK, MOST_NAMES, SOFT, bare, outline_mm, short
+from daq.analysis.pictures.canvas import Figure
+from daq.analysis.pictures.names import short
+from daq.analysis.pictures.plane_axes import INK, MOST_NAMES, SOFT, bare, outline_mm
 from daq.analysis.pictures.section import (
     BESIDE,
     GLASS,

@@ -3,7 +3,6 @@
 import base64
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +27,8 @@ def tinted(picture: NDArray[np.uint8], colours: NDArray[np.uint8]) -> NDArray[np
 
 def reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return a picture that is at most WIDEST_PX wide; what is left out is averaged."""
+    import cv2
+
     height, width = image.shape[:2]
     if width <= WIDEST_PX:
         return image
@@ -37,6 +38,8 @@ def reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def embedded(image: NDArray[np.uint8]) -> str:
     """Data address of a picture, grey (H, W) or RGB (H, W, 3), reduced to WIDEST_PX."""
+    import cv2
+
     image = reduced(image)
     if image.ndim == 3:
         image = np.ascontiguousarray(image[..., ::-1])

@@ -1,10 +1,14 @@
 """The colours of a mask, the same in every picture, table and page."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from correction.node_status import MEANING, NodeStatus
+
+if TYPE_CHECKING:
+    from matplotlib.patches import Patch
 
 Colour = tuple[int, int, int]
 COLOURS: dict[NodeStatus, Colour] = {
@@ -37,6 +41,8 @@ def web(colour: Colour) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
-def swatch(status: NodeStatus) -> Patch:
+def swatch(status: NodeStatus) -> "Patch":
     """Entry of a legend."""
+    from matplotlib.patches import Patch
+
     return Patch(facecolor=web(COLOURS[status]), edgecolor="#d9dee8", label=MEANING[status])

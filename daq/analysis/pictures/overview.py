@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
+from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.embedded import grey, reduced, tinted
 from daq.analysis.pictures.mask_colours import covered, swatch
 from daq.analysis.pictures.saved import save_picture

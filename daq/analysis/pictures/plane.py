@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from correction.correction_map import CorrectionMap
 from correction.node_status import MEANING, NodeStatus
+from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.mask_colours import COLOURS, THROUGH, Colour, mask_picture, web
-from daq.analysis.pictures.plane_axes import NOTHING, bare, colour_bar, draw_outlines, short
+from daq.analysis.pictures.names import short
+from daq.analysis.pictures.plane_axes import NOTHING, bare, colour_bar, draw_outlines
 from daq.analysis.pictures.saved import save_picture
 from daq.analysis.plane_share import PlaneShare
 from tracer.scene import Scene

@@ -2,20 +2,19 @@
 
 from collections.abc import Iterable
 
-import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from daq.analysis.pictures.canvas import Figure
+from daq.analysis.pictures.names import short
 from tracer.bodies import Body
 from tracer.scene import Scene
 
 INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
-LONGEST_NAME = 18
 MOST_NAMES = 12
 ROUND_STEPS = 72
 
@@ -30,18 +29,14 @@ def colour_bar(shown: ScalarMappable, axes: Axes, label: str, extend: str = "nei
     return bar
 
 
-def short(name: str, longest: int = LONGEST_NAME) -> str:
-    """Return a name that fits a picture; the middle of a long one is left out."""
-    half = (longest - 1) // 2
-    return name if len(name) <= longest else f"{name[:half]}\N{HORIZONTAL ELLIPSIS}{name[-half:]}"
-
-
 def outline_mm(body: Body, pinhole_mm: Iterable[float]) -> Floats | None:
     """Outline (N, 2) [mm] that a body throws on the plane from the pinhole; None if it reaches beyond any frame.
 
     Rays that touch a sphere of radius R at distance d open a cone of half angle asin(R / d); the outline of a
     capsule is the hull of those of its two ends.
     """
+    import cv2
+
     pinhole, (*ends, radius) = np.array(list(pinhole_mm)), body.capsule
     angle = np.linspace(0.0, 2.0 * np.pi, ROUND_STEPS, endpoint=False)
     found = []

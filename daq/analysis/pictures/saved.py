@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
+from daq.analysis.pictures.canvas import Figure
 from ground.whole_file import whole_file
 
 

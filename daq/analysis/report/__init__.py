@@ -8,7 +8,3 @@ series.py, mean.py   the chapters of a flow run: its frames and one pair; its me
 flow.py, flow_figures.py   whether that mean can be true: rims, lines, mass, convergence
 run.py              the chapters of a run: target, books, what moved, provenance
 """
-
-import matplotlib
-
-matplotlib.rcParams["text.parse_math"] = False  # a $ in the name of a file or body begins no formula

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
@@ -17,6 +16,7 @@ from correction.evaluate.shift import Scatter
 from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from correction.piv.vector_field import VectorField
+from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare, bare_figure, colour_bar, plane_panels
 from tracer.scene import Scene
 

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
-from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from correction.flow.derived import Profile, RimStep
+from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare_figure, colour_bar, plane_panels
 from daq.analysis.report.figures import HEAT, SERIES, plain_decades
 from daq.analysis.series.history import BINS, History

@@ -2,12 +2,15 @@
 
 from importlib.metadata import version
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from daq.analysis.focus.scan import FocusScan
 from daq.analysis.report.page import Page
+
+if TYPE_CHECKING:
+    from daq.analysis.pictures.canvas import Figure
 
 HEAD = ("part", "sharp at [mm]", "sigma [mm]", "spot there [px]")
 
@@ -54,7 +57,9 @@ def write_focus_page(path: Path, name: str, scan: FocusScan) -> None:
     page.write(path)
 
 
-def _figure(scan: FocusScan) -> Figure:
+def _figure(scan: FocusScan) -> "Figure":
+    from daq.analysis.pictures.canvas import Figure
+
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()
     for number, each in enumerate(scan.best):

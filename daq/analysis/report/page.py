@@ -13,12 +13,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-
 from ground.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from daq.analysis.pictures.canvas import Figure
 
 PNG_DPI = 170
 
@@ -118,7 +119,7 @@ class Page:
             f"<details><summary>{html.escape(name)}</summary><pre>{html.escape(text)}</pre></details>"
         )
 
-    def figure(self, name: str, figure: Figure, caption: str, dense: bool = False) -> None:
+    def figure(self, name: str, figure: "Figure", caption: str, dense: bool = False) -> None:
         """Add a figure; `write` also puts NAME.svg or NAME.png beside the page, or both.
 
         Parameters
@@ -206,8 +207,10 @@ def _framed(inner: str, caption: str) -> str:
     return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
-def _drawn(figure: Figure, kind: str) -> bytes:
+def _drawn(figure: "Figure", kind: str) -> bytes:
     """Bytes of a figure as SVG or PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None} if kind == "svg" else None)

@@ -51,13 +51,19 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
     tiles = [
         (str(behind), "vectors behind glass", f"{across} across a rim, {valid - behind - across} seen directly"),
         (f"{valid}", "valid vectors", f"of {field.flags.size} nodes"),
-        (f"{100 * evaluation.seen.recovered:.1f} %", "of the plane recovered", "share of the corrected frame"),
+        (f"{100 * _seen(evaluation).recovered:.1f} %", "of the plane recovered", "share of the corrected frame"),
     ]
     found = coverage_of(evaluation, field.valid)
     if found is not None:
         inside = "{:.0f}, {:.0f} %".format(*(100 * share for share in found.within_1))
         tiles.append((inside, "of the errors u, v within 1 sigma", f"68 % claimed: sigma is {found.claim}"))
     page.tiles(tiles)
+
+
+def _seen(evaluation: Evaluation) -> BeforeAfter:
+    """Frame A; whoever writes a page has asked for it."""
+    assert evaluation.seen is not None
+    return evaluation.seen
 
 
 def slider_chapter(page: Page, seen: BeforeAfter, what: str) -> None:
@@ -71,7 +77,7 @@ def pair_chapters(page: Page, evaluation: Evaluation) -> None:
     """Add the chapters of a pair."""
     if evaluation.field.doubt:
         page.warning(evaluation.field.doubt + ".")
-    slider_chapter(page, evaluation.seen, "Frame A of the pair.")
+    slider_chapter(page, _seen(evaluation), "Frame A of the pair.")
     _vectors(page, evaluation)
     if evaluation.shift is not None:
         _errors(page, evaluation)
@@ -227,6 +233,6 @@ def image_table(page: Page, seen: BeforeAfter) -> None:
 
 def _images(page: Page, evaluation: Evaluation) -> None:
     page.heading("Images")
-    image_table(page, evaluation.seen)
-    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in evaluation.seen.figures.items()}
+    image_table(page, _seen(evaluation))
+    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in _seen(evaluation).figures.items()}
     page.figure("intensity", grey_histogram(counts), "Intensity of frame A.")

@@ -1,4 +1,4 @@
-"""The folder of an evaluated pair: vectors, figures as JSON, and a page, which is written last."""
+"""The folder of an evaluated pair: vectors and figures as JSON, then a page, which alone needs matplotlib."""
 
 from dataclasses import asdict
 from importlib.metadata import version
@@ -8,8 +8,6 @@ import numpy as np
 
 from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
 from daq.analysis.evaluation import Evaluation
-from daq.analysis.report.page import Link, Page
-from daq.analysis.report.pair import pair_chapters, pair_summary
 from daq.analysis.report.tables import (
     CLAIM_HEAD,
     ROUTE_HEAD,
@@ -22,13 +20,11 @@ from daq.analysis.report.tables import (
 from daq.whole_text import write_json
 
 
-def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False) -> None:
-    """Write the folder of a pair, the page last."""
+def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
+    """Write all files of the folder of a pair but its page."""
     task, field, grid = evaluation.task, evaluation.field, evaluation.grid
-    out = task.out
+    out, about = task.out, _about(evaluation)
     out.mkdir(parents=True, exist_ok=True)
-    about = {"scene_hash": task.scene.content_hash(), "frames": ", ".join(path.name for path in task.frames)}
-    about["rtpiv_version"] = version("rtpiv")
     write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
     if evaluation.traced is not None:
         write_traced(out / "vectors_velocity.nc", evaluation.traced, about, task.dt_s)
@@ -57,6 +53,14 @@ def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False)
     if evaluation.no_tracks:
         summary["no_tracks"] = evaluation.no_tracks
     write_json(out / "evaluation.json", summary)
+
+
+def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
+    """Write the page of a pair, with the figures on request also as files; it names what is there."""
+    from daq.analysis.report.page import Link, Page
+    from daq.analysis.report.pair import pair_chapters, pair_summary
+
+    task, out, about = evaluation.task, evaluation.task.out, _about(evaluation)
     page = Page("PIV through glass: " + task.name, about["frames"], twice=figures)
     pair_summary(page, evaluation)
     pair_chapters(page, evaluation)
@@ -66,3 +70,13 @@ def write_pair(evaluation: Evaluation, vtk: bool = False, figures: bool = False)
     page.heading("Provenance")
     page.facts([*about.items(), ("bodies", ", ".join(body.name for body in task.scene.bodies) or "none")])
     page.write(out / "report.html")
+
+
+def _about(evaluation: Evaluation) -> dict[str, str]:
+    """Where a pair comes from."""
+    frames = ", ".join(path.name for path in evaluation.task.frames)
+    return {
+        "scene_hash": evaluation.task.scene.content_hash(),
+        "frames": frames,
+        "rtpiv_version": version("rtpiv"),
+    }

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import netcdf_file
 
 from correction.grid import PlaneGrid
 from correction.piv.vector_field import VectorField, VectorFlag
@@ -158,7 +158,7 @@ def write_chunk(
     has_clock = all(time is not None for time in times)
     numbers = [int(result.pair.tag.rsplit("_", 1)[-1]) // 2 for result in results] if not has_clock else []
     buffer = io.BytesIO()
-    with netcdf_file(buffer, "w", version=2) as file:
+    with scipy.io.netcdf_file(buffer, "w", version=2) as file:
         for name, size in (("t", len(results)), ("y", len(y_mm)), ("x", len(x_mm))):
             file.createDimension(name, size)
         when = times if has_clock else numbers
@@ -203,7 +203,7 @@ def write_chunk(
 
 def read_chunk(content: bytes) -> ChunkContent:
     """Read the bytes of a chunk's file, which its marker has vouched for."""
-    with netcdf_file(io.BytesIO(content), "r", mmap=False) as file:
+    with scipy.io.netcdf_file(io.BytesIO(content), "r", mmap=False) as file:
         found: dict[str, NDArray[Any]] = {name: np.array(variable[:]) for name, variable in file.variables.items()}
         tags, failures = (json.loads(getattr(file, name)) for name in ("pairs", "failures"))
         scale = (float(file.px_per_mm), int(file.window_px), int(file.step_px))

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import netcdf_file
 
 from daq.analysis.series.chunk_file import NAMES, SCHEMA
 from daq.analysis.series.ensemble_series import EnsembleFlow
@@ -38,7 +38,7 @@ def write_ensemble(path: Path, flow: EnsembleFlow, about: dict[str, Any]) -> Non
     known = np.isfinite(flow.mean_m_s).all(axis=-1)
     found["chc"] = (np.asarray(known, np.int32), "1")
     buffer = io.BytesIO()
-    with netcdf_file(buffer, "w", version=2) as file:
+    with scipy.io.netcdf_file(buffer, "w", version=2) as file:
         for name, values, unit in (("t", np.zeros(1), "s"), ("y", flow.y_mm, "mm"), ("x", flow.x_mm, "mm")):
             file.createDimension(name, len(values))
             axis = file.createVariable(name, "f8", (name,))

@@ -27,8 +27,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.io import netcdf_file
 
 from daq.analysis.series.chunk_file import NAMES, SCHEMA
 from daq.analysis.series.mean_flow import MeanFlow
@@ -56,7 +56,7 @@ def write_mean(
         Further numbers without a unit, (ny, nx).
     """
     buffer = io.BytesIO()
-    with netcdf_file(buffer, "w", version=2) as file:
+    with scipy.io.netcdf_file(buffer, "w", version=2) as file:
         for name, values, unit in (("t", np.zeros(1), "s"), ("y", mean.y_mm, "mm"), ("x", mean.x_mm, "mm")):
             file.createDimension(name, len(values))
             axis = file.createVariable(name, "f8", (name,))

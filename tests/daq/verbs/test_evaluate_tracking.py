@@ -8,7 +8,7 @@ import pytest
 import tifffile
 from scipy.io import netcdf_file
 
-from daq.analysis.report.pair_folder import write_pair
+from daq.analysis.report.pair_folder import write_pair, write_pair_page
 from daq.cli import DONE, USAGE, main
 from daq.verbs.evaluate import evaluate
 from sim.demo.scenes import at_size, named_scene
@@ -69,7 +69,9 @@ def test_without_a_known_shift_there_are_no_errors_and_with_a_time_there_are_vel
     assert found.tracks is not None
     row = json.loads((tmp_path / "tracks" / "evaluation.json").read_text())["tracks"][0]
     assert row["rms_error_px"] is None
-    write_pair(replace(found, task=replace(found.task, out=tmp_path / "timed", dt_s=0.5)))
+    timed = replace(found, task=replace(found.task, out=tmp_path / "timed", dt_s=0.5))
+    write_pair(timed)
+    write_pair_page(timed)
     with netcdf_file(tmp_path / "timed" / "tracks.nc", mmap=False) as file:
         assert file.variables["u"].units == b"mm/s"
         assert np.allclose(file.variables["u"][:], found.tracks.vectors.shift_mm[:, 0] / 0.5)

@@ -5,7 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from daq.analysis.pictures.drawing import scene_figure
-from daq.analysis.pictures.plane_axes import colour_bar, outline_mm, short
+from daq.analysis.pictures.names import short
+from daq.analysis.pictures.plane_axes import colour_bar, outline_mm
 from daq.analysis.pictures.section import BESIDE, CENTRAL, GLASS, STOPPED, fan, is_central, sections_of
 from tests.daq.analysis.test_plane_share import GLASS as CROWN
 from tests.daq.analysis.test_plane_share import cone_area_mm2, scene_of

@@ -1,0 +1,94 @@
+"""Where kernels are given to numba; imported when the first one is called.
+
+Numba meets our `Kernel` objects as globals of the functions that it compiles, and takes each for what it is made
+of it here.
+"""
+
+import inspect
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numba
+import numba.extending
+from numba.core import event, types
+from numba.extending import overload, typeof_impl
+
+import ground.unowned  # noqa: F401 - teaches numba
+from ground.compile_news import CompileCount
+from ground.jit import Kernel, overloads
+from ground.kernel_cache import cache_folder
+
+
+def given_to_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401
+    """Return numba's object for a function; what is in its folder of the cache is found when it is called."""
+    while overloads:
+        replaced, writer, how = overloads.pop(0)
+        overload(replaced, **how)(writer)
+    if not options.get("cache"):
+        return numba.njit(**options)(function)
+    folder, before = cache_folder(Path(inspect.getfile(function))), numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    if folder is None:
+        return numba.njit(**options | {"cache": False})(function)
+    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+    try:
+        compiled = numba.njit(**options)(function)
+    finally:
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    _keep_if_possible(compiled)
+    _load_at_once(compiled)
+    return compiled
+
+
+def _keep_if_possible(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
+    """Let a disk that is full cost the next process its time, not this one its results."""
+    kept = compiled._cache.save_overload
+
+    def save(*arguments: object) -> None:
+        with suppress(OSError):
+            kept(*arguments)
+
+    compiled._cache.save_overload = save
+
+
+def _load_at_once(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
+    """Load machine code without first preparing for compiling, which takes longer than all the loading.
+
+    Before it looks into its cache, numba imports what it knows of NumPy, SciPy's linear algebra included.  Machine
+    code needs nothing of that, and whatever compiles asks for it itself.
+    """
+    cache = compiled._cache
+    try:
+        found, guarded = cache._load_overload, cache._guard_against_spurious_io_errors
+    except AttributeError:  # another version of numba: its own way
+        return
+
+    def load(signature: object, target_context: object) -> object:
+        with guarded():
+            return found(signature, target_context)
+
+    cache.load_overload = load
+
+
+@typeof_impl.register(Kernel)
+def _type_of_kernel(kernel: Kernel, context: object) -> types.Type:
+    return types.Dispatcher(kernel.compiled)
+
+
+class _Compiling(event.Listener):
+    """Hears of functions that no cache holds, and counts them."""
+
+    def __init__(self) -> None:
+        self._count = CompileCount()
+
+    def on_start(self, event: object) -> None:
+        """One is about to be compiled."""
+        self._count.begun()
+
+    def on_end(self, event: object) -> None:
+        """One is compiled."""
+        self._count.done()
+
+
+event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]
