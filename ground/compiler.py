@@ -13,6 +13,7 @@ from typing import Any
 import numba
 import numba.extending
 from numba.core import event, types
+from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.extending import overload, typeof_impl
 
 import ground.unowned  # noqa: F401 - teaches numba
@@ -55,8 +56,8 @@ def _keep_if_possible(compiled: Any) -> None:  # noqa: ANN401 - numba has no typ
 def _load_at_once(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
     """Load machine code without first preparing for compiling, which takes longer than all the loading.
 
-    Before it looks into its cache, numba imports what it knows of NumPy, SciPy's linear algebra included.  Machine
-    code needs nothing of that, and whatever compiles asks for it itself.
+    Before it looks into its cache, numba imports what it knows of NumPy, SciPy's linear algebra included.  Of that
+    machine code needs the runtime alone, which counts references; whatever compiles asks for all of it itself.
     """
     cache = compiled._cache
     try:
@@ -65,6 +66,7 @@ def _load_at_once(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
         return
 
     def load(signature: object, target_context: object) -> object:
+        rtsys.initialize(target_context)
         with guarded():
             return found(signature, target_context)
 
