@@ -137,4 +137,4 @@ def test_the_first_hour_of_a_new_lab(installed, monkeypatch, tmp_path):
     (lab / "campaign.py").write_text(own)
     said = installed("python", "campaign.py")
     assert "of the plane is recovered" in said
-    assert said.splitlines()[-1] == "mine"
+    assert "mine" in said.splitlines()

@@ -6,6 +6,8 @@ from correction.evaluate.regions import Region
 from correction.evaluate.shift import shift_errors
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.pictures.before_after import BeforeAfter
+from daq.analysis.pictures.blur import CAPTION as BLUR_CAPTION
+from daq.analysis.pictures.blur import blur_figure, blur_of
 from daq.analysis.pictures.drawing import CAPTION, scene_figure
 from daq.analysis.report.figures import (
     colour_limit,
@@ -103,6 +105,8 @@ def scene_chapter(page: Page, scene: Scene) -> None:
     ]  # fmt: skip
     if rows:
         page.table(("sphere", "centre x, y, z [mm]", "radius [mm]", f"n at {scene.wavelength_nm:g} nm"), rows)
+    if scene.camera.pupil is not None and rows:
+        page.figure("blur", blur_figure(*blur_of(scene)), BLUR_CAPTION, dense=True)
 
 
 def _vectors(page: Page, evaluation: Evaluation) -> None:

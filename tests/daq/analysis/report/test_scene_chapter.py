@@ -1,0 +1,25 @@
+"""The chapter on what stood before the camera: with the blur of its aperture where the scene says one."""
+
+from dataclasses import replace
+
+import pytest
+
+from daq.analysis.report.page import Page
+from daq.analysis.report.pair import scene_chapter
+from tests.correction.small_scenes import small_scene
+from tracer.pupil import Pupil
+
+
+@pytest.mark.parametrize(
+    ("f_number", "bodies", "drawn"), [(None, True, False), (11.0, True, True), (11.0, False, False)]
+)
+def test_blur_is_drawn_where_an_aperture_looks_through_glass(tmp_path, f_number, bodies, drawn):
+    scene = small_scene("two_spheres_500", 96)
+    if f_number is not None:
+        scene = scene.with_camera(replace(scene.camera, pupil=Pupil(30.0 / f_number, 500.0)))
+    page = Page("a", "b")
+    scene_chapter(page, scene if bodies else scene.with_bodies(()))
+    page.write(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert ("aperture shows each point" in text) == drawn
+    assert (tmp_path / "blur.png").exists() == drawn
