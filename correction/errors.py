@@ -7,6 +7,7 @@ CorrectionError
 +-- BoardError       the description of the target contradicts itself
 +-- TargetNotFound   a frame does not show the described target, or too little of it
 +-- MapUsageError    a correction map is asked for that cannot be (also a ValueError)
++-- SheetError       the light sheet cannot be found in some frames
 +-- SeriesError      statistics of a series do not belong together, or a file of them is damaged
 +-- DewarpError      pairs of points do not determine the dewarp polynomial, or stored numbers are not one
 """
@@ -30,6 +31,10 @@ class PairError(CorrectionError):
 
 class SeriesError(CorrectionError):
     """Statistics of a series cannot be added up or read; the message names what differs and the cure."""
+
+
+class SheetError(CorrectionError):
+    """The light sheet cannot be found in some frames; the message says what is missing."""
 
 
 class BoardError(CorrectionError):

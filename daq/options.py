@@ -103,6 +103,11 @@ def parser() -> argparse.ArgumentParser:
     focus.add_argument("run", type=Path, metavar="RUN", help="run of a plan of experiment: focus")
     focus.add_argument("-o", "--out", type=Path, help="folder for its page (default: the run's)")
 
+    sheet = verbs.add_parser("sheet", help="where the light sheet is, from particles that are seen twice")
+    sheet.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="flow run, or frames A, B, A, B ...")
+    sheet.add_argument("--scene", type=Path, required=True, help="scene.yaml, fitted")
+    sheet.add_argument("-o", "--out", type=Path, default=Path("sheet"), help="folder (default: sheet)")
+
     join = verbs.add_parser("join", help="one mean of two runs of a flow, focused beside the glass and behind it")
     join.add_argument("beside", type=Path, metavar="SERIES_BESIDE", help="series of the run focused on the plane")
     join.add_argument(

@@ -24,6 +24,7 @@ WORDS = {
     "evaluate": ["a.tif", "b.tif", "--scene", "s", "-o", "out"], "focus": ["run"], "join": ["a", "b"],
     "mean": ["run"], "report": ["run"], "acquire": ["plan"], "resume": ["run"], "check": ["run"], "stage": [],
     "laser": [], "camera": ["list"], "doctor": [], "init": ["--yes"], "examples": [],
+    "sheet": ["run", "--scene", "s", "-o", "out"],
     "schema": [], "emulate": ["bench"], "benchmark": ["scene"], "demo": [],
 }  # fmt: skip
 

@@ -1,0 +1,200 @@
+"""Places of the light sheet that the camera sees twice: directly and through glass, or through it in two ways.
+
+If the sheet lies dz before the plane that a map was made for, a particle at X is found at X - p dz, with p = dX/dz
+of the pixel that shows it.  Two views a and b of one place have different p: what is found at X in view a is found
+at X + D dz in view b,
+
+    D = p_a - p_b.
+
+This *disparity* is zero if the map is made for the plane in which the particles are.  It is measured along D;
+across D no height moves anything, so what is found there belongs to glass that is not where the scene has it.
+
+A view counts where it can be followed: BESIDE_PX raw pixels to either side along D it must still be the same
+branch on the same side of a fold, and nearly straight.  So no rim cuts the picture of a particle.  Where the
+second view bends, kappa = (d^2 pixel / dX^2) / (d pixel / dX), lags that are straight on the sensor miss by
+kappa y^2 / 2 at y beside the particle: the peak moves by kappa / 2 times the variance of the particle's first
+picture.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.correction_map import CorrectionMap, build_correction_map
+from tracer.blur import pupil_views
+from tracer.branches import Branch
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+from tracer.sensitivity import TARGET, landings
+from tracer.trace import trace
+
+LAYERS = 4
+LEAST_MAGNIFICATION = 0.2
+BESIDE_PX = 1.5  # half the picture of a particle
+STRAIGHT = 0.5  # of that step on the plane
+APART_PX = 8.0  # of the two pictures on the sensor: closer ones are one picture
+LEAST_PARALLAX = 0.02  # |D|: 0.02 mm for a millimetre of height
+PARTICLE_PX2 = 0.7  # variance of a picture of 2.4 px, and of the bell that it is looked up with
+UNIT = 0.8  # of the standard deviation that two such pictures make of a peak
+WIDEST_PX = 3.0  # blur by the aperture, standard deviation
+MOST_LOST = 0.05
+
+
+@dataclass(frozen=True)
+class DoubleViews:
+    """Places seen twice.
+
+    Parameters
+    ----------
+    place_mm : (N, 2) float64
+        On the plane.
+    first_px, second_px : (N, 2) float64
+        Raw pixels u, v of the two views; where the scene has an aperture, of their centroids.
+    along_px, across_px : (N, 2) float64
+        What the second pixel moves by for a step of one corrected pixel along D, and across it.
+    parallax : (N,) float64
+        |D| [mm on the plane per mm of height].
+    blob : (N, 2) float64
+        What the two views make of a variance of 1 px^2 on the sensor, along and across D [corrected px^2], summed.
+    bend : (N,) float64
+        What the bend of the second view moves the peak by along D, for a variance of 1 px^2 on the sensor.
+    kind : (N,) int64
+        Index into `kinds`.
+    kinds : tuple of (Branch, Branch)
+        Branches of the first and of the second view.
+    pitch_mm : float
+        A corrected pixel.
+    """
+
+    place_mm: NDArray[np.float64]
+    first_px: NDArray[np.float64]
+    second_px: NDArray[np.float64]
+    along_px: NDArray[np.float64]
+    across_px: NDArray[np.float64]
+    parallax: NDArray[np.float64]
+    blob: NDArray[np.float64]
+    bend: NDArray[np.float64]
+    kind: NDArray[np.int64]
+    kinds: tuple[tuple[Branch, Branch], ...]
+    pitch_mm: float
+
+    @property
+    def area_mm2(self) -> float:
+        """Area that is seen twice; a place seen in three ways counts three times."""
+        return len(self.place_mm) * self.pitch_mm**2
+
+    def units(self) -> NDArray[np.float64]:
+        """Lags (N, 2), along and across [corrected px], worth a share of a particle's picture, one for a kind."""
+        out = np.ones((len(self.kind), 2))
+        for kind in np.unique(self.kind):
+            here = self.kind == kind
+            out[here] = UNIT * np.sqrt(PARTICLE_PX2 * np.median(self.blob[here], axis=0))
+        return out
+
+    def at(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "DoubleViews":
+        """Return some of them."""
+        parts: dict[str, Any] = {
+            name: value[chosen] for name, value in vars(self).items() if isinstance(value, np.ndarray)
+        }
+        return replace(self, **parts)
+
+
+def double_views(scene: Scene) -> DoubleViews:
+    """Find what is seen twice of the plane z = 0 of a scene (`Scene.in_light_sheet` comes first)."""
+    found = build_correction_map(
+        scene, build_ray_map(scene), layers=LAYERS, skip=False, min_magnification=LEAST_MAGNIFICATION
+    )
+    seen = (found.weight > 0.0) & found.recovered
+    parts: list[list[NDArray[np.float64]]] = []
+    kinds: dict[tuple[Branch, Branch], int] = {}
+    for one in range(LAYERS):
+        for two in range(one + 1, LAYERS):
+            rows, columns = np.nonzero(seen[one] & seen[two])
+            parts.append(_of_layers(scene, found, one, two, rows, columns, kinds))
+    place, first, second, along, across, parallax, blob, bend, kind = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
+    return DoubleViews(
+        place, first, second, along, across, parallax, blob, bend, kind.astype(np.int64), tuple(kinds),
+        found.grid.pitch_mm,
+    )  # fmt: skip
+
+
+def _of_layers(
+    scene: Scene,
+    found: CorrectionMap,
+    one: int,
+    two: int,
+    rows: NDArray[np.int64],
+    columns: NDArray[np.int64],
+    kinds: dict[tuple[Branch, Branch], int],
+) -> list[NDArray[np.float64]]:
+    """Places seen in two layers of a map, as the columns of `DoubleViews`."""
+    pixels = [found.pixel[layer, rows, columns] for layer in (one, two)]
+    rates = [found.jacobian[layer, rows, columns].reshape(-1, 2, 2).astype(np.float64) for layer in (one, two)]
+    slopes = [landings(scene, pixel).rate[:, :, TARGET.index("z") - len(TARGET)] for pixel in pixels]
+    gap = slopes[0] - slopes[1]
+    parallax = np.hypot(*gap.T)
+    good = np.isfinite(parallax) & (parallax > LEAST_PARALLAX)
+    good &= np.hypot(*(pixels[0] - pixels[1]).T) > APART_PX
+    with np.errstate(invalid="ignore", divide="ignore"):
+        along = gap / parallax[:, None] * (1.0, -1.0)  # nodes run down, y runs up
+    across = np.stack((-along[:, 1], along[:, 0]), axis=-1)
+    centres = []
+    for pixel, rate in zip(pixels, rates, strict=True):
+        step = np.einsum("nij,nj->ni", rate, along)
+        followed, bend = _followed(scene, found, pixel, step, along)
+        good &= followed
+        shift, usable = _centroids(scene, pixel)
+        good &= usable
+        centres.append(pixel + shift)
+    blobs = np.zeros((2, len(rows), 2))
+    for view, rate in enumerate(rates):
+        back = np.linalg.pinv(rate)
+        for number, way in enumerate((along, across)):
+            blobs[view, :, number] = np.sum(np.einsum("nji,nj->ni", back, way) ** 2, axis=1)
+    blob, bend = blobs.sum(axis=0), 0.5 * bend * blobs[0, :, 0]  # the loop above ends with the second view
+    names = [[found.branches[number] for number in found.branch[layer, rows, columns]] for layer in (one, two)]
+    kind = np.array([kinds.setdefault(pair, len(kinds)) for pair in zip(*names, strict=True)], np.float64)
+    place = found.grid.nodes_mm()[rows, columns]
+    steps = [np.einsum("nij,nj->ni", rates[1], way) for way in (along, across)]
+    return [part[good] for part in (place, *centres, *steps, parallax, blob, bend, kind)]
+
+
+def _followed(
+    scene: Scene,
+    found: CorrectionMap,
+    pixel: NDArray[np.float64],
+    step: NDArray[np.float64],
+    along: NDArray[np.float64],
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Whether a view goes on BESIDE_PX to either side, and its bend; `step` (N, 2) is d pixel for one `along`."""
+    length = np.hypot(*step.T)
+    here = trace(scene, pixel)
+    good = here.recovered & (length > 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        aside = BESIDE_PX * step / length[:, None]
+        wanted = BESIDE_PX / length[:, None] * along * (1.0, -1.0) * found.grid.pitch_mm
+    bow = np.zeros((len(pixel), 2))
+    for way in (-1.0, 1.0):
+        there = trace(scene, np.nan_to_num(pixel + way * aside))
+        miss = there.plane_mm - here.plane_mm - way * wanted
+        off, bow = np.hypot(*miss.T), bow + miss
+        with np.errstate(invalid="ignore"):
+            good &= there.recovered & (there.rays["key"] == here.rays["key"])
+            good &= off < STRAIGHT * np.hypot(*wanted.T)
+    second = np.sum(bow * along * (1.0, -1.0), axis=1) / found.grid.pitch_mm
+    return np.asarray(good), -second * (length / BESIDE_PX) ** 2
+
+
+def _centroids(scene: Scene, pixel: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Shift (N, 2) of particles' centroids by the aperture, and where pictures are sharp enough."""
+    pupil = scene.camera.pupil
+    if pupil is None or not len(pixel):
+        return np.zeros_like(pixel), np.ones(len(pixel), bool)
+    blur = pupil_views(scene, pupil, pixel).of_particles()
+    with np.errstate(invalid="ignore"):
+        usable = (blur.width_px <= WIDEST_PX) & (blur.lost <= MOST_LOST)
+    return np.nan_to_num(blur.shift_px), np.asarray(usable)

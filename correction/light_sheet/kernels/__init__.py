@@ -1,0 +1,1 @@
+"""Numba and numpy only."""

@@ -1,0 +1,105 @@
+"""The plane of the sheet from heights of cells: weighted least squares with what was known before.
+
+Unknown are corrections of z and of the two slopes; each cell says  dz + x da + y db = height +- sigma.  Cells that
+lie off by more than they may are given less weight (Huber).  If the rest scatters more than its sigmas say, all of
+these are enlarged; if kinds of views disagree, or something moved across D, it is not the sheet alone that is off.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from correction.light_sheet.disparities import BLOCKS, Disparities
+
+TUNING, FARTHEST = 1.5, 5.0  # usual deviations from which on a cell counts less, and not at all
+FALSE_ALARMS = 0.001
+ROUNDS = 20
+LEAST_ACROSS_PX, LEAST_APART_MM = 0.08, 0.03  # what corner and particle models leave; less is no finding
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """Correction of the sheet's plane.
+
+    Parameters
+    ----------
+    step : (3,) float64
+        dz [mm], da, db.
+    covariance : (3, 3) float64
+        With what was known before.
+    scatter : float
+        Root of chi^2 a degree of freedom of the cells' heights; sigmas are enlarged by it if it is above 1.
+    residual_mm : (C,) float64
+        Heights of cells minus the plane.
+    weight : (C,) float64
+        1, or less for cells that lie off.
+    across_px : float
+        Weighted rms of the disparities across D beyond their sigmas; 0 if chance makes as much.
+    kinds_mm : dict
+        Kind -> mean height of its cells over the plane found, and sigma.
+    """
+
+    step: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    scatter: float
+    residual_mm: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    across_px: float
+    kinds_mm: dict[int, tuple[float, float]]
+
+    @property
+    def kinds_disagree(self) -> bool:
+        """Whether some kind of views sees another height than the plane of all."""
+        limit = float(np.sqrt(chi2.isf(FALSE_ALARMS / max(len(self.kinds_mm), 1), 1)))
+        return len(self.kinds_mm) > 1 and any(
+            abs(off) > max(limit * sigma, LEAST_APART_MM) for off, sigma in self.kinds_mm.values()
+        )
+
+
+def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArray[np.float64]) -> PlaneFit:
+    """Fit the plane.
+
+    Parameters
+    ----------
+    found : Disparities
+        Of at least one cell.
+    known : (3,) float64
+        What was known before of (dz, da, db), relative to the plane of the map.
+    covariance : (3, 3) float64
+        Of what was known.
+    """
+    design = np.column_stack((np.ones(len(found.kind)), found.place_mm))
+    height, sigma = found.height_mm, found.height_sigma_mm
+    before = np.linalg.inv(covariance)
+    share, scatter, answer = np.ones(len(height)), 1.0, np.asarray(known)
+    for _ in range(ROUNDS):
+        weight = share / (sigma * scatter) ** 2
+        normal = design.T @ (weight[:, None] * design) + before
+        answer = np.asarray(np.linalg.solve(normal, design.T @ (weight * height) + before @ known), np.float64)
+        off = np.abs(height - design @ answer) / sigma
+        usual = max(1.0, 1.4826 * float(np.median(off)))
+        share = np.where(off < FARTHEST * usual, np.minimum(1.0, TUNING * usual / np.maximum(off, 1e-9)), 0.0)
+        freedom = max(1.0, float(share.sum()) - 3.0)
+        scatter = max(1.0, float(np.sqrt(np.sum(share * off**2) / freedom)))
+    residual = height - design @ answer
+    kinds = {}
+    for kind in np.unique(found.kind):
+        here = found.kind == kind
+        trust = share[here] / (sigma[here] * scatter) ** 2
+        if trust.sum() > 0.0:
+            kinds[int(kind)] = (float(trust @ residual[here] / trust.sum()), float(1.0 / np.sqrt(trust.sum())))
+    return PlaneFit(answer, np.linalg.inv(normal), scatter, residual, share, _across(found, share), kinds)
+
+
+def _across(found: Disparities, share: NDArray[np.float64]) -> float:
+    """Disparity across D beyond what chance makes [px], of cells that count."""
+    off, sigma = found.across_px[share > 0.0], found.across_sigma_px[share > 0.0]
+    unsure = (BLOCKS - 1.0) / (BLOCKS - 3.0)  # of sigmas that ten parts of the frames have told
+    if np.sum((off / sigma) ** 2) < unsure * chi2.isf(FALSE_ALARMS, len(off)):
+        return 0.0
+    weight = sigma**-2.0
+    excess = float(np.sum(weight * (off**2 - sigma**2)) / weight.sum())
+    size = float(np.sqrt(max(excess, 0.0)))
+    return size if size > LEAST_ACROSS_PX else 0.0

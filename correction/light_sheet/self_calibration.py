@@ -1,0 +1,233 @@
+"""Find the light sheet in the frames of a flow: what is seen twice has to be at one place.
+
+Each round makes the map for the sheet as known so far, looks for places seen twice, measures their disparities and
+corrects the plane, until it moves by less than its sigma.  Stereo PIV finds its sheet in the same
+way with two cameras (Wieneke, Exp. Fluids 39, 267 (2005)); here the second camera is the glass.
+
+Thickness: particles lie at heights with the spread s of the sheet's light squared, and D s widens the peak along D
+beyond what the views do to a particle, which the peak's width across D tells.  For light that is Gaussian across,
+with full width w at e^-2, s = w / sqrt(32).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.errors import SheetError
+from correction.light_sheet.disparities import ACROSS, BLOCKS, Disparities, Light, Pairs, disparities
+from correction.light_sheet.double_views import DoubleViews, double_views
+from correction.light_sheet.plane_fit import PlaneFit, fit_plane
+from tracer.light_sheet import LightSheet
+from tracer.scene import Scene
+
+MOST_PLACES = 30_000
+CELLS_ACROSS = 8  # of the view
+LEAST_PLACES = 12  # of a cell
+EDGE_PX = 3.0
+ROUNDS = 5
+SETTLED, AT_REST = 1.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
+TELLS = 0.7  # of the sigma known before, and the frames have told something
+AROUND, MOST_REACH = 5, 20  # lags about a peak, and in all
+
+
+@dataclass(frozen=True)
+class SheetFound:
+    """The light sheet as particles show it.
+
+    Parameters
+    ----------
+    sheet : LightSheet
+        With sigmas; those known before where the frames tell nothing.
+    known : LightSheet
+        What was known before.
+    views : DoubleViews
+        Places seen twice, in the sheet found.
+    cells : Disparities or None
+        Of the last round; None if no cell had a clear peak.
+    fit : PlaneFit or None
+        Of the last round.
+    pairs : int
+        Pairs of frames.
+    rounds : int
+        Maps made.
+    verdicts : tuple of str
+        What a reader must know, in words.
+    """
+
+    sheet: LightSheet
+    known: LightSheet
+    views: DoubleViews
+    cells: Disparities | None
+    fit: PlaneFit | None
+    pairs: int
+    rounds: int
+    verdicts: tuple[str, ...]
+
+
+def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
+    """Find the light sheet of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        As the camera saw it, fitted; its `sheet` says what is known, nothing: z = 0 within half a millimetre.
+    pairs : callable
+        Gives the raw pairs of frames of a flow, the same ones at each call.
+
+    Raises
+    ------
+    SheetError
+        There are too few pairs.
+    SceneError
+        The sheet runs through a body.
+    """
+    known = scene.sheet or LightSheet()
+    light, count = Light.of(pairs)
+    if count < BLOCKS:
+        raise SheetError(f"{count} pairs of frames do not tell where the sheet is; give {BLOCKS} or more, best 50")
+    now, cells, fit, rounds = known, None, None, 0
+    views = double_views(replace(scene, sheet=now).in_light_sheet())
+    for rounds in range(1, ROUNDS + 1):
+        if rounds > 1:
+            views = double_views(replace(scene, sheet=now).in_light_sheet())
+        reach = _reach(views, known if rounds == 1 else now)
+        views = _inside(views, scene.camera.shape, reach)
+        views, cell = _cells(views, scene)
+        cells = disparities(views, cell, pairs, light, count, reach) if len(cell) else None
+        if cells is None or not len(cells.kind):
+            return _nothing(known, views, count, rounds)
+        fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
+        before, now = now, _moved(now, fit, known)
+        step = np.abs(_numbers(now) - _numbers(before))
+        if (step < np.maximum(SETTLED * np.sqrt(np.diag(fit.covariance)), AT_REST)).all():
+            break
+    assert fit is not None
+    assert cells is not None
+    said = [*_moved_glass(fit, views), *_untold(now, known)]
+    if _moved_glass(fit, views):
+        now = known
+    now = replace(now, thickness_mm=thickness_mm(cells) or known.thickness_mm)
+    return SheetFound(now, known, views, cells, fit, count, rounds, tuple(said))
+
+
+def thickness_mm(cells: Disparities) -> float | None:
+    """Full width of the sheet at e^-2 from the widths of the peaks; None where they do not tell."""
+    found, weights = [], []
+    for kind, (along, across, blob_along, blob_across) in cells.widths.items():
+        here = cells.kind == kind
+        if not here.any():
+            continue
+        rate = float(np.mean((cells.parallax[here] / cells.pitch_mm) ** 2))
+        excess = along - across * blob_along / blob_across
+        found.append(excess / rate)
+        weights.append(rate**2 * np.count_nonzero(here) / along**2)
+    spread2 = float(np.average(found, weights=weights)) if found else 0.0
+    unsure = 0.1 / np.sqrt(sum(weights)) if weights else np.inf
+    return float(np.sqrt(32.0 * spread2)) if spread2 > 3.0 * unsure else None
+
+
+def _nothing(known: LightSheet, views: DoubleViews, count: int, rounds: int) -> SheetFound:
+    why = (
+        "no particle of this view is seen twice"
+        if not len(views.kind)
+        else f"{views.area_mm2:.1f} mm2 are seen twice, but the two views of the particles do not agree anywhere"
+    )
+    said = f"the frames do not tell where the light sheet is: {why}; measure it, and say it in the scene file"
+    return SheetFound(known, known, views, None, None, count, rounds, (said,))
+
+
+def _untold(now: LightSheet, known: LightSheet) -> list[str]:
+    """What the frames do not tell, in words."""
+    parts = (
+        ("height", now.sigma_mm > TELLS * known.sigma_mm),
+        ("tilt", now.tilt_sigma_deg > TELLS * known.tilt_sigma_deg),
+    )
+    return [
+        f"the frames tell little of the {part} of the light sheet: its sigma is what was known before"
+        for part, little in parts
+        if little
+    ]
+
+
+def _moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
+    """What speaks for a body that is not in its place, in words."""
+    said = []
+    if fit.across_px:
+        said.append(
+            f"views of one particle lie {fit.across_px:.2f} px apart across the way that any height of the sheet"
+            " moves them"
+        )
+    if fit.kinds_disagree:
+        named = "; ".join(
+            f"{' and '.join(_said(way) for way in views.kinds[kind])}: {1e3 * off:+.0f} +- {1e3 * sigma:.0f} um"
+            for kind, (off, sigma) in fit.kinds_mm.items()
+        )
+        said.append(f"views through different bodies see different heights ({named})")
+    cure = (
+        ": a body is not where the scene has it; the sheet is left as it was known, so calibrate the glass again"
+    )
+    return [sentence + cure for sentence in said]
+
+
+def _said(branch: tuple[str, ...]) -> str:
+    return "through " + ", ".join(branch) if branch else "direct"
+
+
+def _numbers(sheet: LightSheet) -> NDArray[np.float64]:
+    """Height [mm] and slopes (3,)."""
+    return np.array([sheet.z_mm, *sheet.slopes])
+
+
+def _covariance(sheet: LightSheet) -> NDArray[np.float64]:
+    """Of height and slopes; never singular."""
+    root = sheet.root()
+    return np.asarray(root @ root.T + np.diag([1e-6**2, 1e-8**2, 1e-8**2]))
+
+
+def _moved(now: LightSheet, fit: PlaneFit, known: LightSheet) -> LightSheet:
+    """The sheet with a correction of its plane, and its sigma."""
+    z, a, b = _numbers(now) + fit.step
+    sigma = np.sqrt(np.diag(fit.covariance))
+    shares = fit.covariance / np.outer(sigma, sigma)
+    tilt = float(np.rad2deg(np.sqrt(np.mean([(sigma[1] / (1 + a * a)) ** 2, (sigma[2] / (1 + b * b)) ** 2]))))
+    return LightSheet(
+        float(z), float(np.rad2deg(np.arctan(a))), float(np.rad2deg(np.arctan(b))), float(sigma[0]), tilt,
+        (float(shares[0, 1]), float(shares[0, 2]), float(shares[1, 2])), known.thickness_mm,
+    )  # fmt: skip
+
+
+def _reach(views: DoubleViews, sheet: LightSheet) -> int:
+    """Lags along D that hold three sigmas of the height, and the peak around them."""
+    if not len(views.kind):
+        return 0
+    lag_mm = views.units()[:, 0] * views.pitch_mm / views.parallax  # height for a lag of one
+    needed = 3.0 * sheet.sigma_mm / float(np.quantile(lag_mm, 0.1)) + AROUND
+    return int(np.clip(np.ceil(needed), AROUND, MOST_REACH))
+
+
+def _inside(views: DoubleViews, shape: tuple[int, int], reach: int) -> DoubleViews:
+    """Places whose two views, with all lags, lie inside the sensor."""
+    size = np.array(shape[::-1]) - 1.0
+    good = np.ones(len(views.kind), bool)
+    units = views.units()
+    room = np.abs(views.along_px) * units[:, :1] * reach + np.abs(views.across_px) * units[:, 1:] * ACROSS
+    for pixel, more in ((views.first_px, 0.0), (views.second_px, room)):
+        good &= ((pixel - more >= EDGE_PX) & (pixel + more <= size - EDGE_PX)).all(axis=1)
+    return views.at(good)
+
+
+def _cells(views: DoubleViews, scene: Scene) -> tuple[DoubleViews, NDArray[np.int64]]:
+    """Some of the places, and the cell of each: a square of the plane, and one kind of views."""
+    if len(views.kind) > MOST_PLACES:
+        chosen = np.random.default_rng(0).choice(len(views.kind), MOST_PLACES, replace=False)
+        views = views.at(np.sort(chosen))
+    if not len(views.kind):
+        return views, np.empty(0, np.int64)
+    side_mm = max(scene.camera.shape) * views.pitch_mm / CELLS_ACROSS
+    square = np.floor(views.place_mm / side_mm).astype(np.int64) + 1000
+    number = (views.kind * 10000 + square[:, 0]) * 10000 + square[:, 1]
+    _, cell, places = np.unique(number, return_inverse=True, return_counts=True)
+    keep = places[cell] >= LEAST_PLACES
+    views = views.at(keep)
+    return views, np.unique(cell[keep], return_inverse=True)[1].astype(np.int64)

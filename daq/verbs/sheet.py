@@ -1,0 +1,80 @@
+"""`rtpiv sheet`: where the light sheet is, from the particles that are seen twice."""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from correction.light_sheet.self_calibration import SheetFound
+from daq.analysis.light_sheet import about_sheet, flow_frames, sheet_of
+from daq.analysis.pictures.light_sheet import draw_light_sheet
+from daq.analysis.tasks import FIT_FILE
+from daq.errors import DiskError
+from daq.terminal import console
+from daq.verbs.output import require_folder
+from daq.verbs.paths import Named, paths_of
+from daq.whole_text import why, write_json, write_text
+from ground.whole_file import whole_file
+from tracer.scene_file import dump_scene, load_scene
+
+
+def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named = "sheet") -> SheetFound:
+    """Find the light sheet in the frames of a flow, and write a scene file that has it.
+
+    Particles that are seen directly and through glass, or through it in two ways, tell how high over the target's
+    plane they are.  Where nothing is seen twice, or too little, that is said, and the sheet keeps what was known.
+
+    Parameters
+    ----------
+    paths : path, or list of path
+        The folder of a flow run, or frames of pairs in order: A, B, A, B ...; some 50 pairs.
+    scene : path
+        scene.yaml, fitted; what it says of its `sheet` is where the search begins.
+    out : path
+        Folder: ``scene.yaml`` with the sheet, a copy of ``fit.npz`` if one lies beside `scene`, ``sheet.json`` and
+        ``sheet.png``.
+
+    Returns
+    -------
+    SheetFound
+        The sheet with its sigmas, and what is to be said of it.
+
+    Raises
+    ------
+    PairError, SheetError
+        The frames show no light sheet, are no pairs, or too few.
+    ConfigError, SceneError, FrameError, RunUnsuitable, RunDamaged, DiskError
+        What files, frames or run make impossible.
+    """
+    screen, scene, given = console(), Path(scene), paths_of(paths)
+    fitted, folder = load_scene(scene), require_folder(out)
+    frames = flow_frames(given, fitted)
+    found = sheet_of(frames)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet)))
+    if scene.with_name(FIT_FILE).is_file():
+        _copy(scene.with_name(FIT_FILE), folder / FIT_FILE)
+    write_json(folder / "sheet.json", about_sheet(found, [str(path) for path in given]))
+    rows, columns = fitted.camera.shape
+    draw_light_sheet(folder / "sheet.png", found, (columns * found.views.pitch_mm, rows * found.views.pitch_mm))
+    screen.print(found.sheet.summary)
+    if found.cells is not None:
+        thick = found.sheet.thickness_mm
+        screen.print(
+            f"{found.pairs} pairs, {len(found.cells.kind)} places where particles are seen twice"
+            + ("" if thick is None else f"; about {thick:.1f} mm thick")
+        )
+    for verdict in found.verdicts:
+        screen.print(verdict, style="bold red")
+    screen.print(f"scene.yaml, sheet.json and sheet.png are in {folder}")
+    return found
+
+
+def _copy(source: Path, copy: Path) -> None:
+    if source.resolve() == copy.resolve():
+        return
+    try:
+        with source.open("rb") as stream, whole_file(copy) as written:
+            shutil.copyfileobj(stream, written)
+    except OSError as error:
+        raise DiskError(f"{copy}: {why(error)}; make room, then give the same command again") from error

@@ -1,0 +1,85 @@
+"""The light sheet found in simulated frames, and the ways in which it must not be found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.errors import SheetError
+from correction.light_sheet import self_calibration
+from correction.light_sheet.self_calibration import find_sheet
+from tests.correction.light_sheet.particle_frames import camera, frames_of, moved
+from tracer.light_sheet import LightSheet
+
+TRUTH = (0.3, 0.2, -0.15)
+SIZE_PX, PAIRS = 480, 12
+
+
+@pytest.fixture(scope="module")
+def three():
+    """Three balls in a row: a broad ring is seen directly and through two of them."""
+    flow_camera = camera("three_spheres_500", SIZE_PX, TRUTH[0], TRUTH[1:])
+    return flow_camera.scene, frames_of(flow_camera, PAIRS)
+
+
+@pytest.fixture(autouse=True)
+def few_places(monkeypatch):
+    """Enough for these frames, and quick."""
+    monkeypatch.setattr(self_calibration, "MOST_PLACES", 6000)
+
+
+def numbers(sheet):
+    return np.array([sheet.z_mm, sheet.tilt_x_deg, sheet.tilt_y_deg])
+
+
+def sigmas(sheet):
+    return np.array([sheet.sigma_mm, sheet.tilt_sigma_deg, sheet.tilt_sigma_deg])
+
+
+def test_height_and_tilt_are_found_within_their_sigma(three):
+    found = find_sheet(*three)
+    assert not found.verdicts
+    assert (np.abs(numbers(found.sheet) - TRUTH) < 3.5 * sigmas(found.sheet)).all()
+    assert found.sheet.sigma_mm < 0.05
+    assert found.sheet.tilt_sigma_deg < 0.1
+
+
+def test_a_sheet_that_is_known_is_left_where_it_is(three):
+    scene, pairs = three
+    known = LightSheet(*TRUTH, 1e-3, 1e-3, thickness_mm=1.1)
+    found = find_sheet(replace(scene, sheet=known), pairs)
+    np.testing.assert_allclose(numbers(found.sheet), TRUTH, atol=3e-3)
+    assert found.sheet.sigma_mm <= 1e-3
+
+
+@pytest.mark.parametrize(
+    ("ball", "step_mm"), [(1, (0.1, 0.0, 0.0)), pytest.param(2, (0.0, 0.0, 0.3), marks=pytest.mark.slow)]
+)
+def test_a_moved_ball_is_no_sheet(three, ball, step_mm):
+    scene, pairs = three
+    found = find_sheet(moved(scene, ball, step_mm), pairs)
+    assert "a body is not where the scene has it" in " ".join(found.verdicts)
+    assert found.sheet.z_mm == 0.0
+    assert found.sheet.sigma_mm == 0.5
+
+
+def test_nothing_seen_twice_is_said(three):
+    scene, pairs = three
+    found = find_sheet(scene.with_bodies(()), pairs)
+    assert "no particle of this view is seen twice" in found.verdicts[0]
+    assert found.sheet == LightSheet()
+
+
+def test_frames_without_particles_tell_nothing(three):
+    scene, _ = three
+    rng = np.random.default_rng(1)
+    noise = [tuple(rng.normal(40.0, 2.0, (2, *scene.camera.shape)).astype(np.float32)) for _ in range(10)]
+    found = find_sheet(scene, lambda: iter(noise))
+    assert "do not agree anywhere" in found.verdicts[0]
+    assert found.sheet == LightSheet()
+
+
+def test_few_pairs_are_refused(three):
+    scene, pairs = three
+    with pytest.raises(SheetError, match="give 10 or more"):
+        find_sheet(scene, lambda: iter(list(pairs())[:4]))
