@@ -31,7 +31,7 @@ MOST_SAID = 120  # characters of what a library says
 _MAGIC = b"\x93NUMPY\x01\x00"
 _ARRAY = re.compile(  # as numpy writes it, of plain numbers
     rb"\{'descr': '(?P<kind>[<>|][biufc][0-9]{1,2})', 'fortran_order': False, "
-    rb"'shape': \((?P<shape>(?:[0-9]{1,18},? ?)*)\), \} *\n"
+    rb"'shape': \((?P<shape>(?:[0-9]{1,18}(?:, [0-9]{1,18}){0,7},?)?)\), \} *\n"  # one way to match: soon done
 )
 Header = TypeVar("Header", bound=Table)
 Hash = Annotated[str, Field(min_length=1, max_length=64)]

@@ -2,6 +2,7 @@
 
 import io
 import json
+import time
 import tracemalloc
 import zipfile
 from pathlib import Path
@@ -232,3 +233,24 @@ def test_same_bytes_every_time(tmp_path: Path) -> None:
     one, two = (load_arrays(tmp_path / name, KIND) for name in ("a", "b"))
     assert one[0] == two[0]
     assert all(one[1][name].tobytes() == two[1][name].tobytes() for name in one[1])
+
+
+@pytest.mark.parametrize(
+    "shape", [b"9" * 30 + b" 8", b"1 2 " * 20, b"3, " * 12, b"4,, 4", b"12345678901234567890"]
+)
+def test_a_shape_in_no_form_of_numpy_s_is_refused_at_once(tmp_path, shape):
+    """A row of digits can be cut into numbers in very many ways; a reader that tries them all never comes back."""
+    path = tmp_path / "a.map"
+    save_arrays(path, "ray map", {}, {"a": np.zeros((3, 4))})
+    with zipfile.ZipFile(path) as archive:
+        members = {info.filename: archive.read(info) for info in archive.infolist()}
+    text = b"{'descr': '<f8', 'fortran_order': False, 'shape': (" + shape + b"), } \n"
+    whole = members["a.npy"]
+    members["a.npy"] = whole[:8] + len(text).to_bytes(2, "little") + text + whole[-96:]
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    begun_s = time.process_time()
+    with pytest.raises(MapFileError, match="is not described as numpy does it"):
+        load_arrays(path, "ray map")
+    assert time.process_time() - begun_s < 1.0

@@ -4,6 +4,7 @@ Every record is sealed again after it was spoilt, so that it is the types that h
 """
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -240,3 +241,18 @@ def test_frames_of_several_steps_without_lines_are_never_removed(open_run, capsy
     assert "frames/ holds 000003.tif, 000004.tif" in capsys.readouterr().err
     assert sorted((open_run.path / "frames").iterdir()) == before
     assert "other files" in {finding.part for finding in check_run(open_run.path).findings if not finding.sound}
+
+
+def test_a_seal_that_is_broken_is_found_before_the_record_is_taken_apart(tmp_path):
+    """A damaged run.json of 60 MB took eight seconds to be refused."""
+    folder = RunFolder.create(tmp_path, "a", about_run([planned(0, "a")]))
+    path = folder.path / "run.json"
+    whole = path.read_bytes()
+    at = whole.index(b'"steps"')
+    path.write_bytes(
+        whole[:at] + b'"steps_": [' + b'{"a": [1, 2, {"b": "c"}]}, ' * 2_000_000 + b"0],\n " + whole[at:]
+    )
+    begun_s = time.process_time()
+    with pytest.raises(RunDamaged, match="does not agree with its seal"):
+        RunFolder.open(folder.path)
+    assert time.process_time() - begun_s < 2.0
