@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import CorrectionMap, build_correction_map
+from correction.correction_map import MAX_MAGNIFICATION, CorrectionMap, build_correction_map
+from correction.grid import PlaneGrid, grid_of
 from tracer.blur import pupil_views
 from tracer.branches import Branch
-from tracer.ray_map import build_ray_map
+from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TARGET, landings
 from tracer.trace import trace
@@ -66,6 +67,8 @@ class DoubleViews:
         Branches of the first and of the second view.
     pitch_mm : float
         A corrected pixel.
+    step : int
+        Every how many corrected pixels there is a place.
     """
 
     place_mm: NDArray[np.float64]
@@ -79,11 +82,12 @@ class DoubleViews:
     kind: NDArray[np.int64]
     kinds: tuple[tuple[Branch, Branch], ...]
     pitch_mm: float
+    step: int = 1
 
     @property
     def area_mm2(self) -> float:
         """Area that is seen twice; a place seen in three ways counts three times."""
-        return len(self.place_mm) * self.pitch_mm**2
+        return len(self.place_mm) * (self.step * self.pitch_mm) ** 2
 
     def units(self) -> NDArray[np.float64]:
         """Lags (N, 2), along and across [corrected px], worth a share of a particle's picture, one for a kind."""
@@ -101,39 +105,54 @@ class DoubleViews:
         return replace(self, **parts)
 
 
-def double_views(scene: Scene) -> DoubleViews:
-    """Find what is seen twice of the plane z = 0 of a scene (`Scene.in_light_sheet` comes first)."""
+def double_views(scene: Scene, ray_map: RayMap | None = None, step: int = 1) -> DoubleViews:
+    """Find what is seen twice of the plane z = 0 of a scene (`Scene.in_light_sheet` comes first).
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    ray_map : RayMap, optional
+        Its ray map, if it is at hand.
+    step : int
+        Every how many corrected pixels to look.
+    """
+    ray_map = ray_map or build_ray_map(scene)
+    whole = grid_of(scene.camera)
+    rows, columns = (-(-size // step) for size in whole.shape)
+    grid = PlaneGrid(whole.origin_mm, whole.pitch_mm * step, (rows, columns))
+    limits = LEAST_MAGNIFICATION * step, MAX_MAGNIFICATION * step
     found = build_correction_map(
-        scene, build_ray_map(scene), layers=LAYERS, skip=False, min_magnification=LEAST_MAGNIFICATION
+        scene, ray_map, grid, layers=LAYERS, skip=False, min_magnification=limits[0], max_magnification=limits[1]
     )
     seen = (found.weight > 0.0) & found.recovered
     parts: list[list[NDArray[np.float64]]] = []
     kinds: dict[tuple[Branch, Branch], int] = {}
     for one in range(LAYERS):
         for two in range(one + 1, LAYERS):
-            rows, columns = np.nonzero(seen[one] & seen[two])
-            parts.append(_of_layers(scene, found, one, two, rows, columns, kinds))
+            at = np.nonzero(seen[one] & seen[two])
+            parts.append(_of_layers(scene, found, step, (one, two), at, kinds))
     place, first, second, along, across, parallax, blob, bend, kind = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     return DoubleViews(
         place, first, second, along, across, parallax, blob, bend, kind.astype(np.int64), tuple(kinds),
-        found.grid.pitch_mm,
+        whole.pitch_mm, step,
     )  # fmt: skip
 
 
 def _of_layers(
     scene: Scene,
     found: CorrectionMap,
-    one: int,
-    two: int,
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
+    step: int,
+    layers: tuple[int, int],
+    at: tuple[NDArray[np.int64], ...],
     kinds: dict[tuple[Branch, Branch], int],
 ) -> list[NDArray[np.float64]]:
     """Places seen in two layers of a map, as the columns of `DoubleViews`."""
-    pixels = [found.pixel[layer, rows, columns] for layer in (one, two)]
-    rates = [found.jacobian[layer, rows, columns].reshape(-1, 2, 2).astype(np.float64) for layer in (one, two)]
+    pixels = [found.pixel[layer][at] for layer in layers]
+    rates = [found.jacobian[layer][at].reshape(-1, 2, 2).astype(np.float64) / step for layer in layers]
+    pitch_mm = found.grid.pitch_mm / step
     slopes = [landings(scene, pixel).rate[:, :, TARGET.index("z") - len(TARGET)] for pixel in pixels]
     gap = slopes[0] - slopes[1]
     parallax = np.hypot(*gap.T)
@@ -144,28 +163,28 @@ def _of_layers(
     across = np.stack((-along[:, 1], along[:, 0]), axis=-1)
     centres = []
     for pixel, rate in zip(pixels, rates, strict=True):
-        step = np.einsum("nij,nj->ni", rate, along)
-        followed, bend = _followed(scene, found, pixel, step, along)
+        ahead = np.einsum("nij,nj->ni", rate, along)
+        followed, bend = _followed(scene, pitch_mm, pixel, ahead, along)
         good &= followed
         shift, usable = _centroids(scene, pixel)
         good &= usable
         centres.append(pixel + shift)
-    blobs = np.zeros((2, len(rows), 2))
+    blobs = np.zeros((2, len(parallax), 2))
     for view, rate in enumerate(rates):
         back = np.linalg.pinv(rate)
         for number, way in enumerate((along, across)):
             blobs[view, :, number] = np.sum(np.einsum("nji,nj->ni", back, way) ** 2, axis=1)
     blob, bend = blobs.sum(axis=0), 0.5 * bend * blobs[0, :, 0]  # the loop above ends with the second view
-    names = [[found.branches[number] for number in found.branch[layer, rows, columns]] for layer in (one, two)]
+    names = [[found.branches[number] for number in found.branch[layer][at]] for layer in layers]
     kind = np.array([kinds.setdefault(pair, len(kinds)) for pair in zip(*names, strict=True)], np.float64)
-    place = found.grid.nodes_mm()[rows, columns]
+    place = found.grid.nodes_mm()[at]
     steps = [np.einsum("nij,nj->ni", rates[1], way) for way in (along, across)]
     return [part[good] for part in (place, *centres, *steps, parallax, blob, bend, kind)]
 
 
 def _followed(
     scene: Scene,
-    found: CorrectionMap,
+    pitch_mm: float,
     pixel: NDArray[np.float64],
     step: NDArray[np.float64],
     along: NDArray[np.float64],
@@ -176,7 +195,7 @@ def _followed(
     good = here.recovered & (length > 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         aside = BESIDE_PX * step / length[:, None]
-        wanted = BESIDE_PX / length[:, None] * along * (1.0, -1.0) * found.grid.pitch_mm
+        wanted = BESIDE_PX / length[:, None] * along * (1.0, -1.0) * pitch_mm
     bow = np.zeros((len(pixel), 2))
     for way in (-1.0, 1.0):
         there = trace(scene, np.nan_to_num(pixel + way * aside))
@@ -185,7 +204,7 @@ def _followed(
         with np.errstate(invalid="ignore"):
             good &= there.recovered & (there.rays["key"] == here.rays["key"])
             good &= off < STRAIGHT * np.hypot(*wanted.T)
-    second = np.sum(bow * along * (1.0, -1.0), axis=1) / found.grid.pitch_mm
+    second = np.sum(bow * along * (1.0, -1.0), axis=1) / pitch_mm
     return np.asarray(good), -second * (length / BESIDE_PX) ** 2
 
 

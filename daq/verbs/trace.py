@@ -8,6 +8,8 @@ from rich.table import Table
 
 from correction.aperture import BlurMap, blur_map
 from correction.correction_map import CorrectionMap, build_correction_map
+from correction.light_sheet.double_views import double_views
+from correction.light_sheet.forecast import SheetForecast, sheet_forecast
 from correction.node_status import MEANING, NodeStatus
 from daq.analysis.pictures.names import short
 from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
@@ -16,12 +18,13 @@ from daq.verbs.output import require_folder
 from daq.verbs.paths import Named
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view
-from tracer.ray_map import build_ray_map
+from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
 SHOWN_BODIES = 40
 LONGEST_NAME = 32
+SHEET_STEP = 2  # corrected pixels between places that may be seen twice
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,15 @@ class Traced:
         Areas, as a whole and of each body.
     view : FieldOfView or None
         Radial figures, of spheres in a row on the camera's perpendicular only.
+    sheet : SheetForecast or None
+        How well frames of a flow will tell where the light sheet is; None if it runs through a body.
     pictures : tuple of Path
         What was drawn.
     """
 
     share: PlaneShare
     view: FieldOfView | None
+    sheet: SheetForecast | None
     pictures: tuple[Path, ...] = field(repr=False)
 
 
@@ -91,13 +97,16 @@ def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
             f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
             f" {100.0 * blur.left_out:.1f} % of the view behind glass"
         )
+    forecast = _sheet_forecast(loaded, ray_map)
+    if forecast is not None:
+        screen.print(forecast.sentence)
     names: list[str] = []
     if pictures:
         del ray_map
         out.mkdir(parents=True, exist_ok=True)
         names = _draw(out, scene.stem, loaded, correction_map, share, blur, view)
         screen.print(f"{', '.join(names)} are in {out}")
-    return Traced(share, view, tuple(out / name for name in names))
+    return Traced(share, view, forecast, tuple(out / name for name in names))
 
 
 def _draw(
@@ -132,6 +141,15 @@ def _draw(
         draw_curve(out / "radial_curve.png", scene, view, name)
         names.append("radial_curve.png")
     return names
+
+
+def _sheet_forecast(scene: Scene, ray_map: RayMap) -> SheetForecast | None:
+    """What frames of a flow will tell of the sheet, where glass can stand before it at all."""
+    try:
+        lit = scene.in_light_sheet()
+    except SceneError:  # said by whoever corrects frames: the glass may stand elsewhere then
+        return None
+    return sheet_forecast(double_views(lit, ray_map if lit is scene else None, SHEET_STEP))
 
 
 def _plane_table(title: str, share: PlaneShare) -> Table:
