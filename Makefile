@@ -6,7 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow labs fuzz lamps far-starts benchmark bench lint compiled picture pins clean
+.PHONY: demo test test-slow labs fuzz lamps sheets far-starts benchmark bench lint compiled picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -50,6 +50,10 @@ lamps: $(STAMP)
 CASES ?= 10000
 fuzz-readers: $(STAMP)
 	$(BIN)/python -m tests.readers.fuzz --cases $(CASES) --seed $(SEED)
+
+# Light sheets off the target's plane, found in simulated flows: how far off, and what it costs
+sheets: $(STAMP)
+	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/light_sheet/test_many_sheets.py
 
 # Balls told up to 5 mm beside their places: found, or refused by name?
 far-starts: $(STAMP)

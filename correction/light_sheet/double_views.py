@@ -31,11 +31,13 @@ from tracer.scene import Scene
 from tracer.sensitivity import TARGET, landings
 from tracer.trace import trace
 
+Kind = tuple[int, int, bool, bool]  # branches of two views, and whether each shows the plane unmirrored
+
 LAYERS = 4
 LEAST_MAGNIFICATION = 0.2
 BESIDE_PX = 1.5  # half the picture of a particle
 STRAIGHT = 0.5  # of that step on the plane
-APART_PX = 8.0  # of the two pictures on the sensor: closer ones are one picture
+APART_PX = 8.0  # of two pictures of one place on the sensor: closer ones are one picture
 LEAST_PARALLAX = 0.02  # |D|: 0.02 mm for a millimetre of height
 PARTICLE_PX2 = 0.7  # variance of a picture of 2.4 px, and of the bell that it is looked up with
 UNIT = 0.8  # of the standard deviation that two such pictures make of a peak
@@ -61,10 +63,12 @@ class DoubleViews:
         What the two views make of a variance of 1 px^2 on the sensor, along and across D [corrected px^2], summed.
     bend : (N,) float64
         What the bend of the second view moves the peak by along D, for a variance of 1 px^2 on the sensor.
+    alone_px : (N,) float64
+        Distance on the sensor from the second picture to the nearest other one of the same place.
     kind : (N,) int64
         Index into `kinds`.
     kinds : tuple of (Branch, Branch)
-        Branches of the first and of the second view.
+        Branches of the first and of the second view; one side of a fold is another kind than the other.
     pitch_mm : float
         A corrected pixel.
     step : int
@@ -79,6 +83,7 @@ class DoubleViews:
     parallax: NDArray[np.float64]
     blob: NDArray[np.float64]
     bend: NDArray[np.float64]
+    alone_px: NDArray[np.float64]
     kind: NDArray[np.int64]
     kinds: tuple[tuple[Branch, Branch], ...]
     pitch_mm: float
@@ -127,16 +132,17 @@ def double_views(scene: Scene, ray_map: RayMap | None = None, step: int = 1) -> 
     )
     seen = (found.weight > 0.0) & found.recovered
     parts: list[list[NDArray[np.float64]]] = []
-    kinds: dict[tuple[Branch, Branch], int] = {}
+    kinds: dict[Kind, int] = {}
     for one in range(LAYERS):
         for two in range(one + 1, LAYERS):
             at = np.nonzero(seen[one] & seen[two])
             parts.append(_of_layers(scene, found, step, (one, two), at, kinds))
-    place, first, second, along, across, parallax, blob, bend, kind = (
+    place, first, second, along, across, parallax, blob, bend, alone, kind = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     return DoubleViews(
-        place, first, second, along, across, parallax, blob, bend, kind.astype(np.int64), tuple(kinds),
+        place, first, second, along, across, parallax, blob, bend, alone, kind.astype(np.int64),
+        tuple((found.branches[one], found.branches[two]) for one, two, *_ in kinds),
         whole.pitch_mm, step,
     )  # fmt: skip
 
@@ -147,7 +153,7 @@ def _of_layers(
     step: int,
     layers: tuple[int, int],
     at: tuple[NDArray[np.int64], ...],
-    kinds: dict[tuple[Branch, Branch], int],
+    kinds: dict[Kind, int],
 ) -> list[NDArray[np.float64]]:
     """Places seen in two layers of a map, as the columns of `DoubleViews`."""
     pixels = [found.pixel[layer][at] for layer in layers]
@@ -157,7 +163,10 @@ def _of_layers(
     gap = slopes[0] - slopes[1]
     parallax = np.hypot(*gap.T)
     good = np.isfinite(parallax) & (parallax > LEAST_PARALLAX)
-    good &= np.hypot(*(pixels[0] - pixels[1]).T) > APART_PX
+    others = [found.pixel[layer][at] for layer in range(LAYERS) if layer != layers[1]]
+    gaps = [np.hypot(*(pixels[1] - other).T) for other in others]
+    alone = np.min([np.where(np.isfinite(away), away, np.inf) for away in gaps], axis=0)
+    good &= alone > APART_PX
     with np.errstate(invalid="ignore", divide="ignore"):
         along = gap / parallax[:, None] * (1.0, -1.0)  # nodes run down, y runs up
     across = np.stack((-along[:, 1], along[:, 0]), axis=-1)
@@ -175,11 +184,13 @@ def _of_layers(
         for number, way in enumerate((along, across)):
             blobs[view, :, number] = np.sum(np.einsum("nji,nj->ni", back, way) ** 2, axis=1)
     blob, bend = blobs.sum(axis=0), 0.5 * bend * blobs[0, :, 0]  # the loop above ends with the second view
-    names = [[found.branches[number] for number in found.branch[layer][at]] for layer in layers]
-    kind = np.array([kinds.setdefault(pair, len(kinds)) for pair in zip(*names, strict=True)], np.float64)
+    ways = [found.branch[layer][at].tolist() for layer in layers]
+    sides = [(np.linalg.det(rate) > 0.0).tolist() for rate in rates]
+    keys = zip(*ways, *sides, strict=True)
+    kind = np.array([kinds.setdefault(key, len(kinds)) for key in keys], np.float64)
     place = found.grid.nodes_mm()[at]
     steps = [np.einsum("nij,nj->ni", rates[1], way) for way in (along, across)]
-    return [part[good] for part in (place, *centres, *steps, parallax, blob, bend, kind)]
+    return [part[good] for part in (place, *centres, *steps, parallax, blob, bend, alone, kind)]
 
 
 def _followed(

@@ -1,7 +1,7 @@
 """Find the light sheet in the frames of a flow: what is seen twice has to be at one place.
 
 Each round makes the map for the sheet as known so far, looks for places seen twice, measures their disparities and
-corrects the plane, until it moves by less than its sigma.  Stereo PIV finds its sheet in the same
+corrects the plane, until it moves by less than two sigmas (places are drawn anew).  Stereo PIV finds its sheet in the same
 way with two cameras (Wieneke, Exp. Fluids 39, 267 (2005)); here the second camera is the glass.
 
 Thickness: particles lie at heights with the spread s of the sheet's light squared, and D s widens the peak along D
@@ -26,7 +26,7 @@ CELLS_ACROSS = 8  # of the view
 LEAST_PLACES = 12  # of a cell
 EDGE_PX = 3.0
 ROUNDS = 5
-SETTLED, AT_REST = 1.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
+SETTLED, AT_REST = 2.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
 TELLS = 0.7  # of the sigma known before, and the frames have told something
 AROUND, MOST_REACH = 5, 20  # lags about a peak, and in all
 
@@ -207,11 +207,12 @@ def _reach(views: DoubleViews, sheet: LightSheet) -> int:
 
 
 def _inside(views: DoubleViews, shape: tuple[int, int], reach: int) -> DoubleViews:
-    """Places whose two views, with all lags, lie inside the sensor."""
+    """Places whose two views, with all lags, lie inside the sensor and show one picture of a particle."""
     size = np.array(shape[::-1]) - 1.0
     good = np.ones(len(views.kind), bool)
     units = views.units()
     room = np.abs(views.along_px) * units[:, :1] * reach + np.abs(views.across_px) * units[:, 1:] * ACROSS
+    good &= views.alone_px > np.hypot(*room.T) + EDGE_PX  # no lag reaches another picture of the same particle
     for pixel, more in ((views.first_px, 0.0), (views.second_px, room)):
         good &= ((pixel - more >= EDGE_PX) & (pixel + more <= size - EDGE_PX)).all(axis=1)
     return views.at(good)
