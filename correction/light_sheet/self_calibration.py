@@ -1,8 +1,8 @@
 """Find the light sheet in the frames of a flow: what is seen twice has to be at one place.
 
 Each round makes the map for the sheet as known so far, looks for places seen twice, measures their disparities and
-corrects the plane, until it moves by less than two sigmas (places are drawn anew).  Stereo PIV finds its sheet in the same
-way with two cameras (Wieneke, Exp. Fluids 39, 267 (2005)); here the second camera is the glass.
+corrects the plane, until it moves by less than two sigmas (places are drawn anew).  Stereo PIV finds its sheet
+in the same way with two cameras (Wieneke, Exp. Fluids 39, 267 (2005)); here the second camera is the glass.
 
 Thickness: particles lie at heights with the spread s of the sheet's light squared, and D s widens the peak along D
 beyond what the views do to a particle, which the peak's width across D tells.  For light that is Gaussian across,
