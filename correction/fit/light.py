@@ -8,7 +8,8 @@ stays when the glass is moved back.
 What is not known of the light is not known of the index either, and no frame tells: with N-BK7 8 nm are 3e-4 in n,
 0.07 px behind two balls.  A light that nobody tells may be any white lamp: the map is made as if it were the
 scene's own, and its sigma holds the most that one of LAMPS would change.  All glasses move together, as they stand
-in one light.
+in one light.  Glass that is a number has no dispersion to count by: it is said that its map holds in the light of
+the target frames.
 """
 
 from dataclasses import dataclass, field
@@ -19,12 +20,13 @@ from numpy.typing import NDArray
 
 from correction.fit.errors import ViewsMissing
 from tracer.light import Light
-from tracer.media import THINNEST_LIQUID, ConstantMedium, Medium
+from tracer.media import MEDIA, THINNEST_LIQUID, ConstantMedium, Medium
 from tracer.media import shifted as shifted_medium
 from tracer.scene import Scene
 from tracer.sensitivity import CAMERA, SPHERE
 from tracer.white_led import white_led
 
+ORDINARY_GLASS = "N-BK7"
 LAMPS_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # white LEDs as they are sold
 
 
@@ -65,7 +67,7 @@ def doubt_of(nominal: Scene, light: Light | None) -> LightDoubt:
     media = [sphere.medium for sphere in nominal.spheres]
     sigma = [index_sigma(medium, light, nominal.wavelength_nm) if medium else 0.0 for medium in media]
     if not any(sigma):
-        return LightDoubt()
+        return LightDoubt() if light else LightDoubt(sentence=_of_numbers(nominal))
     step = np.zeros(len(CAMERA) + len(SPHERE) * len(media))
     step[len(CAMERA) :].reshape(-1, len(SPHERE))[:, SPHERE.index("n")] = sigma
     largest = float(np.abs(sigma).max())
@@ -82,6 +84,25 @@ def doubt_of(nominal: Scene, light: Light | None) -> LightDoubt:
             " the map's sigma holds that. The lamp's spectrum as fit.light.points would help"
         )
     return LightDoubt(step, sentence)
+
+
+def _of_numbers(nominal: Scene) -> str:
+    """What is said of glass whose index is a number, if there is any, in a light that nobody tells."""
+    glass = [
+        sphere.name
+        for sphere in nominal.spheres
+        if isinstance(sphere.medium, ConstantMedium) and sphere.medium.index > THINNEST_LIQUID
+    ]
+    if not glass:
+        return ""
+    off = abs(index_sigma(MEDIA[ORDINARY_GLASS], None, nominal.wavelength_nm))
+    return (
+        f"the light of the target frames is not said, and the index of {', '.join(glass)} is a number without"
+        f" dispersion: the map holds in the light of the target frames, nothing is counted for another (between a"
+        f" white lamp and {nominal.wavelength_nm:g} nm the n of {ORDINARY_GLASS} differs by up to {off:.1g}). Give"
+        f" fit.light, and the glass as one: {{base: {ORDINARY_GLASS}, offset: 0.0}}; mean_nm ="
+        f" {nominal.wavelength_nm:g} alone if target and measurement are lit alike"
+    )
 
 
 def index_sigma(medium: Medium, light: Light | None, wavelength_nm: float) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from correction.board import Chessboard
 from correction.board.board_search import track_board
-from correction.board.corners import CornerFit
+from correction.board.corners import CornerFit, CornerReason
 from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
 from correction.fit.smear import UNEVEN, UNSURE, Dispersion, pupil_smear, smear_of
@@ -19,6 +19,7 @@ from tracer.camera import Camera
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
 
+NOT_ASKED = (CornerReason.EDGE, CornerReason.MASKED, CornerReason.SMALL)  # no window, so nothing is lost
 FLOOR_PX = 0.01  # no corner is better than this: lens, print and model are not
 
 
@@ -47,7 +48,7 @@ class TargetFrame:
 
 @dataclass(frozen=True)
 class LostCorners:
-    """Corners, M of them, that the scene shows in a frame and that could not be measured.
+    """Corners, M of them, that the scene shows in a frame and that are not found in their windows.
 
     Parameters
     ----------
@@ -188,7 +189,7 @@ def _measured(
 ) -> MeasuredFrame:
     branch_names = np.array([text_of(names) for names in expected.branches])[expected.branch]
     names, counts = np.unique(branch_names[branch_names != ""], return_counts=True)
-    valid = fit.valid
+    valid, lost = fit.valid, ~fit.valid & ~np.isin(fit.reason, NOT_ASKED)
     node = board.corner_mm(expected.index[valid])
     corners = Corners(height_number, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]))
     reasons = {reason: count for reason, count in fit.counts().items() if reason != "OK"}
@@ -202,5 +203,5 @@ def _measured(
         fit.sigma_px[valid],
         dict(zip(names.tolist(), counts.tolist(), strict=True)),
         reasons,
-        LostCorners(expected.index[~valid], expected.pixel[~valid], branch_names[~valid], expected.rim_px[~valid]),
+        LostCorners(expected.index[lost], expected.pixel[lost], branch_names[lost], expected.rim_px[lost]),
     )

@@ -193,7 +193,44 @@ def newton_step(
     unknowns: Unknowns, x: NDArray[np.float64], gradient: NDArray[np.float64], normal: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Step (P,) from x to the minimum of the linear model: gradient (P,), normal matrix (P, P) of data alone."""
-    return _step(gradient, normal, 0.0, *_walls(unknowns, x))[0]
+    depth, wall = touching(unknowns, x)
+    return pushed_step(gradient, normal + np.eye(len(x)), depth, wall @ unknowns.columns)[0]
+
+
+def pushed_step(
+    gradient: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    wall: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Newton step of a linear model with walls, which push and do not pull: what they would pull lets them go.
+
+    Parameters
+    ----------
+    gradient, normal : (P,), (P, P) float64
+        Half the gradient of the squares, priors counted, and its derivative.
+    depth, wall : (K,), (K, P) float64
+        Overlaps of what touches, and their derivatives.
+
+    Returns
+    -------
+    step : (P,) float64
+    inverse : (P, P) float64
+        Of the normal matrix with the walls that push on.
+    gain : float
+        By how much the squares go down, those of the overlaps counted.
+    """
+    pushing = np.ones(len(depth), np.bool_)
+    while True:
+        rows, by = wall[pushing], depth[pushing]
+        inverse = np.linalg.inv(normal + rows.T @ rows)
+        slope = gradient + rows.T @ by
+        step = -inverse @ slope
+        let_go = pushing & (depth + wall @ step < 0.0)
+        if not let_go.any():
+            free_of = float(np.sum(depth[~pushing] ** 2))
+            return np.asarray(step), np.asarray(inverse), float(-slope @ step) + free_of
+        pushing &= ~let_go
 
 
 def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from correction.fit.ball_shape import SHAPES, shape_rates
 from correction.fit.measurement import MeasuredFrame
-from correction.fit.solver import free_rates, landed, touching
+from correction.fit.solver import free_rates, landed, pushed_step, touching
 from correction.fit.unknowns import LENS, Unknowns, unit_of
 from tracer.branches import branch_of
 from tracer.sensitivity import TARGET
@@ -126,7 +126,7 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
     left = [value.ravel() for value in seen.values]
     own = sum(j.T @ j for j in flat) + np.eye(free)
     slope = sum(j.T @ r for j, r in zip(flat, left, strict=True)) + seen.x
-    already = _stepped(slope, own, depth, wall @ unknowns.columns)[2]  # nearly nothing: it is fitted
+    already = pushed_step(slope, own, depth, wall @ unknowns.columns)[2]  # nearly nothing: it is fitted
     count, found = sum(map(len, left)), []
     for one in _candidates(unknowns, full, seen):
         size = len(one.ordinary)
@@ -140,7 +140,7 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
         normal[free:, :free] = normal[:free, free:].T
         direct = np.zeros((len(full), size)) if one.moves is None else one.moves * one.ordinary
         moves = np.column_stack((unknowns.columns, direct))
-        step, inverse, gain = _stepped(gradient, normal, depth, wall @ moves)
+        step, inverse, gain = pushed_step(gradient, normal, depth, wall @ moves)
         spread = inverse[free:, free:]
         if np.linalg.inv(spread).diagonal().max() - 1.0 < NOTHING_NEW * normal.diagonal()[free:].max():
             continue  # the fit could do the same with what was free
@@ -152,26 +152,6 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
             change = None if one.moves is None else moves @ step
             found.append((rank, Suspect(one.ball, sentence, gain, share, change)))
     return [suspect for _, suspect in sorted(found, key=lambda pair: -pair[0])]
-
-
-def _stepped(
-    gradient: NDArray[np.float64],
-    normal: NDArray[np.float64],
-    depth: NDArray[np.float64],
-    wall: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Newton step, inverse of the normal matrix, decrease of the squares; walls (K, P + q) only push."""
-    pushing = np.ones(len(depth), np.bool_)
-    while True:
-        rows, by = wall[pushing], depth[pushing]
-        inverse = np.linalg.inv(normal + rows.T @ rows)
-        slope = gradient + rows.T @ by
-        step = -inverse @ slope
-        let_go = pushing & (depth + wall @ step < 0.0)
-        if not let_go.any():
-            free_of = float(np.sum(depth[~pushing] ** 2))
-            return np.asarray(step), np.asarray(inverse), float(-slope @ step) + free_of
-        pushing &= ~let_go
 
 
 def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:

@@ -86,17 +86,6 @@ class Calibration:
         found["behind glass"]["visible"] = fit.expected_behind
         return found
 
-    @property
-    def smooth_panels(self) -> list[Panel]:
-        """Smooth part of the residuals behind glass and beside it, all frames, to be drawn."""
-        corners, smooth = self.fit.corners, self.fit.verdict.smooth_px
-        panels = []
-        for name, behind in (("beside the glass", False), ("behind glass", True)):
-            here = corners.behind == behind
-            if here.any():
-                panels.append((f"smooth part of the residuals {name}", corners.pixel[here], smooth[here]))
-        return panels
-
     def to_dict(self) -> dict[str, Any]:
         """Everything a later reader needs, JSON-able."""
         fit, corners = self.fit, self.fit.corners

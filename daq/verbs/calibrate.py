@@ -50,7 +50,7 @@ def calibrate(
     out : path
         Folder: ``scene.yaml`` fitted, ``fit.npz`` (covariance, corners), ``map_sigma.npz`` and ``.png``,
         ``residuals.png``, ``smooth_residuals.png`` (what the test of the model looks at),
-        ``convergence.png``, ``calibration.json``.
+        ``convergence.png``, ``calibration.html`` (verdict and numbers), ``calibration.json``.
     square_mm, disc_mm : float, optional
         The board, of a folder that is no run (default 2.5 and 1.0): a run knows its own.
     pictures : bool
@@ -95,21 +95,25 @@ def calibrate(
     write_text(out / "scene.yaml", dump_scene(fit.measured_scene))
     show_calibration(console(), found)
     if pictures:
-        _draw(out, found, nominal.camera.shape)
+        _draw(out, found, nominal.camera.shape, folder.resolve().name)
     console().print(
         f"scene.yaml, covariance{', map sigma and pictures' if pictures else ' and map sigma'} are in {out}"
     )
     return fit
 
 
-def _draw(out: Path, found: Calibration, shape: tuple[int, int]) -> None:
+def _draw(out: Path, found: Calibration, shape: tuple[int, int], name: str) -> None:
     from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
+    from daq.analysis.pictures.smooth import draw_smooth
+    from daq.analysis.report.calibration import write_calibration_page
 
     draw_map_sigma(out / "map_sigma.png", found.sigma)
     draw_convergence(out / "convergence.png", found.fit.history)
-    draw_residuals(out / "smooth_residuals.png", found.smooth_panels, shape)
+    draw_smooth(out / "smooth_residuals.png", found.fit)
     if found.panels:
         draw_residuals(out / "residuals.png", found.panels, shape)
+    write_calibration_page(out / "calibration.html", found, name)
+    console().print(f"look at {out / 'calibration.html'}", style="bold")
 
 
 def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:

@@ -18,8 +18,10 @@ from daq.acquisition.runs.run_views import first_view, scene_file
 from daq.analysis.evaluation import Evaluation, Route
 from daq.analysis.pictures.before_after import before_after
 from daq.analysis.piv_file import PivOptions
+from daq.analysis.report.calibration import calibration_chapter
 from daq.analysis.report.page import Page
 from daq.analysis.series.series_pairs import is_series
+from daq.analysis.tasks import FIT_FILE
 from daq.errors import RunUnsuitable
 from daq.terminal import console
 from daq.verbs.evaluate import evaluate
@@ -100,6 +102,7 @@ def report(
         pair_chapters(page, shown)
     else:
         _single_frame(page, folder, loaded, target_clear, dewarp_order)
+    calibration_chapter(page, scene.with_name(FIT_FILE), loaded)
     moved_chapter(page, folder)
     books_chapter(page, folder)
     provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])

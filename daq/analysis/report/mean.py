@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, Regions
 from daq.acquisition.runs.run_folder import RunFolder
+from daq.analysis.report.calibration import calibration_chapter
 from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.flow import flow_chapters, regions_of_mean
 from daq.analysis.report.page import Link, Page
@@ -22,6 +23,7 @@ from daq.analysis.series.run_series import SeriesBooks
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_input import SeriesInput
 from daq.analysis.series.series_mean import grid_of_series, scene_of, windows_of
+from daq.analysis.tasks import FIT_FILE
 
 SHOWN_PAIRS = 60
 
@@ -69,6 +71,7 @@ def write_mean_page(
     if series is not None:
         books_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene_of(folder))
+    calibration_chapter(page, folder / FIT_FILE, scene_of(folder))
     page.heading("Files")
     names = ("mean.nc", "mean_ensemble.nc", "scene.yaml", "series.json")
     page.links([Link(name, name) for name in names if (folder / name).is_file()])

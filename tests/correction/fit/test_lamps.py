@@ -13,6 +13,7 @@ from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.fit.weakness import weaknesses
 from correction.grid import grid_of
+from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.benches import BOARD, map_error_px
 from tests.correction.fit.lamps import LAMPS, TEMPERATURES, frames_in, lab, lab_scene
 from tracer.fit_section import FitTable
@@ -91,3 +92,12 @@ def test_what_is_not_known_of_a_light_moves_all_glass_together():
         assert np.all(n[:, :4] == 0.0)
         assert least < n[0, 4] == n[1, 4] < most
     assert not doubt_of(nominal, LightTable(mean_nm=532.0).light()).sentence
+
+
+def test_glass_that_is_a_number_is_said_to_hold_in_the_light_of_the_target_alone():
+    nominal = at_size(named_scene("two_spheres_500"), 300)
+    unsaid = doubt_of(nominal, None)
+    assert not unsaid.step.size
+    assert "the index of sphere1, sphere2 is a number without dispersion" in unsaid.sentence
+    assert not doubt_of(nominal, LightTable(mean_nm=nominal.wavelength_nm).light()).sentence
+    assert not doubt_of(nominal.with_bodies(()), None).sentence

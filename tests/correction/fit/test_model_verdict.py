@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from correction.board import Chessboard
 from correction.fit.ball_shape import SHAPES, shape_rates
 from correction.fit.correlation import FURTHEST, Lattice, correlation_of, with_correlation
+from correction.fit.measurement import TargetFrame, glass_frame
 from correction.fit.model_test import FALSE_ALARMS, Remainder, ways_tested
 from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
 from sim.demo.scenes import at_size, named_scene
@@ -134,6 +136,15 @@ def test_landing_points_move_with_a_balls_shape_as_optics_of_another_hand_say():
             np.testing.assert_allclose(
                 rates[:, :, number], (ends[0] - ends[1]) / (2.0 * step), rtol=1e-3, atol=1e-5
             )
+
+
+def test_a_corner_whose_window_leaves_the_frame_is_not_one_that_something_hides():
+    scene = at_size(named_scene("two_spheres_500"), 504)
+    blank = TargetFrame("blank", np.full((504, 504), 1000, np.uint16), True)
+    lost = glass_frame(blank, Chessboard(3.5, 1.4), scene, TargetPose(), 0, only_behind=False).lost
+    assert len(lost.index) > 500
+    to_border = np.minimum(lost.pixel, 503.0 - lost.pixel).min(axis=1)
+    assert to_border.min() > 2.0
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ PARAMS = [*CASES, *(pytest.param(*case, marks=pytest.mark.slow) for case in SLOW
 @pytest.mark.parametrize(("name", "seed"), PARAMS)
 def test_fitted_map_is_the_true_map(name, seed):
     made, fit = bench(name, seed), fitted(name, seed)
+    assert fit.verdict.is_right, fit.verdict.sentences
     grid = grid_of(made.truth.camera)
     truth = build_correction_map(made.truth, build_ray_map(made.truth), grid)
     for glass, region in ((True, truth.behind_glass), (False, truth.recovered & ~truth.behind_glass)):
