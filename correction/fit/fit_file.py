@@ -120,12 +120,9 @@ def load_verdict(path: Path | str) -> StoredVerdict:
     way, pixel, smooth = (arrays.get(name) for name in ("corner_way", "corner_px", "smooth_px"))
     if way is None or pixel is None or smooth is None:
         raise MapFileError(f"{path}: does not hold the test of its model; run the calibration again")
-    fits = way.dtype.str == "<i4" and way.ndim == 1 and np.all((way >= 0) & (way < len(said.ways)))
-    for array in (pixel, smooth):
-        fits = (
-            fits and array.dtype.str == "<f8" and array.shape == (len(way), 2) and bool(np.isfinite(array).all())
-        )
-    if not fits:
+    known = way.dtype.str == "<i4" and way.ndim == 1 and bool(np.all((way >= 0) & (way < len(said.ways))))
+    places = all(one.dtype.str == "<f8" and one.shape == (*way.shape, 2) for one in (pixel, smooth))
+    if not known or not places or not np.isfinite([pixel, smooth]).all():
         raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
     number = way.astype(np.int64)
     return StoredVerdict(said.scene_hash, said.right, tuple(said.verdict), tuple(said.ways), number, pixel, smooth)

@@ -43,6 +43,7 @@ FEWEST = 12  # corners behind glass from which a fit may begin
 ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
 FOLLOW = 1.0
 DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
+HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
 
 
@@ -129,6 +130,7 @@ class _Fit:
         self.fits = Adjustment()
         self.dispersion: Dispersion | None = None
         self.outlines: Outlines | None = None
+        self.explained = 0.0
         self.others: list[NDArray[np.float64]] = []
 
     def note(self, step: FitStep) -> None:
@@ -209,7 +211,7 @@ class _Fit:
         candidates = self.candidates(coarse)
         self.pair(coarse, candidates)
         self.fit_glass(unknowns, "pass 1", only_behind=True)
-        for number in self.lost():
+        for number in self.lost() if self.explained > HOPELESS else ():
             self.find_lost(unknowns, coarse, candidates, number)
         self.fit_glass(unknowns, "pass 2", only_behind=False)
 
@@ -255,6 +257,7 @@ class _Fit:
         """Find out which corner each saddle shows."""
         found = pair(coarse, self.full, [candidates], self.board, self.pitch_mm, self.others)
         best = found[0]
+        self.explained = best.share
         self.full = coarse.full(best.solution.x)
         remark = f"{best.candidates - best.inliers} saddles on none, {len(found)} start(s)"
         name = f"pairing on {self.glass_frames[0].name}"

@@ -109,15 +109,13 @@ def free_rates(
     unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, rays: Landings
 ) -> NDArray[np.float64]:
     """Derivatives (N, 2, P) [mm per sigma] of the landing points by the free vector."""
-    rate, a = rays.rate, unknowns.columns
-    camera, place = len(CAMERA), unknowns.place(corners.height_number)
-    turn = rate[:, :, 3:6] @ left_jacobian(full[3:6])
-    total = rate[:, :, :3] @ a[:3] + turn @ a[3:6] + rate[:, :, 6:camera] @ a[6:camera]
-    pose = rate[:, :, -6:]
-    total += pose[:, :, :3] @ a[place][:3] + pose[:, :, 3:] @ left_jacobian(full[place][3:]) @ a[place][3:]
-    if corners.glass:
-        total += rate[:, :, camera:-6] @ a[unknowns.glass]
-    return np.asarray(total)
+    camera, place = slice(len(CAMERA)), unknowns.place(corners.height_number)
+    glass = unknowns.columns[unknowns.glass][: None if corners.glass else 0]
+    turned = np.concatenate((unknowns.columns[camera], glass, unknowns.columns[place]))
+    turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
+    turned[-3:] = left_jacobian(full[place][3:]) @ turned[-3:]
+    count, _, numbers = rays.rate.shape
+    return np.asarray((rays.rate.reshape(-1, numbers) @ turned).reshape(count, 2, -1))
 
 
 def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> Residuals:

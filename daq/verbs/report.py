@@ -18,7 +18,6 @@ from daq.acquisition.runs.run_views import first_view, scene_file
 from daq.analysis.evaluation import Evaluation, Route
 from daq.analysis.pictures.before_after import before_after
 from daq.analysis.piv_file import PivOptions
-from daq.analysis.report.calibration import calibration_chapter
 from daq.analysis.report.page import Page
 from daq.analysis.series.series_pairs import is_series
 from daq.analysis.tasks import FIT_FILE
@@ -81,6 +80,7 @@ def report(
     if _is_flow(run):
         mean(run, out, scene, target_clear, dewarp_order, **options)
         return out / "mean.html"
+    from daq.analysis.report.calibration import calibration_chapter
     from daq.analysis.report.pair import pair_chapters, pair_summary
     from daq.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
 

@@ -1,19 +1,20 @@
 """What the test of the model looks at: the smooth part of the residuals, way by way through the glass.
 
 Corners scatter; a model that is wrong bends.  Every panel shows one way, a ball or a chain of them, its arrows
-scaled by themselves: a field that turns or points outwards is a ball that is not the sphere of the file, or a board
-that is not flat; arrows that point anywhere are noise.
+scaled by themselves: a field that turns or points outwards is a ball that is not the sphere of the file, or a
+board that is not flat; arrows that point anywhere are noise.
 """
 
 from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from correction.fit.fit_file import StoredVerdict
 from correction.fit.result import SceneFit
-from daq.analysis.pictures.plane_axes import colour_bar, plane_panels, short
+from daq.analysis.pictures.canvas import Figure
+from daq.analysis.pictures.names import short
+from daq.analysis.pictures.plane_axes import colour_bar, plane_panels
 from daq.analysis.pictures.saved import save_picture
 
 MOST_WAYS = 6  # with the most corners

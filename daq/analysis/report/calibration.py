@@ -1,4 +1,4 @@
-"""The page of a calibration, and its chapter in the pages of what is measured with it: is the model right?"""
+"""The page of a calibration, and its chapter in the pages of what is measured with it: is the model right."""
 
 from pathlib import Path
 
@@ -10,8 +10,8 @@ from ground.errors import MapFileError
 from tracer.scene import Scene
 
 CAPTION = (
-    "Smooth part of the residuals of the calibration, one panel for each way through the glass, arrows scaled panel"
-    " by panel. What bends is not noise; its size is counted in the sigma of the map."
+    "Smooth part of the residuals of the calibration, one panel for each way through the glass, arrows scaled"
+    " panel by panel. What bends is not noise; its size is counted in the sigma of the map."
 )
 
 
@@ -38,18 +38,19 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
         for weakness in found.weak:
             page.text(f"{weakness.sentence[:1].upper()}{weakness.sentence[1:]}.")
     page.heading("What was found")
-    rows = [(region, f"{v['median']:.4f}", f"{v['largest']:.3f}") for region, v in found.percentiles.items()]
+    rows: list[tuple[str, ...]] = [
+        (region, f"{v['median']:.4f}", f"{v['largest']:.3f}") for region, v in found.percentiles.items()
+    ]
     page.table(("sigma of the map [px]", "median", "largest"), rows)
     rows = [
         (name, row["unit"], *(f"{row[key]:.5g}" for key in ("value", "sigma", "moved", "prior_sigma")))
         for name, row in found.numbers.items()
     ]
-    head = ("free number", "unit", "fitted", "sigma", "moved", "sigma before")
-    page.table(head, rows, "The rest was held.")
-    head = ("corners", "measured", "used", "put aside beyond 5 sigma")
-    account = found.account.items()
-    rows = [(name, *(str(count[key]) for key in ("measured", "used", "put aside"))) for name, count in account]
-    page.table(head, rows)
+    page.table(("free number", "unit", "fitted", "sigma", "moved", "sigma before"), rows, "The rest was held.")
+    rows = []
+    for name, count in found.account.items():
+        rows.append((name, *(str(count[key]) for key in ("measured", "used", "put aside"))))
+    page.table(("corners", "measured", "used", "put aside beyond 5 sigma"), rows)
     page.write(path)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.fit.adjustment import Adjustment
+from correction.fit.light import doubt_of
 from correction.fit.map_sigma import sigma_at
 from correction.fit.measurement import LostCorners, MeasuredFrame, whitening
 from correction.fit.prediction import expect
@@ -22,16 +23,19 @@ from correction.grid import PlaneGrid, grid_of
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.drawn_optics import Ball, Lab, corners_px, shown_mm
 from tracer.fit_section import FitNamedTable, FitTable
-from tracer.media import ConstantMedium
+from tracer.light import Light
+from tracer.media import MEDIA, ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
 from tracer.trace import trace
+from tracer.white_led import white_led
 
 SIZE_PX = 1008
 BOARD = Chessboard(3.5, 1.4)
 SCENES = ("two_spheres_500", "pair_off_axis", "three_spheres_500", "one_sphere_500")
-FAULTS = ("ellipsoid", "index", "bent board", "ball off", "lens term", "support")
+FAULTS = ("ellipsoid", "index", "bent board", "ball off", "lens term", "support", "light")
+LAMPS_K = (2850.0, 3500.0, 4500.0, 5700.0, 6300.0)  # of target frames, where nobody tells
 SUPPORT_PX = 24.0  # half width of what hides a strip: a rod of 2 mm near the board
 NODES = 60  # points of the map that are asked, behind glass and beside it
 
@@ -104,24 +108,40 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
         along = np.array([np.cos(turn), np.sin(turn)])
         hidden = along, float(along @ truth.camera.project(np.array(truth.spheres[-1].centre_mm)))
     room = truth.n_ambient
-    balls = tuple(
-        Ball(
-            s.centre_mm, s.radius_mm, s.medium.n(truth.wavelength_nm) / room, shapes.get(s.name, np.zeros((3, 3)))
+    lamp = white_led(float(rng.choice(LAMPS_K))) if fault == "light" else None
+    if lamp is not None:
+        nominal, truth = of_glass(nominal), of_glass(truth)
+
+    def balls_in(lit_by: Light | None) -> tuple[Ball, ...]:
+        return tuple(
+            Ball(
+                s.centre_mm,
+                s.radius_mm,
+                (lit_by.index(s.medium) if lit_by else s.medium.n(truth.wavelength_nm)) / room,
+                shapes.get(s.name, np.zeros((3, 3))),
+            )
+            for s in truth.spheres
         )
-        for s in truth.spheres
-    )
+
     lock_px = float(rng.uniform(0.0, 0.02))
     frames = []
     for glass in (False, True):
-        lab = Lab(truth.camera, balls if glass else (), bend)
+        lab = Lab(truth.camera, balls_in(lamp) if glass else (), bend)
         frames.append(
             photographed(truth if glass else truth.with_bodies(()), lab, glass, noise, lock_px, rng, hidden)
         )
     bench = unknowns_of(nominal, [0.0], priors)
     fit = Adjustment().estimate(bench, bench.start, frames, ())
-    pixels, error = map_error(fit, truth, Lab(truth.camera, balls), rng)
+    if lamp is not None:
+        fit = replace(fit, light=doubt_of(nominal, None))
+    pixels, error = map_error(fit, truth, Lab(truth.camera, balls_in(None)), rng)
     sigma = sigma_at(fit, pixels, True) / grid_of(truth.camera).pitch_mm
     return Drawn(fault, noise, ball, fit, pixels, error, sigma)
+
+
+def of_glass(scene: Scene) -> Scene:
+    """The same scene with balls of a glass that has dispersion."""
+    return scene.with_bodies([replace(s, medium=MEDIA["N-BK7"]) for s in scene.spheres])
 
 
 def with_index(nominal: Scene, truth: Scene, off: float) -> Scene:

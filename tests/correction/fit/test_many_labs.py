@@ -8,15 +8,25 @@ import os
 import numpy as np
 import pytest
 
+from correction.fit.weakness import weaknesses
 from tests.correction.fit.drawn_labs import FAULTS, Drawn, drawn_lab
 
+FIRST = 71000
 LABS = int(os.environ.get("LABS", "100"))
 COSTLY_PX = 0.05
 
 
 @pytest.fixture(scope="module")
 def labs() -> list[Drawn]:
-    return [drawn_lab(5000 + n, FAULTS[(n // 2) % 6] if n % 2 else "") for n in range(2 * LABS)]
+    """As many right labs as wrong ones; no number in the fit was chosen on these seeds."""
+    return [drawn_lab(FIRST + n, FAULTS[(n // 2) % len(FAULTS)] if n % 2 else "") for n in range(2 * LABS)]
+
+
+def is_named(lab: Drawn) -> bool:
+    """Whether the verdict raises an alarm, or says what is not known: the light, a number that is held."""
+    said = " ".join(weakness.sentence for weakness in weaknesses(lab.fit))
+    untold = {"light": "light of the target frames is not said", "index": "held, but how well known is not said"}
+    return not lab.fit.verdict.is_right or (lab.fault in untold and untold[lab.fault] in said)
 
 
 def says(labs: list[Drawn]) -> str:
@@ -26,7 +36,7 @@ def says(labs: list[Drawn]) -> str:
         alarms = sum(not lab.fit.verdict.is_right for lab in own)
         covered = np.mean([np.mean(np.abs(lab.error_px) < lab.sigma_px) for lab in own]) if own else np.nan
         costly = [lab for lab in own if lab.cost_px > COSTLY_PX]
-        named = sum(not lab.fit.verdict.is_right for lab in costly)
+        named = sum(map(is_named, costly))
         rows.append(
             f"{fault or 'right':12s} {len(own):4d} labs, {alarms:4d} alarms; {len(costly)} cost more than"
             f" {COSTLY_PX} px, {named} of them named; one sigma covers {covered:.2f}"
@@ -41,7 +51,7 @@ def test_right_labs_raise_no_alarm_and_wrong_ones_that_cost_something_do(labs):
     right = [lab for lab in labs if not lab.fault]
     assert sum(not lab.fit.verdict.is_right for lab in right) <= max(1, 0.01 * len(right))
     costly = [lab for lab in labs if lab.fault == "support" or (lab.fault and lab.cost_px > COSTLY_PX)]
-    assert sum(not lab.fit.verdict.is_right for lab in costly) >= 0.95 * len(costly)
+    assert sum(map(is_named, costly)) >= 0.95 * len(costly)
 
 
 @pytest.mark.slow
@@ -62,6 +72,6 @@ def test_the_cause_that_is_named_is_the_fault(labs):
         "index": "glass was held",
         "support": "a support",
     }
-    alarmed = [lab for lab in labs if lab.fault and not lab.fit.verdict.is_right]
+    alarmed = [lab for lab in labs if lab.fault in said and not lab.fit.verdict.is_right]
     right = [said[lab.fault] in " ".join(lab.fit.verdict.sentences) for lab in alarmed]
     assert np.mean(right) >= 0.9

@@ -1,11 +1,14 @@
 """Whole calibrations of frames that show what the scene file does not say, rendered by optics of another hand."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from correction.board import Chessboard
 from correction.fit.map_sigma import sigma_at
 from correction.fit.measurement import TargetFrame
+from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.grid import grid_of
 from sim.demo.scenes import at_size, misaligned, named_scene
@@ -16,37 +19,49 @@ from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
 
 SIZE_PX = 1008
 SQUARE_MM = 3.5
-BLOCK = 16
 BENT = (4e-5, 0.0, -2e-5)  # 1/mm: 0.1 mm over the view
+FINE = 12  # samples across a pixel that an edge crosses
+LABS = [("", 6), ("", 7), ("ellipsoid", 8), ("ellipsoid", 9), ("bent board", 10), ("bent board", 11)]
 
 
-def photographed(lab: Lab, glass: bool, sensor: Sensor, samples: int = 4) -> TargetFrame:
-    """A frame of the board: samples x samples rays a pixel, on a grid that is shifted from pixel to pixel."""
-    rng = np.random.default_rng(7 + glass)
+def photographed(lab: Lab, glass: bool, sensor: Sensor) -> TargetFrame:
+    """A frame of the board: a ray at every corner of a pixel, the print sampled between them where it changes."""
     board = Print(SQUARE_MM, 0.4 * SQUARE_MM)
+    rows, columns = np.mgrid[0 : SIZE_PX + 1, 0 : SIZE_PX + 1]
+    nodes = np.stack((columns, rows), axis=-1).reshape(-1, 2) - 0.5
+    with np.errstate(invalid="ignore"):
+        points, way = shown_mm(lab, nodes)
+    points, way = points.reshape(SIZE_PX + 1, -1, 2), way.reshape(SIZE_PX + 1, -1)
+    four = [points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]]
+    whole = np.isfinite(sum(four)).all(axis=2)
+    for other in (way[:-1, 1:], way[1:, :-1], way[1:, 1:]):
+        whole &= way[:-1, :-1] == other
     light = np.zeros((SIZE_PX, SIZE_PX), np.float32)
-    grid = np.stack(np.meshgrid(np.arange(samples), np.arange(samples)), axis=-1).reshape(-1, 2) / samples
-    for first in range(0, SIZE_PX, BLOCK):
-        rows, columns = np.mgrid[first : first + BLOCK, 0:SIZE_PX]
-        middle = np.stack((columns, rows), axis=-1).reshape(-1, 1, 2)
-        pixels = middle - 0.5 + (grid + rng.uniform(0.0, 1.0, (len(middle), 1, 2))) % 1.0
-        with np.errstate(invalid="ignore"):
-            points, _ = shown_mm(lab, pixels.reshape(-1, 2))
-        seen = np.isfinite(points[:, 0])
-        value = np.zeros(len(points), np.float32)
-        value[seen] = board.reflectance(points[seen])
-        light[first : first + BLOCK] = value.reshape(BLOCK, SIZE_PX, -1).mean(axis=2)
+    coarse = sampled(board, [corner[whole] for corner in four], 3)
+    light[whole] = coarse[0]
+    edge = np.zeros_like(whole)
+    edge[whole] = np.ptp(coarse, axis=0) > 0.0
+    light[edge] = sampled(board, [corner[edge] for corner in four], FINE).mean(axis=0)
     image = sensor.expose(light, seed=3 + glass)
     return TargetFrame("target_glass" if glass else "target_clear", image, glass)
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize("sensor", [SILENT, Sensor()], ids=["clean", "noisy"])
-@pytest.mark.parametrize("fault", ["", "ellipsoid", "bent board"])
-def test_the_verdict_is_right_and_the_sigma_holds_the_error(fault, sensor):
+def sampled(board: Print, four: list[np.ndarray], count: int) -> np.ndarray:
+    """Brightness (count^2, N) of the print at count x count places in N pixels with the given corners (N, 2)."""
+    places = (np.arange(count) + 0.5) / count if count == FINE else np.linspace(0.0, 1.0, count)
+    value = [
+        board.reflectance((1 - y) * ((1 - x) * four[0] + x * four[1]) + y * ((1 - x) * four[2] + x * four[3]))
+        for y in places
+        for x in places
+    ]
+    return np.array(value, np.float32)
+
+
+@cache
+def judged(fault: str, seed: int) -> tuple[SceneFit, np.ndarray, np.ndarray]:
+    """Fit of a lab, error and sigma (M, 2) of its map behind glass [px]; even seeds are without noise."""
     nominal = at_size(named_scene("two_spheres_500"), SIZE_PX)
-    truth = misaligned(nominal, 6)
+    truth = misaligned(nominal, seed)
     shape = np.diag([0.025, -0.025, 0.0]) if fault == "ellipsoid" else np.zeros((3, 3))
     room = truth.n_ambient
     balls = tuple(
@@ -54,18 +69,23 @@ def test_the_verdict_is_right_and_the_sigma_holds_the_error(fault, sensor):
         for number, s in enumerate(truth.spheres)
     )
     bend = BENT if fault == "bent board" else (0.0, 0.0, 0.0)
+    sensor = Sensor() if seed % 2 else SILENT
     frames = [
         photographed(Lab(truth.camera, balls if glass else (), bend), glass, sensor) for glass in (False, True)
     ]
     fit = fit_scene(nominal, frames, Chessboard(SQUARE_MM, 0.4 * SQUARE_MM))
-    verdict = fit.verdict
     pixels, error = map_error(fit, truth, Lab(truth.camera, balls), np.random.default_rng(0))
-    sigma = sigma_at(fit, pixels, True) / grid_of(truth.camera).pitch_mm
+    return fit, error, sigma_at(fit, pixels, True) / grid_of(truth.camera).pitch_mm
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(("fault", "seed"), LABS)
+def test_the_verdict_is_right_and_the_sigma_holds_the_error(fault, seed):
+    fit, error, sigma = judged(fault, seed)
+    verdict = fit.verdict
     size, said = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(sigma**2))
-    covered = np.mean(np.abs(error) < sigma)
-    print(
-        f"\n{fault or 'right'}: {verdict.sentences[0]}; map {size:.4f} px, sigma {said:.4f}, covers {covered:.2f}"
-    )
+    print(f"\n{fault or 'right'}: {verdict.sentences[0]}; map {size:.4f} px, sigma {said:.4f}")
     print(verdict.ways, [(one.neighbours, one.independent) for one in verdict.correlation.values()])
     words = {
         "": "the model is right",
@@ -75,4 +95,12 @@ def test_the_verdict_is_right_and_the_sigma_holds_the_error(fault, sensor):
     assert words[fault] in verdict.sentences[0]
     assert bool(verdict.alarms) == bool(fault)
     assert size < 2.0 * said
-    assert covered > 0.4
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_one_sigma_is_one_sigma_over_all_labs():
+    """Of one lab a smooth field of errors is inside or outside as a whole; of all, two thirds."""
+    covered = [float(np.mean(np.abs(error) < sigma)) for _, error, sigma in (judged(*lab) for lab in LABS)]
+    print(covered)
+    assert 0.5 <= np.mean(covered) <= 0.9
