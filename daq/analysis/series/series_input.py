@@ -91,12 +91,13 @@ def series_input(
     if scene.with_name(FIT_FILE).is_file():
         _keep(scene.with_name(FIT_FILE), out / FIT_FILE)
     usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
-    through = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.with_bodies(())
-    through = through.in_light_sheet()
+    standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.with_bodies(())
+    through = standing.in_light_sheet()
     limit = None
     if sigma_limit_px is not None:  # glass that a stage has carried on is known as well as where it was fitted
-        limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px)
-        limit = replace(limit, sigma=replace(limit.sigma, scene_hash=through.content_hash()))
+        limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=False)
+        seen = limit.sigma.in_light_sheet(standing)
+        limit = replace(limit, sigma=replace(seen, scene_hash=through.content_hash()))
     method = Method(through, dewarp, choice.settings, choice.preparation or usual, limit)
     return SeriesInput(run, out, given, method)
 

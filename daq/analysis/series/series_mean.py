@@ -43,22 +43,27 @@ def mean_of_series(folder: Path) -> MeanFlow:
     about = SeriesFolder(folder).about
     mean = mean_flow(Chunks.of(folder))
     through = scene_of(folder)
-    sigma = scene_sigma_beside(folder / SCENE_FILE, load_scene(folder / SCENE_FILE), about["dewarped"])
+    fitted = load_scene(folder / SCENE_FILE)
+    sigma = scene_sigma_beside(folder / SCENE_FILE, fitted, about["dewarped"], in_light_sheet=False)
     if isinstance(sigma, str):
         mean = replace(mean, no_map_sigma=sigma)
     else:
         prepared = prepare(through, maps=folder / "maps")
-        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma)
+        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(_standing(folder)))
     said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
     write_mean(folder / FILE, mean, said)
     return mean
 
 
 def scene_of(folder: Path) -> Scene:
-    """Scene that the camera of a series looked through."""
+    """Scene that the camera of a series looked through, as particles in its light sheet are seen."""
+    return _standing(folder).in_light_sheet()
+
+
+def _standing(folder: Path) -> Scene:
+    """The same with the light sheet where it is."""
     scene, about = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about
-    through = with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.with_bodies(())
-    return through.in_light_sheet()
+    return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.with_bodies(())
 
 
 def grid_of_series(folder: Path) -> PlaneGrid:
