@@ -21,7 +21,7 @@ import daq.verbs.trace as verb
 from daq.cli import main
 from ground.whole_file import whole_file
 
-def trace(scene, out):
+def trace(scene, out, pictures):
     with whole_file(Path(out)) as stream:
         stream.write(b"half")
         print("begun", flush=True)
