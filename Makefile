@@ -6,6 +6,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
+# Tests start hundreds of processes: what Python compiles of modules is kept.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-slow labs fuzz lamps sheets far-starts benchmark bench lint compiled picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml

@@ -196,6 +196,7 @@ def run(words: list[str], folder: Path, cache: Path | None = None) -> Times:
     """Run a command as a process of its own; its times by part and in all."""
     told = folder / "times.json"
     environment = {**os.environ, TOLD: str(told), **({} if cache is None else {"RTPIV_CACHE": str(cache)})}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # modules are compiled once, as everywhere
     before, began = os.times(), time.perf_counter()
     told.unlink(missing_ok=True)
     command = [sys.executable, "-c", INSIDE, str(time.time()), *words]

@@ -11,7 +11,8 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, TextIO
 
 import ground.compile_news as compile_news
@@ -46,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling
     compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
-    with orderly_end(), warnings.catch_warnings():
+    compile_news.make_helper, compile_news.helper = lambda: _first_use(verb), None
+    with orderly_end(), _without_helper(), warnings.catch_warnings():
         warnings.showwarning = print_warning
         try:
             code = _carried_out(verb, options)
@@ -59,6 +61,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"rtpiv {verb}: {sentence(failed)}", file=sys.stderr)
         return DEVICE
     return code
+
+
+def _first_use(verb: str) -> compile_news.Helper:
+    """What helps a verb that finds a kernel missing."""
+    from daq.first_use import FirstUse
+
+    return FirstUse(verb)
+
+
+@contextmanager
+def _without_helper() -> Iterator[None]:
+    """Let who helped to compile go in the end."""
+    try:
+        yield
+    finally:
+        end = getattr(compile_news.helper, "end", None)
+        if end is not None:
+            end()
+        compile_news.make_helper = compile_news.helper = None
 
 
 def _carried_out(verb: str, options: dict[str, Any]) -> int:
@@ -92,9 +113,11 @@ def print_warning(
 def print_compiling(functions: int, seconds: float) -> None:
     """Say on standard error why nothing else happens: kernels are compiled once on each computer."""
     if functions == 0:
-        text = "compiling, first use on this computer, about a minute in all"
+        text = "compiling, first use on this computer, less than a minute in all"
     else:
+        left = getattr(compile_news.helper, "seconds_left", lambda: None)()
         text = f"compiling: {functions} functions, {seconds:.0f} s"
+        text += "" if left is None else f", about {left:.0f} s left"
     print(text, file=sys.stderr, flush=True)
 
 

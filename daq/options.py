@@ -198,6 +198,8 @@ def _first_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     schema = verbs.add_parser("schema", help="JSON schemas of the three files, for editors")
     schema.add_argument("-o", "--out", type=Path, default=Path("schemas"), help="folder (default: schemas)")
 
+    verbs.add_parser("warm", help="compile now what first commands would wait for: for images and clusters")
+
     completion = verbs.add_parser("completion", help="completion of verbs and options for a shell")
     completion.add_argument("shell", choices=("bash", "zsh", "fish"))
 

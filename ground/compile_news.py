@@ -7,10 +7,25 @@ no news.
 import threading
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 SAY_EVERY_S = 5.0
 
 complain: Callable[[str], None] | None = None  # gets what is wrong with the folder of compiled code
+
+
+class Helper(Protocol):
+    """Hears of every kernel that is compiled because somebody calls it, not of those that it calls itself."""
+
+    def begun(self, place: str, form: object) -> None:
+        """Hear that "module:name" is missing for arguments of these types, see `ground.signatures`."""
+
+    def done(self, place: str) -> None:
+        """Hear that it is compiled."""
+
+
+make_helper: Callable[[], Helper] | None = None  # called when the first kernel is missing
+helper: Helper | None = None  # what it made
 watch: Callable[[int, float], None] | None = None  # gets how many functions are compiled, and the seconds since
 
 
@@ -41,3 +56,18 @@ class CompileCount:
                 self._said_s = now_s
         if tells and watch is not None:
             watch(functions, now_s - begun_s)
+
+
+def missing(place: str, form: object) -> None:
+    """Tell the helper, if somebody wants one, of a kernel that is about to be compiled."""
+    global helper
+    if helper is None and make_helper is not None:
+        helper = make_helper()
+    if helper is not None:
+        helper.begun(place, form)
+
+
+def compiled(place: str) -> None:
+    """Tell the helper that it is compiled."""
+    if helper is not None:
+        helper.done(place)

@@ -16,10 +16,12 @@ from numba.core import event, types
 from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.extending import overload, typeof_impl
 
+import ground.compile_news as compile_news
 import ground.unowned  # noqa: F401 - teaches numba
 from ground.compile_news import CompileCount
 from ground.jit import Kernel, overloads
 from ground.kernel_cache import cache_folder
+from ground.signatures import plain
 
 
 def given_to_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401
@@ -79,18 +81,31 @@ def _type_of_kernel(kernel: Kernel, context: object) -> types.Type:
 
 
 class _Compiling(event.Listener):
-    """Hears of functions that no cache holds, and counts them."""
+    """Hears of functions that no cache holds, and counts them; a kernel is compiled with its callees in one go."""
 
     def __init__(self) -> None:
         self._count = CompileCount()
+        self._depth = 0
 
-    def on_start(self, event: object) -> None:
+    def on_start(self, event: Any) -> None:  # noqa: ANN401
         """One is about to be compiled."""
+        if self._depth == 0 and compile_news.make_helper is not None:
+            with suppress(TypeError):  # called with something that no list of kernels has
+                compile_news.missing(_place(event), [plain(each) for each in event.data["args"]])
+        self._depth += 1
         self._count.begun()
 
-    def on_end(self, event: object) -> None:
+    def on_end(self, event: Any) -> None:  # noqa: ANN401
         """One is compiled."""
+        self._depth -= 1
+        if self._depth == 0:
+            compile_news.compiled(_place(event))
         self._count.done()
+
+
+def _place(event: Any) -> str:  # noqa: ANN401
+    function = event.data["dispatcher"].py_func
+    return f"{function.__module__}:{function.__qualname__}"
 
 
 event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]

@@ -18,6 +18,7 @@ import os
 import re
 import shutil
 import tempfile
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -46,13 +47,33 @@ def cache_folder(source: Path, root: Path = ROOT) -> Path | None:
     return None if base is None else base / "rtpiv" / digest_of(source.resolve(), root)
 
 
+def _temporary(full: Path | None) -> Path | None:
+    """A folder for this process and its children, with links to what one that cannot be written holds."""
+    try:
+        place = Path(tempfile.mkdtemp(prefix="rtpiv-kernels-"))
+    except OSError:
+        return None
+    if full is None:
+        return place
+    with suppress(OSError):
+        for path in sorted((full / "rtpiv").rglob("*")):
+            beside = place / path.relative_to(full)
+            if path.is_dir():
+                beside.mkdir(parents=True, exist_ok=True)
+            else:
+                beside.symlink_to(path)
+    return place
+
+
 @cache
 def _base(wanted: str | None) -> Path | None:
     """Folder of all compiled code; what a person should know about it is said at once.
 
     One that cannot be written is replaced by a temporary one, which the processes that this one starts share and
-    which goes with it.  Numba would look for others by itself, and end the program if it finds none.
+    which goes with it; if it was filled before, as by `rtpiv warm` in an image, what it holds is taken from it.
+    Numba would look for others by itself, and end the program if it finds none.
     """
+    base: Path | None = None
     try:
         base = Path(wanted) if wanted else Path.home() / ".cache"
         (base / "rtpiv").mkdir(parents=True, exist_ok=True)
@@ -61,12 +82,11 @@ def _base(wanted: str | None) -> Path | None:
     except (OSError, RuntimeError) as error:  # no folder of this user, too
         name = getattr(error, "filename", None) or wanted or "the user's cache folder"
         why = f"{name} cannot be written ({(getattr(error, 'strerror', None) or str(error)).lower()})"
-    complaint = f"{why}, so kernels are compiled anew each time; set RTPIV_CACHE to a folder of yours"
-    if compile_news.complain is not None:
-        compile_news.complain(complaint)
-    try:
-        place = tempfile.mkdtemp(prefix="rtpiv-kernels-")
-    except OSError:
+    place = _temporary(base)
+    if compile_news.complain is not None and (place is None or not any(place.rglob("*.nbi"))):
+        cure = "set RTPIV_CACHE to a folder of yours"
+        compile_news.complain(f"{why}, so kernels are compiled anew each time; {cure}")
+    if place is None:
         return None
     owner = os.getpid()
 
@@ -75,8 +95,8 @@ def _base(wanted: str | None) -> Path | None:
             shutil.rmtree(place, ignore_errors=True)
 
     atexit.register(remove)
-    os.environ["RTPIV_CACHE"] = place
-    return Path(place)
+    os.environ["RTPIV_CACHE"] = str(place)
+    return place
 
 
 @cache

@@ -17,11 +17,14 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from daq import first_use
 from sim.clock import VirtualClock
 from sim.emulators.protocol_sim import LINES
 from sim.witness.witness import LEDGER, Witness
 from stages.stage import Stage
 from stages.stop_latch import StopLatch
+
+first_use.MOST_HELPERS = 0  # all cores have tests
 
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")

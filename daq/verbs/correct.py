@@ -19,9 +19,9 @@ from correction.frame_file import stem_of, write_frame
 from correction.node_status import MEANING, NodeStatus
 from correction.prepared import prepare
 from correction.resample.sample import Method
-from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
+from daq.acquisition.runs.read_ahead import ReadAhead
 from daq.acquisition.runs.shown_plane import shows_light_sheet
 from daq.terminal import console, progress
 from daq.verbs.output import require_folder
@@ -126,38 +126,36 @@ def correct(
     loaded = fitted.in_light_sheet() if particles else fitted
     shape = loaded.camera.shape
     _refuse_same_names(frames)
-    for path in frames:
-        read_acquired(path, shape)
     out = require_folder(out)
-    board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
-    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
-    limit = None
-    if sigma_limit_px is not None:
-        from daq.analysis.tasks import sigma_limit
+    with ReadAhead(frames, shape) as acquired:
+        board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
+        dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+        limit = None
+        if sigma_limit_px is not None:
+            from daq.analysis.tasks import sigma_limit
 
-        limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
-    corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
-    grid = corrector.map.grid
-    about: dict[str, Any] = {
-        "origin_mm": list(grid.origin_mm),
-        "scene_hash": loaded.content_hash(),
-        "method": method,
-        "dewarp": None if dewarp is None else dewarp.to_dict(),
-        "offset": None if as_float else UINT16_OFFSET,
-    }
-    out.mkdir(parents=True, exist_ok=True)
-    errors: list[TargetError] = []
-    clipped = 0
-    for index, path in enumerate(progress(frames, len(frames), "correcting")):
-        frame = read_acquired(path, shape)
-        corrected = corrector(frame)
-        if check_target:
-            errors.append(target_error(corrected, corrector, board))
-        if index == 0:
-            shown = frame, corrected
-        stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
-        clipped += cut
-        write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
+            limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
+        corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
+        acquired.require_sound()
+        grid = corrector.map.grid
+        about: dict[str, Any] = {
+            "origin_mm": list(grid.origin_mm),
+            "scene_hash": loaded.content_hash(),
+            "method": method,
+            "dewarp": None if dewarp is None else dewarp.to_dict(),
+            "offset": None if as_float else UINT16_OFFSET,
+        }
+        out.mkdir(parents=True, exist_ok=True)
+        errors: list[TargetError] = []
+        clipped, shown = 0, None
+        for path, frame in zip(progress(frames, len(frames), "correcting"), acquired, strict=True):
+            corrected = corrector(frame)
+            if check_target:
+                errors.append(target_error(corrected, corrector, board))
+            shown = shown or (frame, corrected)
+            stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
+            clipped += cut
+            write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
     write_frame(out / "mask.tif", corrector.status, grid.px_per_mm, {"meaning": list(MEANING.values()), **about})
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     summary = {**about, "frames": [path.name for path in frames], "clipped_values": clipped}
@@ -168,7 +166,7 @@ def correct(
     if fitted.sheet is not None:
         plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
         screen.print(f"corrected for {plane}")
-    if pictures:
+    if pictures and shown is not None:
         _draw(out / "overview.png", loaded, board, *shown, corrector)
     screen.print(f"{len(frames)} frame(s){', mask and overview' if pictures else ' and mask'} are in {out}")
     files = tuple(out / f"{stem_of(path)}.tif" for path in frames)

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table
 
-from correction.aperture import BlurMap, blur_map
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
@@ -21,6 +21,9 @@ from tracer.fov import FieldOfView, field_of_view
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
+
+if TYPE_CHECKING:
+    from correction.aperture import BlurMap
 
 SHOWN_BODIES = 40
 LONGEST_NAME = 32
@@ -82,7 +85,11 @@ def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
     ray_map = build_ray_map(loaded)
     correction_map = build_correction_map(loaded, ray_map)
     share = plane_share(loaded, correction_map)
-    blur = None if loaded.camera.pupil is None else blur_map(correction_map, loaded)
+    blur = None
+    if loaded.camera.pupil is not None:
+        from correction.aperture import blur_map
+
+        blur = blur_map(correction_map, loaded)
     try:
         view: FieldOfView | None = field_of_view(loaded)
     except SceneError:  # not in a row: the areas say it all
@@ -115,13 +122,11 @@ def _draw(
     scene: Scene,
     correction_map: CorrectionMap,
     share: PlaneShare,
-    blur: BlurMap | None,
+    blur: "BlurMap | None",
     view: FieldOfView | None,
 ) -> list[str]:
     """Draw all pictures; return their names."""
-    from daq.analysis.pictures.blur import draw_blur
     from daq.analysis.pictures.camera_view import draw_camera_view
-    from daq.analysis.pictures.curve import draw_curve
     from daq.analysis.pictures.drawing import scene_figure
     from daq.analysis.pictures.patterns import MarkerBoard, square_for
     from daq.analysis.pictures.plane import draw_plane
@@ -135,9 +140,13 @@ def _draw(
     save_picture(scene_figure(scene), out / "scene.png", 130)
     names = ["plane.png", "camera_view.png", "scene.png"]
     if blur is not None:
+        from daq.analysis.pictures.blur import draw_blur
+
         draw_blur(out / "blur.png", correction_map.grid, blur)
         names.append("blur.png")
     if view is not None:
+        from daq.analysis.pictures.curve import draw_curve
+
         draw_curve(out / "radial_curve.png", scene, view, name)
         names.append("radial_curve.png")
     return names

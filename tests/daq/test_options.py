@@ -69,7 +69,9 @@ def test_compiling_is_said_once_and_goes_on(capsys, monkeypatch):
     print_compiling(0, 0.0)
     print_compiling(7, 12.3)
     said = capsys.readouterr().err
-    assert said == "compiling, first use on this computer, about a minute in all\ncompiling: 7 functions, 12 s\n"
+    assert (
+        said == "compiling, first use on this computer, less than a minute in all\ncompiling: 7 functions, 12 s\n"
+    )
 
 
 def test_a_kernel_that_no_cache_holds_is_news(monkeypatch):

@@ -215,6 +215,41 @@ def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said(tmp_path, wher
     assert not list(tmp_path.glob("rtpiv-kernels-*")), "the temporary one goes with the process"
 
 
+READ_ONLY = """
+import sys, tempfile
+real = tempfile.TemporaryFile
+def refused(*words, dir=None, **options):
+    if str(dir).startswith(sys.argv[1]):
+        raise OSError(30, "Read-only file system", str(dir))
+    return real(*words, dir=dir, **options)
+tempfile.TemporaryFile = refused
+"""
+
+
+def test_a_cache_that_was_filled_and_cannot_be_written_is_read(tmp_path):
+    """As in an image or on a cluster, after rtpiv warm."""
+    said = CACHE + "print(sum(twice.stats.cache_hits.values()))\n"
+    (tmp_path / "kernels.py").write_text(said)
+    cache = tmp_path / "cache"
+
+    def run(before=""):
+        (tmp_path / "main.py").write_text(
+            f"{before}import runpy\nrunpy.run_path({str(tmp_path / 'kernels.py')!r})\n"
+        )
+        done = subprocess.run(
+            [sys.executable, str(tmp_path / "main.py"), str(cache)],
+            env=os.environ | {"PYTHONPATH": str(Path.cwd()), "RTPIV_CACHE": str(cache), "TMPDIR": str(tmp_path)},
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        return done.stdout.split()
+
+    assert run() == ["8.0", "0"]
+    kept = {path: path.stat().st_mtime_ns for path in cache.rglob("*")}
+    assert run(READ_ONLY) == ["8.0", "1"]
+    assert {path: path.stat().st_mtime_ns for path in cache.rglob("*")} == kept
+    assert not list(tmp_path.glob("rtpiv-kernels-*"))
+
+
 def test_a_full_cache_costs_nothing_but_time(tmp_path):
     (tmp_path / "kernels.py").write_text(
         "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n" + CACHE

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from daq.analysis.pictures.saved import lay_out
 from ground.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -212,6 +213,7 @@ def _drawn(figure: "Figure", kind: str) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     FigureCanvasAgg(figure)
+    lay_out(figure, PNG_DPI)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None} if kind == "svg" else None)
     return buffer.getvalue()
