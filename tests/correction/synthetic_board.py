@@ -29,12 +29,9 @@ def soft_board(
 
 
 def painted(to_board, pixels, square_mm, discs, disc_mm):
-    """Brightness (H, W), 0 to 1, at points (H, W, 2) of the image."""
+    """Brightness (H, W), 0 to 1, at points (H, W, 2) of the image, an even raster."""
     here = to_board(pixels)
-    step = 0.05
-    right, down = np.array((step, 0.0)), np.array((0.0, step))
-    du = (to_board(pixels + right) - to_board(pixels - right)) / (2 * step)
-    dv = (to_board(pixels + down) - to_board(pixels - down)) / (2 * step)
+    dv, du = np.gradient(here, pixels[0, 1, 0] - pixels[0, 0, 0], axis=(0, 1))
     spread = PAINTED_PX * np.sqrt(2)
     wave = np.ones(here.shape[:-1])
     for k in range(2):
@@ -45,11 +42,12 @@ def painted(to_board, pixels, square_mm, discs, disc_mm):
     bright = 0.5 - 0.5 * wave  # square (0, 0) has both distances positive and is dark
     for i, j in discs:
         offset = here - (np.array((i, j)) + 0.5) * square_mm
+        near = np.nonzero((offset**2).sum(-1) < (square_mm / 2) ** 2)
+        offset = offset[near]
         radius = np.hypot(offset[..., 0], offset[..., 1])
         along = offset / np.maximum(radius, 1e-9)[..., None]
-        slope = np.hypot((along * du).sum(-1), (along * dv).sum(-1))
-        inside = 0.5 - 0.5 * erf((radius - disc_mm / 2) / slope / spread)
-        bright = np.where(radius < square_mm / 2, bright + inside * (1 - 2 * ((i + j) % 2 == 1)), bright)
+        slope = np.hypot((along * du[near]).sum(-1), (along * dv[near]).sum(-1))
+        bright[near] += (0.5 - 0.5 * erf((radius - disc_mm / 2) / slope / spread)) * (1 - 2 * ((i + j) % 2 == 1))
     return bright
 
 

@@ -46,8 +46,10 @@ class ReadAhead:
         FrameError, RunDamaged
             As `read_acquired`.
         """
-        for each in (*self._first, *self._others):
-            each.result()
+        for first in self._first:
+            first.result()
+        for other in self._others:
+            other.result()
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames in their order."""
