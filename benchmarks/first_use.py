@@ -23,11 +23,13 @@ from daq.cli import main
 calls = []
 class Recorder:
     def __init__(self, verb):
-        pass
+        self.form = None
     def begun(self, place, form):
         self.form, self.since = form, time.process_time()
     def done(self, place):
-        calls.append((place, self.form, round(time.process_time() - self.since, 2)))
+        if self.form is not None:
+            calls.append((place, self.form, round(time.process_time() - self.since, 2)))
+        self.form = None
 daq.first_use.FirstUse = Recorder
 code = main(sys.argv[2:])
 with open(sys.argv[1], "w") as told:

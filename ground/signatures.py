@@ -12,12 +12,13 @@ from numba import types as _types
 from ground.jit import Kernel
 
 types: Any = _types  # numba has no types that mypy could read
+SCALARS = (types.Number, types.Boolean)
 Plain = str | list[Any]
 
 
 def plain(kind: Any) -> Plain:  # noqa: ANN401
     """Return a type as plain data; TypeError for one that no kernel of ours is called with."""
-    if isinstance(kind, types.Array):
+    if isinstance(kind, types.Array) and isinstance(kind.dtype, SCALARS):
         return ["array", str(kind.dtype), kind.ndim, kind.layout, kind.mutable]
     if isinstance(kind, types.BaseNamedTuple):
         made_by = kind.instance_class
@@ -27,7 +28,7 @@ def plain(kind: Any) -> Plain:  # noqa: ANN401
     if isinstance(kind, types.Dispatcher):
         function = kind.dispatcher.py_func
         return ["kernel", f"{function.__module__}:{function.__qualname__}"]
-    if isinstance(kind, (types.Number, types.Boolean, types.NoneType)):
+    if isinstance(kind, (*SCALARS, types.NoneType)):
         return str(kind)
     raise TypeError(f"{kind} is no argument of a kernel")
 

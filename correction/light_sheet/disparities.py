@@ -15,9 +15,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
-from scipy.optimize import least_squares
 
 from correction.light_sheet.double_views import DoubleViews
 from correction.light_sheet.kernels.lagged import add_products
@@ -56,7 +55,7 @@ class Light:
             count += 1
         mean = np.array(total[:2]) / max(count, 1)
         variance = np.maximum(np.array(total[2:]) / max(count, 1) - mean**2, 0.0)
-        evened = np.array([uniform_filter(each, EVENED_PX) for each in variance])
+        evened = np.array([scipy.ndimage.uniform_filter(each, EVENED_PX) for each in variance])
         scale = 1.0 / np.sqrt(np.maximum(evened, 1e-3 * max(float(evened.mean()), 1e-12)))
         return cls(np.asarray(mean, np.float32), np.asarray(scale, np.float32)), count
 
@@ -243,7 +242,7 @@ def _shape(
 
     limits = ([-np.inf, 0.0, along.min(), -2.0, 0.6, 0.6], [np.inf, np.inf, along.max(), 2.0, 5.0, 3.0])
     start = [low, plane[top] - low, along[top], np.clip(across[top], -1.9, 1.9), 1.2, 1.2]
-    best = least_squares(misfit, start, bounds=limits).x
+    best = scipy.optimize.least_squares(misfit, start, bounds=limits).x
     return float(best[2]), float(best[3]), float(best[4]), float(best[5])
 
 

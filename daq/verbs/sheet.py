@@ -7,7 +7,6 @@ from pathlib import Path
 
 from correction.light_sheet.self_calibration import SheetFound
 from daq.analysis.light_sheet import about_sheet, flow_frames, sheet_of
-from daq.analysis.pictures.light_sheet import draw_light_sheet
 from daq.analysis.tasks import FIT_FILE
 from daq.errors import DiskError
 from daq.terminal import console
@@ -55,6 +54,8 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named = "sheet") ->
     if scene.with_name(FIT_FILE).is_file():
         _copy(scene.with_name(FIT_FILE), folder / FIT_FILE)
     write_json(folder / "sheet.json", about_sheet(found, [str(path) for path in given]))
+    from daq.analysis.pictures.light_sheet import draw_light_sheet
+
     rows, columns = fitted.camera.shape
     draw_light_sheet(folder / "sheet.png", found, (columns * found.views.pitch_mm, rows * found.views.pitch_mm))
     screen.print(found.sheet.summary)
