@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.light_sheet.double_views import DoubleViews
+from correction.light_sheet.double_views import ACROSS, DoubleViews
 from correction.light_sheet.kernels.lagged import add_products
 from ground.rows import thread_count
 
@@ -26,7 +26,6 @@ Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whenever it is called
 
 BLOCKS = 10
-ACROSS = 4  # lags to either side
 BRIGHTEST = 6.0  # standard deviations; brighter ones count as so many
 EVENED_PX = 5  # the standard deviation is that of so many pixels a side
 CLEAR = 5.0  # standard deviations that a peak stands out by

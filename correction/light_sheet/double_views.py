@@ -40,6 +40,7 @@ STRAIGHT = 0.5  # of that step on the plane
 APART_PX = 8.0  # of two pictures of one place on the sensor: closer ones are one picture
 LEAST_PARALLAX = 0.02  # |D|: 0.02 mm for a millimetre of height
 PARTICLE_PX2 = 0.7  # variance of a picture of 2.4 px, and of the bell that it is looked up with
+ACROSS, AROUND = 3, 4  # lags to either side: across D; along it, about a peak
 UNIT = 0.8  # of the standard deviation that two such pictures make of a peak
 WIDEST_PX = 3.0  # blur by the aperture, standard deviation
 MOST_LOST = 0.05
@@ -101,6 +102,17 @@ class DoubleViews:
             here = self.kind == kind
             out[here] = UNIT * np.sqrt(PARTICLE_PX2 * np.median(self.blob[here], axis=0))
         return out
+
+    def room_px(self, reach: int) -> NDArray[np.float64]:
+        """How far (N, 2) lags of `reach` along and ACROSS lead from the second pixel, along u and v."""
+        units = self.units()
+        return np.asarray(
+            np.abs(self.along_px) * units[:, :1] * reach + np.abs(self.across_px) * units[:, 1:] * ACROSS
+        )
+
+    def free(self, reach: int) -> NDArray[np.bool_]:
+        """Places (N,) of which no lag reaches another picture of the same particle."""
+        return np.asarray(self.alone_px > np.hypot(*self.room_px(reach).T) + 2.0 * BESIDE_PX)
 
     def at(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "DoubleViews":
         """Return some of them."""

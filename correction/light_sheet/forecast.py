@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from correction.light_sheet.double_views import PARTICLE_PX2, DoubleViews
+from correction.light_sheet.double_views import AROUND, PARTICLE_PX2, DoubleViews
 from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
 
 SHARE = 1.0  # 0.75 to 1.15 were measured
@@ -50,6 +50,7 @@ class SheetForecast:
 
 def sheet_forecast(views: DoubleViews) -> SheetForecast:
     """Forecast from the places seen twice."""
+    views = views.at(views.free(AROUND))
     design = np.column_stack((np.ones(len(views.kind)), views.place_mm))
     rate = (views.parallax / views.pitch_mm) ** 2
     peak_px2 = PARTICLE_PX2 * views.blob[:, 0] + rate * SPREAD_MM**2

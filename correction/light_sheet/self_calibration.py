@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import SheetError
-from correction.light_sheet.disparities import ACROSS, BLOCKS, Disparities, Light, Pairs, disparities
-from correction.light_sheet.double_views import DoubleViews, double_views
+from correction.light_sheet.disparities import BLOCKS, Disparities, Light, Pairs, disparities
+from correction.light_sheet.double_views import AROUND, DoubleViews, double_views
 from correction.light_sheet.plane_fit import PlaneFit, fit_plane
 from tracer.light_sheet import LightSheet
 from tracer.scene import Scene
@@ -28,7 +28,7 @@ EDGE_PX = 3.0
 ROUNDS = 5
 SETTLED, AT_REST = 2.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
 TELLS = 0.7  # of the sigma known before, and the frames have told something
-AROUND, MOST_REACH = 5, 20  # lags about a peak, and in all
+MOST_REACH = 20  # lags to either side along D
 
 
 @dataclass(frozen=True)
@@ -209,10 +209,7 @@ def _reach(views: DoubleViews, sheet: LightSheet) -> int:
 def _inside(views: DoubleViews, shape: tuple[int, int], reach: int) -> DoubleViews:
     """Places whose two views, with all lags, lie inside the sensor and show one picture of a particle."""
     size = np.array(shape[::-1]) - 1.0
-    good = np.ones(len(views.kind), bool)
-    units = views.units()
-    room = np.abs(views.along_px) * units[:, :1] * reach + np.abs(views.across_px) * units[:, 1:] * ACROSS
-    good &= views.alone_px > np.hypot(*room.T) + EDGE_PX  # no lag reaches another picture of the same particle
+    good, room = views.free(reach), views.room_px(reach)
     for pixel, more in ((views.first_px, 0.0), (views.second_px, room)):
         good &= ((pixel - more >= EDGE_PX) & (pixel + more <= size - EDGE_PX)).all(axis=1)
     return views.at(good)
