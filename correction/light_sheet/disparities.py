@@ -78,6 +78,8 @@ class Disparities:
         |D|.
     along_px, across_px : (C,) float64
         Along D and across, corrected px; `along_sigma_px`, `across_sigma_px` their standard deviations.
+    bend_px : (C,) float64
+        What was taken off `along_px` because the second view bends: good to itself.
     places : (C,) int64
         Places of the cell.
     widths : dict
@@ -93,6 +95,7 @@ class Disparities:
     across_px: NDArray[np.float64]
     along_sigma_px: NDArray[np.float64]
     across_sigma_px: NDArray[np.float64]
+    bend_px: NDArray[np.float64]
     places: NDArray[np.int64]
     widths: dict[int, tuple[float, float, float, float]]
     pitch_mm: float
@@ -167,7 +170,7 @@ def _measured(
     _, first = np.unique(cell, return_index=True)
     kind_of, whole = np.full(len(places), -1), blocks.sum(axis=0)
     kind_of[cell[first]] = views.kind[first]
-    found = np.full((len(places), 4), np.nan)
+    found, bend = np.full((len(places), 4), np.nan), np.zeros(len(places))
     widths: dict[int, tuple[float, float, float, float]] = {}
     for kind in np.unique(kind_of[kind_of >= 0]):
         here = np.nonzero(kind_of == kind)[0]
@@ -190,7 +193,7 @@ def _measured(
             sigma = np.sqrt((BLOCKS - 1.0) / BLOCKS * np.sum((steps - steps.mean(axis=0)) ** 2, axis=0))
             if np.isfinite(sigma).all() and (sigma < 0.5 * np.array(shape[2:])).all():
                 bend_px = float(views.bend[cell == one].mean()) * wide[1] / float(blob[1])
-                at = np.array(peak) * unit - (bend_px, 0.0)
+                at, bend[one] = np.array(peak) * unit - (bend_px, 0.0), bend_px
                 found[one] = (*at, *np.maximum(sigma * unit, 1e-3))
         _even(found, here, places)
     good = np.isfinite(found).all(axis=1)
@@ -199,8 +202,8 @@ def _measured(
     parallax = np.bincount(cell, views.parallax, len(places)) / weight
     ahead, aside, ahead_sigma, aside_sigma = found[good].T
     return Disparities(
-        middle[good], kind_of[good], parallax[good], ahead, aside, ahead_sigma, aside_sigma, places[good], widths,
-        views.pitch_mm,
+        middle[good], kind_of[good], parallax[good], ahead, aside, ahead_sigma, aside_sigma, bend[good],
+        places[good], widths, views.pitch_mm,
     )  # fmt: skip
 
 

@@ -2,7 +2,8 @@
 
 Unknown are corrections of z and of the two slopes; each cell says  dz + x da + y db = height +- sigma.  Cells that
 lie off by more than they may are given less weight (Huber).  If the rest scatters more than its sigmas say, all of
-these are enlarged; if kinds of views disagree, or something moved across D, it is not the sheet alone that is off.
+these are enlarged, and what was taken off for bent views is a common error of its own size.  If kinds of views
+disagree, or something moved across D, it is not the sheet alone that is off.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ TUNING, FARTHEST = 1.5, 5.0  # usual deviations from which on a cell counts less
 FALSE_ALARMS = 0.001
 ROUNDS = 20
 LEAST_ACROSS_PX, LEAST_APART_MM = 0.08, 0.03  # what corner and particle models leave; less is no finding
+LEAST_SHARE = 0.05  # the same, of the width of the peaks
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,8 @@ def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArra
         share = np.where(off < FARTHEST * usual, np.minimum(1.0, TUNING * usual / np.maximum(off, 1e-9)), 0.0)
         freedom = max(1.0, float(share.sum()) - 3.0)
         scatter = max(1.0, float(np.sqrt(np.sum(share * off**2) / freedom)))
+    bent_mm = found.bend_px * found.pitch_mm / found.parallax
+    common = np.linalg.solve(normal, design.T @ (weight * bent_mm))
     residual = height - design @ answer
     kinds = {}
     for kind in np.unique(found.kind):
@@ -90,7 +94,8 @@ def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArra
         trust = share[here] / (sigma[here] * scatter) ** 2
         if trust.sum() > 0.0:
             kinds[int(kind)] = (float(trust @ residual[here] / trust.sum()), float(1.0 / np.sqrt(trust.sum())))
-    return PlaneFit(answer, np.linalg.inv(normal), scatter, residual, share, _across(found, share), kinds)
+    covered = np.linalg.inv(normal) + np.outer(common, common)
+    return PlaneFit(answer, covered, scatter, residual, share, _across(found, share), kinds)
 
 
 def _across(found: Disparities, share: NDArray[np.float64]) -> float:
@@ -102,4 +107,5 @@ def _across(found: Disparities, share: NDArray[np.float64]) -> float:
     weight = sigma**-2.0
     excess = float(np.sum(weight * (off**2 - sigma**2)) / weight.sum())
     size = float(np.sqrt(max(excess, 0.0)))
-    return size if size > LEAST_ACROSS_PX else 0.0
+    widest_px = float(np.sqrt(max(found.widths[int(kind)][0] for kind in found.kind[share > 0.0])))
+    return size if size > max(LEAST_ACROSS_PX, LEAST_SHARE * widest_px) else 0.0
