@@ -43,7 +43,7 @@ class SheetForecast:
             doubt = ": too little to find it, so measure it"
         return (
             f"{self.area_mm2:.0f} mm\u00b2 of the light sheet are seen twice; {PAIRS} pairs with {PER_PX:g}"
-            f" particles a pixel would tell its height to {self.sigma_mm:.2g} mm and its tilt to"
+            f" particles a pixel would at best tell its height to {self.sigma_mm:.2g} mm and its tilt to"
             f" {self.tilt_sigma_deg:.2g} degrees{doubt}"
         )
 
