@@ -1,6 +1,9 @@
 """The page of a calibration, and its chapter in the pages of what is measured with it: is the model right."""
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from correction.fit.fit_file import StoredVerdict, load_verdict
 from daq.analysis.calibration import Calibration
@@ -9,6 +12,7 @@ from daq.analysis.report.page import Page
 from ground.errors import MapFileError
 from tracer.scene import Scene
 
+MOST_PLACES = 9  # of a number that is known to more than anybody can make
 CAPTION = (
     "Smooth part of the residuals of the calibration, one panel for each way through the glass, arrows scaled"
     " panel by panel. What bends is not noise; its size is counted in the sigma of the map."
@@ -42,10 +46,7 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
         (region, f"{v['median']:.4f}", f"{v['largest']:.3f}") for region, v in found.percentiles.items()
     ]
     page.table(("sigma of the map [px]", "median", "largest"), rows)
-    rows = [
-        (name, row["unit"], *(f"{row[key]:.5g}" for key in ("value", "sigma", "moved", "prior_sigma")))
-        for name, row in found.numbers.items()
-    ]
+    rows = [(name, row["unit"], *_numbers(row)) for name, row in found.numbers.items()]
     page.table(("free number", "unit", "fitted", "sigma", "moved", "sigma before"), rows, "The rest was held.")
     rows = []
     for name, count in found.account.items():
@@ -63,3 +64,11 @@ def verdict_chapter(page: Page, found: StoredVerdict) -> None:
     figure = smooth_figure(found)
     if figure is not None:
         page.figure("smooth_residuals", figure, CAPTION, dense=True)
+
+
+def _numbers(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Value, sigma, movement and sigma before, to the second digit of sigma: what stands behind it is noise."""
+    sigma = float(row["sigma"])
+    places = min(max(1 - math.floor(math.log10(sigma)), 0), MOST_PLACES) if sigma > 0.0 else MOST_PLACES
+    value, known, moved = (f"{row[key]:.{places}f}" for key in ("value", "sigma", "moved"))
+    return value, known, moved, f"{row['prior_sigma']:.3g}"

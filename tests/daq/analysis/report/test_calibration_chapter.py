@@ -6,7 +6,7 @@ import pytest
 from correction.fit.fit_file import StoredVerdict, load_verdict, save_fit
 from correction.fit.scene_sigma import KIND
 from daq.analysis.pictures.smooth import smooth_figure
-from daq.analysis.report.calibration import calibration_chapter
+from daq.analysis.report.calibration import _numbers, calibration_chapter
 from daq.analysis.report.page import Page
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
@@ -70,3 +70,16 @@ def test_a_fit_file_that_does_not_hold_together_is_refused_and_said_in_the_page(
     with pytest.raises(MapFileError, match=r"calibration again|verdict"):
         load_verdict(path)
     assert "calibration again" in page_of(path, fit.measured_scene, tmp_path) or harm == "text"
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "said"),
+    [
+        (500.2854913, 4.13e-4, ("500.28549", "0.00041")),
+        (25.0, 0.082, ("25.000", "0.082")),
+        (3412.7, 12.0, ("3413", "12")),
+    ],
+)
+def test_numbers_stand_to_the_second_digit_of_their_sigma(value, sigma, said):
+    row = {"value": value, "sigma": sigma, "moved": 0.0, "prior_sigma": 2.0}
+    assert _numbers(row)[:2] == said
