@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.cameras.aravis_nodes import AravisNodes
+from daq.acquisition.cameras.aravis_stream import open_stream
 from daq.acquisition.cameras.camera import CameraInfo, Counters, Setting
 from daq.acquisition.cameras.camera_clock import CameraClock
 from daq.acquisition.cameras.formats import pixel_format
@@ -185,7 +186,7 @@ class AravisCamera:
             ring = FrameRing(buffers, pixels)
             self._memory = [np.empty(size, np.uint8) for _ in range(buffers)]
             ready = [call("arv_buffer_new", size, memory.ctypes.data) for memory in self._memory]
-            self._stream = call("arv_device_create_stream", self._device, None, None)
+            self._stream = open_stream(self._device)
         for buffer in ready:  # at once: a frame that was under way may come from now on
             call("arv_stream_push_buffer", self._stream, buffer)
         self._ring = ring

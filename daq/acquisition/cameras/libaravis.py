@@ -58,6 +58,7 @@ PROTOTYPES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_gv_device_is_controller": (c_int, (c_void_p,)),
     "arv_gv_device_auto_packet_size": (c_uint, (c_void_p, _ERROR)),
     "arv_gv_device_set_packet_size": (None, (c_void_p, c_int, _ERROR)),
+    "arv_gv_device_set_stream_options": (None, (c_void_p, c_int)),
     "arv_device_set_range_check_policy": (None, (c_void_p, c_int)),
     "arv_device_set_access_check_policy": (None, (c_void_p, c_int)),
     "arv_device_get_feature": (c_void_p, (c_void_p, c_char_p)),

@@ -3,6 +3,7 @@
 import shutil
 import socket
 import subprocess
+import sys
 import threading
 import time
 
@@ -153,3 +154,35 @@ def _open_soon(camera):
             time.sleep(0.05)
         else:
             return camera
+
+
+CROWD = """
+import socket, struct, sys, time
+there = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+there.bind(("127.0.0.1", 0))
+here = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+packet = struct.pack(">HHI", 0, 40, 3 << 24) + bytes(64)
+print("talking", flush=True)
+while True:
+    here.sendto(packet, there.getsockname())
+    time.sleep(2e-5)
+"""
+
+
+def test_strangers_on_the_same_interface_do_not_spoil_a_stream(device):
+    """libaravis's raw socket hears everybody before its filter is set; their block ids made ours late ones."""
+    camera = AravisCamera(device().address)
+    camera.open()
+    camera.configure({"PixelFormat": "Mono12", **SOFTWARE})
+    crowd = subprocess.Popen([sys.executable, "-c", CROWD], stdout=subprocess.PIPE)
+    try:
+        crowd.stdout.readline()
+        for _ in range(5):
+            camera.arm()
+            camera.trigger()
+            camera.next_frame(2.0).release()
+            assert camera.disarm().delivered == 1
+    finally:
+        crowd.kill()
+        crowd.communicate()
+        camera.close()
