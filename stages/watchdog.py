@@ -4,7 +4,8 @@ Signals and exceptions are met where they happen (`stages.stop_signals`). What n
 segfault, out of memory, `os._exit`) leaves controllers that drive on to their targets with nobody there. So
 whoever opens real ports starts a process that holds nothing but one end of a pipe, and tells it
 
-    {"know": "rail", "url": "/dev/ttyUSB0", "baud": 19200, "hold_dtr": false, "stop": ["fd"]}
+    {"know": "rail", "url": "/dev/ttyUSB0", "baud": 19200, "hold_dtr": false, "stop": ["fd"],
+     "file": [48128, 512, 0]}
     {"moves": "rail"}      before the first byte that can move
     {"rests": "rail"}      when the end of the motion has been heard of
 
@@ -21,6 +22,11 @@ waited for; what it is told before it is up waits in the pipe.
 The port's lock is asked for only while the rate is set. If somebody else holds it (a child that inherited the
 port, or a program that opened it since), the rate is set already, and the bytes are written without it: a stop is
 whole in one write, and harmless at rest.
+
+A name is not a box: what was pulled out may be followed by another box under the same name, and that one is not
+ours to stop. So what the device file was when it was opened (device number and inode) is told as "file", and a
+port that has become another one is left alone. Pseudo-terminals alone are told by the time of their making too:
+they get used inodes, and udev, which touches the time stamps of real ports at will, knows nothing of them.
 
 Out of reach: a process that is stopped (SIGSTOP, a debugger) has not died. There is no heartbeat that would take
 it for dead, because a computer that swaps or compiles is silent for seconds too, and a stop in vain ends a run.
@@ -47,6 +53,7 @@ AGAIN_S = (0.0, 0.03, 0.08, 0.2, 0.5)  # after the death, or after the port coul
 PATIENCE_S = 10.0  # with a port that cannot be opened
 RETRY_S = 0.05
 LOOK_S = 0.1  # how often the parent is looked for where the system does not tell
+PSEUDO_TERMINALS = range(136, 144)  # major numbers of Unix98 slaves on Linux
 WITHOUT_DEVICE = ("sim://", "loop://")  # these die with their process
 
 Word = dict[str, Any]
@@ -92,7 +99,9 @@ class Watchdog:
             return
         stop = [data.hex() for data in stop_bytes]
         with self._lock:
-            self._known[name] = {"know": name, "url": url, "baud": baud, "hold_dtr": hold_dtr, "stop": stop}
+            self._known[name] = {
+                "know": name, "url": url, "baud": baud, "hold_dtr": hold_dtr, "stop": stop, "file": _file_of(url)
+            }  # fmt: skip
             self._tell(self._known[name])
 
     def moves(self, name: str) -> None:
@@ -214,19 +223,31 @@ def stop(about: Word) -> None:
     said, port = 0, None
     while said < len(AGAIN_S) and time.monotonic() < end_s:
         try:
+            if _file_of(about["url"]) != about["file"]:
+                return  # unplugged; what has this name now is another box
             port = _opened(about) if port is None else port
             for data in about["stop"]:
                 port.write(bytes.fromhex(data))
             said += 1
             time.sleep(AGAIN_S[said] - AGAIN_S[said - 1] if said < len(AGAIN_S) else 0.0)
         except Exception:  # busy, full, termios' own: whatever it is, try again
-            if "://" not in about["url"] and not os.path.exists(about["url"]):  # noqa: PTH110 - pathlib costs time
-                return  # unplugged; what has this name next may be another box
             port = None
             time.sleep(RETRY_S)
     if port is not None:
         with contextlib.suppress(Exception):
             port.close()
+
+
+def _file_of(url: str) -> list[int] | None:
+    """What is at a device file's name now; None of a port that has no file, or of none."""
+    if "://" in url:
+        return None
+    try:
+        is_now = os.stat(url)  # noqa: PTH116 - pathlib costs time
+    except OSError:
+        return None
+    made_ns = is_now.st_ctime_ns if os.major(is_now.st_rdev) in PSEUDO_TERMINALS else 0
+    return [is_now.st_rdev, is_now.st_ino, made_ns]
 
 
 def _opened(about: Word) -> Any:  # noqa: ANN401 - pyserial's object, or a bare file

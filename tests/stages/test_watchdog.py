@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -197,6 +198,26 @@ def test_it_imports_nothing_heavy_and_nothing_of_ours():
     said = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=True).stdout
     names = said.replace("'", '"')
     assert not set(json.loads(names)) & {"numpy", "scipy", "numba", "pydantic", "yaml", "stages", "daq", "tracer"}
+
+
+def test_another_box_under_the_name_of_a_pulled_one_is_left_alone():
+    """A pseudo-terminal's number is given out again at once, as a converter's name is."""
+    ours, name = pty.openpty()
+    url = os.ttyname(name)
+    watchdog = Watchdog()
+    watchdog.know("box", url, 9600, False, [b"STOP"])
+    told = watchdog._known["box"]
+    watchdog.close()
+    os.close(ours)
+    os.close(name)
+    other, other_name = pty.openpty()
+    assert os.ttyname(other_name) == url
+    stages.watchdog.stop(told)
+    os.set_blocking(other, False)
+    with pytest.raises(BlockingIOError):
+        os.read(other, 100)
+    os.close(other)
+    os.close(other_name)
 
 
 def test_simulated_lines_of_this_process_need_none():
