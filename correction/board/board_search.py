@@ -25,8 +25,8 @@ from correction.resample.sample import checked_frame
 
 Predict = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-NEAR_DISCS = 6  # squares around the origin in which discs and prediction are compared
-FURTHEST = 4.0  # squares by which discs may correct a prediction
+NEAR_DISCS = 6  # squares around the origin in which the view and its prediction are compared
+SCALES = 0.7, 1.4  # of the view near the discs against its prediction: a ball shows them twice as large, or turned
 SATURATED = 0.02  # fraction of pixels at full scale from which edges are displaced
 FAR_SQUARES = 512  # half side of the largest board looked at
 
@@ -177,15 +177,21 @@ def _with_discs(frame: NDArray[Any], patches: list[Patch], board: Chessboard) ->
 
 
 def _plausible(index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, placing: Placing) -> bool:
-    """True if the discs put the board within a few squares of its prediction, and turned as predicted."""
+    """True if the board near the discs is as large as predicted, and turned so: no view through glass.
+
+    How far off it is says nothing: an axis wrong by two degrees moves the view by five squares, where the lattice
+    fits as well as in its place.
+    """
     place = {(int(i), int(j)): p for (i, j), p in zip(index, predicted, strict=True)}
     axes = placing.board_axes(patch.axes_px)
-    miss, along = [], []
-    for (i, j), p, own in zip(placing.board_index(patch.index).tolist(), patch.position_px, axes, strict=True):
-        if (i, j) in place and (i + 1, j) in place and max(abs(i), abs(j)) <= NEAR_DISCS:
-            miss.append(np.abs(np.linalg.solve(own, place[i, j] - p)).max())
-            along.append(float(own[:, 0] @ (place[i + 1, j] - place[i, j])) > 0.0)
-    return bool(miss) and float(np.median(miss)) < FURTHEST and float(np.mean(along)) > 0.5
+    scale, along = [], []
+    for (i, j), own in zip(placing.board_index(patch.index).tolist(), axes, strict=True):
+        if max(abs(i), abs(j)) <= NEAR_DISCS and {(i, j), (i + 1, j), (i, j + 1)} <= place.keys():
+            expected = np.stack((place[i + 1, j] - place[i, j], place[i, j + 1] - place[i, j]), axis=1)
+            scale.append(float(np.linalg.det(own) / np.linalg.det(expected)))
+            along.append(float(own[:, 0] @ expected[:, 0]) > 0.0)
+    low, high = SCALES
+    return bool(scale) and low**2 < float(np.median(scale)) < high**2 and float(np.mean(along)) > 0.5
 
 
 def _corrected(

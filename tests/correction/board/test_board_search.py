@@ -95,8 +95,8 @@ def test_a_mask_keeps_everything_out_of_it():
         find_board(rendered(to_board), BOARD, mask[:-1])
 
 
-@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (5.0, 0.0), (-2.5, 2.5), (4.0, -4.0)])
-def test_discs_put_a_prediction_right_that_is_two_squares_off(east, north):
+@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (5.0, 0.0), (4.0, -4.0), (17.5, -10.0)])
+def test_discs_put_a_prediction_right_that_is_squares_off(east, north):
     to_board = view(2.0)
 
     def predict(points):
