@@ -8,6 +8,8 @@ STAMP := $(VENV)/.installed
 
 # Tests start hundreds of processes: what Python compiles of modules is kept.
 unexport PYTHONDONTWRITEBYTECODE
+# As the command sets it (daq/cli.py): small matrices shared by the cores of busy tests take several times as long.
+export OPENBLAS_NUM_THREADS = 1
 
 .PHONY: demo test test-slow labs fuzz lamps sheets far-starts benchmark bench lint compiled picture pins clean
 

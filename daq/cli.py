@@ -25,7 +25,9 @@ from daq.options import parser
 from daq.orderly_end import SIGNALLED, flush_or_leave, orderly_end
 from daq.printable import printable
 
-THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
+THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
+# Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 
 
 def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
@@ -43,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     options = _options(arguments)
     verb, threads = options.pop("verb"), options.pop("threads")
+    os.environ.update(ONE_THREAD | os.environ)
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
     compile_news.watch = print_compiling

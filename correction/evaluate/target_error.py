@@ -4,9 +4,12 @@ In a perfectly corrected frame of the target, corner (i, j) stands at ((i a - x0
 corner whose window lies in recovered nodes is measured, and its distance from there is an error of the
 correction plus the noise of the measurement.  Corners whose window sees more than one branch are not
 counted: half of such a window belongs to another picture of the plane.
+
+Where two corrections of one frame differ in nothing that a corner's window can reach, as beside the glass of two
+scenes with the same camera, the corner is measured once.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.board import Chessboard
-from correction.board.corners import refine_corners
+from correction.board.corners import WINDOW, refine_corners
 from correction.corrector import Corrector
 from ground.short_repr import short_repr
 
 # A magnified view comes out so sharp that an edge along a pixel row leaves no pixel to measure it by; a
 # symmetric blur moves nothing and gives the edge a width again.
 SOFTEN_PX, SOFTEN_REACH_PX = 0.6, 2
+MAX_SHIFT = 0.45  # largest move of a window from its start in squares
 REGIONS = ("all", "seen directly", "behind glass")
 
 
@@ -77,23 +81,55 @@ class TargetError:
         }
 
 
+@dataclass(frozen=True)
+class _Measured:
+    """A softened frame (H, W), where it may be used, and the corners (i, j) in it: place, whether it is valid."""
+
+    soft: NDArray[Any]
+    usable: NDArray[np.bool_]
+    corners: dict[tuple[int, int], tuple[NDArray[np.float64], bool]]
+
+    def alike(self, other: "_Measured", reach_px: int) -> NDArray[np.bool_]:
+        """Pixels (H, W) that look the same in both frames as far as `reach_px` to all sides."""
+        import cv2
+
+        if self.soft.shape != other.soft.shape:
+            return np.zeros(self.soft.shape, bool)
+        differ = ((self.soft != other.soft) | (self.usable != other.usable)).astype(np.uint8)
+        return np.asarray(cv2.dilate(differ, np.ones((2 * reach_px + 1,) * 2, np.uint8)) == 0)
+
+
 def target_error(corrected: NDArray[np.float32], corrector: Corrector, board: Chessboard) -> TargetError:
-    """Measure a corrected frame of the target.
+    """Measure a corrected frame of the target, as `target_errors` does several."""
+    return target_errors([(corrected, corrector)], board)[0]
+
+
+def target_errors(frames: Iterable[tuple[NDArray[np.float32], Corrector]], board: Chessboard) -> list[TargetError]:
+    """Measure corrections of one frame of the target.
 
     Parameters
     ----------
-    corrected : ndarray of float32
-        What `corrector` returned.
-    corrector : Corrector
-        Tells grid, mask and branches.
+    frames : iterable of (ndarray of float32, Corrector)
+        What each corrector returned; it tells grid, mask and branches.
     board : Chessboard
         The target, at the investigation plane.
 
     Returns
     -------
-    TargetError
+    list of TargetError
         Figures for all corners, those seen directly, and those behind glass.
     """
+    errors, before = list[TargetError](), None
+    for corrected, corrector in frames:
+        error, before = _error_of(corrected, corrector, board, before)
+        errors.append(error)
+    return errors
+
+
+def _error_of(
+    corrected: NDArray[np.float32], corrector: Corrector, board: Chessboard, before: _Measured | None
+) -> tuple[TargetError, _Measured]:
+    """Measure one, with what was measured in the one before."""
     import cv2
 
     grid = corrector.map.grid
@@ -110,18 +146,31 @@ def target_error(corrected: NDArray[np.float32], corrector: Corrector, board: Ch
     nearest = np.clip(np.rint(expected).astype(int), 0, np.array(grid.shape[::-1]) - 1)
     seen = inner[nearest[:, 1], nearest[:, 0]] > 0
     expected, nearest = expected[seen], nearest[seen]
+    now = _Measured(soft, usable, {})
+    nodes = [(int(i), int(j)) for i, j in index[seen]]
+    known = np.zeros(len(nodes), bool)
+    if before is not None:
+        alike = now.alike(before, int(np.ceil((WINDOW + MAX_SHIFT) * square)) + 1)
+        known = np.array([node in before.corners for node in nodes], bool) & alike[nearest[:, 1], nearest[:, 0]]
+    position, valid = np.full((len(nodes), 2), np.nan), np.zeros(len(nodes), bool)
+    if before is not None:
+        for n in np.flatnonzero(known):
+            position[n], valid[n] = before.corners[nodes[n]]
     fit = refine_corners(
         soft,
-        expected,
+        expected[~known],
         np.array([[square, 0.0], [0.0, -square]]),
-        sign=board.corner_sign(index[seen]),
+        sign=board.corner_sign(index[seen][~known]),
         mask=usable,
+        max_shift=MAX_SHIFT,
     )
-    errors = fit.position_px - expected
+    position[~known], valid[~known] = fit.position_px, fit.valid
+    now.corners.update(zip(nodes, zip(position, valid.tolist(), strict=True), strict=True))
+    errors = position - expected
     glass = corrector.map.branch[0][nearest[:, 1], nearest[:, 0]] != 0
     chosen = dict(zip(REGIONS, (np.ones(len(glass), bool), ~glass, glass), strict=True))
-    regions = {name: _region(errors[which], fit.valid[which]) for name, which in chosen.items() if which.any()}
-    return TargetError(regions, expected[fit.valid], errors[fit.valid])
+    regions = {name: _region(errors[which], valid[which]) for name, which in chosen.items() if which.any()}
+    return TargetError(regions, expected[valid], errors[valid]), now
 
 
 def _same_branch(branch: NDArray[np.uint16]) -> NDArray[np.uint8]:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 FALSE_ALARMS = 0.01  # chance that a right lab raises any alarm
 SHARE = 0.1  # of a corner's squares that may be smooth though the model is right; rendered frames show 0.00-0.04
 CLIP = 5.0  # sigmas
+SmoothPart = tuple[NDArray[np.float64], NDArray[np.int64]]
 DEGREES = ((6, 112), (4, 60), (3, 40), (2, 24), (1, 12))  # of the polynomials, from so many corners of a view
 
 
@@ -111,7 +112,7 @@ def smooth_basis(pixel: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
 
 
-def smooth_part(rest: Remainder) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def smooth_part(rest: Remainder) -> SmoothPart:
     """Smooth part of the residuals (N, 2) [px], and the dimensions that it took on the way of each corner (N,)."""
     smooth, taken = np.zeros_like(rest.residual_px), np.zeros(len(rest.pixel), np.int64)
     value = rest.clipped
@@ -126,9 +127,9 @@ def smooth_part(rest: Remainder) -> tuple[NDArray[np.float64], NDArray[np.int64]
     return smooth, taken
 
 
-def ways_tested(frames: Sequence[Remainder]) -> list[WayTest]:
-    """Test every way of all frames that shows enough corners, the direct view first."""
-    parts = [smooth_part(rest) for rest in frames]
+def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None = None) -> list[WayTest]:
+    """Test every way of all frames that shows enough corners, the direct view first; parts by `smooth_part`."""
+    parts = [smooth_part(rest) for rest in frames] if parts is None else parts
     ways = sorted({str(way) for rest in frames for way in np.unique(rest.branch_name)}, key=lambda w: (len(w), w))
     tests = []
     for way in ways:

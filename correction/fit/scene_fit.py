@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from correction.board import Chessboard
 from correction.board.board_search import SATURATED
 from correction.board.corners import saturated_fraction
-from correction.board.saddles import find_saddles
+from correction.board.saddles import Saddles, find_saddles
 from correction.errors import FrameError
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.board_pose import in_words, turn_of_bench, turned
@@ -132,6 +132,7 @@ class _Fit:
         self.outlines: Outlines | None = None
         self.explained = 0.0
         self.others: list[NDArray[np.float64]] = []
+        self.found_saddles: dict[str, Saddles] = {}
 
     def note(self, step: FitStep) -> None:
         """Remember a step and say it."""
@@ -141,6 +142,12 @@ class _Fit:
     def height_number(self, frame: TargetFrame) -> int:
         """Number of a frame's height."""
         return int(np.argmin(np.abs(np.array(self.unknowns.heights_mm) - frame.height_mm)))
+
+    def saddles(self, frame: TargetFrame) -> Saddles:
+        """Saddles of a frame, looked for once."""
+        if frame.name not in self.found_saddles:
+            self.found_saddles[frame.name] = find_saddles(frame.image)
+        return self.found_saddles[frame.name]
 
     def blamed(self, reason: str) -> str:
         """Say what the rims of the balls show, then the reason of a failure."""
@@ -218,9 +225,9 @@ class _Fit:
     def follow_outlines(self) -> None:
         """Put balls whose rims are seen elsewhere where they are seen, and take that for what is known of them."""
         frame = self.glass_frames[0]
-        least = WEAKEST * float(np.median(find_saddles(self.bare_frames[0].image).strength))
+        least = WEAKEST * float(np.median(self.saddles(self.bare_frames[0]).strength))
         number = self.height_number(frame)
-        saddles = find_saddles(frame.image)
+        saddles = self.saddles(frame)
         self.outlines = seen_outlines(self.unknowns, self.full, self.bare[0], saddles, least, number, self.board)
         if self.outlines is None:
             return
@@ -246,8 +253,8 @@ class _Fit:
     def candidates(self, coarse: Unknowns) -> Candidates:
         """Saddles of the first frame with glass that may be seen through it."""
         frame = self.glass_frames[0]
-        saddles = find_saddles(frame.image)
-        usual = float(np.median(find_saddles(self.bare_frames[0].image).strength))
+        saddles = self.saddles(frame)
+        usual = float(np.median(self.saddles(self.bare_frames[0]).strength))
         least = WEAKEST * usual
         found = candidates_of(saddles, least, coarse, self.full, self.height_number(frame), self.board)
         self.check_glass(frame, found)

@@ -8,6 +8,7 @@ means the same: fitted camera, nominal glass.  Regions: outside (seen directly),
 (behind glass, within RIM_PX of the border of its branch).
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,8 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.board import Chessboard
-from correction.evaluate.target_error import TargetError, target_error
+from correction.corrector import Corrector
+from correction.evaluate.target_error import TargetError, target_errors
 from correction.fit.prediction import expect
 from correction.fit.result import FittedCorners, SceneFit
 from correction.prepared import prepare
@@ -87,10 +89,15 @@ def computed_against_acquired(
     return figures, corners.pixel[mine], error
 
 
-def corrected_against_grid(scene: Scene, image: NDArray[Any], board: Chessboard) -> TargetError:
-    """Sense 2: correct a frame of the target at z = 0 with a scene and measure it."""
-    corrector = prepare(scene).corrector
-    return target_error(corrector(image), corrector, board)
+def corrected_against_grid(scenes: Sequence[Scene], image: NDArray[Any], board: Chessboard) -> list[TargetError]:
+    """Sense 2: correct a frame of the target at z = 0 with each scene and measure it."""
+
+    def corrected() -> Iterator[tuple[NDArray[np.float32], Corrector]]:
+        for scene in scenes:
+            corrector = prepare(scene).corrector
+            yield corrector(image), corrector
+
+    return target_errors(corrected(), board)
 
 
 def _figures(region: str, error: NDArray[np.float64]) -> RegionErrors:

@@ -180,14 +180,15 @@ def judge_model(
         rate = np.nan_to_num(part.rate)
         lattices.append(Lattice(frame.index, frame.branch_name, rest.clipped, rate))
         sighted.append(replace(frame, corners=corners))
-    ways = tuple(ways_tested(rests))
+    smooth_parts = [smooth_part(rest) for rest in rests]
+    ways = tuple(ways_tested(rests, smooth_parts))
     correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
     found: list[Suspect] = []
     if any(way.alarm for way in ways):
         values, rates = [one.value for one in lattices], [one.rate[:, :, :free] for one in lattices]
         seen = Evidence(sighted, values, rates, x[:free])
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
-    smooth = np.concatenate([smooth_part(rest)[0] for rest in rests])
+    smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
     verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames))
     return verdict, with_correlation(covariance, lattices, correlation)
 

@@ -131,8 +131,9 @@ def calibration_of(
     panels: list[Panel] = []
     for frame in [frame for frame in frames if frame.glass and frame.height_mm == 0.0][:1]:
         number = fit.frames.index(frame.name)
-        for name, scene in (("nominal glass", aligned(fit)), ("fitted", fit.scene)):
+        scenes = {"nominal glass": aligned(fit), "fitted": fit.scene}
+        grids = dict(zip(scenes, corrected_against_grid([*scenes.values()], frame.image, board), strict=True))
+        for name, scene in scenes.items():
             senses[name], pixel, error = computed_against_acquired(scene, fit.corners, number, board)
-            grids[name] = corrected_against_grid(scene, frame.image, board)
             panels.append((f"{name}, computer-generated minus acquired", pixel, error))
     return Calibration(fit, sigma, senses, grids, panels, weaknesses(fit), seconds)

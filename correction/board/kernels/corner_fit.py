@@ -35,7 +35,7 @@ MIN_BLUR = 0.2  # [px] pixel integration alone gives 0.29; below, no pixel may l
 def new_scratch() -> tuple[Array, ...]:
     """Return working memory of `fit_corners`: pixels, pulls, block sums, box, small vectors, normal equations."""
     pixels, pull, sums = np.empty((SIDE * SIDE, 4)), np.empty((SIDE * SIDE, 2)), np.empty((SIDE, 2))
-    return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), np.zeros((8 + 2 * FREE, FREE))
+    return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), np.zeros((9 + 3 * FREE, FREE))
 
 
 @kernel
@@ -70,7 +70,7 @@ def normal_equations(
             value = row[i]
             right[i] += value * residual
             if value != 0.0:  # off an edge its derivatives vanish
-                for j in range(FREE):
+                for j in range(i + 1):
                     normal[i, j] += value * row[j]
     return float(total)
 
@@ -79,11 +79,12 @@ def normal_equations(
 def optimise(
     p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, tolerance: float,
     trial: Array, turn: Array, row: Array, normal: Array,
-    right: Array, lower: Array, step: Array, total: Array,
+    right: Array, trial_normal: Array, trial_right: Array, lower: Array, step: Array, total: Array,
 ) -> bool:  # fmt: skip
     """Levenberg-Marquardt from p (FREE,), in place; True if it settled within `limit` px of the window's centre.
 
-    On return normal holds J^T J at p and total[0] the sum of squares.
+    On return normal holds J^T J at p and total[0] the sum of squares.  A step that is refused costs its own look
+    at the pixels only: the equations at p are kept beside those at the trial.
     """
     best = normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
     damping = 1e-3
@@ -101,10 +102,12 @@ def optimise(
             if damping > 1e8:
                 return False
             continue
-        now = normal_equations(trial, pixels, count, ridge, shape_ridge, turn, row, normal, right)
+        now = normal_equations(trial, pixels, count, ridge, shape_ridge, turn, row, trial_normal, trial_right)
         if now <= best:
             settled = hypot(step[0], step[1]) < tolerance and best - now <= TOLERANCE_RATIO * tolerance * best
             p[:] = trial
+            normal[:] = trial_normal
+            right[:] = trial_right
             best = now
             damping = max(0.1 * damping, 1e-12)
             total[0] = best
@@ -112,9 +115,8 @@ def optimise(
                 return True
         else:
             if hypot(step[0], step[1]) < 1e-5:
-                total[0] = normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
+                total[0] = best
                 return True
-            normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
             damping = min(damping * 10.0, 1e10)
     return False
 
@@ -135,9 +137,9 @@ def fit_corners(
     """
     pixels, pull, sums, box, small, square = scratch
     extent, inverse, total = small[0], small[1:3], small[3]
-    turn = square[7 + 2 * FREE, :4]
-    p, trial, row, right, step = square[0], square[1], square[2], square[3], square[4]
-    weights, normal, lower = square[5:7], square[7 : 7 + FREE], square[7 + FREE : 7 + 2 * FREE]
+    p, trial, row, right, step, trial_right = square[0], square[1], square[2], square[3], square[4], square[5]
+    turn, weights, normal = square[6, :4], square[7:9], square[9 : 9 + FREE]
+    trial_normal, lower = square[9 + FREE : 9 + 2 * FREE], square[9 + 2 * FREE :]
     for n in range(first, last):
         out[n, :] = np.nan
         det = axes[n, 0, 0] * axes[n, 1, 1] - axes[n, 0, 1] * axes[n, 1, 0]
@@ -185,8 +187,8 @@ def fit_corners(
             found = False
             for _ in range(2 if rounds > 0 else 1):
                 found = optimise(
-                    p, pixels, count, ridge, pin, limit, tolerance, trial, turn, row, normal, right, lower,
-                    step, total,
+                    p, pixels, count, ridge, pin, limit, tolerance, trial, turn, row, normal, right,
+                    trial_normal, trial_right, lower, step, total,
                 )  # fmt: skip
                 if found:
                     break

@@ -104,6 +104,12 @@ def gradient(p: Array, turn: Array, du: float, dv: float, row: Array) -> float:
     f1 = erf(z1) + p[12] * h1 if b1 > 0.0 else (1.0 if z1 > 0.0 else -1.0)
     f2 = erf(z2) + p[12] * h2 if b2 > 0.0 else (1.0 if z2 > 0.0 else -1.0)
     light = 1.0 + p[10] * du + p[11] * dv
+    if b1 == 0.0 and b2 == 0.0:
+        plain = f1 * f2
+        level = p[8] + p[9] * plain
+        row[:8] = 0.0
+        row[8], row[9], row[10], row[11], row[12] = light, plain * light, level * du, level * dv, 0.0
+        return float(level * light)
     bright = p[9] * light
     g1 = bright * f2 * b1 * (TWO_OVER_SQRT_PI + p[12] * (3.0 - w1 * (12.0 - 4.0 * w1)))
     g2 = bright * f1 * b2 * (TWO_OVER_SQRT_PI + p[12] * (3.0 - w2 * (12.0 - 4.0 * w2)))
