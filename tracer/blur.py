@@ -41,11 +41,14 @@ class Blur:
         Standard deviation of the picture along its longer axis.
     lost : (N,) float64
         Share of points of the pupil, its border among them, that do not show the point on the chief ray's branch.
+    spread_px2 : (N, 2, 2) float64
+        Covariance of the picture along u and v.
     """
 
     shift_px: NDArray[np.float64]
     width_px: NDArray[np.float64]
     lost: NDArray[np.float64]
+    spread_px2: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class PupilViews:
         spread = np.einsum("kn,kni,knj->nij", weight, off, off)
         middle = 0.5 * np.trace(spread, axis1=1, axis2=2)
         apart = np.hypot(0.5 * (spread[:, 0, 0] - spread[:, 1, 1]), spread[:, 0, 1])
-        return Blur(mean, np.sqrt(np.maximum(middle + apart, 0.0)), self.lost)
+        return Blur(mean, np.sqrt(np.maximum(middle + apart, 0.0)), self.lost, spread)
 
 
 def pupil_views(scene: Scene, pupil: Pupil, pixels: ArrayLike, pose: TargetPose | None = None) -> PupilViews:

@@ -1,26 +1,30 @@
 """How far two views of the particles lie apart: correlation over many frames, cell by cell.
 
-Frames become the deviation of each pixel from its own mean over the frames of its pulse, over its own standard
-deviation: what stands still is gone, and glints that flicker count little.  Products of the two views are summed
+Frames become the deviation of each pixel from its own mean over the frames of its pulse, so what stands still is
+gone.  A place counts by the standard deviations of its two pixels, so glints that flicker count little; pixels are
+not divided by their own, which would move every particle towards the darker side of a view: by 0.2 px of a blurred
+picture at a rim.  Products of the two views are summed
 over places of a cell and over all frames, for a small plane of lags along D and across (`double_views`).  No
 picture is resampled, and no window needs a rectangle: a ring three pixels wide around a ball is as good as any.
 
-The peak of a plane is a Gaussian whose widths all cells of a kind share (what the views make of a particle, and
-the thickness of the sheet).  How sure its place is, the frames themselves say: one tenth of them after the other
-is left out (jackknife).
+The planes are matched with what layers of particles would make of them (`layers.py`, `matched.py`).  How sure a
+height is, the frames themselves say: one tenth of them after the other is left out (jackknife).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.light_sheet.double_views import ACROSS, DoubleViews
+from correction.light_sheet.double_views import ACROSS, UNIT, DoubleViews
 from correction.light_sheet.kernels.lagged import add_products
+from correction.light_sheet.layers import layers
+from correction.light_sheet.matched import SIZES, Match, Model
 from ground.rows import thread_count
+from tracer.scene import Scene
 
 Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whenever it is called
@@ -28,8 +32,12 @@ Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whe
 BLOCKS = 10
 BRIGHTEST = 6.0  # standard deviations; brighter ones count as so many
 EVENED_PX = 5  # the standard deviation is that of so many pixels a side
-CLEAR = 5.0  # standard deviations that a peak stands out by
-STEPS = 4
+CLEAR = 8.0  # standard deviations, told by ten blocks, that the best of thirty places must stand out by
+LEAST_SURE = 0.25  # of the heights and lags looked at
+HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`
+USUAL_MM = 0.18  # spread of the light of a sheet of 1 mm
+USUAL_SPREAD2, USUAL_SIZE = (USUAL_MM**2, 0.1), (0.5, 1.0)  # and how far they may be from that
+MODELLED, LEAST_MODELLED = 2000, 30  # places, and of a cell
 
 
 @dataclass(frozen=True)
@@ -59,9 +67,17 @@ class Light:
         return cls(np.asarray(mean, np.float32), np.asarray(scale, np.float32)), count
 
     def deviation(self, frame: NDArray[np.float32], pulse: int) -> NDArray[np.float32]:
-        """Deviation (H, W) of a frame in standard deviations."""
-        off = (frame - self.mean[pulse]) * self.scale[pulse]
-        return np.ascontiguousarray(np.minimum(off, np.float32(BRIGHTEST)), np.float32)
+        """Deviation (H, W) of a frame."""
+        most = np.float32(BRIGHTEST) / self.scale[pulse]
+        return np.ascontiguousarray(np.minimum(frame - self.mean[pulse], most), np.float32)
+
+    def weight(self, views: DoubleViews, pulse: int) -> NDArray[np.float64]:
+        """What places (N,) count by."""
+        weight = np.ones(len(views.kind))
+        for pixel in (views.first_px, views.second_px):
+            column, row = np.rint(pixel).astype(np.int64).T
+            weight *= self.scale[pulse][row, column]
+        return weight
 
 
 @dataclass(frozen=True)
@@ -76,14 +92,16 @@ class Disparities:
         Which two views.
     parallax : (C,) float64
         |D|.
-    along_px, across_px : (C,) float64
-        Along D and across, corrected px; `along_sigma_px`, `across_sigma_px` their standard deviations.
-    bend_px : (C,) float64
-        What was taken off `along_px` because the second view bends: good to itself.
+    height_mm, height_sigma_mm : (C,) float64
+        Height of the particles over the plane of the map, and its standard deviation.
+    across_px, across_sigma_px : (C,) float64
+        Disparity across D [corrected px].
+    width_px : (C,) float64
+        Standard deviation of a peak across D.
     places : (C,) int64
         Places of the cell.
-    widths : dict
-        Kind -> measured variance of its peak along and across [px^2], and the same of a particle of 1 px^2.
+    spread2_mm2 : (float, float)
+        Variance of the sheet's light across it, and its standard deviation.
     pitch_mm : float
         A corrected pixel.
     """
@@ -91,41 +109,42 @@ class Disparities:
     place_mm: NDArray[np.float64]
     kind: NDArray[np.int64]
     parallax: NDArray[np.float64]
-    along_px: NDArray[np.float64]
+    height_mm: NDArray[np.float64]
+    height_sigma_mm: NDArray[np.float64]
     across_px: NDArray[np.float64]
-    along_sigma_px: NDArray[np.float64]
     across_sigma_px: NDArray[np.float64]
-    bend_px: NDArray[np.float64]
+    width_px: NDArray[np.float64]
     places: NDArray[np.int64]
-    widths: dict[int, tuple[float, float, float, float]]
+    spread2_mm2: tuple[float, float]
     pitch_mm: float
-
-    @property
-    def height_mm(self) -> NDArray[np.float64]:
-        """Height (C,) of the particles over the plane of the map."""
-        return self.along_px * self.pitch_mm / self.parallax
-
-    @property
-    def height_sigma_mm(self) -> NDArray[np.float64]:
-        """Its standard deviation."""
-        return self.along_sigma_px * self.pitch_mm / self.parallax
 
 
 def disparities(
-    views: DoubleViews, cell: NDArray[np.int64], pairs: Pairs, light: Light, count: int, reach: int
+    scene: Scene,
+    views: DoubleViews,
+    cell: NDArray[np.int64],
+    pairs: Pairs,
+    light: Light,
+    count: int,
+    reach: int,
+    reach_mm: float,
 ) -> Disparities:
     """Measure the disparities of cells.
 
     Parameters
     ----------
+    scene : Scene
+        In the plane of the map.
     views : DoubleViews
-        Places seen twice.
+        Its places seen twice.
     cell : (N,) int64
         Cell of each place, 0 ...; all places of one are of one kind.
     pairs, light, count
         Frames, what stands still in them, how many pairs there are.
     reach : int
         Lags to either side along D, in units of `DoubleViews.units`.
+    reach_mm : float
+        Heights to either side of the plane.
     """
     cells = int(cell.max()) + 1
     planes = np.zeros((BLOCKS, cells, 2 * reach + 1, 2 * ACROSS + 1))
@@ -135,10 +154,12 @@ def disparities(
         np.ascontiguousarray(part) for part in (views.first_px, views.second_px, *steps)
     )
 
+    weights = [light.weight(views, pulse) for pulse in (0, 1)]
+
     def products(task: tuple[int, int, NDArray[np.float32]]) -> tuple[int, NDArray[np.float64]]:
         number, pulse, frame = task
         out = np.zeros(planes.shape[1:])
-        add_products(light.deviation(frame, pulse), first, second, along, across, cell, out)
+        add_products(light.deviation(frame, pulse), weights[pulse], first, second, along, across, cell, out)
         return number * BLOCKS // count, out
 
     with ThreadPoolExecutor(thread_count()) as pool:
@@ -153,58 +174,108 @@ def disparities(
             planes[block] += found
     places = np.bincount(cell, minlength=cells)
     planes /= np.maximum(places, 1)[None, :, None, None]
-    return _measured(views, cell, places, planes, reach)
+    return _measured(scene, views, cell, weights[0] + weights[1], planes, reach_mm)
 
 
 def _measured(
+    scene: Scene,
     views: DoubleViews,
     cell: NDArray[np.int64],
-    places: NDArray[np.int64],
+    weight: NDArray[np.float64],
     planes: NDArray[np.float64],
-    reach: int,
+    reach_mm: float,
 ) -> Disparities:
-    """Peaks of the planes (BLOCKS, C, ., .) of cells."""
-    lags = np.meshgrid(np.arange(-reach, reach + 1.0), np.arange(-ACROSS, ACROSS + 1.0), indexing="ij")
-    along, across = (lag.ravel() for lag in lags)
+    """Match the planes (BLOCKS, C, ., .) of cells."""
+    places = np.bincount(cell)
+    models = _models(scene, views, cell, weight, planes.shape[2] // 2, reach_mm)
     blocks = planes.reshape(BLOCKS, len(places), -1)
     _, first = np.unique(cell, return_index=True)
-    kind_of, whole = np.full(len(places), -1), blocks.sum(axis=0)
-    kind_of[cell[first]] = views.kind[first]
-    found, bend = np.full((len(places), 4), np.nan), np.zeros(len(places))
-    widths: dict[int, tuple[float, float, float, float]] = {}
-    for kind in np.unique(kind_of[kind_of >= 0]):
+    kind_of, units = views.kind[first], views.units()[first]
+    found = np.full((len(places), 4), np.nan)
+    kinds: Kinds = {}
+    for kind in np.unique(kind_of):
         here = np.nonzero(kind_of == kind)[0]
-        shape = _shape(np.average(whole[here], axis=0, weights=places[here]), along, across)
-        if shape is None:
-            continue
-        of_kind = views.kind == kind
-        blob, unit = views.blob[of_kind].mean(axis=0), views.units()[np.argmax(of_kind)]
-        wide = np.square(np.array(shape[2:]) * unit)
-        if not _stands_out(blocks[:, here].mean(axis=1), along, across, shape):
-            continue
-        widths[int(kind)] = (float(wide[0]), float(wide[1]), float(blob[0]), float(blob[1]))
+        share = places[here] / places[here].sum()
+        model = Model(models[0].height_mm, *(
+            np.tensordot(share, np.array([getattr(models[one], part) for one in here]), axes=1)
+            for part in ("small", "large")
+        ))  # fmt: skip
+        summed = np.tensordot(share, blocks[:, here], axes=(0, 1))
+        start = model.start(summed.sum(axis=0), USUAL_MM**2)
+        match = None if start is None else model.fit(summed.sum(axis=0), start, [HEIGHT, SHIFT, SIZE])
+        if match is not None and model.clearness(summed, match) > CLEAR:
+            kinds[int(kind)] = model, summed, match
+    usual = _common(kinds, SIZE, USUAL_SIZE)
+    kinds = _with(kinds, SIZE, usual[0], [HEIGHT, SHIFT, SPREAD])
+    spread2 = _common(kinds, SPREAD, USUAL_SPREAD2)
+    kinds = _with(kinds, SPREAD, spread2[0], [HEIGHT, SHIFT])
+    for kind, (_, _, match) in kinds.items():
+        here = np.nonzero(kind_of == kind)[0]
         for one in here:
-            peak = _peak(whole[one], along, across, shape)
-            if peak is None or not abs(peak[0]) < reach - 1.0:
+            whole = blocks[:, one].sum(axis=0)
+            alone = models[one].fit(whole, match.values, [HEIGHT, SHIFT])
+            if alone is None:
                 continue
-            left = whole[one] - blocks[:, one]
-            moved = [_peak(each, along, across, shape, peak) for each in left]
-            steps = np.array([each if each is not None else (np.nan, np.nan) for each in moved])
-            sigma = np.sqrt((BLOCKS - 1.0) / BLOCKS * np.sum((steps - steps.mean(axis=0)) ** 2, axis=0))
-            if np.isfinite(sigma).all() and (sigma < 0.5 * np.array(shape[2:])).all():
-                bend_px = float(views.bend[cell == one].mean()) * wide[1] / float(blob[1])
-                at, bend[one] = np.array(peak) * unit - (bend_px, 0.0), bend_px
-                found[one] = (*at, *np.maximum(sigma * unit, 1e-3))
+            sigma = models[one].left_out(blocks[:, one], alone, [HEIGHT, SHIFT])
+            if (sigma < LEAST_SURE * np.array([reach_mm, ACROSS])).all():
+                found[one] = (*alone.values[:2], *np.maximum(sigma, 1e-4)) * np.array([1.0, units[one, 1]] * 2)
         _even(found, here, places)
     good = np.isfinite(found).all(axis=1)
-    weight = np.maximum(places, 1)
-    middle = np.stack([np.bincount(cell, views.place_mm[:, k], len(places)) / weight for k in (0, 1)], axis=-1)
-    parallax = np.bincount(cell, views.parallax, len(places)) / weight
-    ahead, aside, ahead_sigma, aside_sigma = found[good].T
+    many = np.maximum(places, 1)
+    middle = np.stack([np.bincount(cell, views.place_mm[:, k]) / many for k in (0, 1)], axis=-1)
+    parallax, across = (np.bincount(cell, part) / many for part in (views.parallax, units[cell, 1] / UNIT))
+    height, aside, height_sigma, aside_sigma = found[good].T
     return Disparities(
-        middle[good], kind_of[good], parallax[good], ahead, aside, ahead_sigma, aside_sigma, bend[good],
-        places[good], widths, views.pitch_mm,
+        middle[good], kind_of[good], parallax[good], height, height_sigma, aside, aside_sigma, across[good],
+        places[good], spread2, views.pitch_mm,
     )  # fmt: skip
+
+
+Kinds = dict[int, tuple[Model, NDArray[np.float64], Match]]
+
+
+def _common(kinds: Kinds, number: int, usual: tuple[float, float]) -> tuple[float, float]:
+    """What all kinds say together of a number that they share, and its standard deviation."""
+    values, weights = [usual[0]], [usual[1] ** -2.0]
+    for model, blocks, match in kinds.values():
+        free = [HEIGHT, SHIFT, number]
+        sigma = float(model.left_out(blocks, match, free)[-1])
+        values.append(float(match.values[number]))
+        weights.append(1.0 / max(sigma, 1e-3 * usual[1]) ** 2)
+    return float(np.average(values, weights=weights)), float(sum(weights) ** -0.5)
+
+
+def _with(kinds: Kinds, number: int, value: float, free: list[int]) -> Kinds:
+    """Fit kinds again with a number that is known."""
+    out: Kinds = {}
+    for kind, (model, blocks, match) in kinds.items():
+        start = match.values.copy()
+        start[number] = value
+        again = model.fit(blocks.sum(axis=0), start, free)
+        if again is not None:
+            out[kind] = model, blocks, again
+    return out
+
+
+def _models(
+    scene: Scene,
+    views: DoubleViews,
+    cell: NDArray[np.int64],
+    weight: NDArray[np.float64],
+    reach: int,
+    reach_mm: float,
+) -> list[Model]:
+    """What layers make of the planes of cells; some places of each are enough."""
+    rank = np.argsort(np.argsort(cell, kind="stable")) - np.searchsorted(np.sort(cell), cell)
+    every = np.ceil(np.bincount(cell) / max(MODELLED // (int(cell.max()) + 1), LEAST_MODELLED)).astype(np.int64)
+    chosen = rank % every[cell] == 0
+    some, cells = views.at(chosen), cell[chosen]
+    planes = []
+    for size in SIZES:
+        bells = layers(scene, some, reach_mm, size)
+        bells = replace(bells, light=bells.light * weight[chosen][:, None])
+        planes.append(bells.planes(some, views.units()[chosen], cells, reach))
+    return [Model(bells.height_mm, *both) for both in zip(*planes, strict=True)]
 
 
 def _even(found: NDArray[np.float64], here: NDArray[np.int64], places: NDArray[np.int64]) -> None:
@@ -216,56 +287,3 @@ def _even(found: NDArray[np.float64], here: NDArray[np.int64], places: NDArray[n
     if len(known):
         usual = np.median(found[known, 2:] ** 2 * places[known, None], axis=0) / places[known, None]
         found[known, 2:] = np.sqrt(0.5 * (found[known, 2:] ** 2 + usual))
-
-
-def _stands_out(
-    planes: NDArray[np.float64], along: NDArray[np.float64], across: NDArray[np.float64], shape: Sequence[float]
-) -> bool:
-    """Whether a peak is in the blocks (BLOCKS, .) one by one, and not in some of them only."""
-    u, v = (along - shape[0]) / shape[2], (across - shape[1]) / shape[3]
-    design = np.stack((np.ones_like(u), np.exp(-0.5 * (u * u + v * v))), axis=-1)
-    heights = np.linalg.lstsq(design, planes.T, rcond=None)[0][1]
-    return bool(heights.mean() > CLEAR * heights.std(ddof=1) / np.sqrt(len(heights)))
-
-
-def _shape(
-    plane: NDArray[np.float64], along: NDArray[np.float64], across: NDArray[np.float64]
-) -> tuple[float, float, float, float] | None:
-    """Place and widths (standard deviations) of the peak of a kind; None if nothing stands out."""
-    low = float(np.median(plane))
-    noise = 1.4826 * float(np.median(np.abs(plane - low)))
-    top = int(plane.argmax())
-    if not plane[top] - low > CLEAR * noise:
-        return None
-
-    def misfit(x: NDArray[np.float64]) -> NDArray[np.float64]:
-        bell = np.exp(-0.5 * ((along - x[2]) / x[4]) ** 2 - 0.5 * ((across - x[3]) / x[5]) ** 2)
-        return np.asarray((x[0] + x[1] * bell - plane) / (plane[top] - low))
-
-    limits = ([-np.inf, 0.0, along.min(), -2.0, 0.6, 0.6], [np.inf, np.inf, along.max(), 2.0, 5.0, 3.0])
-    start = [low, plane[top] - low, along[top], np.clip(across[top], -1.9, 1.9), 1.2, 1.2]
-    best = scipy.optimize.least_squares(misfit, start, bounds=limits).x
-    return float(best[2]), float(best[3]), float(best[4]), float(best[5])
-
-
-def _peak(
-    plane: NDArray[np.float64],
-    along: NDArray[np.float64],
-    across: NDArray[np.float64],
-    shape: Sequence[float],
-    start: tuple[float, float] | None = None,
-) -> tuple[float, float] | None:
-    """Place of a peak whose widths are known: background, height and place by linear steps."""
-    x, y = (shape[0], shape[1]) if start is None else start
-    for _ in range(STEPS):
-        u, v = (along - x) / shape[2], (across - y) / shape[3]
-        bell = np.exp(-0.5 * (u * u + v * v))
-        design = np.stack((np.ones_like(bell), bell, bell * u / shape[2], bell * v / shape[3]), axis=-1)
-        answer = np.linalg.lstsq(design, plane, rcond=None)[0]
-        if not answer[1] > 0.0:
-            return None
-        dx, dy = np.clip(answer[2:] / answer[1], -1.0, 1.0)
-        x, y = float(x + dx), float(y + dy)
-        if not (abs(x) <= along.max() and abs(y) <= across.max()):
-            return None
-    return x, y

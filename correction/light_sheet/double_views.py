@@ -10,10 +10,7 @@ This *disparity* is zero if the map is made for the plane in which the particles
 across D no height moves anything, so what is found there belongs to glass that is not where the scene has it.
 
 A view counts where it can be followed: BESIDE_PX raw pixels to either side along D it must still be the same
-branch on the same side of a fold, and nearly straight.  So no rim cuts the picture of a particle.  Where the
-second view bends, kappa = (d^2 pixel / dX^2) / (d pixel / dX), lags that are straight on the sensor miss by
-kappa y^2 / 2 at y beside the particle: the peak moves by kappa / 2 times the variance of the particle's first
-picture.
+branch on the same side of a fold, and nearly straight.  So no rim cuts the picture of a particle.
 """
 
 from dataclasses import dataclass, replace
@@ -62,8 +59,12 @@ class DoubleViews:
         |D| [mm on the plane per mm of height].
     blob : (N, 2) float64
         What the two views make of a variance of 1 px^2 on the sensor, along and across D [corrected px^2], summed.
-    bend : (N,) float64
-        What the bend of the second view moves the peak by along D, for a variance of 1 px^2 on the sensor.
+    smear : (N, 2) float64
+        Variances by the aperture, along and across D [corrected px^2], summed over the two views.
+    chief_px : (N, 2, 2) float64
+        Pixels u, v of the chief rays of the two views.
+    spread_px2 : (N, 2, 2, 2) float64
+        Covariance of a point's picture by the aperture in the two views.
     alone_px : (N,) float64
         Distance on the sensor from the second picture to the nearest other one of the same place.
     kind : (N,) int64
@@ -83,7 +84,9 @@ class DoubleViews:
     across_px: NDArray[np.float64]
     parallax: NDArray[np.float64]
     blob: NDArray[np.float64]
-    bend: NDArray[np.float64]
+    smear: NDArray[np.float64]
+    chief_px: NDArray[np.float64]
+    spread_px2: NDArray[np.float64]
     alone_px: NDArray[np.float64]
     kind: NDArray[np.int64]
     kinds: tuple[tuple[Branch, Branch], ...]
@@ -100,7 +103,7 @@ class DoubleViews:
         out = np.ones((len(self.kind), 2))
         for kind in np.unique(self.kind):
             here = self.kind == kind
-            out[here] = UNIT * np.sqrt(PARTICLE_PX2 * np.median(self.blob[here], axis=0))
+            out[here] = UNIT * np.sqrt(np.median(PARTICLE_PX2 * self.blob[here] + self.smear[here], axis=0))
         return out
 
     def room_px(self, reach: int) -> NDArray[np.float64]:
@@ -149,11 +152,11 @@ def double_views(scene: Scene, ray_map: RayMap | None = None, step: int = 1) -> 
         for two in range(one + 1, LAYERS):
             at = np.nonzero(seen[one] & seen[two])
             parts.append(_of_layers(scene, found, step, (one, two), at, kinds))
-    place, first, second, along, across, parallax, blob, bend, alone, kind = (
+    place, first, second, along, across, parallax, blob, smear, chief, spread, alone, kind = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
     return DoubleViews(
-        place, first, second, along, across, parallax, blob, bend, alone, kind.astype(np.int64),
+        place, first, second, along, across, parallax, blob, smear, chief, spread, alone, kind.astype(np.int64),
         tuple((found.branches[one], found.branches[two]) for one, two, *_ in kinds),
         whole.pitch_mm, step,
     )  # fmt: skip
@@ -182,27 +185,31 @@ def _of_layers(
     with np.errstate(invalid="ignore", divide="ignore"):
         along = gap / parallax[:, None] * (1.0, -1.0)  # nodes run down, y runs up
     across = np.stack((-along[:, 1], along[:, 0]), axis=-1)
-    centres = []
+    centres, spreads = [], []
     for pixel, rate in zip(pixels, rates, strict=True):
         ahead = np.einsum("nij,nj->ni", rate, along)
-        followed, bend = _followed(scene, pitch_mm, pixel, ahead, along)
-        good &= followed
-        shift, usable = _centroids(scene, pixel)
+        good &= _followed(scene, pitch_mm, pixel, ahead, along)
+        shift, spread, usable = _pictures(scene, pixel)
         good &= usable
         centres.append(pixel + shift)
-    blobs = np.zeros((2, len(parallax), 2))
-    for view, rate in enumerate(rates):
+        spreads.append(spread)
+    blobs, smears = np.zeros((2, 2, len(parallax), 2))
+    for view, (rate, spread) in enumerate(zip(rates, spreads, strict=True)):
         back = np.linalg.pinv(rate)
         for number, way in enumerate((along, across)):
-            blobs[view, :, number] = np.sum(np.einsum("nji,nj->ni", back, way) ** 2, axis=1)
-    blob, bend = blobs.sum(axis=0), 0.5 * bend * blobs[0, :, 0]  # the loop above ends with the second view
+            seen = np.einsum("nji,nj->ni", back, way)
+            blobs[view, :, number] = np.sum(seen**2, axis=1)
+            smears[view, :, number] = np.einsum("ni,nij,nj->n", seen, spread, seen)
     ways = [found.branch[layer][at].tolist() for layer in layers]
     sides = [(np.linalg.det(rate) > 0.0).tolist() for rate in rates]
     keys = zip(*ways, *sides, strict=True)
     kind = np.array([kinds.setdefault(key, len(kinds)) for key in keys], np.float64)
     place = found.grid.nodes_mm()[at]
     steps = [np.einsum("nij,nj->ni", rates[1], way) for way in (along, across)]
-    return [part[good] for part in (place, *centres, *steps, parallax, blob, bend, alone, kind)]
+    sizes = blobs.sum(axis=0), smears.sum(axis=0)
+    chiefs, wide = np.stack(pixels, axis=1), np.stack(spreads, axis=1)
+    columns = (place, *centres, *steps, parallax, *sizes, chiefs, wide, alone, kind)
+    return [part[good] for part in columns]
 
 
 def _followed(
@@ -211,32 +218,31 @@ def _followed(
     pixel: NDArray[np.float64],
     step: NDArray[np.float64],
     along: NDArray[np.float64],
-) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Whether a view goes on BESIDE_PX to either side, and its bend; `step` (N, 2) is d pixel for one `along`."""
+) -> NDArray[np.bool_]:
+    """Whether a view goes on BESIDE_PX to either side; `step` (N, 2) is d pixel for one `along`."""
     length = np.hypot(*step.T)
     here = trace(scene, pixel)
     good = here.recovered & (length > 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         aside = BESIDE_PX * step / length[:, None]
         wanted = BESIDE_PX / length[:, None] * along * (1.0, -1.0) * pitch_mm
-    bow = np.zeros((len(pixel), 2))
     for way in (-1.0, 1.0):
         there = trace(scene, np.nan_to_num(pixel + way * aside))
         miss = there.plane_mm - here.plane_mm - way * wanted
-        off, bow = np.hypot(*miss.T), bow + miss
         with np.errstate(invalid="ignore"):
             good &= there.recovered & (there.rays["key"] == here.rays["key"])
-            good &= off < STRAIGHT * np.hypot(*wanted.T)
-    second = np.sum(bow * along * (1.0, -1.0), axis=1) / pitch_mm
-    return np.asarray(good), -second * (length / BESIDE_PX) ** 2
+            good &= np.hypot(*miss.T) < STRAIGHT * np.hypot(*wanted.T)
+    return np.asarray(good)
 
 
-def _centroids(scene: Scene, pixel: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Shift (N, 2) of particles' centroids by the aperture, and where pictures are sharp enough."""
+def _pictures(
+    scene: Scene, pixel: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Shift (N, 2) and spread (N, 2, 2) of pictures by the aperture, and where they are sharp enough."""
     pupil = scene.camera.pupil
     if pupil is None or not len(pixel):
-        return np.zeros_like(pixel), np.ones(len(pixel), bool)
+        return np.zeros_like(pixel), np.zeros((len(pixel), 2, 2)), np.ones(len(pixel), bool)
     blur = pupil_views(scene, pupil, pixel).of_particles()
     with np.errstate(invalid="ignore"):
         usable = (blur.width_px <= WIDEST_PX) & (blur.lost <= MOST_LOST)
-    return np.nan_to_num(blur.shift_px), np.asarray(usable)
+    return np.nan_to_num(blur.shift_px), np.nan_to_num(blur.spread_px2), np.asarray(usable)

@@ -2,8 +2,7 @@
 
 Unknown are corrections of z and of the two slopes; each cell says  dz + x da + y db = height +- sigma.  Cells that
 lie off by more than they may are given less weight (Huber).  If the rest scatters more than its sigmas say, all of
-these are enlarged, and what was taken off for bent views is a common error of its own size.  If kinds of views
-disagree, or something moved across D, it is not the sheet alone that is off.
+these are enlarged.  If kinds of views disagree, or something moved across D, the sheet alone is not what is off.
 """
 
 from dataclasses import dataclass
@@ -85,8 +84,6 @@ def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArra
         share = np.where(off < FARTHEST * usual, np.minimum(1.0, TUNING * usual / np.maximum(off, 1e-9)), 0.0)
         freedom = max(1.0, float(share.sum()) - 3.0)
         scatter = max(1.0, float(np.sqrt(np.sum(share * off**2) / freedom)))
-    bent_mm = found.bend_px * found.pitch_mm / found.parallax
-    common = np.linalg.solve(normal, design.T @ (weight * bent_mm))
     residual = height - design @ answer
     kinds = {}
     for kind in np.unique(found.kind):
@@ -94,8 +91,7 @@ def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArra
         trust = share[here] / (sigma[here] * scatter) ** 2
         if trust.sum() > 0.0:
             kinds[int(kind)] = (float(trust @ residual[here] / trust.sum()), float(1.0 / np.sqrt(trust.sum())))
-    covered = np.linalg.inv(normal) + np.outer(common, common)
-    return PlaneFit(answer, covered, scatter, residual, share, _across(found, share), kinds)
+    return PlaneFit(answer, np.linalg.inv(normal), scatter, residual, share, _across(found, share), kinds)
 
 
 def _across(found: Disparities, share: NDArray[np.float64]) -> float:
@@ -107,5 +103,5 @@ def _across(found: Disparities, share: NDArray[np.float64]) -> float:
     weight = sigma**-2.0
     excess = float(np.sum(weight * (off**2 - sigma**2)) / weight.sum())
     size = float(np.sqrt(max(excess, 0.0)))
-    widest_px = float(np.sqrt(max(found.widths[int(kind)][0] for kind in found.kind[share > 0.0])))
+    widest_px = float(found.width_px[share > 0.0].max())
     return size if size > max(LEAST_ACROSS_PX, LEAST_SHARE * widest_px) else 0.0

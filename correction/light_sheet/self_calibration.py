@@ -4,9 +4,8 @@ Each round makes the map for the sheet as known so far, looks for places seen tw
 corrects the plane, until it moves by less than two sigmas (places are drawn anew).  Stereo PIV finds its sheet
 in the same way with two cameras (Wieneke, Exp. Fluids 39, 267 (2005)); here the second camera is the glass.
 
-Thickness: particles lie at heights with the spread s of the sheet's light squared, and D s widens the peak along D
-beyond what the views do to a particle, which the peak's width across D tells.  For light that is Gaussian across,
-with full width w at e^-2, s = w / sqrt(32).
+Thickness: particles lie at heights with the spread s of the sheet's light squared, and D s widens the peaks along
+D.  For light that is Gaussian across, with full width w at e^-2, s = w / sqrt(32).
 """
 
 from dataclasses import dataclass, replace
@@ -28,6 +27,7 @@ EDGE_PX = 3.0
 ROUNDS = 5
 SETTLED, AT_REST = 2.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
 TELLS = 0.7  # of the sigma known before, and the frames have told something
+SIGMAS, DEPTH_MM = 3.0, 0.7  # heights looked at: of what is unsure, and of the sheet itself
 MOST_REACH = 20  # lags to either side along D
 
 
@@ -87,14 +87,15 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
     if count < BLOCKS:
         raise SheetError(f"{count} pairs of frames do not tell where the sheet is; give {BLOCKS} or more, best 50")
     now, cells, fit, rounds = known, None, None, 0
-    views = double_views(replace(scene, sheet=now).in_light_sheet())
     for rounds in range(1, ROUNDS + 1):
-        if rounds > 1:
-            views = double_views(replace(scene, sheet=now).in_light_sheet())
-        reach = _reach(views, known if rounds == 1 else now)
+        seen = replace(scene, sheet=now).in_light_sheet()
+        views = double_views(seen)
+        sigma_mm = known.sigma_mm if rounds == 1 else now.sigma_mm
+        reach = _reach(views, sigma_mm)
         views = _inside(views, scene.camera.shape, reach)
         views, cell = _cells(views, scene)
-        cells = disparities(views, cell, pairs, light, count, reach) if len(cell) else None
+        reach_mm = SIGMAS * sigma_mm + DEPTH_MM
+        cells = disparities(seen, views, cell, pairs, light, count, reach, reach_mm) if len(cell) else None
         if cells is None or not len(cells.kind):
             return _nothing(known, views, count, rounds)
         fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
@@ -113,18 +114,8 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
 
 def thickness_mm(cells: Disparities) -> float | None:
     """Full width of the sheet at e^-2 from the widths of the peaks; None where they do not tell."""
-    found, weights = [], []
-    for kind, (along, across, blob_along, blob_across) in cells.widths.items():
-        here = cells.kind == kind
-        if not here.any():
-            continue
-        rate = float(np.mean((cells.parallax[here] / cells.pitch_mm) ** 2))
-        excess = along - across * blob_along / blob_across
-        found.append(excess / rate)
-        weights.append(rate**2 * np.count_nonzero(here) / along**2)
-    spread2 = float(np.average(found, weights=weights)) if found else 0.0
-    unsure = 0.1 / np.sqrt(sum(weights)) if weights else np.inf
-    return float(np.sqrt(32.0 * spread2)) if spread2 > 3.0 * unsure else None
+    mean, unsure = cells.spread2_mm2
+    return float(np.sqrt(32.0 * mean)) if mean > 3.0 * unsure else None
 
 
 def _nothing(known: LightSheet, views: DoubleViews, count: int, rounds: int) -> SheetFound:
@@ -197,12 +188,12 @@ def _moved(now: LightSheet, fit: PlaneFit, known: LightSheet) -> LightSheet:
     )  # fmt: skip
 
 
-def _reach(views: DoubleViews, sheet: LightSheet) -> int:
+def _reach(views: DoubleViews, sigma_mm: float) -> int:
     """Lags along D that hold three sigmas of the height, and the peak around them."""
     if not len(views.kind):
         return 0
     lag_mm = views.units()[:, 0] * views.pitch_mm / views.parallax  # height for a lag of one
-    needed = 3.0 * sheet.sigma_mm / float(np.quantile(lag_mm, 0.1)) + AROUND
+    needed = SIGMAS * sigma_mm / float(np.quantile(lag_mm, 0.1)) + AROUND
     return int(np.clip(np.ceil(needed), AROUND, MOST_REACH))
 
 

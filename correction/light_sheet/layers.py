@@ -1,0 +1,150 @@
+"""What particles in thin layers over the plane of a map make of the products of two views.
+
+The particles that a pixel u of the first view shows lie on its ray: those of the layer at height z at X(u; z).
+The second view shows them at the pixel U(X; z), found by Newton's method on traced rays, and as brightly as it is
+large there, |det dU/dX|, and as the glass lets through.  Seen from a place of `double_views`, the pictures of a
+layer are then a bell about some pixel of the second view.  Its middle, its covariance and its light are means
+over four pixels of the first view, which stand for the picture of a particle there (two each way, sqrt(2)
+standard deviations off: right to the third order).
+
+So nothing is expanded in powers: views that bend, that fade towards a rim or end at it, and whose parallax changes
+over the depth of the sheet are as the tracer has them.  Behind two balls these are worth 0.2 mm of height.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.light_sheet.double_views import ACROSS, DoubleViews
+from correction.light_sheet.kernels.lagged import add_bells
+from tracer.scene import Scene
+from tracer.sensitivity import TargetPose, landings
+from tracer.trace import trace
+
+TRACED = 9  # heights; between them numbers go straight
+FINE = 5  # heights to each of these steps
+NEWTON = 3
+NEAR_PX = 0.05
+ROOM = 2  # more lags to either side across D than measured: peaks may lie beside the middle
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Bells that layers make in the second view of N places, for particles of one picture size.
+
+    Parameters
+    ----------
+    height_mm : (L,) float64
+        Heights over the plane, evenly spaced.
+    offset_px : (N, L, 2) float64
+        Middle of the bell minus the second pixel.
+    spread_px2 : (N, L, 3) float64
+        Its variance along u, along v, and their covariance.
+    light : (N, L) float64
+        Its light; 0 where the second view does not show the layer.
+    """
+
+    height_mm: NDArray[np.float64]
+    offset_px: NDArray[np.float64]
+    spread_px2: NDArray[np.float64]
+    light: NDArray[np.float64]
+
+    def planes(
+        self, views: DoubleViews, units: NDArray[np.float64], cell: NDArray[np.int64], reach: int
+    ) -> NDArray[np.float64]:
+        """Planes of lags (C, L, 2 reach + 1, 2 (ACROSS + ROOM) + 1) of layers, means over the places of cells."""
+        cells = int(cell.max()) + 1
+        out = np.zeros((cells, len(self.height_mm), 2 * reach + 1, 2 * (ACROSS + ROOM) + 1))
+        steps = views.along_px * units[:, :1], views.across_px * units[:, 1:]
+        add_bells(self.offset_px, self.spread_px2, self.light, *steps, cell, out)
+        return np.asarray(out / np.maximum(np.bincount(cell, minlength=cells), 1)[:, None, None, None])
+
+
+def layers(scene: Scene, views: DoubleViews, reach_mm: float, particle_px2: float) -> Layers:
+    """Find the bells of layers up to `reach_mm` over and under the plane z = 0 of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        That of the views.
+    views : DoubleViews
+        Places seen twice.
+    reach_mm : float
+        Farthest height.
+    particle_px2 : float
+        Variance of the picture of a particle on the sensor, without what the aperture makes of it.
+    """
+    heights = np.linspace(-reach_mm, reach_mm, TRACED)
+    count = len(views.kind)
+    own = np.eye(2) * particle_px2 + views.spread_px2  # (N, 2 views, 2, 2)
+    values, vectors = np.linalg.eigh(own[:, 0])
+    arms = np.sqrt(2.0 * values)[:, None, :] * vectors
+    around = np.stack([way * arms[:, :, k] for k in (0, 1) for way in (-1.0, 1.0)])  # (4, N, 2)
+    first = (views.chief_px[:, 0] + around).reshape(-1, 2)
+    chief = trace(scene, views.chief_px.reshape(-1, 2)).rays["key"].reshape(count, 2)
+    keys = np.tile(chief, (4, 1))
+    start = np.tile(views.chief_px[:, 1], (4, 1))
+    side = np.sign(np.linalg.det(landings(scene, start).pixel_rate))
+    through = trace(scene, first).rays
+    passed = np.where(through["key"] == keys[:, 0], through["transmittance"], 0.0)
+    found, light = np.full((TRACED, 4 * count, 2), np.nan), np.zeros((TRACED, 4 * count))
+    middle = TRACED // 2
+    for order in (range(middle, TRACED), range(middle, -1, -1)):
+        guess, before = start, None
+        for number in order:
+            pose = TargetPose((0.0, 0.0, float(heights[number])))
+            wanted = landings(scene, first, pose)
+            at, rate, good = _pixels_of(scene, pose, wanted.point_mm, guess, keys[:, 1])
+            shown = trace(scene, np.nan_to_num(at)).rays["transmittance"]
+            with np.errstate(invalid="ignore", divide="ignore"):
+                large = 1.0 / np.linalg.det(rate)
+            good &= (np.sign(large) == side) & np.isfinite(large) & (passed > 0.0)
+            found[number] = np.where(good[:, None], at, np.nan)
+            light[number] = np.where(good, np.abs(large) * shown * passed, 0.0)
+            ahead = at if before is None else 2.0 * at - before
+            before, guess = at, np.where(good[:, None], ahead, guess)
+    offset = np.nan_to_num(found.reshape(TRACED, 4, count, 2) - views.chief_px[:, 1])
+    share = light.reshape(TRACED, 4, count)
+    total = share.sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.nan_to_num(share / total[:, None])
+    mean = np.einsum("lkn,lkni->nli", share, offset)
+    off = offset - mean.transpose(1, 0, 2)[:, None]
+    spread = np.einsum("lkn,lkni,lknj->nlij", share, off, off) + own[:, None, 1]
+    packed = np.stack((spread[..., 0, 0], spread[..., 1, 1], spread[..., 0, 1]), axis=-1)
+    return _finer(Layers(heights, mean, packed, total.T / 4.0))
+
+
+def _pixels_of(
+    scene: Scene, pose: TargetPose, point: NDArray[np.float64], start: NDArray[np.float64], key: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Pixels (N, 2) of a branch that show points of a plane, d point / d pixel, and where it was found."""
+    at = start.copy()
+    for _ in range(NEWTON):
+        seen = landings(scene, at, pose)
+        with np.errstate(invalid="ignore"):
+            step = np.einsum("nij,nj->ni", np.linalg.pinv(np.nan_to_num(seen.pixel_rate)), point - seen.point_mm)
+        at = at + np.clip(np.nan_to_num(step), -4.0, 4.0)
+    with np.errstate(invalid="ignore"):
+        good = seen.recovered & (seen.key == key) & (np.abs(step) < NEAR_PX).all(axis=1)
+    return at, seen.pixel_rate, np.asarray(good)
+
+
+def _finer(coarse: Layers) -> Layers:
+    """More heights between those traced; what is seen at one of two heights only is not half seen."""
+    parts: list[list[NDArray[np.float64]]] = [[], [], [], []]
+    for low, high in pairwise(range(TRACED)):
+        for share in np.arange(FINE) / FINE:
+            parts[0].append((1.0 - share) * coarse.height_mm[low] + share * coarse.height_mm[high])
+            both = (coarse.light[:, low] > 0.0) & (coarse.light[:, high] > 0.0)
+            near = low if share < 0.5 else high
+            for part, values in zip(parts[1:], (coarse.offset_px, coarse.spread_px2, coarse.light), strict=True):
+                straight = (1.0 - share) * values[:, low] + share * values[:, high]
+                chosen = both.reshape(-1, *[1] * (values.ndim - 2))
+                part.append(np.where(chosen, straight, values[:, near]))
+    parts[0].append(coarse.height_mm[-1])
+    for part, values in zip(parts[1:], (coarse.offset_px, coarse.spread_px2, coarse.light), strict=True):
+        part.append(values[:, -1])
+    return Layers(np.array(parts[0]), *[np.stack(part, axis=1) for part in parts[1:]])
