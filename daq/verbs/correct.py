@@ -1,7 +1,7 @@
 """`rtpiv correct`: frames as if the glass were not there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -188,23 +188,18 @@ def _draw(
     corrected: NDArray[np.float32],
     corrector: Corrector,
 ) -> None:
-    """Draw a frame as acquired, computer-generated (with half the pixels a side: nobody sees more), corrected."""
+    """Draw a frame as acquired, computer-generated (as large as it is drawn: nobody sees more), corrected."""
+    from daq.analysis.pictures.embedded import WIDEST_PX
     from daq.analysis.pictures.overview import draw_overview
     from daq.analysis.pictures.patterns import Particles, Target, shows_particles
-    from daq.analysis.pictures.seen import seen
+    from daq.analysis.pictures.seen import seen, shown_small
 
-    camera = scene.camera
-    (cu, cv), (width, height) = camera.principal_px, camera.sensor_px
-    half = replace(
-        camera,
-        focal_px=0.5 * camera.focal_px,
-        principal_px=(0.5 * cu - 0.25, 0.5 * cv - 0.25),
-        sensor_px=(max(1, width // 2), max(1, height // 2)),
-    )
-    px_mm = camera.position_mm[2] / camera.focal_px
+    px_mm = scene.camera.position_mm[2] / scene.camera.focal_px
     particles = Particles(CELL_PX * px_mm, PARTICLE_PX * px_mm)
     pattern = particles if shows_particles(frame) else Target(board)
-    draw_overview(path, frame, seen(scene.with_camera(half), pattern, samples=2), corrected, corrector.status)
+    draw_overview(
+        path, frame, seen(shown_small(scene, WIDEST_PX), pattern, samples=2), corrected, corrector.status
+    )
 
 
 def _print(

@@ -126,17 +126,17 @@ def _draw(
     view: FieldOfView | None,
 ) -> list[str]:
     """Draw all pictures; return their names."""
-    from daq.analysis.pictures.camera_view import draw_camera_view
+    from daq.analysis.pictures.camera_view import WIDEST_PX, draw_camera_view
     from daq.analysis.pictures.drawing import scene_figure
     from daq.analysis.pictures.patterns import MarkerBoard, square_for
     from daq.analysis.pictures.plane import draw_plane
     from daq.analysis.pictures.saved import save_picture
-    from daq.analysis.pictures.seen import seen
+    from daq.analysis.pictures.seen import seen, shown_small
 
     draw_plane(out / "plane.png", scene, correction_map, share, name)
     square_mm = square_for(share.size_mm[0])
-    image = seen(scene, MarkerBoard(square_mm), watched=progress_if_long)
-    draw_camera_view(out / "camera_view.png", image, square_mm, name)
+    image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
+    draw_camera_view(out / "camera_view.png", image, scene.camera.sensor_px, square_mm, name)
     save_picture(scene_figure(scene), out / "scene.png", 130)
     names = ["plane.png", "camera_view.png", "scene.png"]
     if blur is not None:

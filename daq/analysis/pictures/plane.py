@@ -44,8 +44,8 @@ def draw_plane(path: Path, scene: Scene, found: CorrectionMap, share: PlaneShare
     status, glass = found.status[::step, ::step], found.behind_glass[::step, ::step]
     colours = mask_picture(status)
     colours[glass] = THROUGH
-    smallest, largest = found.magnification()
-    size = np.where(status == NodeStatus.RECOVERED, np.sqrt(smallest * largest)[::step, ::step], np.nan)
+    smallest, largest = found.magnification(step)
+    size = np.where(status == NodeStatus.RECOVERED, np.sqrt(smallest * largest), np.nan)
     figure = Figure(figsize=(12.4, 2.0 + 5.0 * share.size_mm[1] / share.size_mm[0]), layout="constrained")
     FigureCanvasAgg(figure)
     mask, scale = figure.subplots(1, 2)

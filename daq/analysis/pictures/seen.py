@@ -14,6 +14,20 @@ from tracer.scene import Scene
 Watched = Callable[[Iterable[tuple[float, float]], int, str], Iterable[tuple[float, float]]]
 
 
+def shown_small(scene: Scene, widest_px: int) -> Scene:
+    """Return the scene before a camera of the same view, a whole number of times coarser where it is wider."""
+    camera = scene.camera
+    (cu, cv), (width, height) = camera.principal_px, camera.sensor_px
+    times = max(1, round(width / widest_px))
+    coarse = replace(
+        camera,
+        focal_px=camera.focal_px / times,
+        principal_px=((cu + 0.5) / times - 0.5, (cv + 0.5) / times - 0.5),
+        sensor_px=(max(1, width // times), max(1, height // times)),
+    )
+    return scene.with_camera(coarse)
+
+
 def seen(
     scene: Scene, pattern: Pattern, samples: int = 3, watched: Watched = lambda items, total, what: items
 ) -> NDArray[np.float32]:

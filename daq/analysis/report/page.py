@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from daq.analysis.pictures.saved import lay_out
+from daq.analysis.pictures.saved import lay_out, write_png
 from ground.whole_file import whole_file
 
 if TYPE_CHECKING:
@@ -212,8 +212,11 @@ def _drawn(figure: "Figure", kind: str) -> bytes:
     """Bytes of a figure as SVG or PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    FigureCanvasAgg(figure)
-    lay_out(figure, PNG_DPI)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None} if kind == "svg" else None)
+    if kind == "png":
+        write_png(figure, buffer, PNG_DPI)
+    else:
+        FigureCanvasAgg(figure)
+        lay_out(figure, PNG_DPI)
+        figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None})
     return buffer.getvalue()

@@ -6,7 +6,7 @@ import pytest
 from correction.board import Chessboard
 from daq.analysis.pictures.kernels.patterns import add_markers, add_particles, add_target
 from daq.analysis.pictures.patterns import MarkerBoard, Particles, Target, shows_particles, square_for
-from daq.analysis.pictures.seen import seen
+from daq.analysis.pictures.seen import seen, shown_small
 from tests.daq.analysis.test_plane_share import GLASS, scene_of
 from tracer.bodies import Sphere
 
@@ -95,3 +95,14 @@ def test_a_frame_is_taken_for_what_it_shows():
 )
 def test_squares_are_round_numbers(width, square):
     assert square_for(width) == pytest.approx(square)
+
+
+def test_a_coarser_camera_sees_the_same_view():
+    scene = scene_of(px_per_mm=1.0)
+    width, height = scene.camera.sensor_px
+    assert shown_small(scene, width).camera == scene.camera
+    coarse = shown_small(scene, width // 4).camera
+    assert coarse.sensor_px == (width // 4, height // 4)
+    of_fours = np.array([[1.5, 1.5], [401.5 - 4.0, 201.5]])  # middles of blocks of four pixels a side
+    fine = scene.camera.directions(of_fours)
+    assert coarse.directions((of_fours - 1.5) / 4.0) == pytest.approx(fine, abs=1e-12)
