@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from typing import Any, TextIO
 
 import ground.compile_news as compile_news
+from daq.analysis.pictures import apart
 from daq.exit_codes import DEVICE as DEVICE  # who calls main compares with these
 from daq.exit_codes import DONE as DONE
 from daq.exit_codes import INTERRUPTED as INTERRUPTED
@@ -28,6 +29,15 @@ from daq.printable import printable
 THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
 # Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+
+
+PICTURES = "daq.analysis.pictures"
+DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are called by whoever draws rays
+    "trace": (f"{PICTURES}.camera_view", f"{PICTURES}.plane", f"{PICTURES}.drawing", "cv2", "ground.compiler"),
+    "correct": (f"{PICTURES}.overview", "cv2"),
+    "evaluate": ("daq.analysis.report.pair", "daq.analysis.report.page", "ground.compiler"),
+    "calibrate": (f"{PICTURES}.calibration", f"{PICTURES}.smooth", "daq.analysis.report.calibration"),
+}
 
 
 def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
@@ -51,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compile_news.watch = print_compiling
     compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
     compile_news.make_helper, compile_news.helper = lambda: _first_use(verb), None
-    with orderly_end(), _without_helper(), warnings.catch_warnings():
+    draws = DRAWS.get(verb, ()) if options.get("pictures") else ()
+    with apart.begun(draws), orderly_end(), _without_helper(), warnings.catch_warnings():
         warnings.showwarning = print_warning
         try:
             code = _carried_out(verb, options)

@@ -16,6 +16,7 @@ from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import TargetView, is_run, load_kept, target_views
 from daq.analysis.calibration import Calibration, calibration_of
+from daq.analysis.pictures.apart import drawing
 from daq.terminal import console, error_console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of
@@ -25,6 +26,7 @@ from tracer.fit_section import FitTable
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_priors, load_scene
 
+PICTURES = "daq.analysis.pictures"
 NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm)?")
 WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear_z+10mm.tif and so on"
 
@@ -103,16 +105,13 @@ def calibrate(
 
 
 def _draw(out: Path, found: Calibration, shape: tuple[int, int], name: str) -> None:
-    from daq.analysis.pictures.calibration import draw_convergence, draw_map_sigma, draw_residuals
-    from daq.analysis.pictures.smooth import draw_smooth
-    from daq.analysis.report.calibration import write_calibration_page
-
-    draw_map_sigma(out / "map_sigma.png", found.sigma)
-    draw_convergence(out / "convergence.png", found.fit.history)
-    draw_smooth(out / "smooth_residuals.png", found.fit)
-    if found.panels:
-        draw_residuals(out / "residuals.png", found.panels, shape)
-    write_calibration_page(out / "calibration.html", found, name)
+    with drawing() as draw:
+        draw(f"{PICTURES}.calibration:draw_map_sigma", out / "map_sigma.png", found.sigma)
+        draw(f"{PICTURES}.calibration:draw_convergence", out / "convergence.png", found.fit.history)
+        draw(f"{PICTURES}.smooth:draw_smooth", out / "smooth_residuals.png", found.fit)
+        if found.panels:
+            draw(f"{PICTURES}.calibration:draw_residuals", out / "residuals.png", found.panels, shape)
+        draw("daq.analysis.report.calibration:write_calibration_page", out / "calibration.html", found, name)
     console().print(f"look at {out / 'calibration.html'}", style="bold")
 
 

@@ -23,6 +23,7 @@ from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.read_ahead import ReadAhead
 from daq.acquisition.runs.shown_plane import shows_light_sheet
+from daq.analysis.pictures.apart import drawing
 from daq.terminal import console, progress
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
@@ -190,16 +191,15 @@ def _draw(
 ) -> None:
     """Draw a frame as acquired, computer-generated (as large as it is drawn: nobody sees more), corrected."""
     from daq.analysis.pictures.embedded import WIDEST_PX
-    from daq.analysis.pictures.overview import draw_overview
     from daq.analysis.pictures.patterns import Particles, Target, shows_particles
     from daq.analysis.pictures.seen import seen, shown_small
 
     px_mm = scene.camera.position_mm[2] / scene.camera.focal_px
     particles = Particles(CELL_PX * px_mm, PARTICLE_PX * px_mm)
     pattern = particles if shows_particles(frame) else Target(board)
-    draw_overview(
-        path, frame, seen(shown_small(scene, WIDEST_PX), pattern, samples=2), corrected, corrector.status
-    )
+    computed = seen(shown_small(scene, WIDEST_PX), pattern, samples=2)
+    with drawing() as draw:
+        draw("daq.analysis.pictures.overview:draw_overview", path, frame, computed, corrected, corrector.status)
 
 
 def _print(

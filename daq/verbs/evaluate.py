@@ -12,8 +12,9 @@ from correction.prepared import PreparedCorrection, PreparedCorrections
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_views import is_run
 from daq.analysis.evaluation import Evaluation, Route, Task, evaluate_task
+from daq.analysis.pictures.apart import drawing
 from daq.analysis.piv_file import PivOptions, piv_choice
-from daq.analysis.report.pair_folder import write_pair, write_pair_page
+from daq.analysis.report.pair_folder import write_pair
 from daq.analysis.series.run_series import SeriesBooks, run_series
 from daq.analysis.series.series_input import SeriesInput, series_input
 from daq.analysis.series.series_pairs import is_series
@@ -138,11 +139,12 @@ def evaluate(
         write_pair(evaluation, vtk)
         show_evaluation(screen, evaluation, page=pictures)
         if pictures:
-            write_pair_page(evaluation, figures)
+            draw("daq.analysis.report.pair_folder:write_pair_page", evaluation, figures)
         return evaluation
 
     screen = console()
-    return _each(screen, given, _limit(given, sigma_limit_px), measured)
+    with drawing() as draw:
+        return _each(screen, given, _limit(given, sigma_limit_px), measured)
 
 
 def _series(

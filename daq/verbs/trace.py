@@ -11,6 +11,7 @@ from correction.correction_map import CorrectionMap, build_correction_map
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
 from correction.node_status import MEANING, NodeStatus
+from daq.analysis.pictures.apart import drawing
 from daq.analysis.pictures.names import short
 from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
 from daq.terminal import console, progress_if_long
@@ -25,6 +26,7 @@ from tracer.scene_file import load_scene
 if TYPE_CHECKING:
     from correction.aperture import BlurMap
 
+PICTURES = "daq.analysis.pictures"
 SHOWN_BODIES = 40
 LONGEST_NAME = 32
 SHEET_STEP = 4  # corrected pixels between places that may be seen twice; 2 says the same in four times the time
@@ -126,29 +128,24 @@ def _draw(
     view: FieldOfView | None,
 ) -> list[str]:
     """Draw all pictures; return their names."""
-    from daq.analysis.pictures.camera_view import WIDEST_PX, draw_camera_view
-    from daq.analysis.pictures.drawing import scene_figure
     from daq.analysis.pictures.patterns import MarkerBoard, square_for
-    from daq.analysis.pictures.plane import draw_plane
-    from daq.analysis.pictures.saved import save_picture
-    from daq.analysis.pictures.seen import seen, shown_small
+    from daq.analysis.pictures.seen import WIDEST_PX, seen, shown_small
+    from daq.analysis.pictures.shown_plane import ShownPlane
 
-    draw_plane(out / "plane.png", scene, correction_map, share, name)
-    square_mm = square_for(share.size_mm[0])
-    image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
-    draw_camera_view(out / "camera_view.png", image, scene.camera.sensor_px, square_mm, name)
-    save_picture(scene_figure(scene), out / "scene.png", 130)
     names = ["plane.png", "camera_view.png", "scene.png"]
-    if blur is not None:
-        from daq.analysis.pictures.blur import draw_blur
-
-        draw_blur(out / "blur.png", correction_map.grid, blur)
-        names.append("blur.png")
-    if view is not None:
-        from daq.analysis.pictures.curve import draw_curve
-
-        draw_curve(out / "radial_curve.png", scene, view, name)
-        names.append("radial_curve.png")
+    with drawing() as draw:
+        draw(f"{PICTURES}.drawing:draw_scene", out / "scene.png", scene)
+        draw(f"{PICTURES}.plane:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
+        square_mm = square_for(share.size_mm[0])
+        image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
+        view_of = image, scene.camera.sensor_px, square_mm, name
+        draw(f"{PICTURES}.camera_view:draw_camera_view", out / "camera_view.png", *view_of)
+        if blur is not None:
+            draw(f"{PICTURES}.blur:draw_blur", out / "blur.png", correction_map.grid, blur)
+            names.append("blur.png")
+        if view is not None:
+            draw(f"{PICTURES}.curve:draw_curve", out / "radial_curve.png", scene, view, name)
+            names.append("radial_curve.png")
     return names
 
 

@@ -11,8 +11,6 @@ from daq.analysis.pictures.names import short
 from daq.analysis.pictures.plane_axes import bare
 from daq.analysis.pictures.saved import save_picture
 
-WIDEST_PX = 1008  # of the image: as large as it is drawn
-
 
 def draw_camera_view(
     path: Path, image: NDArray[np.float32], sensor_px: tuple[int, int], square_mm: float, title: str

@@ -1,6 +1,7 @@
 """The scene drawn to scale: from the side with the camera, from the camera, and cut where the rays lie."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,6 +11,7 @@ from matplotlib.patches import Circle, Patch, Polygon
 from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.names import short
 from daq.analysis.pictures.plane_axes import INK, MOST_NAMES, SOFT, bare, outline_mm
+from daq.analysis.pictures.saved import save_picture
 from daq.analysis.pictures.section import (
     BESIDE,
     GLASS,
@@ -54,6 +56,11 @@ def scene_figure(scene: Scene) -> Figure:
     for number, (cut, frame) in enumerate(zip(cuts, frames, strict=True)):
         _cut(figure.add_subplot(grid[1, each * number : each * (number + 1)]), scene, cut, frame)
     return figure
+
+
+def draw_scene(path: Path, scene: Scene) -> None:
+    """Draw `scene_figure` as PNG."""
+    save_picture(scene_figure(scene), path, 130)
 
 
 def _from_the_side(axes: Axes, scene: Scene, cut: Section, reach: tuple[float, float]) -> None:

@@ -2,29 +2,27 @@
 
 from pathlib import Path
 
-import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.patches import Patch
 
-from correction.correction_map import CorrectionMap
 from correction.node_status import MEANING, NodeStatus
 from daq.analysis.pictures.canvas import Figure
 from daq.analysis.pictures.mask_colours import COLOURS, THROUGH, Colour, mask_picture, web
 from daq.analysis.pictures.names import short
 from daq.analysis.pictures.plane_axes import NOTHING, bare, colour_bar, draw_outlines
 from daq.analysis.pictures.saved import save_picture
+from daq.analysis.pictures.shown_plane import ShownPlane
 from daq.analysis.plane_share import PlaneShare
 from tracer.scene import Scene
 
-MOST_PX = 1000  # along the longer side of a panel: a picture shows no more
 SIZES = LinearSegmentedColormap.from_list(  # small is warm: there resolution is lost
     "sizes", ("#a8323e", "#f0b27a", "#f7f5f0", "#5b93c2", "#173f6b")
 ).with_extremes(bad="#9aa2b1")
 LEAST, MOST = 0.25, 4.0  # of the magnification's colours
 
 
-def draw_plane(path: Path, scene: Scene, found: CorrectionMap, share: PlaneShare, title: str) -> None:
+def draw_plane(path: Path, scene: Scene, found: ShownPlane, share: PlaneShare, title: str) -> None:
     """Draw the mask with its reasons, and the magnification of the best view, side by side as PNG.
 
     Parameters
@@ -33,19 +31,15 @@ def draw_plane(path: Path, scene: Scene, found: CorrectionMap, share: PlaneShare
         Where to.
     scene : Scene
         Whose bodies are outlined.
-    found : CorrectionMap
-        Its map.
+    found : ShownPlane
+        Of its map.
     share : PlaneShare
         Areas, said in the legend.
     title : str
         Said on top.
     """
-    step = max(1, -(-max(found.grid.shape) // MOST_PX))
-    status, glass = found.status[::step, ::step], found.behind_glass[::step, ::step]
-    colours = mask_picture(status)
-    colours[glass] = THROUGH
-    smallest, largest = found.magnification(step)
-    size = np.where(status == NodeStatus.RECOVERED, np.sqrt(smallest * largest), np.nan)
+    colours = mask_picture(found.status)
+    colours[found.through_glass] = THROUGH
     figure = Figure(figsize=(12.4, 2.0 + 5.0 * share.size_mm[1] / share.size_mm[0]), layout="constrained")
     FigureCanvasAgg(figure)
     mask, scale = figure.subplots(1, 2)
@@ -55,7 +49,9 @@ def draw_plane(path: Path, scene: Scene, found: CorrectionMap, share: PlaneShare
     mask.imshow(colours, extent=extent, interpolation="nearest")
     figure.legend(handles=_swatches(share), loc="outside lower center", ncols=3, frameon=False)
     mask.set_title(f"recovered: {area_text(share.recovered_mm2)} of {area_text(share.whole_mm2)} mm\u00b2")
-    shown = scale.imshow(size, extent=extent, interpolation="nearest", cmap=SIZES, norm=LogNorm(LEAST, MOST))
+    shown = scale.imshow(
+        found.magnification, extent=extent, interpolation="nearest", cmap=SIZES, norm=LogNorm(LEAST, MOST)
+    )
     bar = colour_bar(shown, scale, "magnification [sensor px per corrected px]", "both")
     bar.set_ticks([0.25, 0.5, 1.0, 2.0, 4.0], labels=["1/4", "1/2", "1", "2", "4"])
     bar.minorticks_off()

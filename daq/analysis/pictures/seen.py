@@ -11,6 +11,7 @@ from ground.rows import run_rows
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
 
+WIDEST_PX = 1008  # of a picture: as large as it is drawn
 Watched = Callable[[Iterable[tuple[float, float]], int, str], Iterable[tuple[float, float]]]
 
 

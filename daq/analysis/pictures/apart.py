@@ -1,0 +1,163 @@
+"""Pictures drawn by a process of their own, which gets ready while the verb computes.
+
+Importing matplotlib takes longer than tracing ten maps, on one core, while a verb that imports what it runs and
+loads its kernels leaves the other idle.  So the command forks before it imports anything (`begun`), the child
+imports what the verb draws with, and waits.  What is then to be drawn is sent to it: the name of a function, as
+"module:name", and arguments, which are data.  Errors come back and are raised where the verb waits.
+
+Nothing depends on the child: where there is none (one core, no fork, another thread already, a verb called from
+Python), or where it was killed, pictures are drawn by whoever asks.  It ends when nobody holds the other end.
+"""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib import import_module
+from multiprocessing.connection import Connection
+from typing import Any, Protocol
+
+import ground.compile_news as compile_news
+from ground.rows import thread_count
+
+Job = tuple[str, tuple[Any, ...]]
+
+
+class Draw(Protocol):
+    """Draws, here or apart."""
+
+    def __call__(self, place: str, *arguments: object) -> None:
+        """Call a function, "module:name", that draws."""
+
+
+class Apart:
+    """A process that draws.
+
+    Parameters
+    ----------
+    modules : sequence of str
+        What it imports at once.
+    """
+
+    def __init__(self, modules: Sequence[str]) -> None:
+        context = multiprocessing.get_context("fork")
+        self._end, other = context.Pipe()
+        self._waiting: list[Job] = []
+        target: Callable[..., None] = _draw_what_comes
+        self._process = context.Process(target=target, args=(other, self._end, tuple(modules)), daemon=True)
+        self._process.start()
+        other.close()
+
+    def send(self, job: Job) -> None:
+        """Let it draw; nothing is waited for but that it takes the arguments, which it does one job ahead."""
+        while self._waiting and self._end.poll() and self._heard():
+            pass
+        self._waiting.append(job)
+        with suppress(OSError):  # it is gone: `wait` finds out
+            self._end.send(job)
+
+    def wait(self) -> None:
+        """Wait until all is drawn; what a child that is gone has left undone is drawn here."""
+        while self._waiting and self._heard():
+            pass
+        while self._waiting:
+            _carry_out(self._waiting.pop(0))
+
+    def _heard(self) -> bool:
+        """Take the answer to the first job that waits for one; False if the child is gone."""
+        try:
+            error = self._end.recv()
+        except (EOFError, OSError):
+            return False
+        self._waiting.pop(0)
+        if error is not None:
+            raise error
+        return True
+
+    def end(self) -> None:
+        """Let it go; what it still draws nobody wants."""
+        self._end.close()
+        self._process.terminate()
+        self._process.join()
+
+
+_process: Apart | None = None
+
+
+@contextmanager
+def begun(modules: Sequence[str]) -> Iterator[None]:
+    """Within the block pictures are drawn apart, where that can be."""
+    global _process
+    if not modules or _process is not None or not _worth_it():
+        yield
+        return
+    _process = Apart(modules)
+    try:
+        yield
+    finally:
+        _process.end()
+        _process = None
+
+
+def _worth_it() -> bool:
+    """Whether a second core has time, and this process can be forked safely: without other threads, on Linux."""
+    alone = threading.active_count() == 1 and threading.current_thread() is threading.main_thread()
+    return sys.platform == "linux" and alone and thread_count() > 1
+
+
+@contextmanager
+def drawing() -> Iterator[Draw]:
+    """Give what draws; at the end of the block all is drawn.
+
+    Raises
+    ------
+    Exception
+        What drawing raises, such as DiskError.
+    """
+
+    def draw(place: str, *arguments: object) -> None:
+        job = (place, arguments)
+        if _process is None:
+            _carry_out(job)
+        else:
+            _process.send(job)
+
+    yield draw
+    if _process is not None:
+        _process.wait()
+
+
+def _carry_out(job: Job) -> None:
+    place, arguments = job
+    module, _, name = place.partition(":")
+    getattr(import_module(module), name)(*arguments)
+
+
+def _draw_what_comes(jobs: Connection, others: Connection, modules: Sequence[str]) -> None:
+    """Be the child."""
+    others.close()  # else it would never hear that nobody holds the other end
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    compile_news.watch = compile_news.complain = compile_news.make_helper = compile_news.helper = None
+    with suppress(ImportError):  # said by what needs it
+        for module in modules:
+            import_module(module)
+    while True:
+        try:
+            job = jobs.recv()
+        except (EOFError, OSError):
+            os._exit(0)
+        error: Exception | None = None
+        try:
+            _carry_out(job)
+        except Exception as raised:
+            error = raised
+        try:
+            jobs.send(error)
+        except OSError:
+            os._exit(0)
+        except Exception:  # an error that cannot be sent as it is
+            jobs.send(RuntimeError(str(error)))
