@@ -1,7 +1,8 @@
 """Where the light sheet runs into a body: nothing flows there, so nothing is recovered there.
 
 A ball that touches the target's plane is cut by a sheet that lies a little before it: 0.3 mm before the plane, a
-ball of 25 mm radius fills a disc of 3.9 mm radius of the sheet.
+ball of 25 mm radius fills a disc of 3.9 mm radius of the sheet.  The glass of a tube's wall, which may cross the
+plane, is told by the rays that end in it.
 """
 
 from dataclasses import replace
@@ -12,13 +13,13 @@ from numpy.typing import NDArray
 from correction.correction_map import CorrectionMap
 from correction.grid import PlaneGrid
 from correction.node_status import NodeStatus
-from tracer.bodies import Capsule
-from tracer.scene import CONTACT_TOL_MM, Scene
+from tracer.bodies import CONTACT_TOL_MM, Capsule
+from tracer.scene import Scene
 
 
 def outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
     """Return the map with its nodes inside bodies IN_GLASS; the same map where no body reaches through z = 0."""
-    cut = [body.capsule for body in scene.seen if body.lowest_mm < -CONTACT_TOL_MM]
+    cut = [body.capsule for body in scene.seen if body.lowest_mm < -CONTACT_TOL_MM and not body.may_cross_plane]
     if not cut:
         return found
     inside = np.any([_inside(capsule, found.grid) for capsule in cut], axis=0) & found.recovered

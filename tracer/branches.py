@@ -37,7 +37,7 @@ SHORT_NUMBERS = 1 << 16  # branches that uint16 can number; a packed bed seen by
 
 def event_numbers(scene: Scene) -> dict[str, int]:
     """Number of each event by its name."""
-    return {name: event for event, name in enumerate(scene.event_names())}
+    return {name: event for event, name in enumerate(scene.event_names()) if name}
 
 
 def sphere_of(scene: Scene, event: str) -> Sphere:
@@ -62,7 +62,7 @@ def name_keys(
     names, lengths = scene.event_names(), np.count_nonzero(trails >= 0, axis=1)
     known = trails[:, : lengths.max(initial=0)].tolist()
     return {
-        key: tuple(names[event] for event in trail[:length])
+        key: tuple(names[event] for event in trail[:length] if names[event])
         for key, trail, length in zip(keys.tolist(), known, lengths.tolist(), strict=True)
     }
 

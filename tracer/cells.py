@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracer.kernels.bed import GROW
+from tracer.kernels.rooms import ONE_ROOM, Rooms
 from tracer.kernels.world import World
 from tracer.scene import Scene
 
@@ -18,12 +19,12 @@ NO_CELLS: Cells = np.zeros(7), np.zeros(1, np.int32), np.empty(0, np.int32)
 
 def world_of(scene: Scene) -> World:
     """Bodies of a scene as the kernels take them."""
-    return world_from(scene.sphere_table(), scene.other_tables())
+    return world_from(scene.sphere_table(), scene.other_tables(), scene.rooms())
 
 
-def world_from(spheres: NDArray[np.float64], others: tuple[Any, ...] = ()) -> World:
+def world_from(spheres: NDArray[np.float64], others: tuple[Any, ...] = (), rooms: Rooms = ONE_ROOM) -> World:
     """The same for bare tables."""
-    return World(spheres, *cells_of(spheres), others)
+    return World(spheres, *cells_of(spheres), others, rooms)
 
 
 def cells_of(spheres: NDArray[np.float64]) -> Cells:

@@ -11,19 +11,21 @@ and the order of the bodies do not).  The hash travels into every map and every 
 import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
-from tracer.bodies import KINDS, Body, Sphere, vector3
+from tracer.bodies import CONTACT_TOL_MM, KINDS, Body, Sphere, vector3
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
+from tracer.kernels.rooms import Rooms
 from tracer.light_sheet import LightSheet
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
+from tracer.rooms import Arrangement
 
-CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
 DEEPEST_CUT_MM = 1.0  # that a light sheet may run into a body which touches the target's plane
 
 
@@ -61,7 +63,7 @@ class Scene:
     wavelength_nm : float
         Vacuum wavelength at which every index is taken.
     ambient : Medium
-        What fills the room between the bodies.
+        What fills the room between the bodies, outside of windows and tubes.
     sheet : LightSheet, optional
         Where particles are lit, if that is not the investigation plane.  No ray to the target depends on it, so
         the content hash does not; see `in_light_sheet`.
@@ -84,6 +86,7 @@ class Scene:
     def __post_init__(self) -> None:
         check_wavelength(self.wavelength_nm)
         problems = [*self._index_problems(), *self._place_problems(), *self._overlap_problems()]
+        problems += self.arrangement.problems()
         if problems:
             raise SceneError(problems=problems)
 
@@ -127,7 +130,8 @@ class Scene:
         first, second, third = (vector3(row) for row in camera.rotation_matrix @ sheet.axes().T)
         moved = replace(camera, position_mm=sheet.place(camera.position_mm), rotation=(first, second, third))
         bodies = tuple(body.moved(sheet.place) for body in self.bodies)
-        cut = [b for b in bodies if b.lowest_mm < -DEEPEST_CUT_MM and b.highest_mm > CONTACT_TOL_MM]
+        deep = [b for b in bodies if b.lowest_mm < -DEEPEST_CUT_MM and not b.may_cross_plane]
+        cut = [b for b in deep if b.highest_mm > CONTACT_TOL_MM]
         if cut:
             names = ", ".join(f"{body.name!r} ({-body.lowest_mm:.3g} mm deep)" for body in cut)
             raise SceneError(
@@ -144,11 +148,25 @@ class Scene:
         """Bodies that are no spheres, for the kernels: a table of each kind in use (``tracer.kernels.world``)."""
         return tuple(table for _, table in self._others())
 
+    @cached_property
+    def arrangement(self) -> Arrangement:
+        """Walls, and what stands inside of which."""
+        return Arrangement(self.bodies, self.camera.position_mm, self.ambient)
+
+    def rooms(self) -> Rooms:
+        """Rooms for the kernels."""
+        others = [body for kind in KINDS[1:] for body in kind.among(self.seen)]
+        return self.arrangement.rooms(self.spheres, others, self.wavelength_nm)
+
     def event_names(self) -> list[str]:
-        """Names of the events that rays number (``tracer.branches``); branches are made of them."""
+        """Names of the events that rays number (``tracer.branches``); branches are made of them.
+
+        Going in and out of a room has none, and is no part of a branch.
+        """
         most_cores = max((len(sphere.cores) for sphere in self.spheres), default=0)
         names = [sphere.event_name(way) for way in range(2 * most_cores + 1) for sphere in self.spheres]
-        return names + [body.name for kind in KINDS[1:] for body in kind.among(self.seen)]
+        others = [body for kind in KINDS[1:] for body in kind.among(self.seen)]
+        return names + [name for body in others for name in _ways_of(body)]
 
     def _others(self) -> Iterator[tuple[int, Any]]:
         """Place in KINDS and table of each kind in use but spheres."""
@@ -156,8 +174,12 @@ class Scene:
             if bodies := kind.among(self.seen):
                 yield place, kind.table_of(bodies, self._index)
 
-    def _index(self, medium: Medium) -> float:
-        return medium.n(self.wavelength_nm) / self.n_ambient
+    def n_around(self, body: Body) -> float:
+        """Index of the medium in the room where a body stands."""
+        return self.arrangement.medium_in(self.arrangement.home_of(body)).n(self.wavelength_nm)
+
+    def _index(self, body: Body, medium: Medium | None) -> float:
+        return 1.0 if medium is None else medium.n(self.wavelength_nm) / self.n_around(body)
 
     def content_hash(self) -> str:
         """Hex digest (16 characters) of every number that changes a ray."""
@@ -169,6 +191,9 @@ class Scene:
         numbers += sorted([0.0, *row] for row in self.sphere_table().tolist())
         for place, table in self._others():
             numbers += sorted([float(place), *row] for row in table.rows.tolist())
+        rooms = self.rooms()
+        if len(rooms.home):  # which is where follows from the numbers; what fills the rooms does not
+            numbers.append([-1.0, *rooms.n.tolist()])
         text = "\n".join(" ".join((float(x) + 0.0).hex() for x in row) for row in numbers)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -200,9 +225,10 @@ class Scene:
             for name in sorted(set(names) & ways.keys())
         ]
         for body in self.bodies:
-            if body.distance_mm(camera) <= 0.0:
+            if body.room is None and body.distance_mm(camera) <= 0.0:
                 problems.append((body.name, f"the camera is inside body {body.name!r}"))
-            if body.lowest_mm < -CONTACT_TOL_MM - self.cut_mm and body.highest_mm > CONTACT_TOL_MM:
+            through = body.lowest_mm < -CONTACT_TOL_MM - self.cut_mm and body.highest_mm > CONTACT_TOL_MM
+            if through and not body.may_cross_plane:
                 text = f"body {body.name!r} reaches {-body.lowest_mm:.6g} mm through the investigation plane"
                 problems.append((body.name, f"{text}; it may touch z = 0, not cross it"))
         return problems
@@ -210,7 +236,7 @@ class Scene:
     def _overlap_problems(self) -> list[tuple[str, str]]:
         spheres = Sphere.among(self.bodies)
         pairs: list[tuple[Body, Sphere]] = [*_near_pairs(spheres)]
-        others = [body for kind in KINDS[1:] for body in kind.among(self.bodies)]
+        others = [body for kind in KINDS[1:] for body in kind.among(self.bodies) if body.room is None]
         pairs += [(body, sphere) for body in others for sphere in spheres]
         problems = []
         for one, other in pairs:
@@ -219,6 +245,12 @@ class Scene:
                 text = f"bodies {one.name!r} and {other.name!r} overlap by {-gap:.6g} mm"
                 problems.append((other.name, f"{text}; they may touch, not overlap"))
         return problems
+
+
+def _ways_of(body: Body) -> tuple[str, str, str, str]:
+    """Names of the ways THROUGH, IN, OUT and OFF of a body that is no sphere."""
+    names = body.event_names
+    return names[0], "", "", names[1] if len(names) > 1 else ""
 
 
 def _near_pairs(spheres: Sequence[Sphere]) -> list[tuple[Sphere, Sphere]]:

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.scene import CONTACT_TOL_MM
+from tracer.bodies import CONTACT_TOL_MM
 
 WALL_MM = 1e-3
 ROUNDS = 500

@@ -163,7 +163,9 @@ def _landed(
     """Landings with the index of every sphere moved."""
     table = scene.sphere_table()
     table[:, 4] += np.asarray(index_step) / scene.n_ambient
-    return landings_through(scene.camera, world_from(table, scene.other_tables()), pixels, pose, scene.n_ambient)
+    return landings_through(
+        scene.camera, world_from(table, scene.other_tables(), scene.rooms()), pixels, pose, scene.n_ambient
+    )
 
 
 def _displaced(colour: Landings, mean: Landings) -> NDArray[np.float64]:

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.bodies import Body, Sphere, shifted_by
-from tracer.scene import CONTACT_TOL_MM
+from tracer.bodies import CONTACT_TOL_MM, Body, Sphere, shifted_by
 
 HELD_MM = 5.0  # glue, cups and what a tape measure misses
 ROUNDS = 100

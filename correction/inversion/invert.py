@@ -129,7 +129,8 @@ class Inversion:
         sequence = np.array([self.events[name] for name in self.ray_map.branches[sheet.branch]], np.int64)
         key = key_of(sequence)
         trip = chain_trip(self.scene, sequence) if self.lockstep else -1
-        solid = bool((sequence < len(self.tables[1].spheres)).all())
+        world = self.tables[1]
+        solid = not len(world.rooms.home) and bool((sequence < len(world.spheres)).all())
         balls, maps = self.balls, self.maps
 
         def work(part: Starts) -> None:

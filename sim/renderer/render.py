@@ -20,9 +20,9 @@ from sim.prints.patterns import Pattern, Pose
 from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
 from sim.renderer.surfaces import SOLID
-from tracer.bodies import Body, Rod, Sphere
+from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere
 from tracer.errors import SceneError
-from tracer.scene import CONTACT_TOL_MM, Scene
+from tracer.scene import Scene
 
 BLOCK_ROWS = 4
 BYTES_PER_PX = 30.0  # light, counts and noise of a frame

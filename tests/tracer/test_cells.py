@@ -12,6 +12,7 @@ from tracer.bodies import Rod
 from tracer.cells import NO_CELLS, sort_into_cells
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.maps import trace_rows
+from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.world import World, next_sphere
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
@@ -86,8 +87,8 @@ def test_rays_from_anywhere_meet_the_same_sphere(kind: str, seed: int) -> None:
             way = spheres[rng.integers(len(spheres)), :3] - start
         way = way / np.linalg.norm(way)
         last = int(rng.integers(-1, len(spheres)))
-        expected = next_sphere(*start, *way, last, spheres)
-        assert next_in_bed(*start, *way, last, spheres, frame, begin, items) == expected
+        expected = next_sphere(*start, *way, last, spheres, 0, ONE_ROOM.home)
+        assert next_in_bed(*start, *way, last, spheres, frame, begin, items, 0, ONE_ROOM.home) == expected
         met += expected[0] >= 0
     assert met > 1000
 

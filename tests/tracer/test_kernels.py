@@ -65,7 +65,7 @@ def test_ray_kernels_compiled_and_interpreted(name: str) -> None:
         for kernel in (ideal_xy, pixel_ray, pixel_ray_tangents):
             np.testing.assert_allclose(*both(kernel, u, v, camera), rtol=1e-12, atol=1e-15)
         d = pixel_ray(u, v, camera)
-        assert next_body(*camera[:3], *d, -1, world) == next_body.py_func(*camera[:3], *d, -1, world)
+        assert next_body(*camera[:3], *d, -1, 0, world) == next_body.py_func(*camera[:3], *d, -1, 0, world)
         compiled, plain = both(march, *camera[:3], *d, world)
         np.testing.assert_allclose(compiled, plain, rtol=1e-9, atol=1e-9)
         compiled, plain = both(march_pixel_tangents, u, v, camera, world)

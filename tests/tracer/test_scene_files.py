@@ -140,9 +140,9 @@ BROKEN = {
     "same name": ("name: far", "name: near", 11, "two bodies are called 'near'"),
     "wrong kind": (
         "kind: rod",
-        "kind: cube",
+        "kind: cone",
         15,
-        "bodies.post.kind: should be one of 'sphere', 'rod', not 'cube'",
+        "bodies.post.kind: should be one of 'sphere', 'rod', 'window', 'tube', not 'cone'",
     ),
     "kind in capitals": ("kind: rod", "kind: Rod", 15, "did you mean 'rod'?"),
     "no kind": ("kind: rod, ", "", 15, "bodies.post: key 'kind' is missing"),

@@ -4,10 +4,27 @@ One file a kind, and its class in KINDS: ``docs/add-a-body.md``.  Scenes without
 place in KINDS is part of a scene's content hash: new kinds come last.
 """
 
-from tracer.bodies.body import Body, BodySection, Capsule, shifted_by, vector3
+from tracer.bodies.body import CONTACT_TOL_MM, Body, BodySection, Capsule, Index, Room, shifted_by, vector3
 from tracer.bodies.rod import Rod
 from tracer.bodies.sphere import Core, Sphere
+from tracer.bodies.tube import Tube
+from tracer.bodies.window import Window
 
-KINDS: tuple[type[Body], ...] = (Sphere, Rod)
+KINDS: tuple[type[Body], ...] = (Sphere, Rod, Window, Tube)
 
-__all__ = ["KINDS", "Body", "BodySection", "Capsule", "Core", "Rod", "Sphere", "shifted_by", "vector3"]
+__all__ = [
+    "CONTACT_TOL_MM",
+    "KINDS",
+    "Body",
+    "BodySection",
+    "Capsule",
+    "Core",
+    "Index",
+    "Rod",
+    "Room",
+    "Sphere",
+    "Tube",
+    "Window",
+    "shifted_by",
+    "vector3",
+]

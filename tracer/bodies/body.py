@@ -16,6 +16,8 @@ from ground.config import Table
 from tracer.camera import Vector3
 from tracer.media import Medium
 
+CONTACT_TOL_MM = 1e-6  # a nanometre of overlap is contact: coordinates come from decimal files
+
 
 class Capsule(NamedTuple):
     """All points within `radius_mm` of the segment `start_mm`-`end_mm`."""
@@ -31,6 +33,9 @@ class Capsule(NamedTuple):
         length2 = float(axis @ axis)
         along = float(np.clip((point_mm - start) @ axis / length2, 0.0, 1.0)) if length2 > 0.0 else 0.0
         return float(np.linalg.norm(point_mm - start - along * axis)) - self.radius_mm
+
+
+Index = Callable[["Body", Medium | None], float]  # n of a medium (None: around) / n around a body
 
 
 class BodySection(Table):
@@ -50,6 +55,22 @@ class BodySection(Table):
         raise NotImplementedError
 
 
+class Room(NamedTuple):
+    """What a body keeps apart from the rest of the world.
+
+    Parameters
+    ----------
+    medium : Medium or None
+        What is in it; None: the same as around the body.
+    gaps_mm : callable
+        (corners (K, 3), radius) -> how far a body within `radius` of the hull of these points stays outside, and
+        how far inside, of the wall; both are negative for one that the wall cuts.
+    """
+
+    medium: Medium | None
+    gaps_mm: Callable[[NDArray[np.float64], float], tuple[float, float]]
+
+
 class Body(ABC):
     """A body: what stands before the investigation plane.  Subclasses are frozen dataclasses."""
 
@@ -64,8 +85,8 @@ class Body(ABC):
 
     @classmethod
     @abstractmethod
-    def table_of(cls, bodies: Iterable[Any], index: Callable[[Medium], float]) -> Any:  # noqa: ANN401
-        """Bodies of this kind for the kernels (``tracer.kernels.world``); `index` is a medium's n / n_ambient."""
+    def table_of(cls, bodies: Iterable[Any], index: Index) -> Any:  # noqa: ANN401
+        """Bodies of this kind for the kernels (``tracer.kernels.world``)."""
 
     @abstractmethod
     def section(self) -> dict[str, Any]:
@@ -107,6 +128,22 @@ class Body(ABC):
     def event_names(self) -> tuple[str, ...]:
         """Names of all ways through the body, as branches have them."""
         return (self.name,)
+
+    @property
+    def may_cross_plane(self) -> bool:
+        """Whether the body may reach through the investigation plane."""
+        return False
+
+    @property
+    def room(self) -> Room | None:
+        """The room behind or inside the body, if it parts the world (``tracer.kernels.rooms``)."""
+        return None
+
+    @property
+    def outline_mm(self) -> tuple[NDArray[np.float64], float]:
+        """Points (K, 3) and a radius: the body lies within the radius of the hull of the points."""
+        capsule = self.capsule
+        return np.array([capsule.start_mm, capsule.end_mm]), capsule.radius_mm
 
 
 def shifted_by(step_mm: Iterable[float]) -> Callable[[Vector3], Vector3]:

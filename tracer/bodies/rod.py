@@ -9,7 +9,7 @@ import numpy as np
 
 from ground.config import Triple
 from ground.jit import Array, kernel
-from tracer.bodies.body import Body, BodySection, Capsule, vector3
+from tracer.bodies.body import Body, BodySection, Capsule, Index, vector3
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.world import KINDS, Kind
@@ -102,7 +102,7 @@ class Rod(Body):
             )
 
     @classmethod
-    def table_of(cls, bodies: Iterable[Self], index: Callable[[Medium], float]) -> Rods:
+    def table_of(cls, bodies: Iterable[Self], index: Index) -> Rods:
         """Rods for the kernels."""
         return Rods(np.array([[*rod.start_mm, *rod.end_mm, rod.radius_mm] for rod in bodies]).reshape(-1, 7))
 

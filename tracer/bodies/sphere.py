@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ground.config import Table, Triple
 from ground.jit import Array
-from tracer.bodies.body import Body, BodySection, Capsule, vector3
+from tracer.bodies.body import Body, BodySection, Capsule, Index, vector3
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.sphere import INDEX, SOLID
@@ -123,10 +123,10 @@ class Sphere(Body):
             around = core.radius_mm
 
     @classmethod
-    def table_of(cls, bodies: Iterable[Self], index: Callable[[Medium], float]) -> Array:
-        """Spheres for the kernels: (N, 6) float64, rows x, y, z, radius [mm], n / n_ambient, opaque (0 or 1).
+    def table_of(cls, bodies: Iterable[Self], index: Index) -> Array:
+        """Spheres for the kernels: (N, 6) float64, rows x, y, z, radius [mm], n / n around, opaque (0 or 1).
 
-        Longer where there are cores: radius [mm], n / n_ambient of each follow, inwards; radius 0 is none.
+        Longer where there are cores: radius [mm], n / n around of each follow, inwards; radius 0 is none.
         """
         spheres = tuple(bodies)
         most_cores = max((len(sphere.cores) for sphere in spheres), default=0)
@@ -134,9 +134,9 @@ class Sphere(Body):
         for row, sphere in zip(table, spheres, strict=True):
             row[:SOLID] = (*sphere.centre_mm, sphere.radius_mm, 1.0, float(sphere.medium is None))
             if sphere.medium is not None:
-                row[INDEX] = index(sphere.medium)
+                row[INDEX] = index(sphere, sphere.medium)
             for k, core in enumerate(sphere.cores):
-                row[SOLID + 2 * k :][:2] = core.radius_mm, index(core.medium)
+                row[SOLID + 2 * k :][:2] = core.radius_mm, index(sphere, core.medium)
         return table
 
     def section(self) -> dict[str, Any]:

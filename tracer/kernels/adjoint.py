@@ -48,7 +48,7 @@ def trace_states(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, world: World, trail: Array, state: Array
 ) -> tuple[Any, ...]:  # fmt: skip
     """Trace one ray from p along d as `walk`, and keep its states."""
-    status, px, py, pz, dx, dy, dz, key, events, _ = walk(
+    status, px, py, pz, dx, dy, dz, key, events, _, _ = walk(
         px, py, pz, dx, dy, dz, world, keep_states, (trail, state)
     )
     return status, px, py, pz, dx, dy, dz, key, events
@@ -56,7 +56,8 @@ def trace_states(
 
 @kernel
 def back_through_other(
-    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, body: int, world: World, state: Array
+    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, body: int, way: int,
+    world: World, state: Array,
 ) -> tuple[float, ...]:  # fmt: skip
     """Carry one adjoint pair (f, g) of (p', d') back through a body of another kind."""
     px, py, pz, dx, dy, dz = state[0], state[1], state[2], state[3], state[4], state[5]
@@ -64,7 +65,9 @@ def back_through_other(
     for k in range(6):
         a, b, c = 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
         e, f, g = 1.0 if k == 3 else 0.0, 1.0 if k == 4 else 0.0, 1.0 if k == 5 else 0.0
-        x, y, z, u, v, w = rates_other(px, py, pz, dx, dy, dz, a, b, c, e, f, g, body, world.others)
+        x, y, z, u, v, w = rates_other(
+            px, py, pz, dx, dy, dz, a, b, c, e, f, g, body, world.others, world.still, way
+        )
         rate = fx * x + fy * y + fz * z + gx * u + gy * v + gz * w
         back = (
             rate if k == 0 else back[0],

@@ -42,6 +42,8 @@ def next_in_bed(
     frame: Array,
     begin: Array,
     items: Array,
+    room: int,
+    home: Array,
 ) -> tuple[int, float]:
     """Number of the sphere met next, or NOTHING, and the distance to its foot point, as ``world.next_sphere``."""
     best, nearest = NOTHING, math.inf
@@ -68,7 +70,8 @@ def next_in_bed(
                     m = -(wx * dx + wy * dy + wz * dz)
                     if 0.0 < m < nearest:
                         fx, fy, fz = wx + m * dx, wy + m * dy, wz + m * dz
-                        if fx * fx + fy * fy + fz * fz < spheres[s, RADIUS] * spheres[s, RADIUS]:
+                        near = fx * fx + fy * fy + fz * fz < spheres[s, RADIUS] * spheres[s, RADIUS]
+                        if near and (home.shape[0] == 0 or home[s] == room):
                             best, nearest = s, m
             if tx <= ty and tx <= tz:
                 t, i = tx, i + si

@@ -1,7 +1,9 @@
 """Branches as kernels write them: events, keys, trips and numbers.  What they mean stands in ``tracer.branches``.
 
 event    one body crossed, on one way: sphere + way * (number of spheres), which is the number of the sphere itself
-         on way 0; other bodies follow all ways through all spheres
+         on way 0; other bodies follow all ways through all spheres, with four ways each
+         (``tracer.kernels.rooms``). Going in and out of a room is an event like any other for those who follow a
+         ray back, but no part of a branch: everybody behind a window has come through it
 key      43-bit hash of a sequence of events, DIRECT for none: of any length, made event by event
 trip     the sequence itself where it is short and its bodies few (``tracer.kernels.chain``): their numbers + 1,
          BITS each, the latest lowest
@@ -9,6 +11,7 @@ number   of a trip whose bodies come in order: bit k for body k
 """
 
 from ground.jit import Array, kernel
+from tracer.kernels.rooms import WAYS
 from tracer.kernels.sphere import CENTRE_Z, SOLID
 
 NOTHING, FIRST_OTHER = -1, -2  # bodies: a sphere's number, nothing, or another body's, downwards
@@ -26,9 +29,9 @@ def next_key(key: int, event: int) -> int:
 
 
 @kernel
-def other_event(body: int, spheres: Array) -> int:
+def other_event(body: int, way: int, spheres: Array) -> int:
     """Event of crossing a body that is no sphere."""
-    return int(spheres.shape[0] * (spheres.shape[1] - SOLID + 1) + FIRST_OTHER - body)
+    return int(spheres.shape[0] * (spheres.shape[1] - SOLID + 1) + WAYS * (FIRST_OTHER - body) + way)
 
 
 @kernel
@@ -36,7 +39,7 @@ def body_of(event: int, spheres: Array) -> tuple[int, int]:
     """Body of an event, and the way through it."""
     other = event - spheres.shape[0] * (spheres.shape[1] - SOLID + 1)
     if other >= 0:
-        return FIRST_OTHER - other, 0
+        return FIRST_OTHER - other // WAYS, other % WAYS
     return event % spheres.shape[0], event // spheres.shape[0]
 
 

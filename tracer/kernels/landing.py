@@ -98,7 +98,9 @@ def trace_landings(
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
     for i in range(first, last):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
-        s, px, py, pz, wx, wy, wz, k, events, _ = walk(ox, oy, oz, dx, dy, dz, world, keep_states, (trail, state))
+        s, px, py, pz, wx, wy, wz, k, events, _, _ = walk(
+            ox, oy, oz, dx, dy, dz, world, keep_states, (trail, state)
+        )
         if s == RECOVERED and not wx * target[NORMAL] + wy * target[NORMAL + 1] + wz * target[NORMAL + 2] < 0.0:
             s = MISSED_PLANE
         status[i], key[i] = s, k
@@ -119,13 +121,18 @@ def trace_landings(
             for event in range(int(events) - 1, -1, -1):
                 body, way = body_of(trail[event], spheres)
                 if len(world.others) > 0 and body < NOTHING:
-                    fx, fy, fz, gx, gy, gz = back_through_other(fx, fy, fz, gx, gy, gz, body, world, state[event])
+                    fx, fy, fz, gx, gy, gz = back_through_other(
+                        fx, fy, fz, gx, gy, gz, body, way, world, state[event]
+                    )
                     continue
                 at = CAMERA_NUMBERS + SPHERE_NUMBERS * body
                 fx, fy, fz, gx, gy, gz = back_through(
                     fx, fy, fz, gx, gy, gz, spheres[body], way, state[event], row[at : at + SPHERE_NUMBERS]
                 )
-            for at in range(CAMERA_NUMBERS + 4, place, SPHERE_NUMBERS):
-                row[at] /= n_ambient
+            for k in range(spheres.shape[0]):
+                around = n_ambient
+                if world.rooms.home.shape[0] > 0:
+                    around *= world.rooms.n[world.rooms.home[k]]
+                row[CAMERA_NUMBERS + SPHERE_NUMBERS * k + 4] /= around
             row[0], row[1], row[2] = fx, fy, fz
             camera_rates(pixels[i, 0], pixels[i, 1], camera, dx, dy, dz, gx, gy, gz, by_pixel[i, axis], row)

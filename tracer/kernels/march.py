@@ -19,14 +19,16 @@ def march(px: float, py: float, pz: float, dx: float, dy: float, dz: float, worl
     Returns status, point x, y, z, direction, optical path / n_ambient, transmittance, key, events.  The point
     is the plane point of a recovered ray, else the foot point of its last straight piece.
     """
-    status, px, py, pz, dx, dy, dz, key, events, kept = walk(px, py, pz, dx, dy, dz, world, keep_light, (0.0, 1.0))
+    status, px, py, pz, dx, dy, dz, key, events, kept, index = walk(
+        px, py, pz, dx, dy, dz, world, keep_light, (0.0, 1.0)
+    )
     path, passed = kept
     if status != RECOVERED:
         return status, px, py, pz, dx, dy, dz, path, 0.0, key, events
     if not dz < 0.0:
         return MISSED_PLANE, px, py, pz, dx, dy, dz, path, passed, key, events
     t = -pz / dz
-    return RECOVERED, px + t * dx, py + t * dy, 0.0, dx, dy, dz, path + t, passed, key, events
+    return RECOVERED, px + t * dx, py + t * dy, 0.0, dx, dy, dz, path + t * index, passed, key, events
 
 
 @kernel
@@ -59,10 +61,10 @@ def keep_tangents(kept: Tangents, c: Crossing, world: World) -> Tangents:
     passed = passed * c.light * c.share
     if len(world.others) > 0 and c.kind == OTHER:
         fx, fy, fz, ux, uy, uz = rates_other(
-            c.wx, c.wy, c.wz, c.dx, c.dy, c.dz, fx, fy, fz, ux, uy, uz, c.body, world.others
+            c.wx, c.wy, c.wz, c.dx, c.dy, c.dz, fx, fy, fz, ux, uy, uz, c.body, world.others, world.still, c.way
         )
         gx, gy, gz, vx, vy, vz = rates_other(
-            c.wx, c.wy, c.wz, c.dx, c.dy, c.dz, gx, gy, gz, vx, vy, vz, c.body, world.others
+            c.wx, c.wy, c.wz, c.dx, c.dy, c.dz, gx, gy, gz, vx, vy, vz, c.body, world.others, world.still, c.way
         )
         return fx, fy, fz, gx, gy, gz, ux, uy, uz, vx, vy, vz, passed
     fx, fy, fz = foot_tangent(c.wx, c.wy, c.wz, c.dx, c.dy, c.dz, c.m, fx, fy, fz, ux, uy, uz)
@@ -93,7 +95,7 @@ def march_pixel_tangents(u: float, v: float, camera: Array, world: World) -> tup
     """
     dx, dy, dz, ux, uy, uz, vx, vy, vz = pixel_ray_tangents(u, v, camera)
     begin = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, ux, uy, uz, vx, vy, vz, 1.0)
-    status, px, py, pz, dx, dy, dz, key, events, kept = walk(
+    status, px, py, pz, dx, dy, dz, key, events, kept, _ = walk(
         camera[EYE_X], camera[EYE_Y], camera[EYE_Z], dx, dy, dz, world, keep_tangents, begin
     )
     if status == RECOVERED and not dz < 0.0:

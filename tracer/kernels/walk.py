@@ -23,7 +23,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ground.jit import Array, kernel_composed
-from tracer.kernels.branches import DIRECT, NOTHING, next_key, other_event
+from tracer.kernels.branches import DIRECT, FIRST_OTHER, NOTHING, next_key, other_event
+from tracer.kernels.rooms import IN, OFF, OUT, OUTERMOST, THROUGH
 from tracer.kernels.shell import way_through, with_cores
 from tracer.kernels.sphere import (
     CENTRE_X,
@@ -39,7 +40,19 @@ from tracer.kernels.sphere import (
     transmittance,
     turned,
 )
-from tracer.kernels.world import BLOCKED, RECOVERED, TIR, TOO_MANY_EVENTS, World, cross_other, next_body
+from tracer.kernels.world import (
+    BLOCKED,
+    ENTERED,
+    MISSED_PLANE,
+    OFF_INSIDE,
+    RECOVERED,
+    TIR,
+    TOO_MANY_EVENTS,
+    World,
+    cross_other,
+    leave_other,
+    next_body,
+)
 
 MAX_EVENTS = 64  # bodies crossed by one ray; a bed of a thousand spheres stays below 20
 PASSED, TURNED, REFLECTED, OTHER = range(4)
@@ -104,38 +117,56 @@ def walk(
     """Take a ray from p along d through the bodies.
 
     Returns status (RECOVERED: behind all bodies, wherever it goes), point and direction of the last straight
-    piece, key, events and what was kept.
+    piece, key, events, what was kept, and n / n_ambient of the room in which the ray ends.
     """
     key, events, last = DIRECT, 0, NOTHING
-    spheres = world.spheres
+    spheres, rooms = world.spheres, world.rooms
     cored = spheres.shape[1] > SOLID
+    room, index = OUTERMOST, 1.0
+    if len(world.others) > 0 and rooms.home.shape[0] > 0:
+        room = rooms.first
+        index = rooms.n[room]
     while True:
-        body = next_body(px, py, pz, dx, dy, dz, last, world)
-        if body == NOTHING:
-            return RECOVERED, px, py, pz, dx, dy, dz, key, events, kept
-        if len(world.others) > 0 and body < NOTHING:
-            fate, qx, qy, qz, ex, ey, ez, path, light = cross_other(px, py, pz, dx, dy, dz, body, world.others)
-            if fate == BLOCKED:
-                return BLOCKED, px, py, pz, dx, dy, dz, key, events, kept
+        body = next_body(px, py, pz, dx, dy, dz, last, room, world)
+        if body == NOTHING and (len(world.others) == 0 or room == OUTERMOST):
+            return RECOVERED, px, py, pz, dx, dy, dz, key, events, kept, index
+        if len(world.others) > 0 and body <= NOTHING:
+            leaves = body == NOTHING
+            if leaves:
+                body = rooms.wall[room]
+                fate, qx, qy, qz, ex, ey, ez, path, light = leave_other(px, py, pz, dx, dy, dz, body, world.others)
+                if fate == RECOVERED:  # the plane comes first
+                    return RECOVERED, px, py, pz, dx, dy, dz, key, events, kept, index
+                room = rooms.home[spheres.shape[0] + FIRST_OTHER - body]
+                index = rooms.n[room]
+            else:
+                fate, qx, qy, qz, ex, ey, ez, path, light = cross_other(px, py, pz, dx, dy, dz, body, world.others)
+            if fate in (BLOCKED, MISSED_PLANE):
+                return fate, px, py, pz, dx, dy, dz, key, events, kept, index
             if events == MAX_EVENTS:
-                return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, key, events, kept
-            event = other_event(body, spheres)
-            key = next_key(key, event)
+                return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, key, events, kept, index
+            way = OUT if leaves else IN if fate == ENTERED else OFF if fate == OFF_INSIDE else THROUGH
+            event = other_event(body, way, spheres)
+            if way in (THROUGH, OFF):
+                key = next_key(key, event)
             crossing = Crossing(
-                OTHER, events, event, body, 0, px, py, pz, dx, dy, dz,
-                0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, path, light, 0.0, 1.0,
+                OTHER, events, event, body, way, px, py, pz, dx, dy, dz,
+                0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, path * index, light, 0.0, 1.0,
             )  # fmt: skip
             kept = record(kept, crossing, world)
             events += 1
             if fate == TIR:
-                return TIR, px, py, pz, dx, dy, dz, key, events, kept
+                return TIR, px, py, pz, dx, dy, dz, key, events, kept, index
             px, py, pz, dx, dy, dz = qx, qy, qz, ex, ey, ez
             last = body
+            if way == IN:
+                room, last = rooms.inside[FIRST_OTHER - body], NOTHING
+                index = rooms.n[room]
             continue
         if spheres[body, OPAQUE] != 0.0:
-            return BLOCKED, px, py, pz, dx, dy, dz, key, events, kept
+            return BLOCKED, px, py, pz, dx, dy, dz, key, events, kept, index
         if events == MAX_EVENTS:
-            return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, key, events, kept
+            return TOO_MANY_EVENTS, px, py, pz, dx, dy, dz, key, events, kept, index
         cx, cy, cz = spheres[body, CENTRE_X], spheres[body, CENTRE_Y], spheres[body, CENTRE_Z]
         radius, n = spheres[body, RADIUS], spheres[body, INDEX]
         wx, wy, wz = px - cx, py - cy, pz - cz
@@ -147,24 +178,25 @@ def walk(
         if not b2 < radius * radius:
             crossing = Crossing(
                 PASSED, events, event, body, way, wx, wy, wz, dx, dy, dz, m, ax, ay, az, b2,
-                0.0, 0.0, 1.0, 0.0, 1.0, 0.0, m, 1.0, 0.0, 1.0,
+                0.0, 0.0, 1.0, 0.0, 1.0, 0.0, m * index, 1.0, 0.0, 1.0,
             )  # fmt: skip
             kept = record(kept, crossing, world)
         elif b2 >= n * n * radius * radius:
             crossing = Crossing(
                 REFLECTED, events, event, body, way, wx, wy, wz, dx, dy, dz, m, ax, ay, az, b2,
-                0.0, 0.0, 1.0, 0.0, 1.0, 0.0, m, 1.0, 0.0, 1.0,
+                0.0, 0.0, 1.0, 0.0, 1.0, 0.0, m * index, 1.0, 0.0, 1.0,
             )  # fmt: skip
             kept = record(kept, crossing, world)
-            return TIR, px, py, pz, dx, dy, dz, key, events + 1, kept
+            return TIR, px, py, pz, dx, dy, dz, key, events + 1, kept, index
         else:
             cos_i, cos_t = angles(b2, radius, n)
             surface = transmittance(cos_i, cos_t, n)
-            path = m + 2.0 * radius * (n * cos_t - cos_i)
+            path = (m + 2.0 * radius * (n * cos_t - cos_i)) * index
             solid, solid_q = through(b2, radius, n, cos_i, cos_t)
             cosine, q, more, share = solid, solid_q, 0.0, 1.0
             if way > 0:
                 cosine, q, more, share = with_cores(b2, spheres[body], way, solid, solid_q)
+                more *= index
             crossing = Crossing(
                 TURNED, events, event, body, way, wx, wy, wz, dx, dy, dz, m, ax, ay, az, b2,
                 cos_i, cos_t, solid, solid_q, cosine, q, path, surface * surface, more, share,

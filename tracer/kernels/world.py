@@ -14,12 +14,20 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ground.jit import OVERLOADED, Array, kernel, kernel_inlined, overload, unowned
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.branches import FIRST_OTHER, NOTHING
+from tracer.kernels.rooms import ONE_ROOM, Rooms
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, OPAQUE, RADIUS
 
 RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS = 0, 1, 2, 3, 4  # RayStatus, as plain integers
+ENTERED, OFF_INSIDE = 5, 6  # of a ray at a body: in another room now; behind it, totally reflected by its inside
+
+
+MOST_NUMBERS = 64  # of a row of another kind
+STILL = np.zeros(MOST_NUMBERS)
 
 
 class World(NamedTuple):
@@ -33,6 +41,10 @@ class World(NamedTuple):
         Grid of cells, see ``tracer.kernels.bed``; no items: every sphere is asked.
     others : tuple of NamedTuple
         Tables of the other kinds in use.
+    rooms : Rooms
+        Which of them stand where, if there are walls.
+    still : (MOST_NUMBERS,) float64
+        Rates of a row that does not change: zeros.
     """
 
     spheres: Array
@@ -40,6 +52,8 @@ class World(NamedTuple):
     begin: Array
     items: Array
     others: tuple[Any, ...] = ()
+    rooms: Rooms = ONE_ROOM
+    still: Array = STILL
 
 
 class Kind(NamedTuple):
@@ -51,14 +65,20 @@ class Kind(NamedTuple):
         Distance along the half-line p + t d to any point in the body, inf for a miss.
     cross : (px, py, pz, dx, dy, dz, row) -> (status, px, py, pz, dx, dy, dz, path, light), optional
         The ray behind the body, from a point that lies before all that comes later: RECOVERED if there is one,
-        else BLOCKED or TIR; optical path / n_ambient from p to p', share of the light that passes.  None: opaque.
-    rates : (px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row) -> six floats, optional
-        Derivatives of p' and d' when p changes by f and d by u.
+        OFF_INSIDE, ENTERED if it is in the room inside, else BLOCKED, TIR or MISSED_PLANE; optical path / n of the
+        room it came from, from p to p', share of the light that passes.  None: opaque.
+    rates : (px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, way) -> six floats, optional
+        Derivatives of p' and d' when p changes by f, d by u and the row by its rate, on a way THROUGH, IN, OUT,
+        OFF.
+    leave : like cross, optional
+        The ray that meets nothing more in the room inside: ENTERED outside, RECOVERED if the investigation plane
+        comes first, else BLOCKED, TIR or MISSED_PLANE.  Path / n of the room outside.  None: nobody comes out.
     """
 
     meets: Callable[..., float]
     cross: Callable[..., tuple[float, ...]] | None = None
     rates: Callable[..., tuple[float, ...]] | None = None
+    leave: Callable[..., tuple[float, ...]] | None = None
 
 
 KINDS: dict[type, Kind] = {}
@@ -68,15 +88,17 @@ KINDS: dict[type, Kind] = {}
 def unowned_world(world: World) -> World:
     """Return a world whose arrays do not count references; see `unowned`."""
     return World(
-        unowned(world.spheres), unowned(world.frame), unowned(world.begin), unowned(world.items), world.others
-    )
+        unowned(world.spheres), unowned(world.frame), unowned(world.begin), unowned(world.items), world.others,
+        world.rooms, unowned(world.still),
+    )  # fmt: skip
 
 
 @kernel
 def next_sphere(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, spheres: Array
-) -> tuple[int, float]:
-    """Number of the sphere met next, or NOTHING, and the distance to its foot point."""
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, spheres: Array,
+    room: int, home: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Number of the sphere in a room met next, or NOTHING, and the distance to its foot point."""
     best = NOTHING
     nearest = math.inf
     for i in range(spheres.shape[0]):
@@ -85,22 +107,27 @@ def next_sphere(
             m = -(wx * dx + wy * dy + wz * dz)
             if 0.0 < m < nearest:
                 ax, ay, az = wx + m * dx, wy + m * dy, wz + m * dz
-                if ax * ax + ay * ay + az * az < spheres[i, RADIUS] * spheres[i, RADIUS]:
+                near = ax * ax + ay * ay + az * az < spheres[i, RADIUS] * spheres[i, RADIUS]
+                if near and (home.shape[0] == 0 or home[i] == room):
                     best, nearest = i, m
     return best, nearest
 
 
 @kernel_inlined
-def next_body(px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, world: World) -> int:
-    """Number of the body met next, or NOTHING; the half-line starts at p and body `last` is excluded."""
+def next_body(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, last: int, room: int, world: World
+) -> int:
+    """Number of the body in a room met next, or NOTHING; the half-line starts at p and `last` is excluded."""
+    home = world.rooms.home
     if world.items.shape[0] > 0:
         best, nearest = next_in_bed(
-            px, py, pz, dx, dy, dz, last, world.spheres, world.frame, world.begin, world.items
+            px, py, pz, dx, dy, dz, last, world.spheres, world.frame, world.begin, world.items, room, home
         )
     else:
-        best, nearest = next_sphere(px, py, pz, dx, dy, dz, last, world.spheres)
+        best, nearest = next_sphere(px, py, pz, dx, dy, dz, last, world.spheres, room, home)
     if len(world.others) > 0:
-        best = meet_others(px, py, pz, dx, dy, dz, last, best, nearest, FIRST_OTHER, world.others)
+        of_others = home[world.spheres.shape[0] :] if home.shape[0] > 0 else home
+        best = meet_others(px, py, pz, dx, dy, dz, last, best, nearest, FIRST_OTHER, world.others, room, of_others)
     return best
 
 
@@ -116,12 +143,12 @@ def stops(
 
 def meet_others(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    last: int, best: int, nearest: float, number: int, others: tuple[Any, ...],
+    last: int, best: int, nearest: float, number: int, others: tuple[Any, ...], room: int, home: Array,
 ) -> int:  # fmt: skip
     """Number of the other body met before `nearest`, else `best`; `number` is that of the first one."""
     for table in others:
         for row in table.rows:
-            if number != last:
+            if number != last and (len(home) == 0 or home[FIRST_OTHER - number] == room):
                 t = KINDS[type(table)].meets(px, py, pz, dx, dy, dz, row)
                 if t < nearest:
                     best, nearest = number, t
@@ -141,15 +168,28 @@ def cross_other(
     return stopped(px, py, pz, dx, dy, dz)
 
 
+def leave_other(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, number: int, others: tuple[Any, ...]
+) -> tuple[float, ...]:
+    """Take a ray out of the room in another body, as `Kind.leave`."""
+    for table in others:
+        if FIRST_OTHER - number < len(table.rows):
+            leave = KINDS[type(table)].leave or stays
+            return leave(px, py, pz, dx, dy, dz, table.rows[FIRST_OTHER - number])
+        number += len(table.rows)
+    return stays(px, py, pz, dx, dy, dz)
+
+
 def rates_other(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, number: int, others: tuple[Any, ...],
+    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
+    number: int, others: tuple[Any, ...], rate: Array, way: int,
 ) -> tuple[float, ...]:  # fmt: skip
     """Derivatives of a ray behind another body, as `Kind.rates`."""
     for table in others:
         if FIRST_OTHER - number < len(table.rows):
-            rates = KINDS[type(table)].rates or held
-            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, table.rows[FIRST_OTHER - number])
+            rates, row = KINDS[type(table)].rates or held, table.rows[FIRST_OTHER - number]
+            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, way)
         number += len(table.rows)
     return fx, fy, fz, ux, uy, uz
 
@@ -163,9 +203,17 @@ def stopped(
 
 
 @kernel
+def stays(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array | None = None
+) -> tuple[int, float, float, float, float, float, float, float, float]:
+    """Let a ray end in its room: `Kind.leave` of what nobody comes out of."""
+    return RECOVERED, px, py, pz, dx, dy, dz, 0.0, 1.0
+
+
+@kernel
 def held(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float,
-    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array,
+    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float, row: Array, rate: Array, way: int,
 ) -> tuple[float, ...]:  # fmt: skip
     """`Kind.rates` of an opaque body, which nobody asks for."""
     return fx, fy, fz, ux, uy, uz
@@ -177,20 +225,21 @@ def _kind(others: Any) -> Kind | None:  # noqa: ANN401
 
 
 @overload(meet_others, jit_options=OVERLOADED)
-def _meet_others(px, py, pz, dx, dy, dz, last, best, nearest, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _meet_others(px, py, pz, dx, dy, dz, last, best, nearest, number, others, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     kind = _kind(others)
     if kind is None:
-        return lambda px, py, pz, dx, dy, dz, last, best, nearest, number, others: best
+        return lambda px, py, pz, dx, dy, dz, last, best, nearest, number, others, room, home: best
     meets = kind.meets
 
-    def first_and_rest(px, py, pz, dx, dy, dz, last, best, nearest, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    def first_and_rest(px, py, pz, dx, dy, dz, last, best, nearest, number, others, room, home):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
         rows = others[0].rows
         for i in range(rows.shape[0]):
-            if number - i != last:
+            if number - i != last and (len(home) == 0 or home[FIRST_OTHER - number + i] == room):
                 t = meets(px, py, pz, dx, dy, dz, rows[i])
                 if t < nearest:
                     best, nearest = number - i, t
-        return meet_others(px, py, pz, dx, dy, dz, last, best, nearest, number - rows.shape[0], others[1:])
+        rest, left = others[1:], number - rows.shape[0]
+        return meet_others(px, py, pz, dx, dy, dz, last, best, nearest, left, rest, room, home)
 
     return first_and_rest
 
@@ -211,18 +260,37 @@ def _cross_other(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-unt
     return first_or_rest
 
 
-@overload(rates_other, jit_options=OVERLOADED)
-def _rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+@overload(leave_other, jit_options=OVERLOADED)
+def _leave_other(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     kind = _kind(others)
     if kind is None:
-        return lambda px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others: (fx, fy, fz, ux, uy, uz)
-    rates = kind.rates or held
+        return lambda px, py, pz, dx, dy, dz, number, others: stays(px, py, pz, dx, dy, dz)
+    leave = kind.leave or stays
 
-    def first_or_rest(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    def first_or_rest(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
         rows = others[0].rows
         if FIRST_OTHER - number < rows.shape[0]:
-            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, rows[FIRST_OTHER - number])
-        rest = others[1:]
-        return rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number + rows.shape[0], rest)
+            return leave(px, py, pz, dx, dy, dz, rows[FIRST_OTHER - number])
+        return leave_other(px, py, pz, dx, dy, dz, number + rows.shape[0], others[1:])
+
+    return first_or_rest
+
+
+@overload(rates_other, jit_options=OVERLOADED)
+def _rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others, rate, way):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    kind = _kind(others)
+    if kind is None:
+        return lambda px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others, rate, way: (
+            fx, fy, fz, ux, uy, uz,
+        )  # fmt: skip
+    rates = kind.rates or held
+
+    def first_or_rest(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, number, others, rate, way):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+        rows = others[0].rows
+        if FIRST_OTHER - number < rows.shape[0]:
+            row = rows[FIRST_OTHER - number]
+            return rates(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, row, rate, way)
+        rest, left = others[1:], number + rows.shape[0]
+        return rates_other(px, py, pz, dx, dy, dz, fx, fy, fz, ux, uy, uz, left, rest, rate, way)
 
     return first_or_rest

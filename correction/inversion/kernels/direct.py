@@ -34,6 +34,7 @@ from tracer.kernels.chain import (
     look,
     place_row,
 )
+from tracer.kernels.rooms import OUTERMOST
 from tracer.kernels.world import next_body, stops
 
 MAX_STEPS = 25
@@ -77,6 +78,10 @@ def hide_nodes(
         count = 1
     for i in range(width):
         hidden[i] = FREE
+    if world.rooms.home.shape[0] > 0:  # behind a wall nothing is seen straight
+        for i in range(width):
+            hidden[i] = BEHIND_GLASS
+        return
     for j in range(count):
         low = joined[j, 0]
         while low < joined[j, 1]:
@@ -93,9 +98,10 @@ def hide_nodes(
                     dx, dy = x[i], -y[i]
                     unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
                     dx, dy, dz = dx * unit, dy * unit, -unit
-                    body = next_body(camera[EYE_X], camera[EYE_Y], camera[EYE_Z], dx, dy, dz, NOTHING, world)
+                    ex, ey, ez = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
+                    body = next_body(ex, ey, ez, dx, dy, dz, NOTHING, OUTERMOST, world)
                     if body != NOTHING:
-                        opaque = stops(camera[EYE_X], camera[EYE_Y], camera[EYE_Z], dx, dy, dz, body, world)
+                        opaque = stops(ex, ey, ez, dx, dy, dz, body, world)
                         hidden[i] = BEHIND_BODY if opaque else BEHIND_GLASS
             low = high
 

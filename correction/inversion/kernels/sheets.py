@@ -109,12 +109,13 @@ def flag_rows(
     plane, branch, status, flags = unowned(plane), unowned(branch), unowned(status), unowned(flags)
     height, width = branch.shape
     x0, y0, per_mm = grid[0], grid[1], 1.0 / grid[2]
+    least = 0 if tables[1].rooms.home.shape[0] > 0 else 1  # behind a wall the direct view is sought as well
     for row in range(first, last):
         up, down = max(0, row - 1), min(height - 1, row + 1)
         begin, end = width, 0
         for i in range(width):
             flags[row, i] = 0
-            glass = branch[row, i] != 0
+            glass = branch[row, i] >= least
             begin, end = min(begin, i if glass else width), max(end, i + 1 if glass else 0)
         begin, end = max(begin, 1), min(end, width - 1)
         counts[row] = 0
@@ -129,7 +130,7 @@ def flag_rows(
             straight = max(bend_u, bend_v) <= MOST_BENT * abs(xu * yv - xv * yu)
             own |= 0 if straight else BENT
             alone = xu * xv * yu * yv * 0.0 != 0.0
-            here = (branch[row, i] != 0) & (status[row, i] == RECOVERED)
+            here = (branch[row, i] >= least) & (status[row, i] == RECOVERED)
             own = LONELY if alone else own
             flags[row, i] = own if here else 0
             lonely += alone & here

@@ -1,0 +1,83 @@
+"""Random scenes with windows, tubes, liquids and balls in all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.tracer.scenes import camera_at
+from tracer.bodies import Body, Core, Sphere, Tube, Window
+from tracer.errors import SceneError
+from tracer.media import ConstantMedium, Medium
+from tracer.scene import Scene
+
+CAMERA_Z = 400.0
+
+
+def index(rng: np.random.Generator, *choices: float) -> Medium:
+    return ConstantMedium(float(rng.choice(choices)))
+
+
+def drawn_window(rng: np.random.Generator, z_mm: float = 165.0) -> Window:
+    normal = np.array([*rng.uniform(-0.5, 0.5, 2), 1.0])
+    normal /= np.linalg.norm(normal)
+    return Window(
+        "window",
+        (0.0, 0.0, float(z_mm + rng.uniform(-10.0, 10.0))),
+        tuple(normal.tolist()),
+        float(rng.choice([1e-3, 1.0, 10.0, 30.0])),
+        float(rng.uniform(60.0, 200.0)),
+        index(rng, 1.0, 1.46, 1.5195, 1.8),
+        index(rng, 1.0, 1.33, 1.4, 1.5195) if rng.random() < 0.7 else None,
+    )
+
+
+def drawn_tube(rng: np.random.Generator) -> Tube:
+    outer, length = float(rng.uniform(15.0, 40.0)), float(rng.uniform(20.0, 160.0))
+    axis = rng.normal(size=3) * (1.0, 1.0, 0.2)
+    half = 0.5 * length * axis / np.linalg.norm(axis)
+    middle = np.array([*rng.uniform(-10.0, 10.0, 2), rng.uniform(0.0, 40.0)])
+    start, end = tuple((middle - half).tolist()), tuple((middle + half).tolist())
+    inner = outer * float(rng.choice([0.999999, 0.95, 0.8, 0.3]))
+    filled = index(rng, 1.0, 1.33, 1.4, 1.7) if rng.random() < 0.6 else None
+    return Tube("tube", start, end, outer, inner, index(rng, 1.0, 1.33, 1.5195, 1.7), filled)
+
+
+def drawn_walls(rng: np.random.Generator, both: bool = True) -> Scene:
+    """A camera, perhaps (or for sure: `both`) a window and a tube, and up to nine balls, some of them hollow.
+
+    Kernels are compiled for the kinds that a scene has: fast tests keep to both.
+    """
+    position = (*(float(x) for x in rng.uniform(-60.0, 60.0, 2)), CAMERA_Z)
+    scene = Scene(camera_at(position, (0.0, 0.0, 0.0), 5000.0, (64, 48)))
+    for make in (drawn_window, drawn_tube):
+        before = len(scene.bodies)
+        while (both and len(scene.bodies) == before) or (not both and rng.random() < 0.5):
+            scene = with_room_for(scene, make(rng))
+            if len(scene.bodies) > before:
+                break
+    for k in range(40):
+        radius = float(rng.uniform(2.0, 14.0))
+        centre = (*(float(x) for x in rng.uniform(-30.0, 30.0, 2)), float(rng.uniform(radius, 140.0)))
+        ball = Sphere(f"b{k}", centre, radius, index(rng, 1.0, 1.3, 1.4, 1.5195, 1.9))
+        if rng.random() < 0.2:
+            ball = replace(ball, cores=(Core(radius * float(rng.uniform(0.2, 1.0)), index(rng, 1.0, 1.33)),))
+        scene = with_room_for(scene, ball)
+        if len(scene.bodies) > 9:
+            break
+    return scene
+
+
+def with_room_for(scene: Scene, body: Body) -> Scene:
+    """The scene with a body more, or as it is if that cannot stand there."""
+    try:
+        return scene.with_bodies([*scene.bodies, body])
+    except SceneError:
+        return scene
+
+
+def aimed(rng: np.random.Generator, scene: Scene, count: int) -> NDArray[np.float64]:
+    """Directions (count, 3) from the camera to points among the bodies."""
+    there = np.concatenate((rng.uniform(-45.0, 45.0, (count, 2)), rng.uniform(0.0, 100.0, (count, 1))), axis=1)
+    ways = there - np.array(scene.camera.position_mm)
+    return ways / np.linalg.norm(ways, axis=1, keepdims=True)

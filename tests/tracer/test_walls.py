@@ -1,0 +1,222 @@
+"""Windows and tubes, alone and in one another, with balls before, behind and inside: against 50 digits."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+from mpmath import mpf
+
+from benchmarks.walls_reference import Walls, follow_walls, unit, vector
+from correction.correction_map import build_correction_map
+from correction.grid import PlaneGrid
+from tests.tracer.drawn_walls import aimed, drawn_walls
+from tests.tracer.scenes import camera_at
+from tracer.bodies import Body, Sphere, Tube, Window
+from tracer.errors import SceneError
+from tracer.media import ConstantMedium
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+from tracer.scene_file import dump_scene, load_scene
+from tracer.sensitivity import Landings, landings
+from tracer.status import RayStatus
+from tracer.trace import trace, trace_from
+
+STATUS = {
+    "recovered": RayStatus.RECOVERED,
+    "tir": RayStatus.TIR,
+    "missed": RayStatus.MISSED_PLANE,
+    "blocked": RayStatus.BLOCKED,
+}
+GLASS, WATER = ConstantMedium(1.5195), ConstantMedium(1.333)
+LEVEL = 0.05  # a ray less than 3 degrees from level lands far away, and rounding with it
+AIR_CAMERA = camera_at((0.0, 0.0, 400.0), (0.0, 0.0, 0.0), 2000.0, (96, 64))
+
+
+def window(**changes: object) -> Window:
+    plain = Window("window", (0.0, 0.0, 150.0), (0.0, 0.0, 1.0), 10.0, 100.0, GLASS, WATER)
+    return replace(plain, **changes)
+
+
+def tube(**changes: object) -> Tube:
+    plain = Tube("tube", (-80.0, 0.0, 0.0), (80.0, 0.0, 0.0), 50.0, 45.0, GLASS)
+    return replace(plain, **changes)
+
+
+def judge(scenes: int, rays: int, seed: int, both: bool) -> int:
+    """Follow random rays through random scenes both ways; returns how many landed."""
+    rng, landed = np.random.default_rng(seed), 0
+    for _ in range(scenes):
+        scene = drawn_walls(rng, both)
+        start = np.array(scene.camera.position_mm)
+        ways = aimed(rng, scene, rays)
+        traced = trace_from(scene, np.broadcast_to(start, ways.shape), ways)
+        walls = Walls(scene)
+        for ray, way in zip(traced.rays, ways.tolist(), strict=True):
+            end = follow_walls(walls, vector(tuple(start.tolist())), vector(tuple(way)))
+            assert RayStatus(ray["status"]) == STATUS[end.status], (scene, way)
+            if end.status != "recovered":
+                continue
+            landed += 1
+            level = 1.0 if abs(end.direction[2]) > LEVEL else 1e4
+            bound = level * (1e-9 if end.steepest < 0.99 else 1e-5)
+            assert (
+                mpmath.hypot(end.point[0] - mpf(float(ray["x_mm"])), end.point[1] - mpf(float(ray["y_mm"])))
+                < bound
+            )
+            assert abs(end.path - mpf(float(ray["path_mm"]))) < bound
+            assert abs(end.passed - mpf(float(ray["transmittance"]))) < 1e-6
+            names = (re.sub("( off)? core$", "", name) for name in traced.branches[int(ray["key"])])
+            assert tuple(names) == end.branch
+    return landed
+
+
+def test_random_rays_against_50_digits() -> None:
+    assert judge(scenes=24, rays=12, seed=11, both=True) > 200
+
+
+@pytest.mark.slow
+def test_many_random_rays_against_50_digits() -> None:
+    assert judge(scenes=1000, rays=20, seed=12, both=False) > 15_000
+
+
+def test_derivatives_are_those_of_the_rays() -> None:
+    rng, step, judged = np.random.default_rng(5), 1e-5, 0
+    for _ in range(20):
+        scene = drawn_walls(rng)
+        scene = scene.with_camera(replace(scene.camera, focal_px=2000.0))
+        pixels = rng.uniform(-200.0, 250.0, (20, 2))
+        here, eye = landings(scene, pixels), np.array(scene.camera.position_mm)
+
+        def seen(pixel: int | None, place: int | None, by: float, scene: Scene = scene) -> Landings:
+            moved = pixels + by * np.eye(2)[pixel] if pixel is not None else pixels  # noqa: B023
+            at = eye + by * np.eye(3)[place] if place is not None else eye  # noqa: B023
+            camera = replace(scene.camera, position_mm=tuple(at.tolist()))
+            return landings(scene.with_camera(camera), moved)
+
+        rates = [(here.pixel_rate[:, :, k], (k, None)) for k in range(2)]
+        rates += [(here.columns([f"camera.{name}"])[:, :, 0], (None, k)) for k, name in enumerate("xyz")]
+        for rate, what in rates:
+            ahead, back = seen(*what, step), seen(*what, -step)
+            same = here.recovered & (ahead.key == here.key) & (back.key == here.key)
+            same &= ahead.recovered & back.recovered
+            numeric = (ahead.point_mm - back.point_mm) / (2.0 * step)
+            size = 0.01 + np.abs(numeric).max(axis=1, keepdims=True)
+            assert (np.abs(numeric - rate) < 2e-6 * size)[same].all()
+            judged += int(same.sum())
+    assert judged > 1000
+
+
+def test_what_is_no_glass_does_nothing() -> None:
+    """A plate, a tube and a shell of their surroundings' medium, or of no thickness, leave the ray where it is."""
+    air = ConstantMedium(1.0)
+    pixels = np.random.default_rng(1).uniform(0.0, 60.0, (200, 2))
+    ball = Sphere("ball", (0.0, 0.0, 20.0), 15.0, GLASS)
+    bare = trace(Scene(AIR_CAMERA, (ball,)), pixels).plane_mm
+    no_window = window(medium=air, behind=None)
+    for walls in (
+        (no_window, tube(medium=air)),
+        (window(medium=air, behind=air, normal=(0.0, 0.6, 0.8)), tube(medium=air, filled=air)),
+        (no_window, tube(inner_radius_mm=50.0 - 1e-9)),
+    ):
+        through = trace(Scene(AIR_CAMERA, (*walls, ball)), pixels).plane_mm
+        bound = 1e-12 if walls[1].medium == air else 1e-9
+        np.testing.assert_allclose(through, bare, rtol=0.0, atol=bound * 400.0)
+
+
+def test_a_plate_shifts_by_the_textbook() -> None:
+    """(1 - cos i / (n cos t)) d sin i across the ray, d / cos t of path: Hecht, Optics, 4.4."""
+    scene = Scene(AIR_CAMERA, (window(behind=None), tube(medium=ConstantMedium(1.0))))
+    way = unit((0.3, 0.0, -1.0))
+    angle = mpmath.acos(-way[2])
+    bent = mpmath.asin(mpmath.sin(angle) / mpf(1.5195))
+    across = 10 * mpmath.sin(angle - bent) / mpmath.cos(bent)
+    ray = trace_from(scene, [[0.0, 0.0, 400.0]], [[float(x) for x in way]]).rays[0]
+    expected = 400 * mpmath.tan(angle) - across / mpmath.cos(angle)
+    assert float(expected) == pytest.approx(float(ray["x_mm"]), abs=1e-11)
+
+
+def test_a_ball_knows_the_medium_in_which_it_stands() -> None:
+    """In a liquid of its own index a ball is not there; its n counts against the liquid, not the air."""
+    liquid = ConstantMedium(1.5195)
+    pixels = np.random.default_rng(2).uniform(0.0, 60.0, (100, 2))
+    ball = Sphere("ball", (0.0, 0.0, 20.0), 15.0, GLASS)
+    walls = (window(behind=liquid), tube(medium=liquid))
+    with_ball = trace(Scene(AIR_CAMERA, (*walls, ball)), pixels).plane_mm
+    without = trace(Scene(AIR_CAMERA, walls), pixels).plane_mm
+    np.testing.assert_allclose(with_ball, without, rtol=0.0, atol=1e-10)
+    assert Scene(AIR_CAMERA, (*walls, ball)).sphere_table()[0, 4] == 1.0
+
+
+def test_the_order_of_bodies_does_not_matter() -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(5):
+        scene = drawn_walls(rng)
+        turned = scene.with_bodies(scene.bodies[::-1])
+        assert turned.content_hash() == scene.content_hash()
+        pixels = rng.uniform(0.0, 60.0, (50, 2))
+        np.testing.assert_array_equal(trace(scene, pixels).plane_mm, trace(turned, pixels).plane_mm)
+
+
+def test_every_number_is_in_the_hash() -> None:
+    known = {Scene(AIR_CAMERA, (window(),)).content_hash(), Scene(AIR_CAMERA, (tube(),)).content_hash()}
+    changed = [
+        window(centre_mm=(0.0, 0.0, 151.0)), window(normal=(0.0, 0.6, 0.8)), window(thickness_mm=9.0),
+        window(radius_mm=90.0), window(medium=WATER), window(behind=None), tube(start_mm=(-81.0, 0.0, 0.0)),
+        tube(outer_radius_mm=51.0), tube(inner_radius_mm=44.0), tube(medium=WATER), tube(filled=WATER),
+    ]  # fmt: skip
+    for number, wall in enumerate(changed, start=3):
+        known.add(Scene(AIR_CAMERA, (wall,)).content_hash())
+        assert len(known) == number
+
+
+def test_a_map_behind_walls_is_inverted() -> None:
+    """Each node's pixel sees the node; direct views are sought behind a window, where no line is straight."""
+    ball = Sphere("ball", (0.0, 2.0, 7.0), 4.0, ConstantMedium(1.6))
+    camera = camera_at((0.0, 0.0, 400.0), (0.0, 0.0, 0.0), 2600.0, (160, 120))
+    tilted = tuple(float(x) for x in unit((0.02, -0.03, 1.0)))
+    scene = Scene(camera, (window(normal=tilted), tube(filled=ConstantMedium(1.0)), ball))
+    ray_map = build_ray_map(scene)
+    found = build_correction_map(scene, ray_map, PlaneGrid((-9.0, 7.0), 0.5, (29, 37)))
+    assert set(ray_map.branches) >= {(), ("ball",)}
+    back = trace(scene, found.pixel[0][found.recovered]).plane_mm
+    np.testing.assert_allclose(back, found.grid.nodes_mm()[found.recovered], rtol=0.0, atol=1e-9)
+    seen = {found.branches[number] for number in np.unique(found.branch[0][found.recovered])}
+    assert seen >= {(), ("ball",)}
+    assert found.recovered.mean() > 0.7
+
+
+def test_scene_files_hold_walls(tmp_path: Path) -> None:
+    scene = Scene(
+        AIR_CAMERA, (window(), tube(filled=ConstantMedium(1.0)), Sphere("b", (0.0, 0.0, 20.0), 9.0, GLASS))
+    )
+    (tmp_path / "scene.yaml").write_text(dump_scene(scene))
+    again = load_scene(tmp_path / "scene.yaml")
+    assert again.content_hash() == scene.content_hash()
+    assert again.bodies == scene.bodies
+
+
+def ball(z_mm: float) -> Sphere:
+    return Sphere("b", (0.0, 0.0, z_mm), 5.0, GLASS)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "words"),
+    [
+        (lambda: (tube(), ball(46.0)), "tube 'tube' cuts body 'b'"),
+        (lambda: (window(), ball(150.0)), "window 'window' cuts body 'b'"),
+        (lambda: (window(), tube(start_mm=(0.0, 0.0, 20.0), end_mm=(0.0, 0.0, 200.0))), "cuts body 'tube'"),
+        (lambda: (window(centre_mm=(0.0, 0.0, 405.0)),), "the camera stands in the glass"),
+        (lambda: (tube(inner_radius_mm=60.0),), "less than outer_radius_mm"),
+        (lambda: (tube(end_mm=(-80.0, 0.0, 0.0)),), "two points"),
+        (lambda: (tube(), tube(name="b", start_mm=(0.0, 0.0, 5.0), outer_radius_mm=47.0)), "cuts body"),
+        (lambda: (window(), window(name="b", centre_mm=(90.0, 0.0, 60.0), normal=(1.0, 0.0, 0.0)), ball(20.0)),
+         "cuts body"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_refused(bodies: Callable[[], tuple[Body, ...]], words: str) -> None:
+    with pytest.raises(SceneError, match=re.escape(words)):
+        Scene(AIR_CAMERA, bodies())

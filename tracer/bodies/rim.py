@@ -1,0 +1,38 @@
+"""Discs and directions: what plates and tubes are described by."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracer.bodies.body import vector3
+from tracer.camera import Vector3
+from tracer.errors import SceneError
+
+POINTS = 64  # of a rim; its polygon is 0.1 % of a radius inside the circle
+SHORTEST = 1e-9
+
+
+def unit_vector(vector: Sequence[float], what: str) -> Vector3:
+    """Return the vector (3,) with length 1.
+
+    Raises
+    ------
+    SceneError
+        It is none: all zeros.
+    """
+    length = float(np.linalg.norm(vector))
+    if not length > SHORTEST:
+        raise SceneError(f"{what} must have a direction, not {list(vector)}")
+    return vector3(np.array(vector) / length)
+
+
+def rims(start_mm: Vector3, end_mm: Vector3, radius_mm: float) -> NDArray[np.float64]:
+    """Points (2 POINTS, 3) of the two rims of a cylinder, from the ends of its axis."""
+    start, end = np.array(start_mm), np.array(end_mm)
+    axis = (end - start) / np.linalg.norm(end - start)
+    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    first /= np.linalg.norm(first)
+    angle = 2.0 * np.pi / POINTS * np.arange(POINTS)
+    circle = radius_mm * (np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * np.cross(axis, first))
+    return np.concatenate((start + circle, end + circle))

@@ -1,0 +1,201 @@
+"""A tube: a cylindrical wall of glass, filled with another medium if need be, with bodies inside."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.config import Triple
+from ground.jit import Array
+from tracer.bodies.body import Body, BodySection, Capsule, Index, Room, vector3
+from tracer.bodies.rim import SHORTEST, rims
+from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
+from tracer.errors import SceneError
+from tracer.kernels.tube import cross_tube, leave_tube, meets_tube, tube_rates
+from tracer.kernels.world import KINDS, Kind
+from tracer.media import Medium
+from tracer.medium_table import MediumTable, Positive, medium_of, written
+
+
+class Tubes(NamedTuple):
+    """Tubes for the kernels: rows (N, 11), see ``tracer.kernels.tube``."""
+
+    rows: Array
+
+
+KINDS[Tubes] = Kind(meets_tube, cross_tube, tube_rates, leave_tube)
+
+
+class TubeSection(BodySection):
+    """A tube in a scene file."""
+
+    kind: Literal["tube"]
+    start_mm: Triple
+    end_mm: Triple
+    outer_radius_mm: Positive
+    inner_radius_mm: Positive
+    material: str | MediumTable
+    filled: str | MediumTable | None = None
+
+    def body(self, name: str, media: Mapping[str, Medium]) -> "Tube":
+        """Return the tube described.
+
+        Raises
+        ------
+        SceneError
+            It cannot be; names the part at fault.
+        """
+        filled = None if self.filled is None else medium_of(self.filled, media)
+        ends, radii = (vector3(self.start_mm), vector3(self.end_mm)), (self.outer_radius_mm, self.inner_radius_mm)
+        return Tube(name, *ends, *radii, medium_of(self.material, media), filled)
+
+
+@dataclass(frozen=True)
+class Tube(Body):
+    """A glass tube with open ends.
+
+    Parameters
+    ----------
+    name : str
+        Name in messages, branches and files; unique in its scene.
+    start_mm, end_mm : (float, float, float)
+        Ends of the axis.
+    outer_radius_mm, inner_radius_mm : float
+        Radii of the wall.
+    medium : Medium
+        The glass.
+    filled : Medium or None
+        What is in the tube; None: what is around it.
+    """
+
+    kind: ClassVar[str] = "tube"
+    Section: ClassVar[type[BodySection]] = TubeSection
+
+    name: str
+    start_mm: Vector3
+    end_mm: Vector3
+    outer_radius_mm: float
+    inner_radius_mm: float
+    medium: Medium
+    filled: Medium | None = None
+
+    def __post_init__(self) -> None:
+        if not SMALLEST_MM <= self.inner_radius_mm < self.outer_radius_mm <= LONGEST_MM:
+            raise SceneError(
+                f"tube {self.name!r}: inner_radius_mm must be {SMALLEST_MM:g} mm at least and less than"
+                f" outer_radius_mm, {self.outer_radius_mm:g} mm, not {self.inner_radius_mm:g} mm"
+            )
+        if not (within_reach(self.start_mm) and within_reach(self.end_mm)):
+            raise SceneError(
+                f"tube {self.name!r}: start_mm and end_mm must lie within {LONGEST_MM:g} mm of the origin"
+            )
+        if not math.dist(self.start_mm, self.end_mm) > SHORTEST:
+            raise SceneError(f"tube {self.name!r}: start_mm and end_mm must be two points, the ends of its axis")
+
+    @property
+    def axis(self) -> Vector3:
+        """Unit vector from start to end."""
+        step = np.array(self.end_mm) - np.array(self.start_mm)
+        return vector3(step / np.linalg.norm(step))
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the axis."""
+        return math.dist(self.start_mm, self.end_mm)
+
+    @classmethod
+    def table_of(cls, bodies: Iterable[Self], index: Index) -> Tubes:
+        """Tubes for the kernels."""
+        rows = [
+            [
+                *tube.start_mm, *tube.axis, tube.length_mm, tube.outer_radius_mm, tube.inner_radius_mm,
+                index(tube, tube.medium), index(tube, tube.filled),
+            ]
+            for tube in bodies
+        ]  # fmt: skip
+        return Tubes(np.array(rows).reshape(-1, 11))
+
+    def section(self) -> dict[str, Any]:
+        """Return the tube as a scene file has it."""
+        filled = {} if self.filled is None else {"filled": written(self.filled)}
+        ends = {"start_mm": list(self.start_mm), "end_mm": list(self.end_mm)}
+        radii = {"outer_radius_mm": self.outer_radius_mm, "inner_radius_mm": self.inner_radius_mm}
+        return {
+            "name": self.name, "kind": self.kind, **ends, **radii, "material": written(self.medium), **filled
+        }  # fmt: skip
+
+    @property
+    def capsule(self) -> Capsule:
+        """A capsule around the tube, round beyond its ends."""
+        return Capsule(self.start_mm, self.end_mm, self.outer_radius_mm)
+
+    @property
+    def outline_mm(self) -> tuple[NDArray[np.float64], float]:
+        """Points of both rims."""
+        return rims(self.start_mm, self.end_mm, self.outer_radius_mm), 0.0
+
+    @property
+    def lowest_mm(self) -> float:
+        """Smallest z of the tube."""
+        return float(self.outline_mm[0][:, 2].min())
+
+    @property
+    def highest_mm(self) -> float:
+        """Largest z of the tube."""
+        return float(self.outline_mm[0][:, 2].max())
+
+    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
+        """Distance from the wall to a point (3,), negative in the glass."""
+        w, axis = point_mm - np.array(self.start_mm), np.array(self.axis)
+        along = float(w @ axis)
+        off = float(np.linalg.norm(w - along * axis))
+        in_wall = max(off - self.outer_radius_mm, self.inner_radius_mm - off)
+        beyond = max(-along, along - self.length_mm)
+        return math.hypot(max(in_wall, 0.0), max(beyond, 0.0)) + min(max(in_wall, beyond), 0.0)
+
+    def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
+        """Return the tube with both ends moved."""
+        return replace(self, start_mm=to(self.start_mm), end_mm=to(self.end_mm))
+
+    @property
+    def media(self) -> tuple[tuple[str, Medium], ...]:
+        """The glass, and what is inside if that is said."""
+        filled = () if self.filled is None else ((f"in tube {self.name!r}", self.filled),)
+        return ((f"tube {self.name!r}", self.medium), *filled)
+
+    def with_media(self, media: Iterable[Medium]) -> Self:
+        """Return the tube of other media."""
+        own, *filled = media
+        return replace(self, medium=own, filled=filled[0] if filled else None)
+
+    @property
+    def event_names(self) -> tuple[str, ...]:
+        """Through the wall alone, and reflected by its inside."""
+        return self.name, f"{self.name} off inside"
+
+    @property
+    def may_cross_plane(self) -> bool:
+        """A tube may: what flows in it is looked at inside."""
+        return True
+
+    @property
+    def room(self) -> Room:
+        """The inside."""
+        return Room(self.filled, self._gaps_mm)
+
+    def _gaps_mm(self, corners_mm: NDArray[np.float64], radius_mm: float) -> tuple[float, float]:
+        start, axis = np.array(self.start_mm), np.array(self.axis)
+        along = (corners_mm - start) @ axis
+        off = np.linalg.norm(corners_mm - start - along[:, None] * axis, axis=1)
+        inside = min(self.inner_radius_mm - off.max(), along.min(), self.length_mm - along.max()) - radius_mm
+        middle = corners_mm.mean(axis=0)
+        beyond = max(-along.max(), along.min() - self.length_mm)
+        towards = middle - start - float((middle - start) @ axis) * axis
+        far = float(np.linalg.norm(towards))
+        beside = -self.outer_radius_mm
+        if far > 0.0:
+            beside += float(((corners_mm - start) @ (towards / far)).min())
+        return max(float(beyond), beside) - radius_mm, float(inside)
