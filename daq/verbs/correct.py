@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from daq.terminal import console, progress
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
 from daq.whole_text import write_json
+from daq.write_behind import WriteBehind
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
@@ -148,18 +150,23 @@ def correct(
         }
         out.mkdir(parents=True, exist_ok=True)
         errors: list[TargetError] = []
-        clipped, shown = 0, None
-        for path, frame in zip(progress(frames, len(frames), "correcting"), acquired, strict=True):
-            corrected = corrector(frame)
-            if check_target:
-                errors.append(target_error(corrected, corrector, board))
-            shown = shown or (frame, corrected)
+        clipped, shown = list[int](), None
+
+        def store(path: Path, corrected: NDArray[np.float32]) -> None:
             stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
-            clipped += cut
+            clipped.append(cut)
             write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
+
+        with WriteBehind() as results:
+            for path, frame in zip(progress(frames, len(frames), "correcting"), acquired, strict=True):
+                corrected = corrector(frame)
+                results.write(partial(store, path, corrected))
+                if check_target:
+                    errors.append(target_error(corrected, corrector, board))
+                shown = shown or (frame, corrected)
     write_frame(out / "mask.tif", corrector.status, grid.px_per_mm, {"meaning": list(MEANING.values()), **about})
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
-    summary = {**about, "frames": [path.name for path in frames], "clipped_values": clipped}
+    summary = {**about, "frames": [path.name for path in frames], "clipped_values": sum(clipped)}
     summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
     summary["target_errors"] = [error.to_dict() for error in errors]
     write_json(out / "correction.json", summary)
