@@ -55,8 +55,8 @@ class CornerFit:
         Rms residual as a fraction of the half contrast.
     contrast : (N,) float64
         Bright minus dark in grey levels, positive if the square to +x, +y is bright.
-    blur_px : (N,) float64
-        Standard deviation of the edge spread, pixel integration included.
+    blurs_px : (N, 2) float64
+        Standard deviation of the spread of the edges along the board's +x and +y, pixel integration included.
     valid : (N,) bool
     reason : (N,) uint8
         `CornerReason`.
@@ -67,9 +67,14 @@ class CornerFit:
     covariance_px2: NDArray[np.float64]
     residual: NDArray[np.float64]
     contrast: NDArray[np.float64]
-    blur_px: NDArray[np.float64]
+    blurs_px: NDArray[np.float64]
     valid: NDArray[np.bool_]
     reason: NDArray[np.uint8]
+
+    @property
+    def blur_px(self) -> NDArray[np.float64]:
+        """Root mean square (N,) of both blurs."""
+        return np.asarray(np.sqrt(np.mean(self.blurs_px**2, axis=1)))
 
     def counts(self) -> dict[str, int]:
         """Return how many corners ended with which reason, in words."""
@@ -152,11 +157,11 @@ def refine_corners(
         raise FrameError(f"the mask has shape {usable.shape}, the frame {pixels.shape}; they must agree")
     if not np.isfinite(pixels.sum(dtype=np.float64)):
         raise FrameError("the frame holds NaN or infinity; fill those pixels and mask them")
-    out, verdict = np.full((count, 10), np.nan), np.zeros(count, np.uint8)
+    out, verdict = np.full((count, 11), np.nan), np.zeros(count, np.uint8)
 
     def fit(some: NDArray[np.intp], error_px: float) -> None:
         starts, frames, lengths = start[some], axes[some], reaches[some]
-        results, verdicts = np.full((len(some), 10), np.nan), np.zeros(len(some), np.uint8)
+        results, verdicts = np.full((len(some), 11), np.nan), np.zeros(len(some), np.uint8)
 
         def rows(first: int, last: int) -> None:
             corner_fit.fit_corners(
@@ -197,7 +202,7 @@ def _judge(
         covariance_px2=out[:, [2, 4, 4, 3]].reshape(-1, 2, 2),
         residual=residual,
         contrast=2.0 * amplitude,
-        blur_px=out[:, 8].copy(),
+        blurs_px=out[:, 8:10].copy(),
         valid=verdict == CornerReason.OK,
         reason=verdict,
     )

@@ -12,6 +12,7 @@ from correction.board.corners import CornerFit, CornerReason
 from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
 from correction.fit.smear import UNEVEN, UNSURE, Dispersion, pupil_smear, smear_of
+from correction.fit.smear_test import EdgeSpread
 from correction.fit.solver import Corners
 from ground.short_repr import short_repr
 from tracer.branches import text_of
@@ -94,6 +95,8 @@ class MeasuredFrame:
         Reason -> corners that could not be measured.
     lost : LostCorners
         Those of them that the scene shows.
+    spread : EdgeSpread
+        How wide edges are drawn.
     """
 
     name: str
@@ -106,6 +109,7 @@ class MeasuredFrame:
     expected: dict[str, int]
     refused: dict[str, int]
     lost: LostCorners = field(default_factory=LostCorners)
+    spread: EdgeSpread = field(default_factory=EdgeSpread)
 
     def __len__(self) -> int:
         return len(self.index)
@@ -125,6 +129,7 @@ class MeasuredFrame:
             branch_name=self.branch_name[which],
             rim_px=self.rim_px[which],
             sigma_px=self.sigma_px[which],
+            spread=self.spread.taken(which),
         )
 
 
@@ -172,20 +177,23 @@ def glass_frame(
     if only_behind:
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
+    spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px))
     if dispersion is not None:
         smear = smear_of(scene, pose, dispersion, expected.pixel, expected.axes_px, fit.blur_px)
         sigma = np.hypot(fit.sigma_px, UNSURE * smear.width_px[:, None])
         fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
+        spread = replace(spread, variance_px2=spread.variance_px2 - smear.edges_px2)
     if scene.camera.pupil is not None:
         args = pose, expected.pixel, expected.axes_px, fit.blur_px
         smear = pupil_smear(scene, scene.camera.pupil, *args)
         sigma = np.hypot(fit.sigma_px, UNEVEN * np.linalg.norm(smear.shift_px, axis=1)[:, None])
         fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
-    return _measured(frame.name, board, expected, fit, height_number)
+        spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2)
+    return _measured(frame.name, board, expected, fit, spread, height_number)
 
 
 def _measured(
-    name: str, board: Chessboard, expected: Expected, fit: CornerFit, height_number: int
+    name: str, board: Chessboard, expected: Expected, fit: CornerFit, spread: EdgeSpread, height_number: int
 ) -> MeasuredFrame:
     branch_names = np.array([text_of(names) for names in expected.branches])[expected.branch]
     names, counts = np.unique(branch_names[branch_names != ""], return_counts=True)
@@ -204,4 +212,5 @@ def _measured(
         dict(zip(names.tolist(), counts.tolist(), strict=True)),
         reasons,
         LostCorners(expected.index[lost], expected.pixel[lost], branch_names[lost], expected.rim_px[lost]),
+        spread.taken(valid),
     )

@@ -70,10 +70,13 @@ class Smear:
         Where the corner seems to be, minus where it is at the mean index.
     width_px : (N,) float64
         Standard deviation of the colours along the way on which they lie.
+    edges_px2 : (N, 2) float64
+        Variance across the edges along the board's +x and +y.
     """
 
     shift_px: NDArray[np.float64]
     width_px: NDArray[np.float64]
+    edges_px2: NDArray[np.float64]
 
 
 def smear_of(
@@ -136,7 +139,7 @@ def smeared(
     blur2 = np.where(np.isfinite(blur_px), blur_px, 0.0)[:, None] ** 2
     edge = middle - third / (12.0 * np.maximum(blur2, variance + 1e-12))
     shift = np.linalg.solve(normal, edge[:, :, None])[:, :, 0]
-    return Smear(shift, np.sqrt(np.trace(spread, axis1=1, axis2=2)))
+    return Smear(shift, np.sqrt(np.trace(spread, axis1=1, axis2=2)), variance)
 
 
 def pupil_smear(

@@ -9,9 +9,9 @@ Newton step from the fit would give
 
 and lower the squares by g = (K^T r) . (D^-1 K^T r) (Rao's score test): nothing is fitted again.  Balls that touch
 push each other as rows of J and K of their own.  The suspect of the largest g, less ln M for each number
-(Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of what noise does not; else it is said that
-nothing on the list does.  Had it been known, the fit would have gone elsewhere by -A^-1 J^T K a: with a itself
-the `change`, an error of the map.
+(Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of what noise does not, or ALONE of it with a
+LEAD over every other; else it is said that nothing on the list does.  Had it been known, the fit would have gone
+elsewhere by -A^-1 J^T K a: with a itself the `change`, an error of the map.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +29,7 @@ from tracer.branches import branch_of
 from tracer.sensitivity import TARGET
 
 EXPLAINS = 0.5
+ALONE, LEAD = 0.2, 4.0  # or so much, if no other explains a quarter of it: large faults are cut off with outliers
 UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
 CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
@@ -65,6 +66,15 @@ class Suspect:
     def to_dict(self) -> dict[str, object]:
         """JSON-able."""
         return {"ball": self.ball, "sentence": self.sentence, "gain": self.gain, "share": self.share}
+
+
+def likely_cause(found: Sequence[Suspect]) -> Suspect | None:
+    """Return the first of the suspects, the most likely first, if it is enough to be named."""
+    if not found:
+        return None
+    first, others = found[0], [one.gain for one in found[1:]]
+    leads = first.share >= ALONE and first.gain >= LEAD * max(others, default=0.0)
+    return first if leads or first.share >= EXPLAINS else None
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from correction.fit.correlation import Correlation, Lattice, correlation_of, wit
 from correction.fit.hidden import Hidden, hidden_patches
 from correction.fit.measurement import MeasuredFrame
 from correction.fit.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
+from correction.fit.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
 from correction.fit.solver import Corners, Residuals, landed
-from correction.fit.suspects import EXPLAINS, Evidence, Suspect, suspects
+from correction.fit.suspects import Evidence, Suspect, likely_cause, suspects
 from correction.fit.unknowns import Unknowns
 from correction.grid import grid_of
 
@@ -42,6 +43,8 @@ class Verdict:
         Smooth part of the residual of every corner, raw px.
     hidden : tuple of Hidden
         Patches of corners that should be seen and are not.
+    smear : ColourSmear or None
+        Colours that smear corners beyond what is told; None where too few corners tell.
     """
 
     ways: tuple[WayTest, ...]
@@ -49,6 +52,7 @@ class Verdict:
     suspects: tuple[Suspect, ...]
     smooth_px: NDArray[np.float64]
     hidden: tuple[Hidden, ...] = ()
+    smear: ColourSmear | None = None
 
     @property
     def alarms(self) -> tuple[WayTest, ...]:
@@ -63,7 +67,7 @@ class Verdict:
     @property
     def cause(self) -> Suspect | None:
         """What most likely is wrong, if anything on the list explains it."""
-        return self.suspects[0] if self.suspects and self.suspects[0].share >= EXPLAINS else None
+        return likely_cause(self.suspects)
 
     @property
     def systematic_px(self) -> dict[str, float]:
@@ -79,12 +83,18 @@ class Verdict:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in words."""
-        return (*self._of_residuals(), *map(str, self.hidden))
+        found = (*map(str, self.hidden), *([str(self.smear)] if self.many_colours else []))
+        return (*self._of_residuals(), *found) if self.alarms or not found else (*found, *self._of_residuals())
 
     @property
     def is_right(self) -> bool:
         """Whether nothing speaks against the model."""
-        return not (self.alarms or self.hidden)
+        return not (self.alarms or self.hidden or self.many_colours)
+
+    @property
+    def many_colours(self) -> bool:
+        """Whether the light of the target frames has more colours than is told."""
+        return self.smear is not None and self.smear.alarm
 
     def _of_residuals(self) -> tuple[str, ...]:
         """What residuals say."""
@@ -125,6 +135,7 @@ class Verdict:
             "sentences": list(self.sentences),
             "ways": [asdict(way) for way in self.ways],
             "hidden": [asdict(patch) for patch in self.hidden],
+            "smear": asdict(self.smear) if self.smear else None,
             "suspects": [one.to_dict() for one in self.suspects],
             "independent_corners": {
                 ("behind glass" if behind else "seen directly"): {
@@ -170,6 +181,7 @@ def judge_model(
     full, free = wide.full(x), len(unknowns.names)
     pitch_mm = grid_of(unknowns.camera(full)).pitch_mm
     rests, lattices, sighted = [], [], []
+    views: list[SmearedView] = []
     for frame, corners, part in zip(frames, weighted, parts, strict=True):
         sigma = 1.0 / np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)
         rays = landed(unknowns, full, corners)
@@ -180,6 +192,11 @@ def judge_model(
         rate = np.nan_to_num(part.rate)
         lattices.append(Lattice(frame.index, frame.branch_name, rest.clipped, rate))
         sighted.append(replace(frame, corners=corners))
+        if frame.corners.glass and len(frame.spread.variance_px2):
+            camera = unknowns.camera(full)
+            views.append(
+                smeared_view(unknowns.scene, camera, frame.branch_name, frame.axes_px, frame.spread, rays)
+            )
     smooth_parts = [smooth_part(rest) for rest in rests]
     ways = tuple(ways_tested(rests, smooth_parts))
     correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
@@ -189,7 +206,7 @@ def judge_model(
         seen = Evidence(sighted, values, rates, x[:free])
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
     smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
-    verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames))
+    verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames), colour_smear(views))
     return verdict, with_correlation(covariance, lattices, correlation)
 
 

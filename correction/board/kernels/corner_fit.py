@@ -132,8 +132,8 @@ def fit_corners(
     image (H, W) float32; mask see `gather`; start (N, 2) px; axes (N, 2, 2) px per square, columns +x, +y;
     reaches (N,) half length of the window in squares; arm half width in squares; least_px the smallest half
     window [px] to shrink to at a border; max_shift largest move from the start in squares; start_error_px
-    the expected one; scratch from `new_scratch`, one a thread; out (N, 10): u, v, var u, var v, cov, rms
-    residual, A, B, blur, reach used; verdict (N,) uint8.
+    the expected one; scratch from `new_scratch`, one a thread; out (N, 11): u, v, var u, var v, cov, rms
+    residual, A, B, both blurs, reach used; verdict (N,) uint8.
     """
     pixels, pull, sums, box, small, square = scratch
     extent, inverse, total = small[0], small[1:3], small[3]
@@ -212,7 +212,7 @@ def fit_corners(
                     out[n, 0], out[n, 1] = centre_u, centre_v
                     out[n, 5] = sqrt(total[0] / max(count - FREE, 1.0))
                     out[n, 6], out[n, 7] = p[8], p[9]
-                    out[n, 8] = sqrt(0.5 * (p[6] * p[6] + p[7] * p[7]))
-                    out[n, 9] = reach
+                    out[n, 8], out[n, 9] = abs(p[6]), abs(p[7])
+                    out[n, 10] = reach
                 break
             p[0], p[1] = 0.0, 0.0

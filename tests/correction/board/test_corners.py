@@ -175,7 +175,7 @@ def test_compiled_and_interpreted_fits_agree():
     image = photographed(soft_board(affine(matrix, origin), shape), 2).astype(np.float32)
     start, axes = origin[None] + 0.2, (matrix * SQUARE)[None]
     compiled = refine_corners(image, start, axes)
-    out, verdict = np.full((1, 10), np.nan), np.zeros(1, np.uint8)
+    out, verdict = np.full((1, 11), np.nan), np.zeros(1, np.uint8)
     with pytest.MonkeyPatch.context() as context:
         for module in (corner_model, cholesky, corner_covariance, corner_fit):
             for name, value in list(vars(module).items()):

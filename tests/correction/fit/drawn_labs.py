@@ -5,6 +5,7 @@ the window knows, and the lock on the rows of pixels that it does not know (0.00
 without noise), which fades as edges lean.  Nothing is rendered: a lab takes a second.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,14 +18,14 @@ from correction.fit.map_sigma import sigma_at
 from correction.fit.measurement import LostCorners, MeasuredFrame, whitening
 from correction.fit.prediction import expect
 from correction.fit.result import SceneFit
+from correction.fit.smear_test import EdgeSpread
 from correction.fit.solver import Corners
 from correction.fit.unknowns import unknowns_of
 from correction.grid import PlaneGrid, grid_of
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.drawn_optics import Ball, Lab, corners_px, shown_mm
 from tracer.fit_section import FitNamedTable, FitTable
-from tracer.light import Light
-from tracer.media import MEDIA, ConstantMedium
+from tracer.media import MEDIA, ConstantMedium, Medium
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
@@ -36,7 +37,17 @@ BOARD = Chessboard(3.5, 1.4)
 SCENES = ("two_spheres_500", "pair_off_axis", "three_spheres_500", "one_sphere_500")
 FAULTS = ("ellipsoid", "index", "bent board", "ball off", "lens term", "support", "light")
 LAMPS_K = (2850.0, 3500.0, 4500.0, 5700.0, 6300.0)  # of target frames, where nobody tells
-SUPPORT_PX = 24.0  # half width of what hides a strip: a rod of 2 mm near the board
+SIZES = {  # least and largest of a fault, drawn evenly in the logarithm
+    "ellipsoid": (0.01, 0.2),  # mm between the largest radius and the smallest
+    "index": (1e-3, 2e-2),
+    "bent board": (0.1, 2.0),  # mm over the view
+    "ball off": (0.2, 2.0),  # mm
+    "lens term": (1.0, 10.0),  # times k2 = 1.5 and p1 = 3e-4
+    "support": (24.0, 24.0),  # px, half width of the strip that is hidden: a rod of 2 mm near the board
+}
+EDGE_PX2, EDGE_NOISE_PX2 = 0.28, 0.015  # variance of the edge spread as corners of rendered frames have it
+TAKEN_UP = 0.6  # of a smear's variance in that of a fitted edge, on rendered frames
+COLOURS = 6
 NODES = 60  # points of the map that are asked, behind glass and beside it
 
 
@@ -45,6 +56,7 @@ class Drawn:
     """A fitted lab with the truth about it."""
 
     fault: str
+    size: float
     noise_px: float
     ball: str
     fit: SceneFit
@@ -70,7 +82,7 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
     noise_px : float, optional
         Noise of a corner; drawn from 0.003 (clean) to 0.03 if not given.
     size : float, optional
-        Of the fault: of an ellipsoid the difference of its radii [mm], drawn if not given.
+        Of the fault, as in SIZES; drawn if not given.
     """
     rng = np.random.default_rng((16, seed))
     noise = float(rng.choice([0.003, 0.006, 0.015, 0.03])) if noise_px is None else noise_px
@@ -79,64 +91,70 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
     truth = misaligned(nominal, 1000 + seed)
     priors = FitTable()
     ball = truth.spheres[rng.integers(len(truth.spheres))].name
+    if size is None:
+        least, most = SIZES.get(fault, (0.0, 0.0))
+        size = least * (most / max(least, 1e-12)) ** np.random.default_rng((17, seed)).uniform()
     shapes: dict[str, np.ndarray] = {}
-    hidden: tuple[np.ndarray, float] | None = None
+    hidden: tuple[np.ndarray, float, float] | None = None
     bend = (0.0, 0.0, 0.0)
     if fault == "ellipsoid":
         turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
         radii = rng.uniform(-1.0, 1.0, 3)
         radii -= radii.mean()
-        difference = float(rng.choice([0.01, 0.02, 0.05])) if size is None else size
-        shapes[ball] = turn @ np.diag(radii * difference / np.ptp(radii)) @ turn.T
+        shapes[ball] = turn @ np.diag(radii * size / np.ptp(radii)) @ turn.T
     elif fault == "index":
         priors = priors.model_copy(update={"n": 0.0})
-        nominal = with_index(nominal, truth, 1e-3 * float(rng.choice([-1.0, 1.0])))
+        nominal = with_index(nominal, truth, size * float(rng.choice([-1.0, 1.0])))
     elif fault == "bent board":
         half = float(0.5 * SIZE_PX * grid_of(truth.camera).pitch_mm)
         a, b, c = rng.uniform(-1.0, 1.0, 3)
-        sag = 0.1 / (0.5 * half**2 * max(abs(a), abs(c)))
+        sag = size / (0.5 * half**2 * max(abs(a), abs(c)))
         bend = (a * sag, b * sag, c * sag)
     elif fault == "ball off":
         nominal = nominal.with_bodies(truth.bodies)
-        truth = lifted(truth, ball, 0.2)
+        truth = lifted(truth, ball, size)
         priors = priors.model_copy(update={"named": {ball: FitNamedTable(centre_mm=0.0)}})
     elif fault == "lens term":
-        lens = replace(truth.camera.lens, k2=float(rng.choice([-1.0, 1.0])) * 1.5, p1=float(rng.normal()) * 3e-4)
+        k2, p1 = 1.5 * size * float(rng.choice([-1.0, 1.0])), 3e-4 * size * float(rng.normal())
+        lens = replace(truth.camera.lens, k2=k2, p1=p1)
         truth = truth.with_camera(replace(truth.camera, lens=lens))
     elif fault == "support":
         turn = float(rng.uniform(0.0, np.pi))
         along = np.array([np.cos(turn), np.sin(turn)])
-        hidden = along, float(along @ truth.camera.project(np.array(truth.spheres[-1].centre_mm)))
+        hidden = along, float(along @ truth.camera.project(np.array(truth.spheres[-1].centre_mm))), size
     room = truth.n_ambient
     lamp = white_led(float(rng.choice(LAMPS_K))) if fault == "light" else None
     if lamp is not None:
         nominal, truth = of_glass(nominal), of_glass(truth)
 
-    def balls_in(lit_by: Light | None) -> tuple[Ball, ...]:
+    def balls_with(index: Callable[[Medium], float]) -> tuple[Ball, ...]:
         return tuple(
-            Ball(
-                s.centre_mm,
-                s.radius_mm,
-                (lit_by.index(s.medium) if lit_by else s.medium.n(truth.wavelength_nm)) / room,
-                shapes.get(s.name, np.zeros((3, 3))),
-            )
+            Ball(s.centre_mm, s.radius_mm, index(s.medium) / room, shapes.get(s.name, np.zeros((3, 3))))
             for s in truth.spheres
         )
+
+    def as_measured(medium: Medium) -> float:
+        return medium.n(truth.wavelength_nm)
+
+    colours: list[tuple[float, Lab]] = []
+    if lamp is not None:
+        for nm, share in zip(*lamp.colours(COLOURS), strict=True):
+            colours.append((share, Lab(truth.camera, balls_with(lambda medium, nm=nm: medium.n(nm)), bend)))
 
     lock_px = float(rng.uniform(0.0, 0.02))
     frames = []
     for glass in (False, True):
-        lab = Lab(truth.camera, balls_in(lamp) if glass else (), bend)
-        frames.append(
-            photographed(truth if glass else truth.with_bodies(()), lab, glass, noise, lock_px, rng, hidden)
-        )
+        balls = balls_with(lamp.index if lamp else as_measured) if glass else ()
+        scene = truth if glass else truth.with_bodies(())
+        lab = Lab(truth.camera, balls, bend)
+        frames.append(photographed(scene, lab, glass, noise, lock_px, rng, hidden, colours))
     bench = unknowns_of(nominal, [0.0], priors)
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     if lamp is not None:
         fit = replace(fit, light=doubt_of(nominal, None))
-    pixels, error = map_error(fit, truth, Lab(truth.camera, balls_in(None)), rng)
+    pixels, error = map_error(fit, truth, Lab(truth.camera, balls_with(as_measured)), rng)
     sigma = sigma_at(fit, pixels, True) / grid_of(truth.camera).pitch_mm
-    return Drawn(fault, noise, ball, fit, pixels, error, sigma)
+    return Drawn(fault, size, noise, ball, fit, pixels, error, sigma)
 
 
 def of_glass(scene: Scene) -> Scene:
@@ -167,9 +185,13 @@ def photographed(
     noise_px: float,
     lock_px: float,
     rng: np.random.Generator,
-    hidden_px: tuple[np.ndarray, float] | None = None,
+    hidden_px: tuple[np.ndarray, float, float] | None = None,
+    colours: Sequence[tuple[float, Lab]] = (),
 ) -> MeasuredFrame:
-    """Corners as they are measured in a frame; a support hides a strip: its normal (2,) and its distance [px]."""
+    """Corners as measured in a frame; a support hides a strip: its normal (2,), distance, half width [px].
+
+    Each colour of the light is a lab of its own, with its share.
+    """
     shown = expect(truth, TargetPose(), BOARD)
     node = BOARD.corner_mm(shown.index)
     pixel = corners_px(lab, shown.pixel, node)
@@ -178,15 +200,36 @@ def photographed(
     expected = dict(zip(names.tolist(), counts.tolist(), strict=True))
     seen = np.isfinite(pixel[:, 0]) & (shown.rim_px > 6.0) & ~(rng.random(len(pixel)) < 0.02)
     if glass and hidden_px is not None:
-        along, offset = hidden_px
-        seen &= np.abs(pixel @ along - offset) > SUPPORT_PX
+        along, offset, half = hidden_px
+        seen &= np.abs(pixel @ along - offset) > half
     lost = LostCorners(shown.index[~seen], shown.pixel[~seen], way[~seen], shown.rim_px[~seen])
     pixel, shown, way = pixel[seen], shown.take(seen), way[seen]
     sigma = noise_px * np.exp(0.3 * rng.normal(size=pixel.shape))
     pixel = pixel + sigma * rng.normal(size=pixel.shape) + lock_px * locked(pixel, shown.axes_px)
     corners = Corners(0, glass, pixel, BOARD.corner_mm(shown.index), whitening(sigma))
+    variance = EDGE_PX2 + np.hypot(EDGE_NOISE_PX2, sigma) * rng.spawn(1)[0].normal(size=pixel.shape)
+    if colours:
+        variance = variance + TAKEN_UP * smear_px2(lab, colours, pixel, shown.axes_px)
+    spread = EdgeSpread(variance, np.zeros_like(variance))
     name = "glass" if glass else "bare"
-    return MeasuredFrame(name, corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, expected, {}, lost)
+    return MeasuredFrame(
+        name, corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, expected, {}, lost, spread
+    )
+
+
+def smear_px2(
+    lab: Lab, colours: Sequence[tuple[float, Lab]], pixel: np.ndarray, axes_px: np.ndarray
+) -> np.ndarray:
+    """Variance (N, 2) of the colours across the edges along the board's +x and +y."""
+    step = 1e-3
+    sides = [shown_mm(lab, pixel + step * way)[0] - shown_mm(lab, pixel - step * way)[0] for way in np.eye(2)]
+    rate = np.stack(sides, axis=2) / (2.0 * step)
+    edges = axes_px / np.linalg.norm(axes_px, axis=1, keepdims=True)
+    off = np.stack([shown_mm(one, pixel)[0] - shown_mm(lab, pixel)[0] for _, one in colours])
+    moved = np.linalg.solve(rate, np.moveaxis(off, 0, 2))  # (N, 2, K)
+    across = edges[:, 0, :, None] * moved[:, 1, None] - edges[:, 1, :, None] * moved[:, 0, None]
+    share = np.array([part for part, _ in colours])
+    return np.nan_to_num(across**2 @ share - (across @ share) ** 2)
 
 
 def locked(pixel: np.ndarray, axes_px: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from correction.fit.contact import pushed_apart
 from correction.fit.errors import FitError
 from correction.fit.scene_fit import fit_scene
+from correction.fit.weakness import weaknesses
 from tests.correction.fit.benches import bench
 from tracer.media import shifted
 from tracer.scene import Scene
@@ -19,19 +20,19 @@ REACH_MM = 5.0
 
 
 def told(truth: Scene, nominal: Scene, seed: int) -> Scene:
-    """Even seeds move all balls alike, odd ones one; n off by up to 0.01, the camera by up to 1 degree an axis."""
+    """Even seeds move all balls alike, odd ones one; n off by up to 0.02, the camera by up to 2 degrees."""
     rng = np.random.default_rng((7, seed))
     way = rng.normal(size=3)
     move = way * REACH_MM * rng.uniform(0.2, 1.0) / np.linalg.norm(way)
     table = truth.sphere_table()
     chosen = slice(None) if seed % 2 == 0 else rng.integers(len(table))
     table[chosen, :3] += move
-    n, rows = rng.uniform(-0.01, 0.01), pushed_apart(table, 1e-5)[:, :3].tolist()
+    n, rows = rng.uniform(-0.02, 0.02), pushed_apart(table, 1e-5)[:, :3].tolist()
     balls = [
         replace(ball, centre_mm=tuple(row), medium=shifted(ball.medium, n))
         for ball, row in zip(truth.spheres, rows, strict=True)
     ]
-    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-1.0, 1.0, 3))).as_matrix()
+    turn = Rotation.from_rotvec(np.deg2rad(rng.uniform(-2.0, 2.0, 3))).as_matrix()
     rotation = tuple(tuple(map(float, row)) for row in truth.camera.rotation_matrix @ turn)
     camera = replace(nominal.camera, position_mm=truth.camera.position_mm, rotation=rotation)
     return replace(nominal, camera=camera, bodies=tuple(balls))
@@ -50,7 +51,10 @@ def test_balls_told_far_beside_their_places_are_found_or_refused_by_name(name, s
             refused.append(str(error))
             continue
         sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
+        said = " ".join(weakness.sentence for weakness in weaknesses(fit))
         for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
+            if f"no corner is seen through {found.name}: its place is what the scene file says" in said:
+                continue  # the frames cannot tell, and nothing is drawn through it
             off = np.abs(np.subtract(found.centre_mm, true.centre_mm))
             known = np.array([sigma[f"{found.name}.{axis}"] for axis in "xyz"])
             assert np.all(off < 0.03 + 4.0 * known), (number, found.name, off, known)

@@ -32,7 +32,7 @@ def test_what_is_held_is_doubted_by_its_ordinary_size_and_one_glass_has_one_inde
 
 def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_it_was_held(monkeypatch):
     def largest() -> float:
-        lab = drawn_lab(20086, "index")
+        lab = drawn_lab(20086, "index", size=1e-3)
         assert any("held, but how well known is not said" in weak.sentence for weak in weaknesses(lab.fit))
         return float(np.sqrt(np.mean((lab.error_px / lab.sigma_px) ** 2)))
 
@@ -43,7 +43,7 @@ def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_i
 
 @pytest.mark.parametrize("seed", [20011, 20032])
 def test_a_ball_held_off_its_place_is_named_though_others_lean_on_it(seed):
-    lab = drawn_lab(seed, "ball off")
+    lab = drawn_lab(seed, "ball off", size=0.2)
     said = lab.fit.verdict.sentences[0]
     assert f"the ball `{lab.ball}` does not stand where it was held" in said
     assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8

@@ -21,6 +21,7 @@ from tracer.light_table import LightTable
 from tracer.ray_map import build_ray_map
 
 TRANSFER_PX = 0.01
+MANY_COLOURS = ("band_450_650", "band_500_600", "white_3000", "white_4000", "white_5000", "white_6500", "mercury")
 NO_WHITE = ("red_led", "blue_led", "line_590")  # the sigma of a light that is not told is made of white lamps
 
 
@@ -47,10 +48,12 @@ def fitted(share: np.ndarray | None, told: dict | None) -> SceneFit:
 @pytest.mark.parametrize("name", LAMPS)
 def test_a_light_that_is_told_costs_nothing(name):
     lamp = LAMPS[name]
-    error, sigma = error_and_sigma(fitted(lamp.share, lamp.told))
+    fit = fitted(lamp.share, lamp.told)
+    error, sigma = error_and_sigma(fit)
     print(f"{name}: told {error:.4f} px, sigma {sigma:.4f} px")
     assert error <= TRANSFER_PX
     assert sigma <= 2.0 * TRANSFER_PX  # it is known, so nothing is added
+    assert not fit.verdict.many_colours
 
 
 @pytest.mark.slow
@@ -59,9 +62,10 @@ def test_a_light_that_is_told_costs_nothing(name):
 def test_a_light_that_is_not_told_is_in_the_sigma_and_said(name):
     fit = fitted(LAMPS[name].share, None)
     error, sigma = error_and_sigma(fit)
-    print(f"{name}: unsaid {error:.4f} px, sigma {sigma:.4f} px")
+    print(f"{name}: unsaid {error:.4f} px, sigma {sigma:.4f} px, smear {fit.verdict.smear}")
     assert error <= (2.2 if name in NO_WHITE else 1.0) * sigma
     assert "light of the target frames is not said" in weaknesses(fit)[0].sentence
+    assert fit.verdict.many_colours == (name in MANY_COLOURS)
 
 
 @pytest.mark.slow

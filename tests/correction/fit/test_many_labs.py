@@ -1,77 +1,119 @@
 """Many drawn labs: wrong models that cost something are named, right ones are left alone, one sigma is one sigma.
 
-``make labs`` (LABS labs of each kind, default 100 in all) prints what it finds.
+A wrong model counts as named by an alarm alone: something that the data say and a right lab does not.  What is
+said of the scene file whatever the frames show (a light not told, a number held) counts for nothing.
+
+``make labs LABS=100`` counts a hundred labs of each kind that cost more than COSTLY_PX, and prints what it finds.
 """
 
 import os
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from correction.fit.weakness import weaknesses
-from tests.correction.fit.drawn_labs import FAULTS, Drawn, drawn_lab
+from tests.correction.fit.drawn_labs import FAULTS, drawn_lab
 
-FIRST = 71000
-LABS = int(os.environ.get("LABS", "100"))
+FIRST = 91000  # no number in the fit was chosen on these seeds
+KIND = 10000  # seeds from one kind of fault to the next
+LABS = int(os.environ.get("LABS", "20"))
+MOST = 8  # times LABS that are drawn of a kind until LABS are costly
 COSTLY_PX = 0.05
+CAUSE = {
+    "ellipsoid": "not the sphere",
+    "bent board": "board is not flat",
+    "lens term": "lens term is missing",
+    "ball off": "does not stand where it was held",
+    "index": "glass was held",
+    "support": "a support",
+    "light": "more colours than is told",
+}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What a drawn lab shows."""
+
+    fault: str
+    is_costly: bool
+    is_named: bool
+    says_cause: bool
+    covered: float  # share of the map's errors within one sigma
+
+
+def judged(seed: int, fault: str) -> Judged:
+    lab = drawn_lab(seed, fault)
+    verdict = lab.fit.verdict
+    named = not verdict.is_right
+    cause = named and CAUSE.get(fault, "no cause") in " ".join(verdict.sentences)
+    covered = float(np.mean(np.abs(lab.error_px) < lab.sigma_px))
+    costly = lab.cost_px > COSTLY_PX or fault == "support"  # hidden corners cost the map next to nothing
+    return Judged(fault, costly, named, cause, covered)
 
 
 @pytest.fixture(scope="module")
-def labs() -> list[Drawn]:
-    """As many right labs as wrong ones; no number in the fit was chosen on these seeds."""
-    return [drawn_lab(FIRST + n, FAULTS[(n // 2) % len(FAULTS)] if n % 2 else "") for n in range(2 * LABS)]
+def labs() -> list[Judged]:
+    """Right labs, and of each fault as many as it takes until LABS of them are costly."""
+    found = [judged(FIRST + n, "") for n in range(2 * LABS)]
+    for number, fault in enumerate(FAULTS, start=1):
+        costly = 0
+        for n in range(MOST * LABS):
+            found.append(judged(FIRST + KIND * number + n, fault))
+            costly += found[-1].is_costly
+            if costly == LABS:
+                break
+    return found
 
 
-def is_named(lab: Drawn) -> bool:
-    """Whether the verdict raises an alarm, or says what is not known: the light, a number that is held."""
-    said = " ".join(weakness.sentence for weakness in weaknesses(lab.fit))
-    untold = {"light": "light of the target frames is not said", "index": "held, but how well known is not said"}
-    return not lab.fit.verdict.is_right or (lab.fault in untold and untold[lab.fault] in said)
+def of(labs: list[Judged], fault: str) -> list[Judged]:
+    return [lab for lab in labs if lab.fault == fault]
 
 
-def says(labs: list[Drawn]) -> str:
+def says(labs: list[Judged]) -> str:
     rows = []
     for fault in ("", *FAULTS):
-        own = [lab for lab in labs if lab.fault == fault]
-        alarms = sum(not lab.fit.verdict.is_right for lab in own)
-        covered = np.mean([np.mean(np.abs(lab.error_px) < lab.sigma_px) for lab in own]) if own else np.nan
-        costly = [lab for lab in own if lab.cost_px > COSTLY_PX]
-        named = sum(map(is_named, costly))
+        own = of(labs, fault)
+        costly = [lab for lab in own if lab.is_costly]
+        unnamed = [lab.covered for lab in costly if not lab.is_named]
         rows.append(
-            f"{fault or 'right':12s} {len(own):4d} labs, {alarms:4d} alarms; {len(costly)} cost more than"
-            f" {COSTLY_PX} px, {named} of them named; one sigma covers {covered:.2f}"
+            f"{fault or 'right':12s} {len(own):4d} labs, {sum(lab.is_named for lab in own):4d} alarms; of"
+            f" {len(costly):3d} costly ones {sum(lab.is_named for lab in costly):3d} named, by the cause"
+            f" {sum(lab.says_cause for lab in costly):3d}; one sigma covers"
+            f" {np.mean([lab.covered for lab in own]):.2f}, of costly ones that are not named"
+            f" {np.mean(unnamed) if unnamed else np.nan:.2f}"
         )
     return "\n" + "\n".join(rows)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
-def test_right_labs_raise_no_alarm_and_wrong_ones_that_cost_something_do(labs):
+@pytest.mark.timeout(14400)
+def test_right_labs_raise_no_alarm(labs):
     print(says(labs))
-    right = [lab for lab in labs if not lab.fault]
-    assert sum(not lab.fit.verdict.is_right for lab in right) <= max(1, 0.01 * len(right))
-    costly = [lab for lab in labs if lab.fault == "support" or (lab.fault and lab.cost_px > COSTLY_PX)]
-    assert sum(map(is_named, costly)) >= 0.95 * len(costly)
+    right = of(labs, "")
+    assert sum(lab.is_named for lab in right) <= max(1, 0.01 * len(right))
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
+@pytest.mark.timeout(14400)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_wrong_labs_that_cost_something_raise_an_alarm_and_the_sigma_of_the_others_holds_the_cost(labs, fault):
+    costly = [lab for lab in of(labs, fault) if lab.is_costly]
+    unnamed = [lab.covered for lab in costly if not lab.is_named]
+    assert len(costly) - len(unnamed) >= 0.95 * len(costly) - 1  # one by chance
+    assert not unnamed or np.mean(unnamed) > 0.6
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(14400)
 def test_two_thirds_of_map_errors_lie_within_one_sigma_in_right_and_wrong_labs(labs):
-    covered = [np.mean(np.abs(lab.error_px) < lab.sigma_px) for lab in labs]
-    assert 0.60 <= np.mean(covered) <= 0.75
+    right = np.mean([lab.covered for lab in of(labs, "")])
+    wrong = np.mean([np.mean([lab.covered for lab in of(labs, fault)]) for fault in FAULTS])
+    assert 0.60 <= right <= 0.75
+    assert 0.60 <= 0.5 * (right + wrong) <= 0.75
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(7200)
+@pytest.mark.timeout(14400)
 def test_the_cause_that_is_named_is_the_fault(labs):
-    said = {
-        "ellipsoid": "not the sphere",
-        "bent board": "board is not flat",
-        "lens term": "lens term is missing",
-        "ball off": "does not stand where it was held",
-        "index": "glass was held",
-        "support": "a support",
-    }
-    alarmed = [lab for lab in labs if lab.fault in said and not lab.fit.verdict.is_right]
-    right = [said[lab.fault] in " ".join(lab.fit.verdict.sentences) for lab in alarmed]
-    assert np.mean(right) >= 0.9
+    named = [lab for lab in labs if lab.fault and lab.is_named]
+    assert np.mean([lab.says_cause for lab in named]) >= 0.9
