@@ -14,7 +14,7 @@ Vectors are three scalars each: numba keeps them in registers.
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.jit import kernel
+from ground.jit import kernel, kernel_inlined
 from sim.renderer.surfaces import (
     BLOCKED,
     SOLID,
@@ -144,7 +144,23 @@ def to_plane(
     return u, v, transmittance
 
 
-@kernel
+@kernel_inlined
+def straight_to_plane(
+    ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, plane: Float64
+) -> tuple[float, float, float]:
+    """Follow a ray that meets no body to the plane, as `to_plane`; BLOCKED if it goes the other way."""
+    fall = dx * plane[3, 0] + dy * plane[3, 1] + dz * plane[3, 2]
+    if not fall < 0.0:
+        return 0.0, 0.0, BLOCKED
+    x, y, z = ox - plane[0, 0], oy - plane[0, 1], oz - plane[0, 2]
+    t = max(-(x * plane[3, 0] + y * plane[3, 1] + z * plane[3, 2]) / fall, 0.0)
+    x, y, z = x + t * dx, y + t * dy, z + t * dz
+    u = x * plane[1, 0] + y * plane[1, 1] + z * plane[1, 2]
+    v = x * plane[2, 0] + y * plane[2, 1] + z * plane[2, 2]
+    return u, v, 1.0
+
+
+@kernel_inlined
 def camera_ray(
     u: float, v: float, lens_u: float, lens_v: float, camera: Float64
 ) -> tuple[float, float, float, float, float, float]:
@@ -207,7 +223,6 @@ def trace_pixels(
     Out: `points` (N, n*n, 2) in the plane's axes [mm], `transmittance` (N, n*n), and `spread` (N,), the extent
     of the arriving points [mm], infinite if only some arrive.
     """
-    clear_s, clear_r = spheres[:0], rods[:0]
     count = n * n
     for index in range(pixels.shape[0]):
         row, column = pixels[index, 0], pixels[index, 1]
@@ -232,7 +247,7 @@ def trace_pixels(
                 if meets:
                     x, y, part = to_plane(ox, oy, oz, dx, dy, dz, spheres, rods, plane)
                 else:
-                    x, y, part = to_plane(ox, oy, oz, dx, dy, dz, clear_s, clear_r, plane)
+                    x, y, part = straight_to_plane(ox, oy, oz, dx, dy, dz, plane)
                 points[index, k, 0], points[index, k, 1] = x, y
                 transmittance[index, k] = part
                 if part > 0.0:
