@@ -105,7 +105,7 @@ class ParticleView:
     Raises
     ------
     SceneError
-        A body crosses z = 0 or is neither sphere nor rod.
+        A body crosses z = 0, or is of a kind that the renderer has no optics for.
     MemoryShort
         The rays of all points of the pupil do not fit into memory.
     """
@@ -227,7 +227,7 @@ class ParticleView:
         tops = np.empty((rows, columns), np.float32)
         chains = np.empty((rows, columns), np.int64)
         t: SceneTables = self._tables
-        world = (t.camera, t.spheres, t.rods, t.bounds, t.plane)
+        world = (t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane)
 
         def block(first: int, last: int) -> None:
             grid = (-MARGIN_PX, self._step_px, float(place_mm[0]), float(place_mm[1]))

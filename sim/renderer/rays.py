@@ -25,10 +25,12 @@ from sim.renderer.surfaces import (
     snell,
     through_cores,
 )
+from sim.renderer.walls import INSIDE, LOST, next_wall
 
 Float32 = NDArray[np.float32]
 Int64 = NDArray[np.int64]
 
+WALL, SURFACES = -2, 8  # what a ray meets that is no ball; most crossings of one wall
 BEHIND_MM = 1e-3  # rounding at a body that touches the sheet is far less
 GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -65,18 +67,21 @@ def last_way(
     dz: float,
     spheres: Float64,
     rods: Float64,
+    walls: Float64,
     plane: Float64,
 ) -> tuple[float, float, float, float, float, float, float, int]:
     """Follow one ray to the straight way on which it meets the plane: its origin, direction, transmittance, chain.
 
     T = 0 if it does not arrive.  `chain` tells rays apart that went through other bodies or in another order; 0
-    went through none.  Rows of `spheres`: centre, radius, n / n_ambient, opaque, then cores, see `through_cores`.
+    went through none.  Rows of `spheres`: centre, radius, n / n around, opaque, then cores, see `through_cores`;
+    of `walls` see `sim.renderer.walls`.
     Rows of `plane`: origin, x axis, y axis, normal.
     """
     transmittance = 1.0
     last = -1
     chain = 0
-    for _ in range(2 * spheres.shape[0] + 2):
+    in_glass = False
+    for _ in range(2 * spheres.shape[0] + 2 + SURFACES * walls.shape[0]):
         fall = dx * plane[3, 0] + dy * plane[3, 1] + dz * plane[3, 2]
         height = (
             (ox - plane[0, 0]) * plane[3, 0] + (oy - plane[0, 1]) * plane[3, 1] + (oz - plane[0, 2]) * plane[3, 2]
@@ -85,7 +90,11 @@ def last_way(
             return ox, oy, oz, dx, dy, dz, BLOCKED, chain
         nearest = max(-height / fall, 0.0) if fall < 0.0 else np.inf
         body = -1
-        for index in range(spheres.shape[0]):
+        if walls.shape[0] > 0:
+            t, nx, ny, nz, before, behind, beyond, which = next_wall(ox, oy, oz, dx, dy, dz, walls)
+            if t < nearest:
+                nearest, body = t, WALL
+        for index in range(spheres.shape[0] if not in_glass else 0):
             if index != last:
                 s = spheres[index]
                 t = entry_sphere(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
@@ -94,8 +103,23 @@ def last_way(
         for index in range(rods.shape[0]):
             if entry_rod(ox, oy, oz, dx, dy, dz, rods[index]) < nearest:
                 return ox, oy, oz, dx, dy, dz, BLOCKED, chain
+        if body == WALL:
+            if which == LOST:
+                return ox, oy, oz, dx, dy, dz, BLOCKED, chain
+            ox, oy, oz = ox + nearest * dx, oy + nearest * dy, oz + nearest * dz
+            ex, ey, ez, part = snell(dx, dy, dz, nx, ny, nz, before / behind)
+            if part <= 0.0:
+                if which != INSIDE or beyond:
+                    return ox, oy, oz, dx, dy, dz, BLOCKED, chain
+                along = 2.0 * (dx * nx + dy * ny + dz * nz)  # in the wall of a tube, off its inside
+                dx, dy, dz = dx - along * nx, dy - along * ny, dz - along * nz
+                continue
+            dx, dy, dz, in_glass, last = ex, ey, ez, beyond, -1
+            transmittance *= part
+            continue
         if body < 0:
-            return ox, oy, oz, dx, dy, dz, transmittance if nearest < np.inf else BLOCKED, chain
+            arrives = nearest < np.inf and not in_glass
+            return ox, oy, oz, dx, dy, dz, transmittance if arrives else BLOCKED, chain
         s = spheres[body]
         if s[5] != 0.0:
             return ox, oy, oz, dx, dy, dz, BLOCKED, chain
@@ -129,10 +153,11 @@ def to_plane(
     dz: float,
     spheres: Float64,
     rods: Float64,
+    walls: Float64,
     plane: Float64,
 ) -> tuple[float, float, float]:
     """Follow one ray to the plane: (x, y, transmittance) in the plane's own axes, arguments as of `last_way`."""
-    ox, oy, oz, dx, dy, dz, transmittance, _ = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, plane)
+    ox, oy, oz, dx, dy, dz, transmittance, _ = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
     if transmittance <= 0.0:
         return 0.0, 0.0, BLOCKED
     x, y, z = ox - plane[0, 0], oy - plane[0, 1], oz - plane[0, 2]
@@ -211,6 +236,7 @@ def trace_pixels(
     camera: Float64,
     spheres: Float64,
     rods: Float64,
+    walls: Float64,
     bounds: Float64,
     plane: Float64,
     pupil_order: Int64,
@@ -227,7 +253,8 @@ def trace_pixels(
     for index in range(pixels.shape[0]):
         row, column = pixels[index, 0], pixels[index, 1]
         shift_u, shift_v, turn = pixel_shift(seed, row, column)
-        meets = bounds.shape[0] > 0 and may_meet(float(column), float(row), camera, bounds)
+        # Behind a wall no ray is straight, so that none may be passed over.
+        meets = walls.shape[0] > 0 or (bounds.shape[0] > 0 and may_meet(float(column), float(row), camera, bounds))
         low_x = low_y = np.inf
         high_x = high_y = -np.inf
         arrived = 0
@@ -245,7 +272,7 @@ def trace_pixels(
                     lens_u, lens_v = radius * np.cos(angle), radius * np.sin(angle)
                 ox, oy, oz, dx, dy, dz = camera_ray(u, v, lens_u, lens_v, camera)
                 if meets:
-                    x, y, part = to_plane(ox, oy, oz, dx, dy, dz, spheres, rods, plane)
+                    x, y, part = to_plane(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
                 else:
                     x, y, part = straight_to_plane(ox, oy, oz, dx, dy, dz, plane)
                 points[index, k, 0], points[index, k, 1] = x, y

@@ -20,7 +20,8 @@ from sim.prints.patterns import Pattern, Pose
 from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
 from sim.renderer.surfaces import SOLID
-from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere
+from sim.renderer.walls import NUMBERS, n_at, wall_rows
+from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere, Tube, Window
 from tracer.errors import SceneError
 from tracer.scene import Scene
 
@@ -64,6 +65,7 @@ class SceneTables:
     camera: NDArray[np.float64]
     spheres: NDArray[np.float64]
     rods: NDArray[np.float64]
+    walls: NDArray[np.float64]
     bounds: NDArray[np.float64]
     plane: NDArray[np.float64]
     px_mm: float  # width a pixel sees on the sheet without glass
@@ -160,7 +162,7 @@ def _sample(
     transmittance = np.empty((count, n * n), np.float32)
     spread, light = np.empty(count), np.empty(count, np.float32)
     t, order = tables, _pupil_order(n)
-    world = (t.camera, t.spheres, t.rods, t.bounds, t.plane)
+    world = (t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane)
     trace_pixels(pixels, n, seed, *world, order, points, transmittance, spread)
     values = pattern.reflectance(points.reshape(-1, 2)).reshape(count, n * n)
     weighted_mean(values, transmittance, light)
@@ -193,13 +195,14 @@ def tables_of(
     Raises
     ------
     SceneError
-        A body crosses the sheet, or is neither sphere nor rod.
+        A body crosses the sheet, or is of a kind that has no optics here.
     """
     camera, lens = scene.camera, scene.camera.lens
     plane = pose.axes()
     bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
-    if unknown := [body for body in bodies if body not in (*spheres, *rods)]:
+    walls = [body for body in bodies if isinstance(body, Window | Tube)]
+    if unknown := [body for body in bodies if body not in (*spheres, *rods, *walls)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
     lens_and_place = (camera.focal_px, *camera.principal_px, *camera.position_mm, *np.ravel(camera.rotation))
@@ -207,6 +210,7 @@ def tables_of(
         camera=np.array([*lens_and_place, lens.k1, lens.k2, lens.k3, lens.p1, lens.p2, *pupil]),
         spheres=_balls(scene, spheres),
         rods=_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
+        walls=_rows(wall_rows(scene, walls), NUMBERS),
         bounds=_rows([[*s.centre_mm, s.radius_mm] for s in spheres] + [_ball(r) for r in rods], 4),
         plane=plane,
         px_mm=float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3])) / camera.focal_px,
@@ -215,25 +219,18 @@ def tables_of(
 
 def _balls(scene: Scene, spheres: Sequence[Sphere]) -> NDArray[np.float64]:
     """Rows of the spheres, filled up with zeros to the one with the most cores."""
-    air = scene.ambient.n(scene.wavelength_nm)
-    rows = [
-        [*s.centre_mm, s.radius_mm, *_glass(scene, s)]
-        + [number for core in s.cores for number in (core.radius_mm, core.medium.n(scene.wavelength_nm) / air)]
-        for s in spheres
-    ]
+    rows = []
+    for s in spheres:
+        around, nm = n_at(scene, np.array(s.centre_mm)), scene.wavelength_nm
+        glass = [1.0, 1.0] if s.medium is None else [s.medium.n(nm) / around, 0.0]  # opaque, or not
+        cores = [number for core in s.cores for number in (core.radius_mm, core.medium.n(nm) / around)]
+        rows.append([*s.centre_mm, s.radius_mm, *glass, *cores])
     width = max(map(len, rows), default=SOLID)
     return _rows([row + [0.0] * (width - len(row)) for row in rows], width)
 
 
 def _rows(values: list[list[float]], width: int) -> NDArray[np.float64]:
     return np.array(values, dtype=np.float64).reshape(-1, width)
-
-
-def _glass(scene: Scene, sphere: Sphere) -> tuple[float, float]:
-    """Index against the room, and 1 if opaque."""
-    if sphere.medium is None:
-        return 1.0, 1.0
-    return sphere.medium.n(scene.wavelength_nm) / scene.ambient.n(scene.wavelength_nm), 0.0
 
 
 def _ball(rod: Rod) -> list[float]:
@@ -250,7 +247,11 @@ def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, flo
     SceneError
         The sheet cuts the body.
     """
+    if isinstance(body, Tube):
+        return True
     *ends, radius_mm = body.capsule
+    if isinstance(body, Window):
+        ends, radius_mm = [*body.outline_mm[0]], 0.0
     heights = [float((np.array(end) - plane[0]) @ plane[3]) for end in ends]
     if min(heights) - radius_mm >= -CONTACT_TOL_MM:
         return True

@@ -41,6 +41,7 @@ def trace_nodes(
     camera: Array,
     spheres: Array,
     rods: Array,
+    walls: Array,
     bounds: Array,
     plane: Array,
     ways: Array,
@@ -57,10 +58,12 @@ def trace_nodes(
         for j in range(ways.shape[1]):
             u, v = start_px + step_px * j, start_px + step_px * i
             ox, oy, oz, dx, dy, dz = camera_ray(u, v, lens_u, lens_v, camera)
-            if bounds.shape[0] > 0 and may_meet(u, v, camera, bounds):
-                ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, plane)
+            if walls.shape[0] > 0 or (bounds.shape[0] > 0 and may_meet(u, v, camera, bounds)):
+                ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
             else:
-                ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, clear_s, clear_r, plane)
+                ox, oy, oz, dx, dy, dz, part, chain = last_way(
+                    ox, oy, oz, dx, dy, dz, clear_s, clear_r, walls, plane
+                )
             chains[i, j] = chain if part > 0.0 and dz < 0.0 else -1
             if chains[i, j] < 0:
                 ways[i, j, :] = 0.0
@@ -69,7 +72,7 @@ def trace_nodes(
             ways[i, j, DX], ways[i, j, DY] = dx / dz, dy / dz
             ways[i, j, X], ways[i, j, Y] = ox - oz * dx / dz, oy - oz * dy / dz
             ways[i, j, LIGHT] = part * bare_light(u, v, lens_u, lens_v, camera)
-            tops[i, j] = oz if chain != 0 else NO_GLASS_MM
+            tops[i, j] = oz if chain != 0 or walls.shape[0] > 0 else NO_GLASS_MM
 
 
 @kernel

@@ -72,7 +72,7 @@ def test_a_point_is_seen_where_and_as_bright_as_its_rays_say(name, z_mm):
     for _ in range(14):
         u, v = rng.uniform(200.0, 800.0, 2)
         *way, part, _ = last_way(
-            *camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.plane
+            *camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.walls, tables.plane
         )
         if part <= 0.0:
             continue

@@ -28,7 +28,7 @@ def test_compiled_loops_do_what_the_python_says(aperture):
     scene = misaligned(small("tilted", 40), 1)
     tables, n, count = tables_of(scene, Pose(), aperture), 3, 60
     pixels = np.random.default_rng(0).integers(8, 30, (count, 2))
-    world = (tables.camera, tables.spheres, tables.rods, tables.bounds, tables.plane)
+    world = (tables.camera, tables.spheres, tables.rods, tables.walls, tables.bounds, tables.plane)
     results = []
     for trace in (rays.trace_pixels, rays.trace_pixels.py_func):
         points, light, spread = np.empty((count, 9, 2)), np.empty((count, 9), np.float32), np.empty(count)

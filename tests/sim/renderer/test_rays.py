@@ -21,6 +21,7 @@ from tracer.trace import trace
 GLASS = ConstantMedium(1.5)
 PLANE = Pose().axes()
 NO_RODS = np.empty((0, 7))
+NO_WALLS = np.empty((0, 13))
 
 
 def table(*rows):
@@ -78,7 +79,9 @@ def test_one_sphere_by_angles(height_mm):
     x_exit, z_exit = radius * math.sin(around), centre + radius * math.cos(around)
     expected = x_exit - math.tan(bend) * z_exit
     spheres = table((0.0, 0.0, centre, radius, n))
-    x, y, part = to_plane(0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, PLANE)
+    x, y, part = to_plane(
+        0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE
+    )
     assert (x, y) == pytest.approx((0.6 * expected, 0.8 * expected), abs=1e-11)
     assert 0.0 < part <= (4 * n / (1 + n) ** 2) ** 2 + 1e-12
 
@@ -92,7 +95,9 @@ def test_a_hollow_sphere_by_angles(height_mm):
     inner = 2.0 * i - math.pi if height_mm > core else 2.0 * (i - math.asin(height_mm / core))
     bend = 2.0 * outer + inner
     spheres = np.array([(0.0, 0.0, centre, radius, n, 0.0, core, 1.0)])
-    x, y, part = to_plane(0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, PLANE)
+    x, y, part = to_plane(
+        0.6 * height_mm, 0.8 * height_mm, 300.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE
+    )
     expected = height_mm / math.cos(bend) - centre * math.tan(bend)
     assert (x, y) == pytest.approx((0.6 * expected, 0.8 * expected), abs=1e-10)
     assert 0.0 < part <= ((4 * n / (1 + n) ** 2) ** (2 if height_mm > core else 4)) + 1e-12
@@ -100,7 +105,7 @@ def test_a_hollow_sphere_by_angles(height_mm):
 
 def test_axis_through_a_touching_stack_on_the_plane():
     spheres = table(*((0.0, 0.0, z, 25.0, 1.5) for z in (25.0, 75.0, 125.0)))
-    x, y, part = to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, PLANE)
+    x, y, part = to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE)
     assert (x, y) == (0.0, 0.0)
     assert part == pytest.approx(0.96**6)
 
@@ -116,16 +121,16 @@ def test_ray_through_a_slanted_contact_goes_straight(turn):
     start = upper - 300.0 * way
     expected = start - way * start[2] / way[2]
     for off in (0.0, 1e-13, -1e-12, 1e-9):
-        x, y, part = to_plane(start[0] + off, start[1], start[2], *way, spheres, NO_RODS, PLANE)
+        x, y, part = to_plane(start[0] + off, start[1], start[2], *way, spheres, NO_RODS, NO_WALLS, PLANE)
         assert (x, y) == pytest.approx(expected[:2], abs=1e-7)
         assert part == pytest.approx(0.96**4, abs=1e-9)
 
 
 def test_opaque_sphere_and_upward_rays_are_dark():
     spheres = table((0.0, 0.0, 25.0, 25.0, 1.0, 1.0))
-    assert to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, PLANE)[2] == 0.0
-    assert to_plane(30.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, PLANE) == (30.0, 0.0, 1.0)
-    assert to_plane(0.0, 0.0, 500.0, 0.6, 0.0, 0.8, spheres, NO_RODS, PLANE)[2] == 0.0
+    assert to_plane(0.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE)[2] == 0.0
+    assert to_plane(30.0, 0.0, 500.0, 0.0, 0.0, -1.0, spheres, NO_RODS, NO_WALLS, PLANE) == (30.0, 0.0, 1.0)
+    assert to_plane(0.0, 0.0, 500.0, 0.6, 0.0, 0.8, spheres, NO_RODS, NO_WALLS, PLANE)[2] == 0.0
 
 
 def test_rod_is_hit_exactly_where_the_line_passes_near_its_axis():
@@ -189,7 +194,9 @@ def test_two_formulations_agree(name, cores):
     traced = trace(scene, pixels)
     ours = np.array(
         [
-            to_plane(*camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.plane)
+            to_plane(
+                *camera_ray(u, v, 0.0, 0.0, tables.camera), tables.spheres, tables.rods, tables.walls, tables.plane
+            )
             for u, v in pixels
         ]
     )
