@@ -45,6 +45,12 @@ def sphere_of(scene: Scene, event: str) -> Sphere:
     return scene.spheres[scene.event_names().index(event) % len(scene.spheres)]
 
 
+def last_sphere(scene: Scene, branch: Branch) -> Sphere | None:
+    """Return the sphere of a branch that is nearest the plane; None if it goes through walls alone."""
+    spheres = {name: sphere for sphere in scene.spheres for name in sphere.event_names}
+    return next((spheres[name] for name in reversed(branch) if name in spheres), None)
+
+
 def key_of(events: NDArray[np.int64]) -> int:
     """Branch key of events."""
     key = DIRECT
@@ -141,6 +147,7 @@ __all__ = [
     "chain_trip",
     "event_numbers",
     "key_of",
+    "last_sphere",
     "mirrored_numbers",
     "name_keys",
     "number_in",

@@ -35,32 +35,31 @@ class Arrangement:
         self._walls = tuple(body for body in bodies if body.room is not None)
 
     @cached_property
-    def _gaps_mm(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """How far each body stays outside and inside of each wall, by their identities."""
-        gaps = {}
+    def _gaps_mm(self) -> dict[tuple[str, str | None], tuple[float, float]]:
+        """How far each body stays outside and inside of each wall, by their names; None is the camera."""
+        gaps: dict[tuple[str, str | None], tuple[float, float]] = {}
         for wall in self._walls:
             assert wall.room is not None
             for body in self._bodies:
-                if body is not wall:
-                    gaps[id(wall), id(body)] = wall.room.gaps_mm(*body.outline_mm)
-            gaps[id(wall), id(self)] = wall.room.gaps_mm(np.array([self._camera_mm]), 0.0)
+                if body.name != wall.name:
+                    gaps[wall.name, body.name] = wall.room.gaps_mm(*body.outline_mm)
+            gaps[wall.name, None] = wall.room.gaps_mm(np.array([self._camera_mm]), 0.0)
         return gaps
 
-    def _around(self, thing: object) -> list[Body]:
-        """Walls around a body, or around the camera (self)."""
+    def _around(self, name: str | None) -> list[Body]:
+        """Walls around a body, or around the camera (None)."""
         return [
             wall
             for wall in self._walls
-            if wall is not thing and self._gaps_mm[id(wall), id(thing)][1] >= -CONTACT_TOL_MM
+            if wall.name != name and self._gaps_mm[wall.name, name][1] >= -CONTACT_TOL_MM
         ]
 
-    def _innermost(self, thing: object) -> Body | None:
-        around = self._around(thing)
-        return max(around, key=lambda wall: len(self._around(wall)), default=None)
+    def _innermost(self, name: str | None) -> Body | None:
+        return max(self._around(name), key=lambda wall: len(self._around(wall.name)), default=None)
 
     def home_of(self, body: Body) -> Body | None:
         """Return the wall of the room in which a body stands; None for the outermost room."""
-        return self._innermost(body) if self._walls else None
+        return self._innermost(body.name) if self._walls else None
 
     def medium_in(self, wall: Body | None) -> Medium:
         """Return what fills the room of a wall, None being the outermost."""
@@ -68,28 +67,28 @@ class Arrangement:
             assert wall.room is not None
             if wall.room.medium is not None:
                 return wall.room.medium
-            wall = self._innermost(wall)
+            wall = self._innermost(wall.name)
         return self._ambient
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what cannot be: name of the body at fault, empty for the camera, and a sentence."""
         found = []
         for wall in self._walls:
-            outside, inside = self._gaps_mm[id(wall), id(self)]
+            outside, inside = self._gaps_mm[wall.name, None]
             if max(outside, inside) < -CONTACT_TOL_MM:
                 text = f"the camera stands in the glass of {wall.name!r} or behind its edge; move one of them"
                 found.append((wall.name, text))
             for body in self._bodies:
-                if body is wall:
+                if body.name == wall.name:
                     continue
-                outside, inside = self._gaps_mm[id(wall), id(body)]
+                outside, inside = self._gaps_mm[wall.name, body.name]
                 deep_mm = -max(outside, inside)
                 if deep_mm > CONTACT_TOL_MM and not self._holds(body, wall):
                     text = f"{wall.kind} {wall.name!r} cuts body {body.name!r}, {deep_mm:.6g} mm deep"
                     found.append((body.name, f"{text}; it must stand wholly on one side"))
         for body in self._bodies:
-            around = self._around(body)
-            depths = sorted(len(self._around(wall)) for wall in around)
+            around = self._around(body.name)
+            depths = sorted(len(self._around(wall.name)) for wall in around)
             if depths != list(range(len(around))):
                 names = " and ".join(repr(wall.name) for wall in around)
                 text = f"body {body.name!r} is in the rooms of {names}, none of which is in the other"
@@ -98,23 +97,23 @@ class Arrangement:
 
     def _holds(self, one: Body, wall: Body) -> bool:
         """Whether `one` is a wall that holds `wall`: then it is not cut by what is inside of it."""
-        return one.room is not None and self._gaps_mm[id(one), id(wall)][1] >= -CONTACT_TOL_MM
+        return one.room is not None and self._gaps_mm[one.name, wall.name][1] >= -CONTACT_TOL_MM
 
     def rooms(self, spheres: Sequence[Body], others: Sequence[Body], wavelength_nm: float) -> Rooms:
         """Rooms for the kernels, of spheres and other bodies in the order of their tables."""
         if not self._walls:
             return ONE_ROOM
         walls = [body for body in others if body.room is not None]
-        number: dict[int | None, int] = {None: OUTERMOST} | {id(wall): k + 1 for k, wall in enumerate(walls)}
+        number: dict[str | None, int] = {None: OUTERMOST} | {wall.name: k + 1 for k, wall in enumerate(walls)}
 
         def room_of(wall: Body | None) -> int:
-            return number[None if wall is None else id(wall)]
+            return number[None if wall is None else wall.name]
 
         index = [self.medium_in(wall).n(wavelength_nm) for wall in (None, *walls)]
         return Rooms(
             np.array([room_of(self.home_of(body)) for body in (*spheres, *others)], np.int32),
-            np.array([number[id(body)] if body.room is not None else -1 for body in others], np.int32),
+            np.array([number[body.name] if body.room is not None else -1 for body in others], np.int32),
             np.array([NOTHING, *(FIRST_OTHER - others.index(wall) for wall in walls)], np.int32),
             np.array(index) / index[0],
-            room_of(self._innermost(self)),
+            room_of(self._innermost(None)),
         )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap
 from correction.piv.vector_field import VectorField
-from tracer.branches import sphere_of
+from tracer.branches import last_sphere
 from tracer.scene import Scene
 
 MIDDLE = 0.75  # of the radius: where the paper quotes its accuracy behind glass
@@ -86,7 +86,9 @@ def _radii(
     nodes = correction_map.grid.to_mm(field.grid_px)
     radius = np.full(branch.shape, np.nan)
     for number in np.unique(branch[branch > 0]):
-        last = sphere_of(scene, correction_map.branches[int(number)][-1])
+        last = last_sphere(scene, correction_map.branches[int(number)])
+        if last is None:
+            continue
         here = branch == number
         off = nodes[here] - np.array(last.centre_mm[:2])
         radius[here] = np.hypot(off[:, 0], off[:, 1]) / last.radius_mm

@@ -21,7 +21,7 @@ from correction.evaluate.shift import Scatter, by_radius, scatter_of, shift_erro
 from correction.evaluate.velocity_route import PlaneVectors
 from correction.evaluate.verdicts import clearly_smaller, independent_share, smaller
 from correction.piv.vector_field import VectorField
-from tracer.branches import sphere_of
+from tracer.branches import last_sphere
 from tracer.scene import Scene
 
 DIRECT = "seen directly"
@@ -167,7 +167,9 @@ def radius_of(traced: PlaneVectors, correction_map: CorrectionMap, scene: Scene)
     """R / R of traced vectors behind glass, NaN in the direct view."""
     radius = np.full(len(traced.branch), np.nan)
     for number in np.unique(traced.branch[traced.branch > 0]):
-        last = sphere_of(scene, correction_map.branches[int(number)][-1])
+        last = last_sphere(scene, correction_map.branches[int(number)])
+        if last is None:
+            continue
         here = traced.branch == number
         radius[here] = np.linalg.norm(traced.place_mm[here] - last.centre_mm[:2], axis=1) / last.radius_mm
     return radius

@@ -18,7 +18,6 @@ from correction.correction_map import CorrectionMap
 from correction.node_status import NodeStatus
 from daq.analysis.kernels.behind import count_behind
 from tracer.bodies import Body
-from tracer.branches import sphere_of
 from tracer.scene import Scene
 
 Areas = Mapping[NodeStatus, float]
@@ -109,15 +108,18 @@ def plane_share(scene: Scene, correction_map: CorrectionMap) -> PlaneShare:
     by_branch = node_mm2 * np.bincount(numbers, minlength=len(correction_map.branches))
     shown = dict.fromkeys((body.name for body in scene.seen), 0.0)
     for area, branch in zip(by_branch.tolist(), correction_map.branches, strict=True):
-        for name in {sphere_of(scene, event).name for event in branch} if area else ():
-            shown[name] += area
+        for body in scene.seen if area else ():
+            if not set(body.event_names).isdisjoint(branch):
+                shown[body.name] += area
     direct_mm2 = float(by_branch[0])
     return PlaneShare(
         (width * grid.pitch_mm, height * grid.pitch_mm),
         _areas(np.bincount(status.ravel(), minlength=len(NodeStatus)), node_mm2),
         direct_mm2,
         float(by_branch.sum()) - direct_mm2,
-        tuple(_body_share(body, scene, correction_map, shown[body.name]) for body in scene.seen),
+        tuple(
+            _body_share(body, scene, correction_map, shown[body.name]) for body in scene.seen if body.room is None
+        ),
     )
 
 

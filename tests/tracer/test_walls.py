@@ -213,7 +213,7 @@ def ball(z_mm: float) -> Sphere:
         (lambda: (tube(inner_radius_mm=60.0),), "less than outer_radius_mm"),
         (lambda: (tube(end_mm=(-80.0, 0.0, 0.0)),), "two points"),
         (lambda: (tube(), tube(name="b", start_mm=(0.0, 0.0, 5.0), outer_radius_mm=47.0)), "cuts body"),
-        (lambda: (window(), window(name="b", centre_mm=(90.0, 0.0, 60.0), normal=(1.0, 0.0, 0.0)), ball(20.0)),
+        (lambda: (window(), window(name="side", centre_mm=(90.0, 0.0, 60.0), normal=(1.0, 0.0, 0.0), radius_mm=50.0), ball(20.0)),
          "cuts body"),
     ],
 )  # fmt: skip

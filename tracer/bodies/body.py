@@ -26,13 +26,12 @@ class Capsule(NamedTuple):
     end_mm: Vector3
     radius_mm: float
 
-    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
-        """Distance from the surface to a point (3,), negative inside."""
+    def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from the surface to points (..., 3), negative inside."""
         start, end = np.array(self.start_mm), np.array(self.end_mm)
         axis = end - start
-        length2 = float(axis @ axis)
-        along = float(np.clip((point_mm - start) @ axis / length2, 0.0, 1.0)) if length2 > 0.0 else 0.0
-        return float(np.linalg.norm(point_mm - start - along * axis)) - self.radius_mm
+        along = np.clip((points_mm - start) @ axis / max(float(axis @ axis), np.finfo(float).tiny), 0.0, 1.0)
+        return np.asarray(np.linalg.norm(points_mm - start - along[..., None] * axis, axis=-1) - self.radius_mm)
 
 
 Index = Callable[["Body", Medium | None], float]  # n of a medium (None: around) / n around a body
@@ -111,9 +110,9 @@ class Body(ABC):
         """Largest z of the body."""
         return max(self.capsule.start_mm[2], self.capsule.end_mm[2]) + self.capsule.radius_mm
 
-    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
-        """Distance from the surface to a point (3,), negative inside: that of the capsule, if need be."""
-        return self.capsule.distance_mm(point_mm)
+    def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from the surface to points (..., 3), negative inside: that of the capsule, if need be."""
+        return self.capsule.distance_mm(points_mm)
 
     @property
     def media(self) -> tuple[tuple[str, Medium], ...]:

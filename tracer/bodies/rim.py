@@ -27,6 +27,12 @@ def unit_vector(vector: Sequence[float], what: str) -> Vector3:
     return vector3(np.array(vector) / length)
 
 
+def of_ring(over_mm: NDArray[np.float64], aside_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance from a body of revolution: how far beyond its ends, and how far beside its round sides."""
+    outside = np.hypot(np.maximum(over_mm, 0.0), np.maximum(aside_mm, 0.0))
+    return np.asarray(outside + np.minimum(np.maximum(over_mm, aside_mm), 0.0))
+
+
 def rims(start_mm: Vector3, end_mm: Vector3, radius_mm: float) -> NDArray[np.float64]:
     """Points (2 POINTS, 3) of the two rims of a cylinder, from the ends of its axis."""
     start, end = np.array(start_mm), np.array(end_mm)

@@ -163,9 +163,9 @@ class Sphere(Body):
         """Largest z of the sphere."""
         return self.centre_mm[2] + self.radius_mm
 
-    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
-        """Distance from the surface to a point (3,), negative inside."""
-        return float(np.linalg.norm(point_mm - np.array(self.centre_mm))) - self.radius_mm
+    def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from the surface to points (..., 3), negative inside."""
+        return np.asarray(np.linalg.norm(points_mm - np.array(self.centre_mm), axis=-1) - self.radius_mm)
 
     def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
         """Return the sphere with its centre moved."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ground.config import Triple
 from ground.jit import Array
 from tracer.bodies.body import Body, BodySection, Capsule, Index, Room, vector3
-from tracer.bodies.rim import SHORTEST, rims
+from tracer.bodies.rim import SHORTEST, of_ring, rims
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.tube import cross_tube, leave_tube, meets_tube, tube_rates
@@ -147,14 +147,13 @@ class Tube(Body):
         """Largest z of the tube."""
         return float(self.outline_mm[0][:, 2].max())
 
-    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
-        """Distance from the wall to a point (3,), negative in the glass."""
-        w, axis = point_mm - np.array(self.start_mm), np.array(self.axis)
-        along = float(w @ axis)
-        off = float(np.linalg.norm(w - along * axis))
-        in_wall = max(off - self.outer_radius_mm, self.inner_radius_mm - off)
-        beyond = max(-along, along - self.length_mm)
-        return math.hypot(max(in_wall, 0.0), max(beyond, 0.0)) + min(max(in_wall, beyond), 0.0)
+    def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from the wall to points (..., 3), negative in the glass."""
+        w, axis = points_mm - np.array(self.start_mm), np.array(self.axis)
+        along = w @ axis
+        off = np.linalg.norm(w - along[..., None] * axis, axis=-1)
+        aside = np.maximum(off - self.outer_radius_mm, self.inner_radius_mm - off)
+        return of_ring(np.maximum(-along, along - self.length_mm), aside)
 
     def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
         """Return the tube with both ends moved."""

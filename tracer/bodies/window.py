@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ground.config import Triple
 from ground.jit import Array
 from tracer.bodies.body import Body, BodySection, Capsule, Index, Room, vector3
-from tracer.bodies.rim import rims, unit_vector
+from tracer.bodies.rim import of_ring, rims, unit_vector
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.window import cross_window, leave_window, meets_window, window_rates
@@ -134,13 +134,13 @@ class Window(Body):
         """Largest z of the plate."""
         return float(self.outline_mm[0][:, 2].max())
 
-    def distance_mm(self, point_mm: NDArray[np.float64]) -> float:
-        """Distance from the plate to a point (3,), negative inside."""
-        w, normal = point_mm - np.array(self.centre_mm), np.array(self.normal)
-        along = float(w @ normal)
-        over = max(along, -along - self.thickness_mm)
-        beside = float(np.linalg.norm(w - along * normal)) - self.radius_mm
-        return math.hypot(max(over, 0.0), max(beside, 0.0)) + min(max(over, beside), 0.0)
+    def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from the plate to points (..., 3), negative inside."""
+        w, normal = points_mm - np.array(self.centre_mm), np.array(self.normal)
+        along = w @ normal
+        over = np.maximum(along, -along - self.thickness_mm)
+        beside = np.linalg.norm(w - along[..., None] * normal, axis=-1) - self.radius_mm
+        return of_ring(over, beside)
 
     def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
         """Return the window with both faces moved."""

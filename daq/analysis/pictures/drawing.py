@@ -68,7 +68,7 @@ def _from_the_side(axes: Axes, scene: Scene, cut: Section, reach: tuple[float, f
     place = cut.within(np.array(scene.camera.position_mm))
     cone = [(0.0, reach[0]), (0.0, reach[1]), (place[1], place[0])]
     axes.add_patch(Polygon(cone, color="#f3e3d6", lw=0, zorder=0))
-    _add(axes, [_capsule_patch(body, cut) for body in scene.seen], [_colour(body) for body in scene.seen], 0.8)
+    _add(axes, [_shadow(body, cut) for body in scene.seen], [_colour(body) for body in scene.seen], 0.8)
     axes.plot([0.0, 0.0], reach, color=INK, linewidth=2.0)
     axes.annotate("plane", (0.0, reach[1]), (0, 4), textcoords="offset points", ha="center", fontsize=8, color=INK)
     box = 0.035 * float(place[1])
@@ -87,7 +87,7 @@ def _from_the_side(axes: Axes, scene: Scene, cut: Section, reach: tuple[float, f
 def _from_the_camera(axes: Axes, scene: Scene, cuts: Sequence[Section], corners: Floats) -> None:
     """Outlines of the bodies on the plane, as the pinhole sees them, and where the cuts go."""
     seen = [(body, outline_mm(body, scene.camera.position_mm)) for body in scene.seen]
-    known = [(body, outline) for body, outline in seen if outline is not None]
+    known = [(body, outline) for body, outline in seen if outline is not None and body.room is None]
     known.sort(key=lambda pair: pair[0].highest_mm)
     _add(axes, [Polygon(outline) for _, outline in known], [_colour(body) for body, _ in known], 0.5)
     axes.add_patch(Polygon(corners, fill=False, edgecolor=INK, linewidth=1.2))
@@ -171,22 +171,24 @@ def _draw_rays(axes: Axes, rays: Sequence[Ray]) -> None:
 
 
 def _draw_support(axes: Axes, body: Body, cut: Section) -> None:
-    """Draw where a cut meets a body that is no ball: where its capsule is within reach."""
-    start, end, radius = (np.array(part) for part in body.capsule)
+    """Draw where a cut meets a body that is no ball."""
     (z0, z1), (s0, s1) = axes.get_xlim(), axes.get_ylim()
     z, s = np.linspace(z0, z1, RASTER), np.linspace(s0, s1, RASTER)
     points = cut.world(np.stack(np.meshgrid(s, z, indexing="ij"), axis=-1))
-    axis = end - start
-    along = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-300), 0.0, 1.0)
-    distance = np.linalg.norm(points - start - along[..., None] * axis, axis=-1) - float(radius)
+    distance = body.distance_mm(points)
     if distance.min() < 0.0:
-        axes.contourf(z, s, distance, levels=[float(distance.min()) - 1.0, 0.0], colors=[STEEL], zorder=2)
+        levels = [float(distance.min()) - 1.0, 0.0]
+        axes.contourf(z, s, distance, levels=levels, colors=[_colour(body)], zorder=2)
 
 
-def _capsule_patch(body: Body, cut: Section) -> Polygon:
-    """Shadow of a body's capsule on a cut: the hull of two discs, as z, s."""
-    start, end, radius = body.capsule
-    ends = cut.within(np.array([start, end]))[:, ::-1]
+def _shadow(body: Body, cut: Section) -> Polygon:
+    """Shadow of a body on a cut: the hull of its outline, as z, s."""
+    import cv2
+
+    points, radius = body.outline_mm
+    ends = cut.within(points)[:, ::-1]
+    if radius == 0.0:
+        return Polygon(cv2.convexHull(ends.astype(np.float32))[:, 0])
     axis = ends[1] - ends[0]
     turn = float(np.arctan2(axis[1], axis[0]))
     half = np.linspace(0.5 * np.pi, 1.5 * np.pi, 32) + turn

@@ -33,11 +33,11 @@ def outline_mm(body: Body, pinhole_mm: Iterable[float]) -> Floats | None:
     """Outline (N, 2) [mm] that a body throws on the plane from the pinhole; None if it reaches beyond any frame.
 
     Rays that touch a sphere of radius R at distance d open a cone of half angle asin(R / d); the outline of a
-    capsule is the hull of those of its two ends.
+    body is the hull of those of the points around which it lies.
     """
     import cv2
 
-    pinhole, (*ends, radius) = np.array(list(pinhole_mm)), body.capsule
+    pinhole, (ends, radius) = np.array(list(pinhole_mm)), body.outline_mm
     angle = np.linspace(0.0, 2.0 * np.pi, ROUND_STEPS, endpoint=False)
     found = []
     for end in ends:

@@ -138,7 +138,7 @@ def _stopped_at(scene: Scene, start: Floats, way: Floats) -> Floats:
     whole = start[2] / max(-way[2], 1e-9)
     gone = 0.0
     for _ in range(200):
-        step = min((body.distance_mm(start + gone * way) for body in opaque), default=np.inf)
+        step = min((float(body.distance_mm(start + gone * way)) for body in opaque), default=np.inf)
         if step < NEAR_MM or gone + step > whole:
             break
         gone += step
