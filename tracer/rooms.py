@@ -96,8 +96,9 @@ class Arrangement:
         return found
 
     def _holds(self, one: Body, wall: Body) -> bool:
-        """Whether `one` is a wall that holds `wall`: then it is not cut by what is inside of it."""
-        return one.room is not None and self._gaps_mm[one.name, wall.name][1] >= -CONTACT_TOL_MM
+        """Whether `one` surrounds `wall`: then it is not cut by what is inside of it."""
+        held = one.room is not None and one.room.surrounds
+        return held and self._gaps_mm[one.name, wall.name][1] >= -CONTACT_TOL_MM
 
     def rooms(self, spheres: Sequence[Body], others: Sequence[Body], wavelength_nm: float) -> Rooms:
         """Rooms for the kernels, of spheres and other bodies in the order of their tables."""

@@ -64,10 +64,13 @@ class Room(NamedTuple):
     gaps_mm : callable
         (corners (K, 3), radius) -> how far a body within `radius` of the hull of these points stays outside, and
         how far inside, of the wall; both are negative for one that the wall cuts.
+    surrounds : bool
+        Whether the wall goes all around what it holds; else it is a plane, to which everything has a side.
     """
 
     medium: Medium | None
     gaps_mm: Callable[[NDArray[np.float64], float], tuple[float, float]]
+    surrounds: bool
 
 
 class Body(ABC):

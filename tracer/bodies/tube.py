@@ -183,7 +183,7 @@ class Tube(Body):
     @property
     def room(self) -> Room:
         """The inside."""
-        return Room(self.filled, self._gaps_mm)
+        return Room(self.filled, self._gaps_mm, surrounds=True)
 
     def _gaps_mm(self, corners_mm: NDArray[np.float64], radius_mm: float) -> tuple[float, float]:
         start, axis = np.array(self.start_mm), np.array(self.axis)

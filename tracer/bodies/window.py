@@ -161,7 +161,7 @@ class Window(Body):
     @property
     def room(self) -> Room:
         """All that lies behind the plate's plane."""
-        return Room(self.behind, self._gaps_mm)
+        return Room(self.behind, self._gaps_mm, surrounds=False)
 
     def _gaps_mm(self, corners_mm: NDArray[np.float64], radius_mm: float) -> tuple[float, float]:
         heights = (corners_mm - np.array(self.centre_mm)) @ np.array(self.normal)
