@@ -167,7 +167,7 @@ class Adjustment:
         weighted = [self.weighted(frame) for frame in measured]
         left = [residuals(wide, at, corners) for corners in weighted]
         verdict, covariance = judge_model(unknowns, wide, at, measured, weighted, left, alone)
-        root = wide.columns @ np.linalg.cholesky(covariance)
+        root = wide.columns @ root_of(covariance)
         if len(at) > free:
             root = np.column_stack((root, wide.columns @ newton_step(wide, at, slope, normal)))
         if verdict.cause is not None and verdict.cause.change is not None:
@@ -190,6 +190,12 @@ class Adjustment:
             verdict,
             (*history, self.step("all together", unknowns, solution.x, measured, kept)),
         )
+
+
+def root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return R (P, P) with R R^T the covariance (P, P), whose smallest eigenvalues may be lost in rounding."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def legal_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:

@@ -47,3 +47,10 @@ def test_a_ball_held_off_its_place_is_named_though_others_lean_on_it(seed):
     said = lab.fit.verdict.sentences[0]
     assert f"the ball `{lab.ball}` does not stand where it was held" in said
     assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8
+
+
+def test_a_lab_known_along_one_way_and_not_at_all_along_another_is_judged_as_well():
+    """Its covariance spans seventeen orders: the smallest eigenvalues are rounding, of either sign."""
+    lab = drawn_lab(131009, "ball off")
+    assert np.isfinite(lab.sigma_px).all()
+    assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8
