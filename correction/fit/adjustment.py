@@ -133,6 +133,14 @@ class Adjustment:
             np.concatenate([frame.rim_px for frame in measured]),
         )
 
+    def pull_of_pupils(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> NDArray[np.float64]:
+        """Half the gradient (P,) by which all corners together pull if the pupil does what it may."""
+        pull = np.zeros(parts[0].rate.shape[2])
+        for frame, part in zip(frames, parts, strict=True):
+            off = np.asarray(self.weighted(frame).whiten) @ frame.pupil_px[:, :, None]
+            pull += np.einsum("nip,ni->p", np.nan_to_num(part.rate), off[:, :, 0])
+        return pull
+
     def estimate(
         self,
         unknowns: Unknowns,
@@ -170,6 +178,8 @@ class Adjustment:
         root = wide.columns @ root_of(covariance)
         if len(at) > free:
             root = np.column_stack((root, wide.columns @ newton_step(wide, at, slope, normal)))
+        if any(frame.pupil_px.any() for frame in used):
+            root = np.column_stack((root, wide.columns @ alone @ self.pull_of_pupils(used, parts)))
         if verdict.cause is not None and verdict.cause.change is not None:
             root = np.column_stack((root, verdict.cause.change))
         scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))

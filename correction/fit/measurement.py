@@ -11,7 +11,7 @@ from correction.board.board_search import track_board
 from correction.board.corners import CornerFit, CornerReason
 from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
-from correction.fit.smear import UNEVEN, UNSURE, Dispersion, pupil_smear, smear_of
+from correction.fit.smear import UNEVEN, UNSURE, Dispersion, pupil_smear, smear_of, uneven_blur
 from correction.fit.smear_test import EdgeSpread
 from correction.fit.solver import Corners
 from ground.short_repr import short_repr
@@ -97,6 +97,10 @@ class MeasuredFrame:
         Those of them that the scene shows.
     spread : EdgeSpread
         How wide edges are drawn.
+    doubt_px : (N,) float64
+        Standard deviation of what is smooth in the errors and known: what smears corners is not known to better.
+    pupil_px : (N, 2) float64
+        What the pupil may do to corners beyond what is taken off, all alike, one standard deviation.
     """
 
     name: str
@@ -110,6 +114,13 @@ class MeasuredFrame:
     refused: dict[str, int]
     lost: LostCorners = field(default_factory=LostCorners)
     spread: EdgeSpread = field(default_factory=EdgeSpread)
+    doubt_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    pupil_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __post_init__(self) -> None:
+        for name, of_none in (("doubt_px", np.zeros(len(self))), ("pupil_px", np.zeros((len(self), 2)))):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, of_none)
 
     def __len__(self) -> int:
         return len(self.index)
@@ -130,6 +141,8 @@ class MeasuredFrame:
             rim_px=self.rim_px[which],
             sigma_px=self.sigma_px[which],
             spread=self.spread.taken(which),
+            doubt_px=self.doubt_px[which],
+            pupil_px=self.pupil_px[which],
         )
 
 
@@ -178,18 +191,23 @@ def glass_frame(
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
     spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px))
+    doubt, pupil = np.zeros(len(expected.pixel)), np.zeros_like(expected.pixel)
     if dispersion is not None:
         smear = smear_of(scene, pose, dispersion, expected.pixel, expected.axes_px, fit.blur_px)
-        sigma = np.hypot(fit.sigma_px, UNSURE * smear.width_px[:, None])
+        doubt = UNSURE * smear.width_px
+        sigma = np.hypot(fit.sigma_px, doubt[:, None])
         fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
         spread = replace(spread, variance_px2=spread.variance_px2 - smear.edges_px2)
     if scene.camera.pupil is not None:
         args = pose, expected.pixel, expected.axes_px, fit.blur_px
         smear = pupil_smear(scene, scene.camera.pupil, *args)
-        sigma = np.hypot(fit.sigma_px, UNEVEN * np.linalg.norm(smear.shift_px, axis=1)[:, None])
+        pupil = UNEVEN * smear.shift_px + uneven_blur(expected.index, expected.branch, expected.axes_px, smear)
+        aside = np.linalg.norm(pupil, axis=1)
+        doubt, sigma = np.hypot(doubt, aside), np.hypot(fit.sigma_px, aside[:, None])
         fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2)
-    return _measured(frame.name, board, expected, fit, spread, height_number)
+    measured = _measured(frame.name, board, expected, fit, spread, height_number)
+    return replace(measured, doubt_px=doubt[fit.valid], pupil_px=pupil[fit.valid])
 
 
 def _measured(

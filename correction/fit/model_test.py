@@ -8,7 +8,8 @@ frame by frame, by low polynomials of the pixel (columns of Q, orthonormal):
     S = |Q^T r|^2 of k dimensions, the smooth part;        R = |r|^2 - S of m dimensions, the rest,
 
 and F = (S/k) / (R/m) is asked whether corners with no more than that SHARE of smooth error would reach it:
-Fisher's lack-of-fit test with the non-central F distribution, lambda = 2 N SHARE for N corners.  A residual's size
+Fisher's lack-of-fit test with the non-central F distribution, lambda = 2 N SHARE for N corners, and the squares of
+what is known to be smooth (`Remainder.doubt_px`).  A residual's size
 does not matter: what the corners can do is the measure.  The chance of one alarm among all ways of
 a right lab is at most FALSE_ALARMS.  Corners beyond CLIP sigmas count as CLIP: a few wrong ones must not hide the
 rest, nor a wrong model itself among outliers.
@@ -45,6 +46,8 @@ class Remainder:
         As used by the fit.
     magnified : (N, 2, 2) float64
         Corrected px a raw px: d plane point / d pixel over the pitch.
+    doubt_px : (N,) float64
+        Standard deviation of what is smooth and known of, and counted in sigma_px already.
     """
 
     branch_name: NDArray[np.str_]
@@ -52,6 +55,7 @@ class Remainder:
     residual_px: NDArray[np.float64]
     sigma_px: NDArray[np.float64]
     magnified: NDArray[np.float64]
+    doubt_px: NDArray[np.float64]
 
     @property
     def clipped(self) -> NDArray[np.float64]:
@@ -133,7 +137,7 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
     ways = sorted({str(way) for rest in frames for way in np.unique(rest.branch_name)}, key=lambda w: (len(w), w))
     tests = []
     for way in ways:
-        energy = rough = 0.0
+        energy = rough = known = 0.0
         k = m = count = 0
         squares, weights, left, on_map, largest = 0.0, 0.0, 0.0, 0.0, 0.0
         for rest, (smooth, taken) in zip(frames, parts, strict=True):
@@ -144,6 +148,7 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
             own = float(np.sum((smooth[here] / rest.sigma_px[here]) ** 2))
             energy += own
             rough += float(np.sum(rest.clipped[here] ** 2)) - own
+            known += float(np.sum((rest.doubt_px[here, None] / rest.sigma_px[here]) ** 2)) / 2.0
             k, m, count = k + int(taken[here][0]), m + 2 * size - int(taken[here][0]), count + size
             squares += float(np.sum(smooth[here] ** 2))
             weights += float(np.sum(rest.sigma_px[here] ** -2.0))
@@ -156,7 +161,8 @@ def ways_tested(frames: Sequence[Remainder], parts: Sequence[SmoothPart] | None 
         rough_square = max(rough / m, 1e-12)
         excess = max(energy - k * rough_square, 0.0)
         ratio = energy / k / rough_square
-        chance = float(np.nan_to_num(scipy.stats.ncf.sf(ratio, k, m, 2.0 * count * SHARE), nan=0.0))
+        allowed = 2.0 * count * SHARE + known / rough_square
+        chance = float(np.nan_to_num(scipy.stats.ncf.sf(ratio, k, m, allowed), nan=0.0))
         shrink = np.sqrt(excess / max(energy, 1e-300))
         tests.append(
             WayTest(

@@ -185,9 +185,9 @@ def judge_model(
     for frame, corners, part in zip(frames, weighted, parts, strict=True):
         sigma = 1.0 / np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)
         rays = landed(unknowns, full, corners)
-        rest = Remainder(
-            frame.branch_name, corners.pixel, part.value * sigma, sigma, np.nan_to_num(rays.pixel_rate) / pitch_mm
-        )
+        shown = np.nan_to_num(rays.pixel_rate) / pitch_mm
+        off = part.value * sigma
+        rest = Remainder(frame.branch_name, corners.pixel, off, sigma, shown, frame.doubt_px)
         rests.append(rest)
         rate = np.nan_to_num(part.rate)
         lattices.append(Lattice(frame.index, frame.branch_name, rest.clipped, rate))

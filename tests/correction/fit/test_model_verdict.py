@@ -18,10 +18,15 @@ LATTICE = np.stack(np.meshgrid(np.arange(20), np.arange(12)), axis=-1).reshape(-
 PIXEL = 40.0 + 22.0 * LATTICE
 
 
-def remainder(residual_px: np.ndarray, way: str = "ball", sigma: float = 0.02) -> Remainder:
+def remainder(residual_px: np.ndarray, way: str = "ball", sigma: float = 0.02, doubt_px: float = 0.0) -> Remainder:
     count = len(residual_px)
     return Remainder(
-        np.full(count, way), PIXEL, residual_px, np.full((count, 2), sigma), np.tile(np.eye(2), (count, 1, 1))
+        np.full(count, way),
+        PIXEL,
+        residual_px,
+        np.full((count, 2), sigma),
+        np.tile(np.eye(2), (count, 1, 1)),
+        np.full(count, doubt_px),
     )
 
 
@@ -52,6 +57,15 @@ def test_a_field_that_bends_is_found_and_measured_below_the_noise():
     assert test.smooth_px == pytest.approx(size, rel=0.2)
     assert test.rough_px == pytest.approx(0.02, rel=0.1)
     assert test.map_px == pytest.approx(np.sqrt(2.0) * size, rel=0.2)
+
+
+def test_a_field_as_large_as_what_is_known_to_be_smooth_is_no_alarm():
+    field, noise = bent(0.3), 0.02 * np.random.default_rng(2).normal(size=PIXEL.shape)
+    size = float(np.sqrt(np.mean(np.sum(field**2, axis=1))))
+    (known,) = ways_tested([remainder(noise + field, doubt_px=size)])
+    (larger,) = ways_tested([remainder(noise + 3.0 * field, doubt_px=size)])
+    assert not known.alarm
+    assert larger.alarm
 
 
 def test_a_few_wrong_corners_are_no_wrong_model():

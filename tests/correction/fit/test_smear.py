@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from correction.fit.smear import Dispersion, smear_of, smeared
+from correction.fit.smear import SLOPE, Dispersion, Smear, smear_of, smeared, uneven_blur
 from sim.prints.patterns import Pose
 from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import tables_of
@@ -48,6 +48,18 @@ def test_an_uneven_smear_moves_both_edges_as_least_squares_sees_them(seed):
         assert normal @ found.shift_px[0] == pytest.approx(own, abs=0.012)
         assert abs(normal @ found.shift_px[0] - own) < 0.5 * abs(share @ (steps @ normal) - own) + 0.004
     assert found.width_px[0] == pytest.approx(spread)
+
+
+def test_a_blur_that_grows_along_the_frame_may_draw_corners_along():
+    index = np.stack(np.meshgrid(np.arange(6), np.arange(5)), axis=-1).reshape(-1, 2)
+    axes = np.tile(AXES, (len(index), 1, 1))
+    pixel = index @ AXES[0].T
+    slope = np.array([0.03, -0.02])
+    smear = Smear(np.zeros((30, 2)), np.sqrt(4.0 + pixel @ slope), np.zeros((30, 2)))
+    way = np.zeros(30, np.int64)
+    np.testing.assert_allclose(uneven_blur(index, way, axes, smear), np.tile(SLOPE * slope, (30, 1)), atol=1e-12)
+    alone = uneven_blur(index, np.arange(30), axes, smear)  # every corner on a way of its own
+    assert not alone.any()
 
 
 def with_index(scene: Scene, index: float) -> Scene:
