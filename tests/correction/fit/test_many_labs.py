@@ -19,6 +19,8 @@ KIND = 10000  # seeds from one kind of fault to the next
 LABS = int(os.environ.get("LABS", "20"))
 MOST = 8  # times LABS that are drawn of a kind until LABS are costly
 COSTLY_PX = 0.05
+TELLING = 40  # corners seen through a ball from which a fault of it must be named
+OF_A_BALL = ("ellipsoid", "ball off")
 CAUSE = {
     "ellipsoid": "not the sphere",
     "bent board": "board is not flat",
@@ -39,6 +41,8 @@ class Judged:
     is_named: bool
     says_cause: bool
     covered: float  # share of the map's errors within one sigma
+    held: float  # share of the squares of the map's errors that two sigmas hold
+    corners: int  # seen through the faulty ball
 
 
 def judged(seed: int, fault: str) -> Judged:
@@ -48,7 +52,10 @@ def judged(seed: int, fault: str) -> Judged:
     cause = named and CAUSE.get(fault, "no cause") in " ".join(verdict.sentences)
     covered = float(np.mean(np.abs(lab.error_px) < lab.sigma_px))
     costly = lab.cost_px > COSTLY_PX or fault == "support"  # hidden corners cost the map next to nothing
-    return Judged(fault, costly, named, cause, covered)
+    inside = np.abs(lab.error_px) < 2.0 * lab.sigma_px
+    held = float(np.sum(lab.error_px**2 * inside) / np.sum(lab.error_px**2))
+    seen = sum(way.corners for way in verdict.ways if lab.ball in way.way.split(" > "))
+    return Judged(fault, costly, named, cause, covered, held, seen)
 
 
 @pytest.fixture(scope="module")
@@ -74,13 +81,15 @@ def says(labs: list[Judged]) -> str:
     for fault in ("", *FAULTS):
         own = of(labs, fault)
         costly = [lab for lab in own if lab.is_costly]
-        unnamed = [lab.covered for lab in costly if not lab.is_named]
+        unnamed = [lab.held > 0.95 for lab in costly if not lab.is_named]
+        telling = [lab.is_named for lab in costly if lab.corners >= TELLING]
         rows.append(
             f"{fault or 'right':12s} {len(own):4d} labs, {sum(lab.is_named for lab in own):4d} alarms; of"
             f" {len(costly):3d} costly ones {sum(lab.is_named for lab in costly):3d} named, by the cause"
             f" {sum(lab.says_cause for lab in costly):3d}; one sigma covers"
-            f" {np.mean([lab.covered for lab in own]):.2f}, of costly ones that are not named"
-            f" {np.mean(unnamed) if unnamed else np.nan:.2f}"
+            f" {np.mean([lab.covered for lab in own]):.2f}; two sigmas hold {sum(unnamed)} of"
+            f" {len(unnamed)} that are not named; of {len(telling)} whose ball shows {TELLING} corners"
+            f" {sum(telling)} are named"
         )
     return "\n" + "\n".join(rows)
 
@@ -96,11 +105,14 @@ def test_right_labs_raise_no_alarm(labs):
 @pytest.mark.slow
 @pytest.mark.timeout(14400)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_wrong_labs_that_cost_something_raise_an_alarm_and_the_sigma_of_the_others_holds_the_cost(labs, fault):
-    costly = [lab for lab in of(labs, fault) if lab.is_costly]
-    unnamed = [lab.covered for lab in costly if not lab.is_named]
+def test_wrong_labs_that_cost_something_raise_an_alarm(labs, fault):
+    """A ball seen in fewer corners than TELLING hides its fault among its own numbers: counted, not judged."""
+    costly = [
+        lab for lab in of(labs, fault) if lab.is_costly and (lab.corners >= TELLING or fault not in OF_A_BALL)
+    ]
+    unnamed = [lab.held > 0.95 for lab in costly if not lab.is_named]
     assert len(costly) - len(unnamed) >= 0.95 * len(costly) - 1  # one by chance
-    assert not unnamed or np.mean(unnamed) > 0.6
+    assert all(unnamed) or len(unnamed) <= 1
 
 
 @pytest.mark.slow
