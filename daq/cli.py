@@ -12,11 +12,10 @@ import signal
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, TextIO
 
 import ground.compile_news as compile_news
-from daq.analysis.pictures import apart
 from daq.exit_codes import DEVICE as DEVICE  # who calls main compares with these
 from daq.exit_codes import DONE as DONE
 from daq.exit_codes import INTERRUPTED as INTERRUPTED
@@ -62,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
     compile_news.make_helper, compile_news.helper = lambda: _first_use(verb), None
     draws = DRAWS.get(verb, ()) if options.get("pictures") else ()
-    with apart.begun(draws), orderly_end(), _without_helper(), warnings.catch_warnings():
+    with _drawn_apart(draws), orderly_end(), _without_helper(), warnings.catch_warnings():
         warnings.showwarning = print_warning
         try:
             code = _carried_out(verb, options)
@@ -75,6 +74,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"rtpiv {verb}: {sentence(failed)}", file=sys.stderr)
         return DEVICE
     return code
+
+
+def _drawn_apart(modules: Sequence[str]) -> AbstractContextManager[None]:
+    """Let pictures be drawn by a process of their own; who draws none does not wait for it either."""
+    if not modules:
+        return nullcontext()
+    from daq.analysis.pictures.apart import begun
+
+    return begun(modules)
 
 
 def _first_use(verb: str) -> compile_news.Helper:

@@ -24,7 +24,7 @@ bodies: [{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0
 def _loaded(code: str, *words: str) -> set[str]:
     """Modules of a process that has run some code."""
     run = subprocess.run(
-        [sys.executable, "-c", f"import sys; {code}; print(*sys.modules, file=sys.stderr)", *words],
+        [sys.executable, "-c", f"import sys\n{code}\nprint(*sys.modules, file=sys.stderr)", *words],
         env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True,
     )  # fmt: skip
     return set(run.stderr.split())
@@ -36,6 +36,12 @@ def test_no_verb_imports_what_it_may_not_need():
     loaded = _loaded(code, *VERBS)
     assert {f"daq.verbs.{name}" for name in VERBS} <= loaded
     assert (DRAWN | TRACED | SOLVED | OTHERS) & loaded == set()
+
+
+def test_help_waits_for_nothing_that_draws():
+    code = "from daq.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    loaded = _loaded(code)
+    assert {"multiprocessing", "numpy", "concurrent.futures"} & loaded == set()
 
 
 @pytest.mark.parametrize(
