@@ -34,6 +34,11 @@ class Arrangement:
         self._bodies, self._camera_mm, self._ambient = tuple(bodies), camera_mm, ambient
         self._walls = tuple(body for body in bodies if body.room is not None)
 
+    @property
+    def is_one_room(self) -> bool:
+        """Whether there are no walls."""
+        return not self._walls
+
     @cached_property
     def _gaps_mm(self) -> dict[tuple[str, str | None], tuple[float, float]]:
         """How far each body stays outside and inside of each wall, by their names; None is the camera."""
@@ -72,6 +77,8 @@ class Arrangement:
 
     def problems(self) -> list[tuple[str, str]]:
         """Return what cannot be: name of the body at fault, empty for the camera, and a sentence."""
+        if not self._walls:
+            return []
         found = []
         for wall in self._walls:
             outside, inside = self._gaps_mm[wall.name, None]

@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
-from tracer.bodies import CONTACT_TOL_MM, KINDS, Body, Sphere, vector3
+from tracer.bodies import CONTACT_TOL_MM, KINDS, Body, Index, Sphere, vector3
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
-from tracer.kernels.rooms import Rooms
+from tracer.kernels.rooms import ONE_ROOM, Rooms
 from tracer.light_sheet import LightSheet
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 from tracer.rooms import Arrangement
@@ -155,7 +155,10 @@ class Scene:
 
     def rooms(self) -> Rooms:
         """Rooms for the kernels."""
-        others = [body for kind in KINDS[1:] for body in kind.among(self.seen)]
+        if self.arrangement.is_one_room:
+            return ONE_ROOM
+        seen = self.seen
+        others = [body for kind in KINDS[1:] for body in kind.among(seen)]
         return self.arrangement.rooms(self.spheres, others, self.wavelength_nm)
 
     def event_names(self) -> list[str]:
@@ -165,21 +168,29 @@ class Scene:
         """
         most_cores = max((len(sphere.cores) for sphere in self.spheres), default=0)
         names = [sphere.event_name(way) for way in range(2 * most_cores + 1) for sphere in self.spheres]
-        others = [body for kind in KINDS[1:] for body in kind.among(self.seen)]
+        seen = self.seen
+        others = [body for kind in KINDS[1:] for body in kind.among(seen)]
         return names + [name for body in others for name in _ways_of(body)]
 
     def _others(self) -> Iterator[tuple[int, Any]]:
         """Place in KINDS and table of each kind in use but spheres."""
+        seen = self.seen
         for place, kind in enumerate(KINDS[1:], start=1):
-            if bodies := kind.among(self.seen):
+            if bodies := kind.among(seen):
                 yield place, kind.table_of(bodies, self._index)
 
     def n_around(self, body: Body) -> float:
         """Index of the medium in the room where a body stands."""
+        if self.arrangement.is_one_room:
+            return self.n_ambient
         return self.arrangement.medium_in(self.arrangement.home_of(body)).n(self.wavelength_nm)
 
-    def _index(self, body: Body, medium: Medium | None) -> float:
-        return 1.0 if medium is None else medium.n(self.wavelength_nm) / self.n_around(body)
+    @property
+    def _index(self) -> Index:
+        if self.arrangement.is_one_room:
+            nm, room = self.wavelength_nm, self.n_ambient
+            return lambda body, medium: 1.0 if medium is None else medium.n(nm) / room
+        return lambda body, medium: 1.0 if medium is None else medium.n(self.wavelength_nm) / self.n_around(body)
 
     def content_hash(self) -> str:
         """Hex digest (16 characters) of every number that changes a ray."""

@@ -87,9 +87,11 @@ KINDS: dict[type, Kind] = {}
 @kernel_inlined
 def unowned_world(world: World) -> World:
     """Return a world whose arrays do not count references; see `unowned`."""
+    rooms = world.rooms
     return World(
         unowned(world.spheres), unowned(world.frame), unowned(world.begin), unowned(world.items), world.others,
-        world.rooms, unowned(world.still),
+        Rooms(unowned(rooms.home), unowned(rooms.inside), unowned(rooms.wall), unowned(rooms.n), rooms.first),
+        unowned(world.still),
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The second test of the paper in beds as people have them: behind a hot window, in a tube, in a liquid, many balls."""
+"""The second test of the paper in beds as people have them: window, tube, liquid, many balls."""
 
 from pathlib import Path
 
