@@ -1,7 +1,8 @@
-"""Texts that are whole or not there, on the disk before anybody is told, name included."""
+"""Texts and copies that are whole or not there, on the disk before anybody is told, name included."""
 
 import json
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,23 @@ def write_text(path: Path, text: str) -> None:
 def write_json(path: Path, tree: Any) -> None:  # noqa: ANN401 - anything JSON can hold
     """Write plain data as `write_text` does."""
     write_text(path, json.dumps(tree, indent=1))
+
+
+def copy_whole(source: Path, copy: Path) -> None:
+    """Copy a file as `write_text` writes one; onto itself is nothing to do.
+
+    Raises
+    ------
+    DiskError
+        It cannot be written.
+    """
+    if source.resolve() == copy.resolve():
+        return
+    try:
+        with source.open("rb") as stream, whole_file(copy) as written:
+            shutil.copyfileobj(stream, written)
+    except OSError as error:
+        raise DiskError(f"{copy}: {why(error)}; make room, then give the same command again") from error
 
 
 def sync_folder(folder: Path) -> None:

@@ -36,7 +36,7 @@ CLEAR = 8.0  # standard deviations, told by ten blocks, that the best of thirty 
 LEAST_SURE = 0.25  # of the heights and lags looked at
 HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`
 USUAL_MM = 0.18  # spread of the light of a sheet of 1 mm
-USUAL_SPREAD2, USUAL_SIZE = (USUAL_MM**2, 0.1), (0.5, 1.0)  # and how far they may be from that
+USUAL_SPREAD2, USUAL_SIZE = (USUAL_MM**2, 0.1), (0.45, 1.0)  # and how far they may be from that
 MODELLED, LEAST_MODELLED = 2000, 30  # places, and of a cell
 
 
@@ -94,6 +94,8 @@ class Disparities:
         |D|.
     height_mm, height_sigma_mm : (C,) float64
         Height of the particles over the plane of the map, and its standard deviation.
+    modelled_mm : (C,) float64
+        What of the height the bend and the fading of the views make by themselves.
     across_px, across_sigma_px : (C,) float64
         Disparity across D [corrected px].
     width_px : (C,) float64
@@ -111,6 +113,7 @@ class Disparities:
     parallax: NDArray[np.float64]
     height_mm: NDArray[np.float64]
     height_sigma_mm: NDArray[np.float64]
+    modelled_mm: NDArray[np.float64]
     across_px: NDArray[np.float64]
     across_sigma_px: NDArray[np.float64]
     width_px: NDArray[np.float64]
@@ -191,7 +194,7 @@ def _measured(
     blocks = planes.reshape(BLOCKS, len(places), -1)
     _, first = np.unique(cell, return_index=True)
     kind_of, units = views.kind[first], views.units()[first]
-    found = np.full((len(places), 4), np.nan)
+    found, modelled = np.full((len(places), 4), np.nan), np.zeros(len(places))
     kinds: Kinds = {}
     for kind in np.unique(kind_of):
         here = np.nonzero(kind_of == kind)[0]
@@ -213,6 +216,7 @@ def _measured(
         here = np.nonzero(kind_of == kind)[0]
         for one in here:
             whole = blocks[:, one].sum(axis=0)
+            modelled[one] = models[one].offset(*match.values[[SPREAD, SIZE]]) * units[one, 0]
             alone = models[one].fit(whole, match.values, [HEIGHT, SHIFT])
             if alone is None:
                 continue
@@ -225,9 +229,10 @@ def _measured(
     middle = np.stack([np.bincount(cell, views.place_mm[:, k]) / many for k in (0, 1)], axis=-1)
     parallax, across = (np.bincount(cell, part) / many for part in (views.parallax, units[cell, 1] / UNIT))
     height, aside, height_sigma, aside_sigma = found[good].T
+    modelled_mm = (modelled * views.pitch_mm / parallax)[good]
     return Disparities(
-        middle[good], kind_of[good], parallax[good], height, height_sigma, aside, aside_sigma, across[good],
-        places[good], spread2, views.pitch_mm,
+        middle[good], kind_of[good], parallax[good], height, height_sigma, modelled_mm, aside, aside_sigma,
+        across[good], places[good], spread2, views.pitch_mm,
     )  # fmt: skip
 
 
@@ -235,14 +240,21 @@ Kinds = dict[int, tuple[Model, NDArray[np.float64], Match]]
 
 
 def _common(kinds: Kinds, number: int, usual: tuple[float, float]) -> tuple[float, float]:
-    """What all kinds say together of a number that they share, and its standard deviation."""
-    values, weights = [usual[0]], [usual[1] ** -2.0]
+    """What all kinds say together of a number that they share, and its standard deviation.
+
+    Kinds that differ by more than they may are all less sure (Birge).
+    """
+    values, weights = [], []
     for model, blocks, match in kinds.values():
-        free = [HEIGHT, SHIFT, number]
-        sigma = float(model.left_out(blocks, match, free)[-1])
+        sigma = float(model.left_out(blocks, match, [HEIGHT, SHIFT, number])[-1])
         values.append(float(match.values[number]))
         weights.append(1.0 / max(sigma, 1e-3 * usual[1]) ** 2)
-    return float(np.average(values, weights=weights)), float(sum(weights) ** -0.5)
+    value, weight = np.array(values), np.array(weights)
+    if len(value) > 1:
+        middle = float(weight @ value / weight.sum())
+        weight /= max(1.0, float(weight @ (value - middle) ** 2) / (len(value) - 1.0))
+    value, weight = np.append(value, usual[0]), np.append(weight, usual[1] ** -2.0)
+    return float(weight @ value / weight.sum()), float(weight.sum() ** -0.5)
 
 
 def _with(kinds: Kinds, number: int, value: float, free: list[int]) -> Kinds:

@@ -14,7 +14,7 @@ branch on the same side of a fold, and nearly straight.  So no rim cuts the pict
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,8 @@ class DoubleViews:
         A corrected pixel.
     step : int
         Every how many corrected pixels there is a place.
+    area_mm2 : float
+        Area that is seen twice; a place seen in three ways counts three times.
     """
 
     place_mm: NDArray[np.float64]
@@ -92,11 +94,7 @@ class DoubleViews:
     kinds: tuple[tuple[Branch, Branch], ...]
     pitch_mm: float
     step: int = 1
-
-    @property
-    def area_mm2(self) -> float:
-        """Area that is seen twice; a place seen in three ways counts three times."""
-        return len(self.place_mm) * (self.step * self.pitch_mm) ** 2
+    area_mm2: float = 0.0
 
     def units(self) -> NDArray[np.float64]:
         """Lags (N, 2), along and across [corrected px], worth a share of a particle's picture, one for a kind."""
@@ -125,7 +123,9 @@ class DoubleViews:
         return replace(self, **parts)
 
 
-def double_views(scene: Scene, ray_map: RayMap | None = None, step: int = 1) -> DoubleViews:
+def double_views(
+    scene: Scene, ray_map: RayMap | None = None, step: int = 1, most: int | None = None
+) -> DoubleViews:
     """Find what is seen twice of the plane z = 0 of a scene (`Scene.in_light_sheet` comes first).
 
     Parameters
@@ -136,6 +136,8 @@ def double_views(scene: Scene, ray_map: RayMap | None = None, step: int = 1) -> 
         Its ray map, if it is at hand.
     step : int
         Every how many corrected pixels to look.
+    most : int, optional
+        Draw so many of the places, if there are more.
     """
     ray_map = ray_map or build_ray_map(scene)
     whole = grid_of(scene.camera)
@@ -146,20 +148,35 @@ def double_views(scene: Scene, ray_map: RayMap | None = None, step: int = 1) -> 
         scene, ray_map, grid, layers=LAYERS, skip=False, min_magnification=limits[0], max_magnification=limits[1]
     )
     seen = (found.weight > 0.0) & found.recovered
-    parts: list[list[NDArray[np.float64]]] = []
     kinds: dict[Kind, int] = {}
-    for one in range(LAYERS):
-        for two in range(one + 1, LAYERS):
-            at = np.nonzero(seen[one] & seen[two])
-            parts.append(_of_layers(scene, found, step, (one, two), at, kinds))
-    place, first, second, along, across, parallax, blob, smear, chief, spread, alone, kind = (
-        np.concatenate(column) for column in zip(*parts, strict=True)
-    )
-    return DoubleViews(
-        place, first, second, along, across, parallax, blob, smear, chief, spread, alone, kind.astype(np.int64),
-        tuple((found.branches[one], found.branches[two]) for one, two, *_ in kinds),
-        whole.pitch_mm, step,
-    )  # fmt: skip
+    pairs = [
+        _of_layers(scene, found, step, (one, two), np.nonzero(seen[one] & seen[two]), kinds)
+        for one in range(LAYERS)
+        for two in range(one + 1, LAYERS)
+    ]
+    pair = _Pair(*(np.concatenate(column) for column in zip(*pairs, strict=True)))
+    count, area_mm2 = len(pair.kind), len(pair.kind) * (step * whole.pitch_mm) ** 2
+    if most is not None and count > most:
+        drawn = np.sort(np.random.default_rng(0).choice(count, most, replace=False))
+        pair = pair.at(drawn)
+    ways = tuple((found.branches[one], found.branches[two]) for one, two, *_ in kinds)
+    return _with_pictures(scene, pair, ways, area_mm2, whole.pitch_mm, step)
+
+
+class _Pair(NamedTuple):
+    """Two views (axis 1, where there is one) of N places."""
+
+    place_mm: NDArray[np.float64]
+    pixel: NDArray[np.float64]  # (N, 2, 2)
+    rate: NDArray[np.float64]  # (N, 2, 2, 2) pixels by a corrected pixel
+    along: NDArray[np.float64]
+    parallax: NDArray[np.float64]
+    alone: NDArray[np.float64]
+    kind: NDArray[np.int64]
+
+    def at(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> "_Pair":
+        parts: list[Any] = [column[chosen] for column in self]
+        return _Pair(*parts)
 
 
 def _of_layers(
@@ -169,8 +186,8 @@ def _of_layers(
     layers: tuple[int, int],
     at: tuple[NDArray[np.int64], ...],
     kinds: dict[Kind, int],
-) -> list[NDArray[np.float64]]:
-    """Places seen in two layers of a map, as the columns of `DoubleViews`."""
+) -> _Pair:
+    """Places seen in two layers of a map that can be followed in both."""
     pixels = [found.pixel[layer][at] for layer in layers]
     rates = [found.jacobian[layer][at].reshape(-1, 2, 2).astype(np.float64) / step for layer in layers]
     pitch_mm = found.grid.pitch_mm / step
@@ -184,32 +201,45 @@ def _of_layers(
     good &= alone > APART_PX
     with np.errstate(invalid="ignore", divide="ignore"):
         along = gap / parallax[:, None] * (1.0, -1.0)  # nodes run down, y runs up
-    across = np.stack((-along[:, 1], along[:, 0]), axis=-1)
-    centres, spreads = [], []
     for pixel, rate in zip(pixels, rates, strict=True):
-        ahead = np.einsum("nij,nj->ni", rate, along)
-        good &= _followed(scene, pitch_mm, pixel, ahead, along)
-        shift, spread, usable = _pictures(scene, pixel)
-        good &= usable
-        centres.append(pixel + shift)
-        spreads.append(spread)
-    blobs, smears = np.zeros((2, 2, len(parallax), 2))
-    for view, (rate, spread) in enumerate(zip(rates, spreads, strict=True)):
-        back = np.linalg.pinv(rate)
-        for number, way in enumerate((along, across)):
-            seen = np.einsum("nji,nj->ni", back, way)
-            blobs[view, :, number] = np.sum(seen**2, axis=1)
-            smears[view, :, number] = np.einsum("ni,nij,nj->n", seen, spread, seen)
+        good &= _followed(scene, pitch_mm, pixel, np.einsum("nij,nj->ni", rate, along), along)
     ways = [found.branch[layer][at].tolist() for layer in layers]
     sides = [(np.linalg.det(rate) > 0.0).tolist() for rate in rates]
     keys = zip(*ways, *sides, strict=True)
-    kind = np.array([kinds.setdefault(key, len(kinds)) for key in keys], np.float64)
-    place = found.grid.nodes_mm()[at]
-    steps = [np.einsum("nij,nj->ni", rates[1], way) for way in (along, across)]
-    sizes = blobs.sum(axis=0), smears.sum(axis=0)
-    chiefs, wide = np.stack(pixels, axis=1), np.stack(spreads, axis=1)
-    columns = (place, *centres, *steps, parallax, *sizes, chiefs, wide, alone, kind)
-    return [part[good] for part in columns]
+    kind = np.array([kinds.setdefault(key, len(kinds)) for key in keys], np.int64)
+    both = np.stack(pixels, axis=1), np.stack(rates, axis=1)
+    return _Pair(found.grid.nodes_mm()[at], *both, along, parallax, alone, kind).at(good)
+
+
+def _with_pictures(
+    scene: Scene,
+    pair: _Pair,
+    kinds: tuple[tuple[Branch, Branch], ...],
+    area_mm2: float,
+    pitch_mm: float,
+    step: int,
+) -> DoubleViews:
+    """What two views make of particles; places where a picture is too blurred are left out."""
+    across = np.stack((-pair.along[:, 1], pair.along[:, 0]), axis=-1)
+    shift, spread = np.zeros(pair.pixel.shape), np.zeros(pair.rate.shape)
+    good = np.ones(len(pair.kind), bool)
+    blob, smear = np.zeros((2, len(pair.kind), 2))
+    for view in (0, 1):
+        shift[:, view], spread[:, view], usable = _pictures(scene, pair.pixel[:, view])
+        good &= usable
+        back = np.linalg.pinv(pair.rate[:, view])
+        for number, way in enumerate((pair.along, across)):
+            seen = np.einsum("nji,nj->ni", back, way)
+            blob[:, number] += np.sum(seen**2, axis=1)
+            smear[:, number] += np.einsum("ni,nij,nj->n", seen, spread[:, view], seen)
+    steps = [np.einsum("nij,nj->ni", pair.rate[:, 1], way) for way in (pair.along, across)]
+    middle = pair.pixel + shift
+    kept = area_mm2 * float(good.mean()) if len(good) else 0.0
+    views = DoubleViews(
+        pair.place_mm, middle[:, 0], middle[:, 1], steps[0], steps[1], pair.parallax, blob, smear, pair.pixel,
+        spread, pair.alone, pair.kind, kinds, pitch_mm, step, kept,
+    )  # fmt: skip
+    return views.at(good)
 
 
 def _followed(

@@ -133,18 +133,34 @@ def _pixels_of(
 
 
 def _finer(coarse: Layers) -> Layers:
-    """More heights between those traced; what is seen at one of two heights only is not half seen."""
-    parts: list[list[NDArray[np.float64]]] = [[], [], [], []]
+    """More heights between those traced: cubic where four around are seen, straight where two are.
+
+    What is seen at one of two heights only is not half seen.
+    """
+    lit = coarse.light > 0.0
+    heights: list[float] = []
+    parts: list[list[NDArray[np.float64]]] = [[], [], []]
     for low, high in pairwise(range(TRACED)):
-        for share in np.arange(FINE) / FINE:
-            parts[0].append((1.0 - share) * coarse.height_mm[low] + share * coarse.height_mm[high])
-            both = (coarse.light[:, low] > 0.0) & (coarse.light[:, high] > 0.0)
-            near = low if share < 0.5 else high
-            for part, values in zip(parts[1:], (coarse.offset_px, coarse.spread_px2, coarse.light), strict=True):
-                straight = (1.0 - share) * values[:, low] + share * values[:, high]
-                chosen = both.reshape(-1, *[1] * (values.ndim - 2))
-                part.append(np.where(chosen, straight, values[:, near]))
-    parts[0].append(coarse.height_mm[-1])
-    for part, values in zip(parts[1:], (coarse.offset_px, coarse.spread_px2, coarse.light), strict=True):
+        below, above = max(low - 1, 0), min(high + 1, TRACED - 1)
+        all_four = lit[:, [below, low, high, above]].all(axis=1) & (above - below == 3)
+        both = lit[:, low] & lit[:, high]
+        for t in np.arange(FINE) / FINE:
+            heights.append(float((1.0 - t) * coarse.height_mm[low] + t * coarse.height_mm[high]))
+            near = low if t < 0.5 else high
+            cubic = (
+                -t * (t - 1.0) * (t - 2.0) / 6.0,
+                (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0,
+                -(t + 1.0) * t * (t - 2.0) / 2.0,
+                (t + 1.0) * t * (t - 1.0) / 6.0,
+            )
+            for part, values in zip(parts, (coarse.offset_px, coarse.spread_px2, coarse.light), strict=True):
+                shape = (-1, *[1] * (values.ndim - 2))
+                straight = (1.0 - t) * values[:, low] + t * values[:, high]
+                around = zip(cubic, (below, low, high, above), strict=True)
+                bent = sum((share * values[:, one] for share, one in around), np.zeros_like(straight))
+                between = np.where(all_four.reshape(shape), bent, straight)
+                part.append(np.where(both.reshape(shape), between, values[:, near]))
+    for part, values in zip(parts, (coarse.offset_px, coarse.spread_px2, coarse.light), strict=True):
         part.append(values[:, -1])
-    return Layers(np.array(parts[0]), *[np.stack(part, axis=1) for part in parts[1:]])
+    offset, spread, light = (np.stack(part, axis=1) for part in parts)
+    return Layers(np.array([*heights, coarse.height_mm[-1]]), offset, spread, np.maximum(light, 0.0))

@@ -4,8 +4,9 @@ The model of a plane is
 
     background + light * sum over layers z of exp(-(z - height)^2 / (2 spread^2)) bells(z),
 
-shifted by some lags across D, which no height does.  Background and light are linear, the rest is found by least
-squares from the best of all heights; no peak has to stand out from what is beside it.
+shifted by some lags across D, which no height does.  Bells of pictures of other sizes than the two that were drawn
+are geometric means of these, as those of Gaussians are Gaussians.  Background and light are linear, the rest is
+found by least squares from the best of all heights; no peak has to stand out from what is beside it.
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,8 @@ from correction.light_sheet.layers import ROOM
 
 LEAST_MM, MOST_MM = 0.03, 0.8  # spread of the sheet's light
 SIZES = (0.6, 1.2)  # variances of a picture [px^2] for which layers are drawn
-SMALLEST, LARGEST = -0.3, 3.0  # share of the way between them
+SMALLEST, LARGEST = -0.3, 1.8  # share of the way between their inverses
+LEAST_LIGHT = 1e-30
 STEPS = np.array([0.02, 0.05, 0.01, 0.05])  # mm, lags, mm^2, share: differences for derivatives
 TRIED_LAGS = (0, -1, 1, -2, 2)
 
@@ -60,7 +62,9 @@ class Model:
         """Plane (R * K,) of a sheet."""
         height, shift, spread2, size = values
         weight = np.exp(-0.5 * (self.height_mm - height) ** 2 / max(spread2, LEAST_MM**2))
-        bells = np.tensordot(weight / weight.sum(), self.small + size * (self.large - self.small), axes=1)
+        weight /= weight.sum()
+        small, large = (np.tensordot(weight, part, axes=1) + LEAST_LIGHT for part in (self.small, self.large))
+        bells = small * (large / small) ** size
         moved = scipy.ndimage.shift(bells, (0.0, shift), order=3, mode="nearest") if shift else bells
         return np.asarray(moved[:, ROOM:-ROOM].ravel())
 
@@ -78,7 +82,7 @@ class Model:
         best, least = None, np.inf
         for shift in TRIED_LAGS:
             for height in self.height_mm[2:-2:2]:
-                values = np.array([height, float(shift), spread2, 0.25])
+                values = np.array([height, float(shift), spread2, 0.45])
                 bell = self.plane(values)
                 spread = bell - bell.mean()
                 power = float(spread @ spread)
@@ -132,6 +136,13 @@ class Model:
         chance = count * blocks.var(axis=0, ddof=1).sum()
         off = whole - whole.mean() - match.light * (bell - bell.mean())
         return np.asarray(np.sqrt(variance * max(1.0, float(off @ off) / max(float(chance), 1e-300))))
+
+    def offset(self, spread2: float, size: float) -> float:
+        """Lags along D by which bend and fading alone move the peak of a sheet at height 0."""
+        bell = self.plane(np.array([0.0, 0.0, spread2, size])).reshape(self.small.shape[1], -1)
+        weight = np.square(bell).sum(axis=1)
+        lags = np.arange(len(weight)) - len(weight) // 2
+        return float(weight @ lags / max(float(weight.sum()), 1e-300))
 
     def clearness(self, blocks: NDArray[np.float64], match: Match) -> float:
         """By how many standard deviations, told by the blocks (B, R * K), the light stands out."""

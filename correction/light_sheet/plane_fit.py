@@ -2,7 +2,9 @@
 
 Unknown are corrections of z and of the two slopes; each cell says  dz + x da + y db = height +- sigma.  Cells that
 lie off by more than they may are given less weight (Huber).  If the rest scatters more than its sigmas say, all of
-these are enlarged.  If kinds of views disagree, or something moved across D, the sheet alone is not what is off.
+these are enlarged.  What bend and fading of the views make of heights is modelled to a share of itself; what is
+left of it is common to all cells of a kind.  If kinds of views disagree, or something moved across D, the sheet
+alone is not what is off.
 """
 
 from dataclasses import dataclass
@@ -17,6 +19,7 @@ TUNING, FARTHEST = 1.5, 5.0  # usual deviations from which on a cell counts less
 FALSE_ALARMS = 0.001
 ROUNDS = 20
 LEAST_ACROSS_PX, LEAST_APART_MM = 0.08, 0.03  # what corner and particle models leave; less is no finding
+MODELLED_TO = 0.3  # simulated flows behind two balls leave so much
 LEAST_SHARE = 0.05  # the same, of the width of the peaks
 
 
@@ -85,13 +88,16 @@ def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArra
         freedom = max(1.0, float(share.sum()) - 3.0)
         scatter = max(1.0, float(np.sqrt(np.sum(share * off**2) / freedom)))
     residual = height - design @ answer
-    kinds = {}
+    kinds, covered = {}, np.linalg.inv(normal)
     for kind in np.unique(found.kind):
         here = found.kind == kind
+        left = MODELLED_TO * (weight * found.modelled_mm)[here]
+        common = np.linalg.solve(normal, design[here].T @ left)
+        covered += np.outer(common, common)
         trust = share[here] / (sigma[here] * scatter) ** 2
         if trust.sum() > 0.0:
             kinds[int(kind)] = (float(trust @ residual[here] / trust.sum()), float(1.0 / np.sqrt(trust.sum())))
-    return PlaneFit(answer, np.linalg.inv(normal), scatter, residual, share, _across(found, share), kinds)
+    return PlaneFit(answer, covered, scatter, residual, share, _across(found, share), kinds)
 
 
 def _across(found: Disparities, share: NDArray[np.float64]) -> float:

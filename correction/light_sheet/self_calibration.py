@@ -24,7 +24,7 @@ MOST_PLACES = 30_000
 CELLS_ACROSS = 8  # of the view
 LEAST_PLACES = 12  # of a cell
 EDGE_PX = 3.0
-ROUNDS = 5
+LEAST_ROUNDS, ROUNDS = 2, 5  # the first one looks at heights that are far apart
 SETTLED, AT_REST = 2.0, np.array([2e-3, 5e-5, 5e-5])  # of sigma; mm and slopes that nobody measures
 TELLS = 0.7  # of the sigma known before, and the frames have told something
 SIGMAS, DEPTH_MM = 3.0, 0.7  # heights looked at: of what is unsure, and of the sheet itself
@@ -89,7 +89,7 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
     now, cells, fit, rounds = known, None, None, 0
     for rounds in range(1, ROUNDS + 1):
         seen = replace(scene, sheet=now).in_light_sheet()
-        views = double_views(seen)
+        views = double_views(seen, most=MOST_PLACES)
         sigma_mm = known.sigma_mm if rounds == 1 else now.sigma_mm
         reach = _reach(views, sigma_mm)
         views = _inside(views, scene.camera.shape, reach)
@@ -101,7 +101,8 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
         fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
         before, now = now, _moved(now, fit, known)
         step = np.abs(_numbers(now) - _numbers(before))
-        if (step < np.maximum(SETTLED * np.sqrt(np.diag(fit.covariance)), AT_REST)).all():
+        near = step < np.maximum(SETTLED * np.sqrt(np.diag(fit.covariance)), AT_REST)
+        if near.all() and rounds >= LEAST_ROUNDS:
             break
     assert fit is not None
     assert cells is not None
@@ -208,9 +209,6 @@ def _inside(views: DoubleViews, shape: tuple[int, int], reach: int) -> DoubleVie
 
 def _cells(views: DoubleViews, scene: Scene) -> tuple[DoubleViews, NDArray[np.int64]]:
     """Some of the places, and the cell of each: a square of the plane, and one kind of views."""
-    if len(views.kind) > MOST_PLACES:
-        chosen = np.random.default_rng(0).choice(len(views.kind), MOST_PLACES, replace=False)
-        views = views.at(np.sort(chosen))
     if not len(views.kind):
         return views, np.empty(0, np.int64)
     side_mm = max(scene.camera.shape) * views.pitch_mm / CELLS_ACROSS

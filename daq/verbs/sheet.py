@@ -1,6 +1,5 @@
 """`rtpiv sheet`: where the light sheet is, from the particles that are seen twice."""
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,12 +7,10 @@ from pathlib import Path
 from correction.light_sheet.self_calibration import SheetFound
 from daq.analysis.light_sheet import about_sheet, flow_frames, sheet_of
 from daq.analysis.tasks import FIT_FILE
-from daq.errors import DiskError
 from daq.terminal import console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, paths_of
-from daq.whole_text import why, write_json, write_text
-from ground.whole_file import whole_file
+from daq.whole_text import copy_whole, write_json, write_text
 from tracer.scene_file import dump_scene, load_scene
 
 
@@ -52,7 +49,7 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named = "sheet") ->
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet)))
     if scene.with_name(FIT_FILE).is_file():
-        _copy(scene.with_name(FIT_FILE), folder / FIT_FILE)
+        copy_whole(scene.with_name(FIT_FILE), folder / FIT_FILE)
     write_json(folder / "sheet.json", about_sheet(found, [str(path) for path in given]))
     from daq.analysis.pictures.light_sheet import draw_light_sheet
 
@@ -69,13 +66,3 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named = "sheet") ->
         screen.print(verdict, style="bold red")
     screen.print(f"scene.yaml, sheet.json and sheet.png are in {folder}")
     return found
-
-
-def _copy(source: Path, copy: Path) -> None:
-    if source.resolve() == copy.resolve():
-        return
-    try:
-        with source.open("rb") as stream, whole_file(copy) as written:
-            shutil.copyfileobj(stream, written)
-    except OSError as error:
-        raise DiskError(f"{copy}: {why(error)}; make room, then give the same command again") from error

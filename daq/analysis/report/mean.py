@@ -13,7 +13,7 @@ from daq.analysis.report.calibration import calibration_chapter
 from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.flow import flow_chapters, regions_of_mean
 from daq.analysis.report.page import Link, Page
-from daq.analysis.report.pair import scene_chapter
+from daq.analysis.report.pair import light_sheet_line, scene_chapter
 from daq.analysis.report.run import books_chapter
 from daq.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from daq.analysis.series.ensemble_series import EnsembleFlow
@@ -22,7 +22,7 @@ from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.run_series import SeriesBooks
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_input import SeriesInput
-from daq.analysis.series.series_mean import grid_of_series, scene_of, windows_of
+from daq.analysis.series.series_mean import grid_of_series, scene_of, standing_of, windows_of
 from daq.analysis.tasks import FIT_FILE
 
 SHOWN_PAIRS = 60
@@ -71,6 +71,7 @@ def write_mean_page(
     if series is not None:
         books_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene_of(folder))
+    light_sheet_line(page, standing_of(folder))
     calibration_chapter(page, folder / FIT_FILE, scene_of(folder))
     page.heading("Files")
     names = ("mean.nc", "mean_ensemble.nc", "scene.yaml", "series.json")

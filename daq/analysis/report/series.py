@@ -1,6 +1,7 @@
 """The page of a series: what was done to its frames, one pair of it, and every pair that has no vectors."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -8,13 +9,14 @@ import numpy as np
 
 from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.page import Page
-from daq.analysis.report.pair import image_table, scene_chapter
+from daq.analysis.report.pair import image_table, light_sheet_line, scene_chapter
 from daq.analysis.report.tables import mask_swatches
 from daq.analysis.series.light_file import make_light
 from daq.analysis.series.preview import Preview, preview
 from daq.analysis.series.run_series import SeriesBooks
-from daq.analysis.series.series_input import SeriesInput
+from daq.analysis.series.series_input import SCENE_FILE, SeriesInput
 from daq.analysis.series.series_plan import jobs_of
+from tracer.scene_file import load_scene
 
 SHOWN_PAIRS = 60
 
@@ -78,6 +80,7 @@ def series_chapters(page: Page, given: SeriesInput, books: SeriesBooks, shown: P
         pair_chapter(page, given, shown)
     _left_out(page, given, books)
     scene_chapter(page, given.method.scene)
+    light_sheet_line(page, replace(given.method.scene, sheet=load_scene(given.out / SCENE_FILE).sheet))
     _provenance(page, given)
 
 

@@ -1,6 +1,5 @@
 """From a run to what its series needs: pairs, scene, dewarp, settings; the folder keeps a copy of the scene."""
 
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,8 +14,7 @@ from daq.analysis.series.series_pairs import PairsOfSeries, pairs_of_series
 from daq.analysis.series.series_plan import Method
 from daq.analysis.tasks import FIT_FILE, sigma_limit
 from daq.errors import DiskError
-from daq.whole_text import why
-from ground.whole_file import whole_file
+from daq.whole_text import copy_whole, why
 from tracer.scene_file import load_scene
 
 SCENE_FILE = "scene.yaml"
@@ -87,9 +85,9 @@ def series_input(
     fitted = load_scene(scene)
     board = board_of([run, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
     dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
-    _keep(scene, out / SCENE_FILE)
+    copy_whole(scene, out / SCENE_FILE)
     if scene.with_name(FIT_FILE).is_file():
-        _keep(scene.with_name(FIT_FILE), out / FIT_FILE)
+        copy_whole(scene.with_name(FIT_FILE), out / FIT_FILE)
     usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
     standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.with_bodies(())
     through = standing.in_light_sheet()
@@ -100,14 +98,3 @@ def series_input(
         limit = replace(limit, sigma=replace(seen, scene_hash=through.content_hash()))
     method = Method(through, dewarp, choice.settings, choice.preparation or usual, limit)
     return SeriesInput(run, out, given, method)
-
-
-def _keep(source: Path, copy: Path) -> None:
-    """Copy a file that the statistics of the series will ask for."""
-    if source.resolve() == copy.resolve():
-        return
-    try:
-        with source.open("rb") as given, whole_file(copy) as stream:
-            shutil.copyfileobj(given, stream)
-    except OSError as error:
-        raise DiskError(f"{copy}: {why(error)}; make room, then give the same command again") from error

@@ -49,7 +49,7 @@ def mean_of_series(folder: Path) -> MeanFlow:
         mean = replace(mean, no_map_sigma=sigma)
     else:
         prepared = prepare(through, maps=folder / "maps")
-        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(_standing(folder)))
+        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(standing_of(folder)))
     said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
     write_mean(folder / FILE, mean, said)
     return mean
@@ -57,10 +57,10 @@ def mean_of_series(folder: Path) -> MeanFlow:
 
 def scene_of(folder: Path) -> Scene:
     """Scene that the camera of a series looked through, as particles in its light sheet are seen."""
-    return _standing(folder).in_light_sheet()
+    return standing_of(folder).in_light_sheet()
 
 
-def _standing(folder: Path) -> Scene:
+def standing_of(folder: Path) -> Scene:
     """The same with the light sheet where it is."""
     scene, about = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about
     return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.with_bodies(())

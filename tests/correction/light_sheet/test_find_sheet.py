@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from correction.errors import SheetError
-from correction.light_sheet import self_calibration
+from correction.light_sheet import disparities, self_calibration
 from correction.light_sheet.self_calibration import find_sheet
 from tests.correction.light_sheet.particle_frames import camera, frames_of, moved
 from tracer.light_sheet import LightSheet
 
 TRUTH = (0.3, 0.2, -0.15)
-SIZE_PX, PAIRS = 480, 12
+SIZE_PX, PAIRS = 400, 12
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,9 @@ def three():
 @pytest.fixture(autouse=True)
 def few_places(monkeypatch):
     """Enough for these frames, and quick."""
-    monkeypatch.setattr(self_calibration, "MOST_PLACES", 6000)
+    monkeypatch.setattr(self_calibration, "MOST_PLACES", 4000)
+    monkeypatch.setattr(disparities, "MODELLED", 300)
+    monkeypatch.setattr(disparities, "LEAST_MODELLED", 12)
 
 
 def numbers(sheet):
@@ -41,7 +43,7 @@ def test_height_and_tilt_are_found_within_their_sigma(three):
     assert not found.verdicts
     assert (np.abs(numbers(found.sheet) - TRUTH) < 3.5 * sigmas(found.sheet)).all()
     assert found.sheet.sigma_mm < 0.05
-    assert found.sheet.tilt_sigma_deg < 0.1
+    assert found.sheet.tilt_sigma_deg < 0.15
 
 
 def test_a_sheet_that_is_known_is_left_where_it_is(three):

@@ -8,7 +8,7 @@ import pytest
 
 from correction.errors import PairError
 from correction.frame_file import write_frame
-from correction.light_sheet import self_calibration
+from correction.light_sheet import disparities, self_calibration
 from daq.analysis import light_sheet
 from daq.analysis.light_sheet import flow_frames
 from daq.verbs.sheet import sheet
@@ -35,6 +35,8 @@ def lab(tmp_path_factory):
 
 def test_the_scene_that_is_written_has_the_sheet(lab, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(self_calibration, "MOST_PLACES", 4000)
+    monkeypatch.setattr(disparities, "MODELLED", 300)
+    monkeypatch.setattr(disparities, "LEAST_MODELLED", 12)
     folder, paths = lab
     out = tmp_path / "sheet"
     found = sheet(paths, folder / "scene.yaml", out)
