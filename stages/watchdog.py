@@ -64,6 +64,12 @@ def needs_watchdog(urls: Sequence[str]) -> bool:
     return any(not url.startswith(WITHOUT_DEVICE) for url in urls)
 
 
+def word_of(name: str, url: str, baud: int, hold_dtr: bool, stop_bytes: Sequence[bytes]) -> Word:
+    """Return what `stop` must know of a port, as it is now; arguments as of `Watchdog.know`."""
+    stop = [data.hex() for data in stop_bytes]
+    return {"know": name, "url": url, "baud": baud, "hold_dtr": hold_dtr, "stop": stop, "file": _file_of(url)}
+
+
 class Watchdog:
     """The living end of the pipe: starts the process and tells it what moves. Safe for several threads."""
 
@@ -97,11 +103,8 @@ class Watchdog:
         """
         if not needs_watchdog([url]):
             return
-        stop = [data.hex() for data in stop_bytes]
         with self._lock:
-            self._known[name] = {
-                "know": name, "url": url, "baud": baud, "hold_dtr": hold_dtr, "stop": stop, "file": _file_of(url)
-            }  # fmt: skip
+            self._known[name] = word_of(name, url, baud, hold_dtr, stop_bytes)
             self._tell(self._known[name])
 
     def moves(self, name: str) -> None:
@@ -217,14 +220,14 @@ def stop(about: Word) -> None:
     Parameters
     ----------
     about : dict
-        Its "know" word.
+        Its word, as `word_of` makes it.
     """
     end_s = time.monotonic() + PATIENCE_S
     said, port = 0, None
     while said < len(AGAIN_S) and time.monotonic() < end_s:
+        if _file_of(about["url"]) != about["file"]:
+            return  # unplugged; what has this name now is another box
         try:
-            if _file_of(about["url"]) != about["file"]:
-                return  # unplugged; what has this name now is another box
             port = _opened(about) if port is None else port
             for data in about["stop"]:
                 port.write(bytes.fromhex(data))

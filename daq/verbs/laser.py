@@ -19,7 +19,7 @@ from daq.timing.states import LaserState
 from daq.timing.timing_table import TimingTable
 from daq.verbs.paths import Named
 from stages.errors import PortUnavailable
-from stages.watchdog import stop
+from stages.watchdog import stop, word_of
 
 KIND = "timing"
 
@@ -100,8 +100,7 @@ def _say_off(section: TimingTable) -> None:
         raise PortUnavailable(f"{section.port} does not exist, so off could not be said; use the laser's own key")
     box = driver_class(section.box)("laser", section.wiring)
     box.address = section.identity or ""
-    said = [data.hex() for data in box.off_bytes()]
-    stop({"url": section.port, "baud": section.baud or box.default_baud, "hold_dtr": False, "stop": said})
+    stop(word_of("laser", section.port, section.baud or box.default_baud, False, box.off_bytes()))
 
 
 def _align(opened: Laser, rate_hz: float, for_s: float) -> None:
