@@ -109,6 +109,10 @@ class Scene:
         """Return the same scene with other bodies."""
         return replace(self, bodies=tuple(bodies))
 
+    def bare(self) -> "Scene":
+        """Return the scene without what is driven out of the view: balls and supports; windows and tubes stay."""
+        return self.with_bodies([body for body in self.bodies if body.room is not None])
+
     def with_camera(self, camera: Camera) -> "Scene":
         """Return the same scene with another camera."""
         return replace(self, camera=camera)

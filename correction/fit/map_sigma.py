@@ -127,7 +127,7 @@ def map_sigma(fit: SceneFit, step: int = STEP) -> MapSigma:
 
 def sigma_at(fit: SceneFit, pixels: NDArray[np.float64], glass: bool) -> NDArray[np.float64]:
     """Standard deviation (N, 2) [mm] of the plane points that raw pixels (N, 2) show at z = 0."""
-    return SceneSigma.of(fit).sigma(fit.measured_scene if glass else fit.measured_scene.with_bodies(()), pixels)
+    return SceneSigma.of(fit).sigma(fit.measured_scene if glass else fit.measured_scene.bare(), pixels)
 
 
 def _seen(sheets: CorrectionMap, glass: bool) -> NDArray[np.bool_]:

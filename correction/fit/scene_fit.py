@@ -24,7 +24,7 @@ from correction.errors import FrameError
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.board_pose import in_words, turn_of_bench, turned
 from correction.fit.candidates import Candidates, candidates_of
-from correction.fit.errors import FitError, FitFailed, GlassNotSeen, ViewsMissing
+from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.light import back_from_light, doubt_of, in_light
 from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import FLOOR_PX, MeasuredFrame, TargetFrame, bare_frame, glass_frame
@@ -84,12 +84,6 @@ def fit_scene(
     FitFailed
         The best fit is not good enough.
     """
-    walls = [body.name for body in nominal.bodies if body.room is not None]
-    if walls:
-        raise FitError(
-            f"{' and '.join(map(repr, walls))}: a scene is not yet fitted through windows and tubes; fit it"
-            " without them, and trace it with them where they were measured"
-        )
     priors = priors or FitTable()
     light = priors.light.light() if priors.light else None
     work = _Fit(in_light(nominal, light), frames, board, priors, say)

@@ -73,7 +73,7 @@ class SigmaLimit:
         worst = np.zeros(chosen.shape)
         for behind in (False, True):
             here = chosen & (glass == behind)
-            seen = scene if behind else scene.with_bodies(())
+            seen = scene if behind else scene.bare()
             spread = self.sigma.sigma(seen, pixels[here]) / found.grid.pitch_mm
             worst[here] = np.nan_to_num(spread.max(axis=1), nan=np.inf)
         worst = scipy.ndimage.maximum_filter(worst, 3)

@@ -196,7 +196,7 @@ def _landed(
 ) -> Landings:
     """Landings with the index of every sphere moved."""
     table = scene.sphere_table()
-    table[:, 4] += np.asarray(index_step) / scene.n_ambient
+    table[:, 4] += np.asarray(index_step) / [scene.n_around(sphere) for sphere in scene.spheres]
     return landings_through(
         scene.camera, world_from(table, scene.other_tables(), scene.rooms()), pixels, pose, scene.n_ambient
     )

@@ -99,8 +99,9 @@ class Solution:
 
 def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners) -> Landings:
     """Landing points of the corners' pixels on their target."""
+    scene = unknowns.scene if corners.glass else unknowns.scene.bare()
     spheres = unknowns.spheres(full) if corners.glass else np.zeros((0, SOLID))
-    world = world_from(spheres, unknowns.scene.other_tables() if corners.glass else ())
+    world = world_from(spheres, scene.other_tables(), scene.rooms())
     pose = unknowns.pose(full, corners.height_number)
     return landings_through(unknowns.camera(full), world, corners.pixel, pose, unknowns.scene.n_ambient)
 

@@ -121,7 +121,7 @@ class Unknowns:
         """Return the kernels' sphere table (N, 6) of a full vector; overlap is allowed."""
         table = self.scene.sphere_table()
         table[:, :5] = full[self.glass].reshape(-1, len(SPHERE))
-        table[:, 4] /= self.scene.n_ambient
+        table[:, 4] /= self.n_around
         return table
 
     def pose(self, full: NDArray[np.float64], height_number: int) -> TargetPose:
@@ -145,15 +145,20 @@ class Unknowns:
         balls = Sphere.among(moved.values())
         bodies = tuple(
             moved.get(body.name)
-            or (body if isinstance(body, Sphere) else carried(body, self.scene.spheres, balls))
+            or (body if isinstance(body, Sphere) or body.room else carried(body, self.scene.spheres, balls))
             for body in self.scene.bodies
         )
         return replace(self.scene, camera=self.camera(full), bodies=bodies)
 
+    @property
+    def n_around(self) -> NDArray[np.float64]:
+        """Index of the medium around each sphere (N,)."""
+        return np.array([self.scene.n_around(sphere) for sphere in self.scene.spheres])
+
     def start_of_glass(self) -> NDArray[np.float64]:
         """Numbers of the nominal spheres (N, 5), n absolute."""
         table = self.scene.sphere_table()[:, :5]
-        table[:, 4] *= self.scene.n_ambient
+        table[:, 4] *= self.n_around
         return table
 
 
@@ -191,12 +196,11 @@ def unknowns_of(
     sigmas = [*[sigma.position_mm] * 3, *[turn] * 3, focal, *[sigma.principal_px] * 2]
     sigmas += [getattr(sigma, term) for term in LENS]
     start.add([f"camera.{part}" for part in CAMERA], values, sigmas)
-    n_ambient = scene.n_ambient
     for sphere, row in zip(scene.spheres, scene.sphere_table(), strict=True):
         known = priors.sphere(sphere.name)
         names_here = [f"{sphere.name}.{part}" for part in SPHERE]
         spread = [0.0] * 5 if sphere.medium is None else [*[known.centre_mm] * 3, known.radius_mm, 0.0]
-        start.add(names_here, [*row[:4], row[4] * n_ambient], spread)
+        start.add(names_here, [*row[:4], row[4] * scene.n_around(sphere)], spread)
     for height in heights:
         known_z = 0.0 if height == 0.0 else 1.0
         target = priors.target

@@ -97,9 +97,7 @@ def _two_frames(paths: list[Path], scene: Scene, out: Path, shift_mm: tuple[floa
 
 def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
     """Task of a pair of a run."""
-    task = Task(
-        pair.tag, pair.frames, scene if pair.glass else scene.with_bodies(()), out / pair.tag, dt_s=pair.dt_s
-    )
+    task = Task(pair.tag, pair.frames, scene if pair.glass else scene.bare(), out / pair.tag, dt_s=pair.dt_s)
     if pair.measured_mm is None or pair.commanded_mm is None:
         return task
     x, y, z = pair.measured_mm

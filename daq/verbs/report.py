@@ -136,7 +136,7 @@ def _single_frame(
         raise RunUnsuitable(f"{folder.path}: holds no frame yet; resume the run first")
     board = board_of([folder.path])
     dewarp = dewarp_of(target_clear, scene.camera, board, dewarp_order)
-    through = scene if view.glass else scene.with_bodies(())
+    through = scene if view.glass else scene.bare()
     if view.shows == "flow":
         through = through.in_light_sheet()
     corrector = prepare(through, dewarp).corrector

@@ -141,7 +141,7 @@ def _shots(
     truth: Scene, board: Chessboard, sheet: ParticleSheet, shift_mm: tuple[float, float], stack: bool
 ) -> dict[str, tuple[Scene, Pattern]]:
     """Name of each frame -> what stands before the camera and what hangs behind it."""
-    clear = truth.with_bodies(())
+    clear = truth.bare()
     moved = sheet.displaced(shift_mm)
     shots: dict[str, tuple[Scene, Pattern]] = {}
     for view, scene, heights in (("clear", clear, CLEAR_STACK_MM), ("glass", truth, GLASS_STACK_MM)):

@@ -91,7 +91,7 @@ def at_size(scene: Scene, size_px: int) -> Scene:
 
 
 def misaligned(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
-    """Return the true scene behind a nominal one: camera, aim, roll and every body a little off.
+    """Return the true scene behind a nominal one: camera, aim, roll and every body but walls a little off.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def misaligned(scene: Scene, seed: int, *, barrel: float = 0.0) -> Scene:
         try:
             return true.with_bodies(
                 [
-                    _placed(body, float(spread), shift + jitter)
+                    body if body.room is not None else _placed(body, float(spread), shift + jitter)
                     for body, jitter in zip(bodies, jitters, strict=True)
                 ]
             )

@@ -91,7 +91,7 @@ class Corrections:
 
     def _view(self, view: str) -> PreparedCorrection:
         if view not in self._prepared:
-            scene = self.scene.with_bodies(()) if view == CLEAR else self.scene
+            scene = self.scene.bare() if view == CLEAR else self.scene
             prepared = prepare(scene, self.dewarp, self.method, maps=self.maps)
             prepared.corrector(np.zeros(scene.camera.shape, np.uint16))  # compiled and warm before the first frame
             self._prepared[view] = prepared

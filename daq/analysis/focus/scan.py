@@ -185,7 +185,7 @@ def focus_scan(run: Path) -> FocusScan:
     table = load_kept(folder, "bench", lambda file: read(file, BenchTable))
     scene: Scene = load_kept(folder, "scene", load_scene)
     if plan.view == "clear":
-        scene = scene.with_bodies(())
+        scene = scene.bare()
     places: list[float] = []
     found: list[dict[str, Spots]] = []
     for step in about["steps"]:

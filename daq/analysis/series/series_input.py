@@ -89,7 +89,7 @@ def series_input(
     if scene.with_name(FIT_FILE).is_file():
         copy_whole(scene.with_name(FIT_FILE), out / FIT_FILE)
     usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
-    standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.with_bodies(())
+    standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.bare()
     through = standing.in_light_sheet()
     limit = None
     if sigma_limit_px is not None:  # glass that a stage has carried on is known as well as where it was fitted

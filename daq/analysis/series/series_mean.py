@@ -63,7 +63,7 @@ def scene_of(folder: Path) -> Scene:
 def standing_of(folder: Path) -> Scene:
     """The same with the light sheet where it is."""
     scene, about = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about
-    return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.with_bodies(())
+    return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.bare()
 
 
 def grid_of_series(folder: Path) -> PlaneGrid:
