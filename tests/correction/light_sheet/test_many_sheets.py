@@ -49,6 +49,7 @@ def added_px(scene, found, truth):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("name", "size_px", "z_mm", "tilts_deg", "more"), CASES)
 def test_the_sheet_is_found_within_its_sigma(name, size_px, z_mm, tilts_deg, more):
     flow_camera = camera(name, size_px, z_mm, tilts_deg, **more)
