@@ -103,9 +103,10 @@ class Arrangement:
         return found
 
     def _holds(self, one: Body, wall: Body) -> bool:
-        """Whether `one` surrounds `wall`: then it is not cut by what is inside of it."""
-        held = one.room is not None and one.room.surrounds
-        return held and self._gaps_mm[one.name, wall.name][1] >= -CONTACT_TOL_MM
+        """Whether `wall` is in the room of `one` and cannot cut it: only a plane goes on beyond its plate."""
+        assert wall.room is not None
+        may = one.room is not None and (one.room.surrounds or wall.room.surrounds)
+        return may and self._gaps_mm[one.name, wall.name][1] >= -CONTACT_TOL_MM
 
     def rooms(self, spheres: Sequence[Body], others: Sequence[Body], wavelength_nm: float) -> Rooms:
         """Rooms for the kernels, of spheres and other bodies in the order of their tables."""

@@ -17,6 +17,10 @@ from tests.tracer.drawn_walls import aimed, drawn_walls
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Body, Sphere, Tube, Window
 from tracer.errors import SceneError
+from tracer.kernels.rooms import IN, OFF, OUT, THROUGH
+from tracer.kernels.tube import cross_tube, leave_tube, tube_rates
+from tracer.kernels.window import cross_window, window_rates
+from tracer.kernels.world import ENTERED, MOST_NUMBERS, OFF_INSIDE
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
@@ -108,6 +112,50 @@ def test_derivatives_are_those_of_the_rays() -> None:
             assert (np.abs(numeric - rate) < 2e-6 * size)[same].all()
             judged += int(same.sum())
     assert judged > 1000
+
+
+def behind(cross: Callable[..., tuple[float, ...]], ray: np.ndarray, row: np.ndarray) -> tuple[int, np.ndarray]:
+    """Fate, and point and direction behind a wall (6,)."""
+    fate, *numbers = cross(*ray.tolist(), row)
+    return int(fate), np.array(numbers[:6])
+
+
+@pytest.mark.parametrize(
+    ("what", "cross", "rates", "eye", "way"),
+    [
+        ("window", cross_window, window_rates, (30.0, -20.0, 400.0), IN),
+        ("tube", cross_tube, tube_rates, (8.0, 10.0, 400.0), IN),
+        ("tube", cross_tube, tube_rates, (8.0, 48.3, 400.0), THROUGH),
+        ("tube", cross_tube, tube_rates, (8.0, 45.6, 400.0), OFF),
+        ("tube", leave_tube, tube_rates, (8.0, 10.0, 20.0), OUT),
+    ],
+)
+def test_rays_follow_every_number_of_a_wall(
+    what: str, cross: Callable[..., tuple[float, ...]], rates: Callable[..., tuple[float, ...]],
+    eye: tuple[float, float, float], way: int,
+) -> None:  # fmt: skip
+    """Derivatives by each number of the row, which no scene uses yet, against differences of the ray itself."""
+    inner = {THROUGH: 30.0, OFF: 40.0}.get(way, 45.0)
+    ends = {"start_mm": (-80.0, 0.1, 60.0), "end_mm": (80.0, -0.1, 70.0)}
+    high = tube(**ends, inner_radius_mm=inner, filled=ConstantMedium(1.1))
+    scene = Scene(AIR_CAMERA, (window(normal=tuple(float(x) for x in unit((0.1, 0.2, 1.0))), behind=None), high))
+    (row,) = scene.other_tables()[0 if what == "window" else 1].rows
+    ray = np.array([*eye, *(float(x) for x in unit((0.02, -0.001, -1.0)))])
+    if way == OUT:
+        ray[5] *= -1.0
+    axis = 3  # where the direction stands in both rows
+    fate, _ = behind(cross, ray, row)
+    assert fate == {IN: ENTERED, OUT: ENTERED, OFF: OFF_INSIDE, THROUGH: 0}[way]
+    step = 1e-5
+    for number in range(len(row)):
+        rate = np.zeros(MOST_NUMBERS)
+        rate[number] = 1.0
+        if axis <= number < axis + 3:  # the direction stays one of length 1
+            rate[axis : axis + 3] -= row[number] * row[axis : axis + 3]
+        ahead, back = (behind(cross, ray, row + s * rate[: len(row)])[1] for s in (step, -step))
+        numeric = (ahead - back) / (2.0 * step)
+        found = np.array(rates(*ray.tolist(), *[0.0] * 6, row, rate, way))
+        np.testing.assert_allclose(found, numeric, rtol=1e-6, atol=2e-7, err_msg=f"{what} {number}")
 
 
 def test_what_is_no_glass_does_nothing() -> None:

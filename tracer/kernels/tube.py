@@ -82,6 +82,36 @@ def in_wall(px: float, py: float, pz: float, dx: float, dy: float, dz: float, t:
 
 
 @kernel
+def to_round_side(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array, which: int, side: float
+) -> float:
+    """Distance to where a ray meets one surface of a tube, on the near (-1) or far (1) side."""
+    m, b2, e2, _ = across(px, py, pz, dx, dy, dz, row[0], row[1], row[2], row[3], row[4], row[5])
+    return m + side * math.sqrt(max(0.0, row[which] * row[which] - b2) / e2)
+
+
+@kernel
+def out_of_wall(
+    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
+) -> tuple[int, float, float, float, float, float, float, float, float]:
+    """From a point of the wall out through its round side: as `Kind.cross`, light of this surface alone.
+
+    Who came through the same side leaves it at the same angle: totally reflected by rounding only, at a tangent.
+    """
+    n = row[WALL]
+    t = to_round_side(px, py, pz, dx, dy, dz, row, OUTER, 1.0)
+    lost = in_wall(px, py, pz, dx, dy, dz, t, row)
+    if lost != RECOVERED:
+        return lost, px, py, pz, dx, dy, dz, 0.0, 0.0
+    qx, qy, qz = px + t * dx, py + t * dy, pz + t * dz
+    nx, ny, nz = outward(qx, qy, qz, row[0], row[1], row[2], row[3], row[4], row[5], -row[OUTER])
+    ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, n)
+    if c2 == 0.0:
+        return TIR, qx, qy, qz, ex, ey, ez, n * t, 0.0
+    return RECOVERED, qx, qy, qz, ex, ey, ez, n * t, transmittance(c1, c2, 1.0 / n)
+
+
+@kernel
 def cross_tube(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array
 ) -> tuple[int, float, float, float, float, float, float, float, float]:
@@ -112,17 +142,8 @@ def cross_tube(
         if c2 > 0.0:
             return ENTERED, qx, qy, qz, ex, ey, ez, path, surface * transmittance(c1, c2, filled / n)
         fate = OFF_INSIDE
-        m, b2, e2, _ = across(qx, qy, qz, ex, ey, ez, sx, sy, sz, kx, ky, kz)
-    t = m + math.sqrt(max(0.0, row[OUTER] * row[OUTER] - b2) / e2)
-    lost = in_wall(qx, qy, qz, ex, ey, ez, t, row)
-    if lost != RECOVERED:
-        return lost, qx, qy, qz, ex, ey, ez, path, 0.0
-    qx, qy, qz, path = qx + t * ex, qy + t * ey, qz + t * ez, path + n * t
-    nx, ny, nz = outward(qx, qy, qz, sx, sy, sz, kx, ky, kz, -row[OUTER])
-    ex, ey, ez, _, c2 = refracted(ex, ey, ez, nx, ny, nz, n)
-    if c2 == 0.0:  # it leaves at the angle at which it came: by rounding, at a tangent
-        return TIR, qx, qy, qz, ex, ey, ez, path, 0.0
-    return fate, qx, qy, qz, ex, ey, ez, path, light
+    lost, qx, qy, qz, ex, ey, ez, more, _ = out_of_wall(qx, qy, qz, ex, ey, ez, row)
+    return lost if lost != RECOVERED else fate, qx, qy, qz, ex, ey, ez, path + more, light
 
 
 @kernel
@@ -146,17 +167,8 @@ def leave_tube(
     if c2 == 0.0:
         return TIR, qx, qy, qz, ex, ey, ez, path, 0.0
     light = transmittance(c1, c2, n / filled)
-    m, b2, e2, _ = across(qx, qy, qz, ex, ey, ez, sx, sy, sz, kx, ky, kz)
-    t = m + math.sqrt(max(0.0, row[OUTER] * row[OUTER] - b2) / e2)
-    lost = in_wall(qx, qy, qz, ex, ey, ez, t, row)
-    if lost != RECOVERED:
-        return lost, qx, qy, qz, ex, ey, ez, path, 0.0
-    qx, qy, qz, path = qx + t * ex, qy + t * ey, qz + t * ez, path + n * t
-    nx, ny, nz = outward(qx, qy, qz, sx, sy, sz, kx, ky, kz, -row[OUTER])
-    ex, ey, ez, c1, c2 = refracted(ex, ey, ez, nx, ny, nz, n)
-    if c2 == 0.0:
-        return TIR, qx, qy, qz, ex, ey, ez, path, 0.0
-    return ENTERED, qx, qy, qz, ex, ey, ez, path, light * transmittance(c1, c2, 1.0 / n)
+    lost, qx, qy, qz, ex, ey, ez, more, surface = out_of_wall(qx, qy, qz, ex, ey, ez, row)
+    return ENTERED if lost == RECOVERED else lost, qx, qy, qz, ex, ey, ez, path + more, light * surface
 
 
 @kernel
@@ -180,15 +192,6 @@ def surface_rates(
     ex, ey, ez, c1, c2 = refracted(dx, dy, dz, nx, ny, nz, e)
     ux, uy, uz = refracted_rates(dx, dy, dz, nx, ny, nz, e, c1, c2, ux, uy, uz, rx, ry, rz, e_rate)
     return qx, qy, qz, ex, ey, ez, fx, fy, fz, ux, uy, uz
-
-
-@kernel
-def to_round_side(
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, row: Array, which: int, side: float
-) -> float:
-    """Distance to where a ray meets one surface of a tube, on the near (-1) or far (1) side."""
-    m, b2, e2, _ = across(px, py, pz, dx, dy, dz, row[0], row[1], row[2], row[3], row[4], row[5])
-    return m + side * math.sqrt(max(0.0, row[which] * row[which] - b2) / e2)
 
 
 @kernel
