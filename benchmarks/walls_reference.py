@@ -13,7 +13,7 @@ import mpmath
 from mpmath import mpf
 
 from benchmarks.reference import Vector, along, dot, snell
-from tracer.bodies import Body, Sphere, Tube, Window
+from tracer.bodies import Body, Dome, Sphere, Tube, Window
 from tracer.scene import Scene
 
 HAIR = mpf(10) ** -25
@@ -70,6 +70,7 @@ class Walls:
         self.balls: list[tuple[Sphere, Vector, mpf, mpf]] = []
         self.windows = [body for body in scene.bodies if isinstance(body, Window)]
         self.tubes = [body for body in scene.bodies if isinstance(body, Tube)]
+        self.domes = [body for body in scene.bodies if isinstance(body, Dome)]
         for ball in scene.spheres:
             assert ball.medium is not None
             c, inner = vector(ball.centre_mm), [(mpf(ball.radius_mm), ball.medium)]
@@ -77,8 +78,8 @@ class Walls:
             for radius, medium in inner:
                 self.balls.append((ball, c, radius, mpf(medium.n(nm))))
 
-        def n_of(wall: Tube | Window) -> mpf:
-            medium = wall.filled if isinstance(wall, Tube) else wall.behind
+        def n_of(wall: Tube | Window | Dome) -> mpf:
+            medium = wall.behind if isinstance(wall, Window) else wall.filled
             if medium is not None:
                 return mpf(medium.n(nm))
             return self.at(vector(wall.start_mm if isinstance(wall, Tube) else wall.centre_mm))[0]
@@ -86,10 +87,14 @@ class Walls:
         for window in self.windows:
             self.regions.append(Region(window, n_of(window), self._behind(window), "room"))
             self.regions.append(Region(window, mpf(window.medium.n(nm)), self._in_plate(window), "wall"))
-        for tube in self.tubes:
-            inside, wall = self._in_pipe(tube, tube.inner_radius_mm), self._in_pipe(tube, tube.outer_radius_mm)
-            self.regions.append(Region(tube, mpf(tube.medium.n(nm)), wall, "wall"))
-            self.regions.append(Region(tube, n_of(tube), inside, "room"))
+        for wall in sorted((*self.tubes, *self.domes), key=lambda wall: -wall.outer_radius_mm):
+            around = n_of(wall)  # what stands in another one is the smaller of the two
+            if isinstance(wall, Tube):
+                whole, inner = self._in_pipe(wall, wall.outer_radius_mm), self._in_pipe(wall, wall.inner_radius_mm)
+            else:
+                whole, inner = (self._in_ball(*shell) for shell in shells(wall))
+            self.regions.append(Region(wall, mpf(wall.medium.n(nm)), whole, "wall"))
+            self.regions.append(Region(wall, around, inner, "room"))
         self.regions += [Region(b, n, self._in_ball(c, r), "ball") for b, c, r, n in self.balls]
 
     @staticmethod
@@ -133,6 +138,11 @@ class Walls:
             for t in _roots(minus(p, centre), d, radius):
                 q = along(p, t, d)
                 yield t, tuple(x / radius for x in minus(q, centre)), "ball", ball
+        for dome in self.domes:
+            for centre, radius in shells(dome):
+                for t in _roots(minus(p, centre), d, radius):
+                    q = along(p, t, d)
+                    yield t, tuple(x / radius for x in minus(q, centre)), "side", dome
         for window in self.windows:
             o, k = vector(window.centre_mm), unit(window.normal)
             slope = dot(d, k)
@@ -149,13 +159,26 @@ class Walls:
                     q = along(flat_w, t, flat_d)
                     at = dot(w, k) + t * dot(d, k)
                     if 0 < at < mpf(tube.length_mm):
-                        yield t, tuple(x / radius for x in q), "pipe", tube
+                        yield t, tuple(x / radius for x in q), "side", tube
             if dot(d, k) != 0:
                 for at in (mpf(0), mpf(tube.length_mm)):
                     t = (at - dot(w, k)) / dot(d, k)
                     q = along(flat_w, t, flat_d)
                     if dot(q, q) < mpf(tube.outer_radius_mm) ** 2:
                         yield t, k, "end", tube
+
+
+def shells(dome: Dome) -> list[tuple[Vector, mpf]]:
+    """Centre and radius of both spheres."""
+    outer = vector(dome.centre_mm), mpf(dome.outer_radius_mm)
+    return [outer, (vector(dome.inside_mm), mpf(dome.inner_radius_mm))]
+
+
+def is_mount(dome: Dome, p: Vector) -> bool:
+    """Whether a point of a dome is beyond its opening."""
+    w, axis = minus(p, vector(dome.centre_mm)), vector(dome.axis)
+    limit = mpf(float(dome.table_of([dome], lambda *_: 1.0).rows[0, -1]))
+    return bool(dot(w, axis) < limit * mpmath.sqrt(dot(w, w)))
 
 
 def _roots(w: Vector, d: Vector, radius: mpf) -> list[mpf]:
@@ -196,7 +219,9 @@ def follow_walls(walls: Walls, p: Vector, d: Vector, most: int = 400) -> End:
                 return End("blocked", p, d, path, passed, tuple(branch), steepest)
             region = into
             continue
-        if kind == "pipe" and region is not None and region.body is body and region.what == "wall":
+        if isinstance(body, Dome) and is_mount(body, p):
+            return End("blocked", p, d, path, passed, tuple(branch), steepest)
+        if kind == "side" and region is not None and region.body is body and region.what == "wall":
             out = into is None or into.body is not body
             was_off = bool(branch) and branch[-1] == f"{body.name} off inside"
             if out and not was_off and not walls_from_inside(walls, p, d, body):
@@ -208,7 +233,7 @@ def follow_walls(walls: Walls, p: Vector, d: Vector, most: int = 400) -> End:
             normal = tuple(-x for x in normal)
         steepest = max(steepest, mpmath.sqrt(max(mpf(0), 1 - dot(normal, d) ** 2)))
         bent = snell(d, normal, n / beyond)
-        inside_of_pipe = kind == "pipe" and region and region.what == "wall" and into
+        inside_of_pipe = kind == "side" and region and region.what == "wall" and into
         if bent is None:
             at_core = kind == "ball" and region is not None and into is not None and region.body is into.body
             if not (at_core or (inside_of_pipe and into.what == "room")):
@@ -232,7 +257,10 @@ def follow_walls(walls: Walls, p: Vector, d: Vector, most: int = 400) -> End:
 
 
 def walls_from_inside(walls: Walls, p: Vector, d: Vector, tube: Body) -> bool:
-    """Whether a ray that leaves a tube's wall outwards at p came from the tube's inside."""
+    """Whether a ray that leaves a tube's or dome's wall outwards at p came from its inside."""
+    if isinstance(tube, Dome):
+        centre, radius = shells(tube)[1]
+        return any(t > HAIR for t in _roots(minus(p, centre), tuple(-x for x in d), radius))
     assert isinstance(tube, Tube)
     o, k = vector(tube.start_mm), unit(tube.axis)
     w, back = minus(p, o), tuple(-x for x in d)

@@ -12,6 +12,7 @@ import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Any, ClassVar
 
 import numpy as np
@@ -253,13 +254,35 @@ class Scene:
         pairs: list[tuple[Body, Sphere]] = [*_near_pairs(spheres)]
         others = [body for kind in KINDS[1:] for body in kind.among(self.bodies) if body.room is None]
         pairs += [(body, sphere) for body in others for sphere in spheres]
-        problems = []
-        for one, other in pairs:
-            gap = one.distance_mm(np.array(other.centre_mm)) - other.radius_mm
-            if gap < -CONTACT_TOL_MM:
-                text = f"bodies {one.name!r} and {other.name!r} overlap by {-gap:.6g} mm"
-                problems.append((other.name, f"{text}; they may touch, not overlap"))
-        return problems
+        gaps: list[tuple[Body, Body, float]] = [
+            (one, other, float(one.distance_mm(np.array(other.centre_mm))) - other.radius_mm)
+            for one, other in pairs
+        ]
+        gaps += [
+            (one, other, _gap_mm(one, other)) for one, other in combinations(others, 2) if one.media or other.media
+        ]
+        return [
+            (
+                other.name,
+                f"bodies {one.name!r} and {other.name!r} overlap by {-gap_mm:.6g} mm; they may touch, not overlap",
+            )
+            for one, other, gap_mm in gaps
+            if gap_mm < -CONTACT_TOL_MM
+        ]
+
+
+def _gap_mm(one: Body, other: Body) -> float:
+    """How far two bodies stay apart, one of them taken for its capsule: the better of both bounds from below."""
+    gaps = []
+    for exact, around in ((one, other.capsule), (other, one.capsule)):
+        start, step = np.array(around.start_mm), np.array(around.end_mm) - np.array(around.start_mm)
+        at = np.linspace(0.0, 1.0, 33)
+        for _ in range(6):  # the distance to a convex body is convex along a line
+            distances = exact.distance_mm(start + at[:, None] * step)
+            nearest = int(np.argmin(distances))
+            at = np.linspace(at[max(nearest - 1, 0)], at[min(nearest + 1, 32)], 33)
+        gaps.append(float(distances.min()) - around.radius_mm)
+    return max(gaps)
 
 
 def _ways_of(body: Body) -> tuple[str, str, str, str]:

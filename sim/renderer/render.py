@@ -21,7 +21,7 @@ from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
 from sim.renderer.surfaces import SOLID
 from sim.renderer.walls import NUMBERS, n_at, wall_rows
-from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere, Tube, Window
+from tracer.bodies import CONTACT_TOL_MM, Body, Dome, Rod, Sphere, Tube, Window
 from tracer.errors import SceneError
 from tracer.scene import Scene
 
@@ -201,7 +201,7 @@ def tables_of(
     plane = pose.axes()
     bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
-    walls = [body for body in bodies if isinstance(body, Window | Tube)]
+    walls = [body for body in bodies if isinstance(body, Window | Tube | Dome)]
     if unknown := [body for body in bodies if body not in (*spheres, *rods, *walls)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
@@ -247,7 +247,7 @@ def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, flo
     SceneError
         The sheet cuts the body.
     """
-    if isinstance(body, Tube):
+    if isinstance(body, Tube | Dome):
         return True
     *ends, radius_mm = body.capsule
     if isinstance(body, Window):

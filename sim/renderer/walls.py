@@ -1,4 +1,4 @@
-"""Windows and tubes of the renderer: every surface a quadratic or a plane, with a medium on each side.
+"""Windows, tubes and domes of the renderer: every surface a quadratic or a plane, with a medium on each side.
 
 A ray goes to the nearest surface a hair ahead of it; which way it crosses says which of the two media is beyond.
 What is around a wall, or around a ball, is asked of a point of it: a tube behind a window stands in the window's
@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 
 from ground.jit import kernel
 from sim.renderer.surfaces import Float64
-from tracer.bodies import Body, Tube, Window
+from tracer.bodies import Body, Dome, Tube, Window
 from tracer.scene import Scene
 
 HAIR_MM = 1e-7
 FACE, INSIDE, LOST = range(3)
-WINDOW, TUBE = 0.0, 1.0
-# Row of a wall: kind, point, direction, thickness or length, radii, n around, of the glass and beyond.
-KIND, POINT, AXIS, DEPTH, RADIUS, INNER, AROUND, GLASS, BEYOND, NUMBERS = 0, 1, 4, 7, 8, 9, 10, 11, 12, 13
+WINDOW, TUBE, DOME = 0.0, 1.0, 2.0
+# Row of a wall: kind, point, direction, thickness, length or half angle [rad], radii, n around, of the glass and
+# beyond, point of the inside.
+KIND, POINT, AXIS, DEPTH, RADIUS, INNER, AROUND, GLASS, BEYOND, INSIDE_AT, NUMBERS = (
+    0, 1, 4, 7, 8, 9, 10, 11, 12, 13, 16,
+)  # fmt: skip
 
 
 @kernel
@@ -49,6 +52,29 @@ def next_wall(
                     in_glass = (face == 0) == (slope < 0.0)
                     other = w[AROUND] if face == 0 else w[BEYOND]
                     before, behind = (other, w[GLASS]) if in_glass else (w[GLASS], other)
+            continue
+        if w[KIND] == DOME:
+            for surface in range(2):
+                place, radius = (POINT, w[RADIUS]) if surface == 0 else (INSIDE_AT, w[INNER])
+                gx, gy, gz = ox - w[place], oy - w[place + 1], oz - w[place + 2]
+                b = 2.0 * (gx * dx + gy * dy + gz * dz)
+                root = b * b - 4.0 * (gx * gx + gy * gy + gz * gz - radius * radius)
+                if root <= 0.0:
+                    continue
+                for sign in (-1.0, 1.0):
+                    t = 0.5 * (-b + sign * np.sqrt(root))
+                    if HAIR_MM < t < best:
+                        x, y, z = px + t * dx, py + t * dy, pz + t * dz
+                        turn = np.arccos(min(1.0, (x * kx + y * ky + z * kz) / np.sqrt(x * x + y * y + z * z)))
+                        best, which = t, LOST if turn > w[DEPTH] else (INSIDE if surface == 1 else FACE)
+                        inward = sign < 0.0
+                        out = 1.0 if inward else -1.0
+                        nx = out * (gx + t * dx) / radius
+                        ny = out * (gy + t * dy) / radius
+                        nz = out * (gz + t * dz) / radius
+                        in_glass = inward == (surface == 0)
+                        other = w[AROUND] if surface == 0 else w[BEYOND]
+                        before, behind = (other, w[GLASS]) if in_glass else (w[GLASS], other)
             continue
         a, b = ex * ex + ey * ey + ez * ez, 2.0 * (ex * fx + ey * fy + ez * fz)
         for surface in range(2):
@@ -95,6 +121,9 @@ def n_at(scene: Scene, point_mm: NDArray[np.float64], but: Body | None = None) -
             off = float(np.linalg.norm(point_mm - start - along * axis))
             depth = wall.inner_radius_mm - off if 0.0 < along < 1.0 else -1.0
             size, medium = wall.inner_radius_mm, wall.filled
+        elif isinstance(wall, Dome):
+            depth = wall.inner_radius_mm - float(np.linalg.norm(point_mm - np.array(wall.inside_mm)))
+            size, medium = wall.inner_radius_mm, wall.filled
         else:
             continue
         if wall is not but and depth > 0.0 and medium is not None:
@@ -103,7 +132,10 @@ def n_at(scene: Scene, point_mm: NDArray[np.float64], but: Body | None = None) -
 
 
 def wall_rows(scene: Scene, walls: Sequence[Body]) -> list[list[float]]:
-    """Rows of windows and tubes, with indices / n_ambient."""
+    """Rows of windows, tubes and domes, with indices / n_ambient.
+
+    What is around a wall is asked at a point of it: its middle may be in what it holds.
+    """
     air, nm = scene.ambient.n(scene.wavelength_nm), scene.wavelength_nm
     rows = []
     for wall in walls:
@@ -111,13 +143,22 @@ def wall_rows(scene: Scene, walls: Sequence[Body]) -> list[list[float]]:
             around = n_at(scene, np.array(wall.centre_mm), wall)
             beyond = around if wall.behind is None else wall.behind.n(nm)
             place = [WINDOW, *wall.centre_mm, *wall.normal, wall.thickness_mm, wall.radius_mm, 0.0]
-            rows.append([*place, around / air, wall.medium.n(nm) / air, beyond / air])
+            rows.append([*place, around / air, wall.medium.n(nm) / air, beyond / air, 0.0, 0.0, 0.0])
         if isinstance(wall, Tube):
             start, end = np.array(wall.start_mm), np.array(wall.end_mm)
             length = float(np.linalg.norm(end - start))
-            around = n_at(scene, 0.5 * (start + end), wall)
+            aside = np.cross(end - start, np.eye(3)[int(np.argmin(np.abs(end - start)))])
+            on_wall = 0.5 * (start + end) + wall.outer_radius_mm * aside / np.linalg.norm(aside)
+            around = n_at(scene, on_wall, wall)
             beyond = around if wall.filled is None else wall.filled.n(nm)
             place = [TUBE, *start.tolist(), *((end - start) / length).tolist(), length]
             radii = [wall.outer_radius_mm, wall.inner_radius_mm]
-            rows.append([*place, *radii, around / air, wall.medium.n(nm) / air, beyond / air])
+            rows.append([*place, *radii, around / air, wall.medium.n(nm) / air, beyond / air, 0.0, 0.0, 0.0])
+        if isinstance(wall, Dome):
+            around = n_at(scene, np.array(wall.centre_mm) + wall.outer_radius_mm * np.array(wall.axis), wall)
+            beyond = around if wall.filled is None else wall.filled.n(nm)
+            place = [DOME, *wall.centre_mm, *wall.axis, np.deg2rad(wall.half_angle_deg)]
+            radii = [wall.outer_radius_mm, wall.inner_radius_mm]
+            index = [around / air, wall.medium.n(nm) / air, beyond / air]
+            rows.append([*place, *radii, *index, *wall.inside_mm])
     return rows

@@ -1,4 +1,4 @@
-"""Random scenes with windows, tubes, liquids and balls in all of them."""
+"""Random scenes with windows, tubes, glass rods, domes, liquids and balls in all of them."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.tracer.scenes import camera_at
-from tracer.bodies import Body, Core, Sphere, Tube, Window
+from tracer.bodies import Body, Core, Dome, Sphere, Tube, Window
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium, Medium
 from tracer.scene import Scene
@@ -43,19 +43,47 @@ def drawn_tube(rng: np.random.Generator) -> Tube:
     return Tube("tube", start, end, outer, inner, index(rng, 1.0, 1.33, 1.5195, 1.7), filled)
 
 
-def drawn_walls(rng: np.random.Generator, both: bool = True) -> Scene:
-    """A camera, perhaps (or for sure: `both`) a window and a tube, and up to nine balls, some of them hollow.
+def drawn_glass_rod(rng: np.random.Generator) -> Tube:
+    axis = rng.normal(size=3) * (1.0, 1.0, 0.3)
+    half = float(rng.uniform(5.0, 40.0)) * axis / np.linalg.norm(axis)
+    middle = np.array([*rng.uniform(-40.0, 40.0, 2), rng.uniform(0.0, 90.0)])
+    start, end = tuple((middle - half).tolist()), tuple((middle + half).tolist())
+    return Tube("rod", start, end, float(rng.uniform(1.0, 12.0)), 0.0, index(rng, 1.0, 1.33, 1.5195, 1.7))
 
-    Kernels are compiled for the kinds that a scene has: fast tests keep to both.
+
+def drawn_dome(rng: np.random.Generator) -> Dome:
+    """A flask among the bodies, or a dome around the camera."""
+    around_camera = rng.random() < 0.4
+    at = np.array(
+        [0.0, 0.0, CAMERA_Z] if around_camera else [*rng.uniform(-20.0, 20.0, 2), rng.uniform(0.0, 60.0)]
+    )
+    outer = float(rng.uniform(90.0, 150.0) if around_camera else rng.uniform(10.0, 40.0))
+    inner = outer * float(rng.choice([0.999999, 0.95, 0.8, 0.5]))
+    if around_camera:
+        inner = max(inner, 86.0)
+    aside = rng.normal(size=3)
+    aside *= rng.choice([0.0, 0.3]) * (outer - inner) / np.linalg.norm(aside)
+    axis = rng.normal(size=3) * 0.2 + (0.0, 0.0, -1.0 if around_camera else 1.0)
+    return Dome(
+        "dome", tuple(at.tolist()), outer, inner, index(rng, 1.0, 1.33, 1.5195, 1.7),
+        index(rng, 1.0, 1.33, 1.4, 1.7) if rng.random() < 0.6 else None,
+        tuple((at + aside).tolist()), tuple((axis / np.linalg.norm(axis)).tolist()),
+        float(rng.choice([20.0, 60.0, 180.0])),
+    )  # fmt: skip
+
+
+def drawn_walls(rng: np.random.Generator, both: bool = True) -> Scene:
+    """A camera, perhaps (or for sure: `both`) a window, a tube and a dome, and balls, some of them hollow.
+
+    Some tubes are rods.  Kernels are compiled for the kinds that a scene has: fast tests keep to all three.
     """
     position = (*(float(x) for x in rng.uniform(-60.0, 60.0, 2)), CAMERA_Z)
     scene = Scene(camera_at(position, (0.0, 0.0, 0.0), 5000.0, (64, 48)))
-    for make in (drawn_window, drawn_tube):
+    for make in (drawn_dome, drawn_window, drawn_tube, drawn_glass_rod):
         before = len(scene.bodies)
-        while (both and len(scene.bodies) == before) or (not both and rng.random() < 0.5):
-            scene = with_room_for(scene, make(rng))
-            if len(scene.bodies) > before:
-                break
+        for _ in range(20):  # there may be no room for it
+            if len(scene.bodies) == before and (both or rng.random() < 0.5):
+                scene = with_room_for(scene, make(rng))
     for k in range(40):
         radius = float(rng.uniform(2.0, 14.0))
         centre = (*(float(x) for x in rng.uniform(-30.0, 30.0, 2)), float(rng.uniform(radius, 140.0)))

@@ -1,4 +1,4 @@
-"""Windows and tubes, alone and in one another, with balls before, behind and inside: against 50 digits."""
+"""Windows, tubes and domes, alone and in one another, balls before, behind and inside: against 50 digits."""
 
 import re
 from collections.abc import Callable
@@ -15,8 +15,9 @@ from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
 from tests.tracer.drawn_walls import aimed, drawn_walls
 from tests.tracer.scenes import camera_at
-from tracer.bodies import Body, Sphere, Tube, Window
+from tracer.bodies import Body, Dome, Sphere, Tube, Window
 from tracer.errors import SceneError
+from tracer.kernels.dome import cross_dome, dome_rates, leave_dome
 from tracer.kernels.rooms import IN, OFF, OUT, THROUGH
 from tracer.kernels.tube import cross_tube, leave_tube, tube_rates
 from tracer.kernels.window import cross_window, window_rates
@@ -48,6 +49,23 @@ def window(**changes: object) -> Window:
 def tube(**changes: object) -> Tube:
     plain = Tube("tube", (-80.0, 0.0, 0.0), (80.0, 0.0, 0.0), 50.0, 45.0, GLASS)
     return replace(plain, **changes)
+
+
+def dome(**changes: object) -> Dome:
+    """A flask, thicker on one side."""
+    plain = Dome("dome", (0.0, 0.0, 0.0), 50.0, 45.0, GLASS, None, (0.5, 0.3, -0.4))
+    return replace(plain, **changes)
+
+
+def among_all_kinds(*bodies: Body, **scene: object) -> Scene:
+    """A scene with a wall of every kind, those that are missing far away: kernels are compiled but once."""
+    far = (
+        window(name="far window", centre_mm=(-3000.0, 0.0, 300.0), normal=(1.0, 0.0, 0.0)),
+        tube(name="far tube", start_mm=(-80.0, 400.0, 60.0), end_mm=(80.0, 400.0, 60.0)),
+        dome(name="far dome", centre_mm=(0.0, -400.0, 60.0), inner_centre_mm=None),
+    )
+    kinds = {body.kind for body in bodies}
+    return Scene(AIR_CAMERA, (*bodies, *(body for body in far if body.kind not in kinds)), **scene)
 
 
 def judge(scenes: int, rays: int, seed: int, both: bool) -> int:
@@ -104,10 +122,12 @@ def test_derivatives_are_those_of_the_rays() -> None:
         rates = [(here.pixel_rate[:, :, k], (k, None)) for k in range(2)]
         rates += [(here.columns([f"camera.{name}"])[:, :, 0], (None, k)) for k, name in enumerate("xyz")]
         for rate, what in rates:
-            ahead, back = seen(*what, step), seen(*what, -step)
-            same = here.recovered & (ahead.key == here.key) & (back.key == here.key)
-            same &= ahead.recovered & back.recovered
-            numeric = (ahead.point_mm - back.point_mm) / (2.0 * step)
+            same, differences = here.recovered, []
+            for by in (step, 0.5 * step):
+                ahead, back = seen(*what, by), seen(*what, -by)
+                same = same & (ahead.key == here.key) & (back.key == here.key) & ahead.recovered & back.recovered
+                differences.append((ahead.point_mm - back.point_mm) / (2.0 * by))
+            numeric = (4.0 * differences[1] - differences[0]) / 3.0  # Richardson: some rays bend steeply
             size = 0.01 + np.abs(numeric).max(axis=1, keepdims=True)
             assert (np.abs(numeric - rate) < 2e-6 * size)[same].all()
             judged += int(same.sum())
@@ -128,6 +148,10 @@ def behind(cross: Callable[..., tuple[float, ...]], ray: np.ndarray, row: np.nda
         ("tube", cross_tube, tube_rates, (8.0, 48.3, 400.0), THROUGH),
         ("tube", cross_tube, tube_rates, (8.0, 45.6, 400.0), OFF),
         ("tube", leave_tube, tube_rates, (8.0, 10.0, 20.0), OUT),
+        ("dome", cross_dome, dome_rates, (8.0, 10.0, 400.0), IN),
+        ("dome", cross_dome, dome_rates, (8.0, 48.3, 400.0), THROUGH),
+        ("dome", cross_dome, dome_rates, (8.0, 45.6, 400.0), OFF),
+        ("dome", leave_dome, dome_rates, (8.0, 10.0, 20.0), OUT),
     ],
 )
 def test_rays_follow_every_number_of_a_wall(
@@ -138,12 +162,14 @@ def test_rays_follow_every_number_of_a_wall(
     inner = {THROUGH: 30.0, OFF: 40.0}.get(way, 45.0)
     ends = {"start_mm": (-80.0, 0.1, 60.0), "end_mm": (80.0, -0.1, 70.0)}
     high = tube(**ends, inner_radius_mm=inner, filled=ConstantMedium(1.1))
-    scene = Scene(AIR_CAMERA, (window(normal=tuple(float(x) for x in unit((0.1, 0.2, 1.0))), behind=None), high))
-    (row,) = scene.other_tables()[0 if what == "window" else 1].rows
+    tilted = window(normal=tuple(float(x) for x in unit((0.1, 0.2, 1.0))), behind=None)
+    flask = dome(centre_mm=(1.0, 0.1, 65.0), inner_centre_mm=(0.8, 0.3, 65.4), filled=ConstantMedium(1.1))
+    walls = {"window": tilted, "tube": high, "dome": replace(flask, inner_radius_mm=inner)}
+    (row,) = Scene(AIR_CAMERA, (walls[what],)).other_tables()[0].rows
     ray = np.array([*eye, *(float(x) for x in unit((0.02, -0.001, -1.0)))])
     if way == OUT:
         ray[5] *= -1.0
-    axis = 3  # where the direction stands in both rows
+    axis = 10 if what == "dome" else 3  # where the direction stands in the row
     fate, _ = behind(cross, ray, row)
     assert fate == {IN: ENTERED, OUT: ENTERED, OFF: OFF_INSIDE, THROUGH: 0}[way]
     step = 1e-5
@@ -170,14 +196,49 @@ def test_what_is_no_glass_does_nothing() -> None:
         (window(medium=air, behind=air, normal=(0.0, 0.6, 0.8)), tube(medium=air, filled=air)),
         (no_window, tube(inner_radius_mm=50.0 - 1e-9)),
     ):
-        through = trace(Scene(AIR_CAMERA, (*walls, ball)), pixels).plane_mm
+        through = trace(among_all_kinds(*walls, ball), pixels).plane_mm
         bound = 1e-12 if walls[1].medium == air else 1e-9
         np.testing.assert_allclose(through, bare, rtol=0.0, atol=bound * 400.0)
+    for nothing in (dome(medium=air), dome(inner_radius_mm=50.0 - 1e-9, inner_centre_mm=None)):
+        through = trace(among_all_kinds(no_window, nothing, ball), pixels).plane_mm
+        np.testing.assert_allclose(through, bare, rtol=0.0, atol=4e-10 if nothing.medium == air else 4e-7)
+
+
+def test_a_camera_in_the_middle_of_a_dome_sees_straight() -> None:
+    """Rays from the centre meet both spheres at right angles; from beside it they do not."""
+    port = dome(centre_mm=(0.0, 0.0, 400.0), inner_centre_mm=None, axis=(0.0, 0.0, -1.0), half_angle_deg=30.0)
+    ball = Sphere("ball", (0.0, 0.0, 20.0), 15.0, GLASS)
+    pixels = np.random.default_rng(3).uniform(0.0, 60.0, (200, 2))
+    for water, air in ((WATER, ConstantMedium(1.0)), (ConstantMedium(1.0), WATER)):
+        wet = among_all_kinds(replace(port, filled=air), ball, ambient=water)
+        dry = trace(Scene(AIR_CAMERA, (ball,), ambient=water), pixels).plane_mm
+        np.testing.assert_allclose(trace(wet, pixels).plane_mm, dry, rtol=0.0, atol=1e-9)
+        aside = replace(port, filled=air, centre_mm=(0.0, 1.0, 400.0))
+        assert np.nanmax(np.abs(trace(wet.with_bodies((aside, ball)), pixels).plane_mm - dry)) > 0.1
+    shut = trace(among_all_kinds(replace(port, half_angle_deg=0.1), ball), pixels)
+    assert 0.5 < (shut.rays["status"] == RayStatus.BLOCKED).mean() < 1.0
+    shut = trace(among_all_kinds(replace(port, axis=(0.0, 0.0, 1.0)), ball), pixels)
+    assert (shut.rays["status"] == RayStatus.BLOCKED).all()
+
+
+def test_a_rod_of_glass_is_a_lens_in_one_direction() -> None:
+    """Where a ray across a cylinder lands is a matter of two angles: n sin t = sin i, turn 2 (i - t)."""
+    rod = tube(inner_radius_mm=0.0, start_mm=(-80.0, 0.0, 60.0), end_mm=(80.0, 0.0, 60.0))
+    for offset in (-49.0, 1.0, 20.0, 45.0):
+        ray = trace_from(among_all_kinds(rod), [[0.0, offset, 400.0]], [[0.0, 0.0, -1.0]]).rays[0]
+        outside = mpmath.asin(mpf(offset) / 50)
+        inside = mpmath.asin(mpf(offset) / 50 / mpf(1.5195))
+        at = outside + mpmath.pi - 2 * inside  # where it comes out, from the top
+        y, z = 50 * mpmath.sin(at), 60 + 50 * mpmath.cos(at)
+        expected = y - z * mpmath.tan(2 * (outside - inside))
+        assert float(expected) == pytest.approx(float(ray["y_mm"]), abs=1e-10)
+    ends = trace_from(among_all_kinds(rod), [[200.0, 0.0, 61.0]], [[-1.0, 0.0, 0.0]])
+    assert ends.rays["status"][0] == RayStatus.BLOCKED  # by the end, which nobody polished
 
 
 def test_a_plate_shifts_by_the_textbook() -> None:
     """(1 - cos i / (n cos t)) d sin i across the ray, d / cos t of path: Hecht, Optics, 4.4."""
-    scene = Scene(AIR_CAMERA, (window(behind=None), tube(medium=ConstantMedium(1.0))))
+    scene = among_all_kinds(window(behind=None))
     way = unit((0.3, 0.0, -1.0))
     angle = mpmath.acos(-way[2])
     bent = mpmath.asin(mpmath.sin(angle) / mpf(1.5195))
@@ -193,10 +254,10 @@ def test_a_ball_knows_the_medium_in_which_it_stands() -> None:
     pixels = np.random.default_rng(2).uniform(0.0, 60.0, (100, 2))
     ball = Sphere("ball", (0.0, 0.0, 20.0), 15.0, GLASS)
     walls = (window(behind=liquid), tube(medium=liquid))
-    with_ball = trace(Scene(AIR_CAMERA, (*walls, ball)), pixels).plane_mm
-    without = trace(Scene(AIR_CAMERA, walls), pixels).plane_mm
+    with_ball = trace(among_all_kinds(*walls, ball), pixels).plane_mm
+    without = trace(among_all_kinds(*walls), pixels).plane_mm
     np.testing.assert_allclose(with_ball, without, rtol=0.0, atol=1e-10)
-    assert Scene(AIR_CAMERA, (*walls, ball)).sphere_table()[0, 4] == 1.0
+    assert among_all_kinds(*walls, ball).sphere_table()[0, 4] == 1.0
 
 
 def test_the_order_of_bodies_does_not_matter() -> None:
@@ -213,7 +274,10 @@ def test_every_number_is_in_the_hash() -> None:
     known = {Scene(AIR_CAMERA, (window(),)).content_hash(), Scene(AIR_CAMERA, (tube(),)).content_hash()}
     changed = [
         window(centre_mm=(0.0, 0.0, 151.0)), window(normal=(0.0, 0.6, 0.8)), window(thickness_mm=9.0),
-        window(radius_mm=90.0), window(medium=WATER), window(behind=None), tube(start_mm=(-81.0, 0.0, 0.0)),
+        window(radius_mm=90.0), window(medium=WATER), window(behind=None), dome(), dome(inner_centre_mm=None),
+        dome(centre_mm=(0.0, 0.0, 1.0)), dome(outer_radius_mm=51.0), dome(inner_radius_mm=44.0),
+        dome(medium=WATER), dome(filled=WATER), dome(half_angle_deg=50.0),
+        dome(half_angle_deg=50.0, axis=(0.0, 0.6, 0.8)), tube(start_mm=(-81.0, 0.0, 0.0)),
         tube(outer_radius_mm=51.0), tube(inner_radius_mm=44.0), tube(medium=WATER), tube(filled=WATER),
     ]  # fmt: skip
     for number, wall in enumerate(changed, start=3):
@@ -226,7 +290,8 @@ def test_a_map_behind_walls_is_inverted() -> None:
     ball = Sphere("ball", (0.0, 2.0, 7.0), 4.0, ConstantMedium(1.6))
     camera = camera_at((0.0, 0.0, 400.0), (0.0, 0.0, 0.0), 2600.0, (160, 120))
     tilted = tuple(float(x) for x in unit((0.02, -0.03, 1.0)))
-    scene = Scene(camera, (window(normal=tilted), tube(filled=ConstantMedium(1.0)), ball))
+    walls = (window(normal=tilted), tube(filled=ConstantMedium(1.0)))
+    scene = among_all_kinds(*walls, ball).with_camera(camera)
     ray_map = build_ray_map(scene)
     found = build_correction_map(scene, ray_map, PlaneGrid((-9.0, 7.0), 0.5, (29, 37)))
     assert set(ray_map.branches) >= {(), ("ball",)}
@@ -238,9 +303,12 @@ def test_a_map_behind_walls_is_inverted() -> None:
 
 
 def test_scene_files_hold_walls(tmp_path: Path) -> None:
-    scene = Scene(
-        AIR_CAMERA, (window(), tube(filled=ConstantMedium(1.0)), Sphere("b", (0.0, 0.0, 20.0), 9.0, GLASS))
-    )
+    ends = {"start_mm": (-30.0, 70.0, 9.0), "end_mm": (30.0, 70.0, 9.0)}
+    rod = tube(name="rod", **ends, outer_radius_mm=3.0, inner_radius_mm=0.0)
+    flask = dome(centre_mm=(0.0, -130.0, 0.0), inner_centre_mm=None, axis=(0.0, 0.6, 0.8), half_angle_deg=80.0)
+    balls = (Sphere("b", (0.0, 0.0, 20.0), 9.0, GLASS),)
+    walls = (window(), tube(filled=ConstantMedium(1.0)), rod, flask)
+    scene = Scene(AIR_CAMERA, (*walls, *balls))
     (tmp_path / "scene.yaml").write_text(dump_scene(scene))
     again = load_scene(tmp_path / "scene.yaml")
     assert again.content_hash() == scene.content_hash()
@@ -266,6 +334,19 @@ def sideways() -> Window:
         (lambda: (tube(inner_radius_mm=60.0),), "less than outer_radius_mm"),
         (lambda: (tube(end_mm=(-80.0, 0.0, 0.0)),), "two points"),
         (lambda: (tube(), tube(name="b", start_mm=(0.0, 0.0, 5.0), outer_radius_mm=47.0)), "cuts body"),
+        (lambda: (dome(), ball(44.0)), "dome 'dome' cuts body 'b'"),
+        (lambda: (dome(centre_mm=(0.0, 0.0, 352.0), inner_centre_mm=None),), "stands in the glass of 'dome'"),
+        (lambda: (dome(inner_centre_mm=(5.0, 0.0, 0.0)),), "reaches through the outer one"),
+        (lambda: (dome(inner_radius_mm=50.0),), "less than outer_radius_mm"),
+        (lambda: (tube(inner_radius_mm=0.0, filled=WATER),), "has no inside"),
+        (lambda: (tube(inner_radius_mm=0.0), ball(20.0)), "overlap by"),
+        (
+            lambda: (
+                tube(inner_radius_mm=0.0),
+                tube(name="b", inner_radius_mm=0.0, start_mm=(0.0, -80.0, 90.0), end_mm=(0.0, 80.0, 90.0)),
+            ),
+            "bodies 'tube' and 'b' overlap by 10 mm",
+        ),
         (lambda: (window(), sideways(), ball(20.0)), "window 'side' cuts body 'window'"),
     ],
 )  # fmt: skip

@@ -5,12 +5,13 @@ place in KINDS is part of a scene's content hash: new kinds come last.
 """
 
 from tracer.bodies.body import CONTACT_TOL_MM, Body, BodySection, Capsule, Index, Room, shifted_by, vector3
+from tracer.bodies.dome import Dome
 from tracer.bodies.rod import Rod
 from tracer.bodies.sphere import Core, Sphere
 from tracer.bodies.tube import Tube
 from tracer.bodies.window import Window
 
-KINDS: tuple[type[Body], ...] = (Sphere, Rod, Window, Tube)
+KINDS: tuple[type[Body], ...] = (Sphere, Rod, Window, Tube, Dome)
 
 __all__ = [
     "CONTACT_TOL_MM",
@@ -19,6 +20,7 @@ __all__ = [
     "BodySection",
     "Capsule",
     "Core",
+    "Dome",
     "Index",
     "Rod",
     "Room",

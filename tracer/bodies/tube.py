@@ -1,12 +1,16 @@
-"""A tube: a cylindrical wall of glass, filled with another medium if need be, with bodies inside."""
+"""A tube: a cylindrical wall of glass, filled with another medium if need be, with bodies inside.
+
+A tube without a hole is a rod of glass: nothing is in it.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from ground.config import Triple
 from ground.jit import Array
@@ -36,7 +40,7 @@ class TubeSection(BodySection):
     start_mm: Triple
     end_mm: Triple
     outer_radius_mm: Positive
-    inner_radius_mm: Positive
+    inner_radius_mm: Annotated[float, Field(ge=0.0)]
     material: str | MediumTable
     filled: str | MediumTable | None = None
 
@@ -55,7 +59,7 @@ class TubeSection(BodySection):
 
 @dataclass(frozen=True)
 class Tube(Body):
-    """A glass tube with open ends.
+    """A glass tube with open ends, or a glass rod with opaque ones.
 
     Parameters
     ----------
@@ -64,7 +68,7 @@ class Tube(Body):
     start_mm, end_mm : (float, float, float)
         Ends of the axis.
     outer_radius_mm, inner_radius_mm : float
-        Radii of the wall.
+        Radii of the wall; an inner one of 0 makes a rod.
     medium : Medium
         The glass.
     filled : Medium or None
@@ -83,11 +87,15 @@ class Tube(Body):
     filled: Medium | None = None
 
     def __post_init__(self) -> None:
-        if not SMALLEST_MM <= self.inner_radius_mm < self.outer_radius_mm <= LONGEST_MM:
+        hollow = self.inner_radius_mm != 0.0
+        least_mm = SMALLEST_MM if hollow else 0.0
+        if not (least_mm <= self.inner_radius_mm < self.outer_radius_mm <= LONGEST_MM):
             raise SceneError(
-                f"tube {self.name!r}: inner_radius_mm must be {SMALLEST_MM:g} mm at least and less than"
-                f" outer_radius_mm, {self.outer_radius_mm:g} mm, not {self.inner_radius_mm:g} mm"
+                f"tube {self.name!r}: inner_radius_mm must be 0 (a rod) or {SMALLEST_MM:g} mm at least, and less"
+                f" than outer_radius_mm, {self.outer_radius_mm:g} mm, not {self.inner_radius_mm:g} mm"
             )
+        if self.filled is not None and not hollow:
+            raise SceneError(f"tube {self.name!r}: a rod, of inner_radius_mm 0, has no inside; drop filled")
         if not (within_reach(self.start_mm) and within_reach(self.end_mm)):
             raise SceneError(
                 f"tube {self.name!r}: start_mm and end_mm must lie within {LONGEST_MM:g} mm of the origin"
@@ -173,7 +181,7 @@ class Tube(Body):
     @property
     def event_names(self) -> tuple[str, ...]:
         """Through the wall alone, and reflected by its inside."""
-        return self.name, f"{self.name} off inside"
+        return (self.name,) if self.inner_radius_mm == 0.0 else (self.name, f"{self.name} off inside")
 
     @property
     def may_cross_plane(self) -> bool:
@@ -181,9 +189,9 @@ class Tube(Body):
         return True
 
     @property
-    def room(self) -> Room:
-        """The inside."""
-        return Room(self.filled, self._gaps_mm, surrounds=True)
+    def room(self) -> Room | None:
+        """The inside, if there is one."""
+        return None if self.inner_radius_mm == 0.0 else Room(self.filled, self._gaps_mm, surrounds=True)
 
     def _gaps_mm(self, corners_mm: NDArray[np.float64], radius_mm: float) -> tuple[float, float]:
         start, axis = np.array(self.start_mm), np.array(self.axis)

@@ -124,3 +124,20 @@ def on_cylinder_rates(
         gx, gy, gz,
         (rx - radius_rate * nx) / radius, (ry - radius_rate * ny) / radius, (rz - radius_rate * nz) / radius,
     )  # fmt: skip
+
+
+@kernel
+def on_sphere_rates(
+    dx: float, dy: float, dz: float, t: float, nx: float, ny: float, nz: float, radius: float,
+    fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
+    c_x: float, c_y: float, c_z: float, radius_rate: float,
+) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    """Derivatives of q = p + t d on a sphere and of its outward normal n there; its centre changes by c_."""
+    shift = radius_rate + nx * c_x + ny * c_y + nz * c_z
+    gx, gy, gz = on_plane_rates(dx, dy, dz, t, nx, ny, nz, fx, fy, fz, ux, uy, uz, shift)
+    return (
+        gx, gy, gz,
+        (gx - c_x - radius_rate * nx) / radius,
+        (gy - c_y - radius_rate * ny) / radius,
+        (gz - c_z - radius_rate * nz) / radius,
+    )  # fmt: skip
