@@ -1,4 +1,4 @@
-"""The renderer's windows and tubes against the tracer's, which shares nothing with them."""
+"""The renderer's windows, tubes and domes against the tracer's, which shares nothing with them."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ LEVEL = 0.05
 @pytest.mark.parametrize("seed", [1, 2])
 def test_rays_through_walls_are_those_of_the_tracer(seed: int) -> None:
     rng, judged, other = np.random.default_rng(seed), 0, 0
-    for _ in range(40):
+    for _ in range(45):
         scene = drawn_walls(rng)
         tables, start = tables_of(scene, Pose(), None), np.array(scene.camera.position_mm)
         ways = aimed(rng, scene, 50)
