@@ -236,7 +236,7 @@ def follow_walls(walls: Walls, p: Vector, d: Vector, most: int = 400) -> End:
         inside_of_pipe = kind == "side" and region and region.what == "wall" and into
         if bent is None:
             at_core = kind == "ball" and region is not None and into is not None and region.body is into.body
-            if not (at_core or (inside_of_pipe and into.what == "room")):
+            if not (at_core or (inside_of_pipe and into.body is body and into.what == "room")):
                 return End("tir", p, d, path, passed, tuple(branch), steepest)
             cosine = dot(normal, d)
             d = tuple(x - 2 * cosine * y for x, y in zip(d, normal, strict=True))
