@@ -6,7 +6,8 @@ stage accuracy, catalogue tolerance.  0 holds a number fixed; what is not given 
     fit:
       camera: {position_mm: 2.0, rotation_deg: 2.0, focal_px: 0.0, principal_px: 0.0, k1: 1.0}
       spheres: {centre_mm: 1.0, radius_mm: 0.02}      # of every sphere ...
-      named: {front: {radius_mm: 0.0}}                # ... but this one
+      walls: {place_mm: 1.0, tilt_deg: 1.0, thickness_mm: 0.1, radius_mm: 0.3}     # of every window and tube
+      named: {front: {radius_mm: 0.0}, window: {tilt_deg: 0.0}}                    # ... but these
       n: 0.005                                        # of every glass ...
       glasses: {crown: 0.001}                         # ... but this one
       target: {sideways_mm: 0.02, z_mm: 0.01, rotation_deg: 0.0}    # planes other than z = 0
@@ -48,11 +49,23 @@ class FitSphereTable(Table):
     radius_mm: Sigma = 0.02
 
 
+class FitWallTable(Table):
+    """Standard deviations of the numbers of a window or tube."""
+
+    place_mm: Sigma = 1.0
+    tilt_deg: Sigma = 1.0
+    thickness_mm: Sigma = 0.1
+    radius_mm: Sigma = 0.3
+
+
 class FitNamedTable(Table):
-    """The same for one sphere; what is not given is as for all."""
+    """The same for one body; what is not given is as for all of its kind."""
 
     centre_mm: Sigma | None = None
     radius_mm: Sigma | None = None
+    place_mm: Sigma | None = None
+    tilt_deg: Sigma | None = None
+    thickness_mm: Sigma | None = None
 
 
 class FitTargetTable(Table):
@@ -68,6 +81,7 @@ class FitTable(Table):
 
     camera: FitCameraTable = FitCameraTable()
     spheres: FitSphereTable = FitSphereTable()
+    walls: FitWallTable = FitWallTable()
     named: dict[str, FitNamedTable] = Field(default_factory=dict)
     n: Sigma = 0.005
     glasses: dict[str, Sigma] = Field(default_factory=dict)
@@ -80,6 +94,11 @@ class FitTable(Table):
         centre = self.spheres.centre_mm if own.centre_mm is None else own.centre_mm
         radius = self.spheres.radius_mm if own.radius_mm is None else own.radius_mm
         return FitSphereTable(centre_mm=centre, radius_mm=radius)
+
+    def wall(self, name: str) -> FitWallTable:
+        """Return what is known of the window or tube called `name`."""
+        own = self.named.get(name, FitNamedTable()).model_dump(exclude_none=True, exclude={"centre_mm"})
+        return self.walls.model_copy(update=own)
 
     def index(self, glass: str) -> float:
         """Return the sigma of n of the glass called `glass`."""

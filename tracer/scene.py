@@ -9,7 +9,7 @@ and the order of the bodies do not).  The hash travels into every map and every 
 """
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -149,9 +149,25 @@ class Scene:
         """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""
         return Sphere.table_of(self.spheres, self._index)
 
-    def other_tables(self) -> tuple[Any, ...]:
-        """Bodies that are no spheres, for the kernels: a table of each kind in use (``tracer.kernels.world``)."""
-        return tuple(table for _, table in self._others())
+    def other_tables(self, instead: Mapping[str, Body] | None = None) -> tuple[Any, ...]:
+        """Bodies that are no spheres, for the kernels: a table of each kind in use (``tracer.kernels.world``).
+
+        Parameters
+        ----------
+        instead : mapping, optional
+            Name -> what stands in the place of that body, and need not fit in there: for a fit on its way.
+        """
+        return tuple(table for _, table in self._others(instead or {}))
+
+    def row_of(self, body: Body) -> NDArray[np.float64]:
+        """Row (W,) of a body that is no sphere for the kernels, as it is or as it might be."""
+        return np.array(type(body).table_of((body,), self._index).rows[0])
+
+    @property
+    def others(self) -> tuple[Body, ...]:
+        """The bodies in `other_tables`, in their order."""
+        seen = self.seen
+        return tuple(body for kind in KINDS[1:] for body in kind.among(seen))
 
     @cached_property
     def arrangement(self) -> Arrangement:
@@ -162,9 +178,7 @@ class Scene:
         """Rooms for the kernels."""
         if self.arrangement.is_one_room:
             return ONE_ROOM
-        seen = self.seen
-        others = [body for kind in KINDS[1:] for body in kind.among(seen)]
-        return self.arrangement.rooms(self.spheres, others, self.wavelength_nm)
+        return self.arrangement.rooms(self.spheres, self.others, self.wavelength_nm)
 
     def event_names(self) -> list[str]:
         """Names of the events that rays number (``tracer.branches``); branches are made of them.
@@ -173,16 +187,14 @@ class Scene:
         """
         most_cores = max((len(sphere.cores) for sphere in self.spheres), default=0)
         names = [sphere.event_name(way) for way in range(2 * most_cores + 1) for sphere in self.spheres]
-        seen = self.seen
-        others = [body for kind in KINDS[1:] for body in kind.among(seen)]
-        return names + [name for body in others for name in _ways_of(body)]
+        return names + [name for body in self.others for name in _ways_of(body)]
 
-    def _others(self) -> Iterator[tuple[int, Any]]:
+    def _others(self, instead: Mapping[str, Body]) -> Iterator[tuple[int, Any]]:
         """Place in KINDS and table of each kind in use but spheres."""
         seen = self.seen
         for place, kind in enumerate(KINDS[1:], start=1):
             if bodies := kind.among(seen):
-                yield place, kind.table_of(bodies, self._index)
+                yield place, kind.table_of([instead.get(body.name, body) for body in bodies], self._index)
 
     def n_around(self, body: Body) -> float:
         """Index of the medium in the room where a body stands."""
@@ -205,7 +217,7 @@ class Scene:
             [*map(float, camera.sensor_px), *camera.lens.terms(), self.n_ambient],
         ]
         numbers += sorted([0.0, *row] for row in self.sphere_table().tolist())
-        for place, table in self._others():
+        for place, table in self._others({}):
             numbers += sorted([float(place), *row] for row in table.rows.tolist())
         rooms = self.rooms()
         if len(rooms.home):  # which is where follows from the numbers; what fills the rooms does not

@@ -39,7 +39,7 @@ from ground.config import Document, Place, open_document, validate
 from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
 from tracer.errors import SceneError
-from tracer.fit_section import FitTable
+from tracer.fit_section import FitSphereTable, FitTable
 from tracer.light_sheet import LightSheet
 from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium, medium_called
 from tracer.medium_table import medium_of, written
@@ -129,20 +129,34 @@ def load_priors(path: Path | str) -> FitTable:
     Raises
     ------
     ConfigError
-        The file is wrong, or the section names a sphere or glass that the scene does not have.
+        The file is wrong, or the section names a body or glass that the scene does not have, or no number of it.
     """
     document = open_document(path)
     table = validate(document, SceneTable)
-    spheres = {sphere.name for sphere in scene_from(document, table).spheres}
+    scene = scene_from(document, table)
+    known_keys = {sphere.name: set(FitSphereTable.model_fields) for sphere in scene.spheres}
+    for body in scene.others:
+        if numbers := body.numbers(scene.wavelength_nm):
+            known_keys[body.name] = {number.known for number in numbers}
     glasses = {_glass_of(name, table): sigma for name, sigma in table.fit.glasses.items()}
     problems = [
         Problem(document.line(("fit", part, name)), f"fit.{part}: there is no {what} {name!r} in this scene")
         for part, what, given, known in (
-            ("named", "sphere", table.fit.named, spheres),
+            ("named", "sphere, window or tube", table.fit.named, known_keys),
             ("glasses", "glass", glasses, MEDIA.keys() | table.glasses.keys()),
         )
         for name in given
         if name not in known
+    ]
+    problems += [
+        Problem(
+            document.line(("fit", "named", name, key)),
+            f"fit.named.{name}: {key} is no number that frames tell of {name!r}; of that they tell"
+            f" {', '.join(sorted(known_keys[name] - {'n'}))}",
+        )
+        for name, own in table.fit.named.items()
+        for key in own.model_fields_set
+        if name in known_keys and key not in known_keys[name]
     ]
     if problems:
         raise ConfigError(document.path, problems)

@@ -1,15 +1,17 @@
 """Where pixels land on a target plane, and how that depends on every number of the scene.
 
 For the acquired pixel (u, v) the landing point (s1, s2) in the target's own axes is a function of the camera
-(position, rotation, focal length, principal point, lens terms), of every sphere crossed (centre, radius, n)
-and of the target's pose.  `landings` returns it with all derivatives, exactly (`tracer.kernels.landing`).
-Parameters are named ``camera.x`` (mm), ``camera.rx`` (rad, about the world's axes through the pinhole),
-``camera.focal_px``, ``camera.cu``, ``camera.k1``, ``NAME.x``, ``NAME.radius``, ``NAME.n``, ``target.x``,
-``target.rx`` ...
+(position, rotation, focal length, principal point, lens terms), of every sphere crossed (centre, radius, n), of
+the row of every window or tube (`tracer.kernels.world.Kind.numbers`) and of the target's pose.  `landings` returns
+it with all derivatives, exactly (`tracer.kernels.landing`).  Parameters are named ``camera.x`` (mm), ``camera.rx``
+(rad, about the world's axes through the pinhole), ``camera.focal_px``, ``camera.cu``, ``camera.k1``, ``NAME.x``,
+``NAME.radius``, ``NAME.n``, ``NAME.thickness``, ``target.x``, ``target.rx`` ...  An index in a row is relative to
+what is around the body.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +22,7 @@ from tracer.cells import world_of
 from tracer.kernels.adjoint import STATE
 from tracer.kernels.landing import trace_landings
 from tracer.kernels.walk import MAX_EVENTS
-from tracer.kernels.world import World
+from tracer.kernels.world import KINDS, World
 from tracer.scene import Scene
 from tracer.status import RayStatus
 from tracer.trace import pack_camera
@@ -84,16 +86,26 @@ class Landings:
         """Derivatives (N, 2, len(names)) by the parameters asked for."""
         return self.rate[:, :, [self.names.index(name) for name in names]]
 
+    def nowhere(self) -> "Landings":
+        """Return the same pixels as they would be if none of them landed."""
+        point, by_pixel, rate = (np.full_like(v, np.nan) for v in (self.point_mm, self.pixel_rate, self.rate))
+        status = np.full_like(self.status, RayStatus.MISSED_PLANE)
+        return Landings(status, self.key, point, by_pixel, rate, self.names)
+
 
 def parameter_names(scene: Scene) -> tuple[str, ...]:
     """Names of all parameters of a scene and one target pose, in the order of `Landings.rate`."""
-    return _names([sphere.name for sphere in scene.spheres])
+    others = [body.name for body in scene.others]
+    return _names([sphere.name for sphere in scene.spheres], scene.other_tables(), others)
 
 
-def _names(spheres: Sequence[str]) -> tuple[str, ...]:
-    """All parameter names for spheres of these names."""
+def _names(spheres: Sequence[str], tables: Sequence[Any], others: Sequence[str]) -> tuple[str, ...]:
+    """All parameter names for spheres and other bodies of these names, the others in the order of their tables."""
     of_spheres = [f"{name}.{part}" for name in spheres for part in SPHERE]
-    return (*[f"camera.{part}" for part in CAMERA], *of_spheres, *[f"target.{part}" for part in TARGET])
+    kinds = [KINDS[type(table)] for table in tables for _ in table.rows]
+    of_others = [f"{name}.{part}" for name, kind in zip(others, kinds, strict=True) for part in kind.numbers]
+    of_target = [f"target.{part}" for part in TARGET]
+    return (*[f"camera.{part}" for part in CAMERA], *of_spheres, *of_others, *of_target)
 
 
 def landings(scene: Scene, pixels: ArrayLike, target: TargetPose | None = None) -> Landings:
@@ -141,12 +153,13 @@ def landings_through(
     Returns
     -------
     Landings
-        Spheres are called 0, 1, ... in `names`.
+        Spheres are called 0, 1, ... in `names`, other bodies go on from there.
     """
     points = np.ascontiguousarray(np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
     directions = np.ascontiguousarray(camera.directions(points))
     count, packed, pose = len(points), pack_camera(camera), target.packed()
-    names = _names([str(number) for number in range(len(world.spheres))])
+    called = [str(number) for number in range(len(world.spheres) + sum(len(one.rows) for one in world.others))]
+    names = _names(called[: len(world.spheres)], world.others, called[len(world.spheres) :])
     status, key = np.empty(count, np.uint8), np.empty(count, np.int64)
     point, by_pixel, rate = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2, len(names)))
 

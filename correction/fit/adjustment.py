@@ -12,11 +12,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.contact import largest_overlap_mm, pushed_apart
+from correction.fit.contact import largest_overlap_mm
 from correction.fit.held import doubted
 from correction.fit.measurement import MeasuredFrame, whitening
 from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
 from correction.fit.result import FitStep, FittedCorners, SceneFit
+from correction.fit.room_contact import pushed_clear
 from correction.fit.solver import (
     Corners,
     Residuals,
@@ -210,11 +211,11 @@ def root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def legal_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:
     """Return the scene of a full vector with overlaps pushed apart, and the largest overlap [mm]."""
-    spheres = unknowns.spheres(full)
-    overlap = largest_overlap_mm(spheres)
+    overlap = largest_overlap_mm(unknowns.spheres(full))
+    pushed, cut = pushed_clear(unknowns, full)
     moved = np.array(full)
-    moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed_apart(spheres)[:, :3]
-    return unknowns.moved(moved), overlap
+    moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed[:, :3]
+    return unknowns.moved(moved), max(overlap, cut)
 
 
 def _summed(counts: Sequence[dict[str, int]]) -> dict[str, int]:

@@ -66,7 +66,10 @@ def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
     places = map(vector3, pushed_apart(spheres)[:, :3])
     placed = {s.name: replace(s, centre_mm=place) for s, place in zip(scene.spheres, places, strict=True)}
     balls = tuple(placed.values())
-    bodies = tuple(placed.get(body.name) or clear_of(body.moved(point), balls) for body in scene.bodies)
+    bodies = tuple(
+        placed.get(body.name) or (body.moved(point) if body.room else clear_of(body.moved(point), balls))
+        for body in scene.bodies
+    )
     return replace(scene, camera=camera, bodies=bodies)
 
 

@@ -71,15 +71,17 @@ class StoredVerdict:
 def save_fit(path: Path | str, fit: SceneFit) -> None:
     """Write a fit, atomically.
 
-    Header: ``names``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``,
+    Header: ``names``, ``numbers``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``,
     ``systematic_px`` (way -> its own error), ``right``, ``verdict`` and ``ways`` (`StoredVerdict`).  Arrays:
     ``values`` (P,), ``covariance`` (P, P) in the units of the names, ``scene_root`` (Q, R) (see `SceneSigma`),
     ``corner_frame``, ``corner_way`` (N,), ``corner_index`` (N, 2), ``corner_px``, ``residual_px``, ``smooth_px``
     (N, 2), ``behind``, ``inlier`` (N,).
     """
     unit, corners, found = fit.unknowns.sigma, fit.corners, StoredVerdict.of(fit)
+    sigma = SceneSigma.of(fit)
     header = {
         "names": list(fit.names),
+        "numbers": list(sigma.numbers),
         "scene_hash": found.scene_hash,
         "nominal_hash": fit.unknowns.scene.content_hash(),
         "frames": list(fit.frames),
@@ -92,7 +94,7 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
     arrays = {
         "values": fit.values,
         "covariance": fit.covariance * np.outer(unit, unit),
-        "scene_root": SceneSigma.of(fit).root,
+        "scene_root": sigma.root,
         "corner_frame": corners.frame.astype(np.int32),
         "corner_way": found.way.astype(np.int32),
         "corner_index": corners.index.astype(np.int32),

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.errors import ViewsMissing
+from correction.fit.other_bodies import OtherBodies
 from tracer.light import Light
 from tracer.media import MEDIA, THINNEST_LIQUID, ConstantMedium, Medium
 from tracer.media import shifted as shifted_medium
@@ -63,14 +64,22 @@ def back_from_light(fitted: Scene, nominal: Scene, light: Light | None) -> Scene
 
 
 def doubt_of(nominal: Scene, light: Light | None) -> LightDoubt:
-    """What a fit with this light leaves open, for the numbers of the scene's camera and spheres."""
+    """What a fit with this light leaves open, for the numbers of the scene's camera, spheres and walls."""
     media = [sphere.medium for sphere in nominal.spheres]
     sigma = [index_sigma(medium, light, nominal.wavelength_nm) if medium else 0.0 for medium in media]
-    if not any(sigma):
+    others = OtherBodies(nominal)
+    walls = [
+        index_sigma(body.media[0][1], light, nominal.wavelength_nm) if number.known == "n" else 0.0
+        for body, numbers in others.bodies
+        for number in numbers
+    ]
+    if not any(sigma) and not any(walls):
         return LightDoubt() if light else LightDoubt(sentence=_of_numbers(nominal))
-    step = np.zeros(len(CAMERA) + len(SPHERE) * len(media))
-    step[len(CAMERA) :].reshape(-1, len(SPHERE))[:, SPHERE.index("n")] = sigma
-    largest = float(np.abs(sigma).max())
+    of_spheres = np.zeros((len(media), len(SPHERE)))
+    of_spheres[:, SPHERE.index("n")] = sigma
+    rows = others.row_rates(np.array(others.start), glass=True) @ np.array(walls)
+    step = np.concatenate((np.zeros(len(CAMERA)), of_spheres.ravel(), rows))
+    largest = float(np.abs([*sigma, *walls]).max())
     if light is None:
         sentence = (
             "the light of the target frames is not said: glass is taken as it is at"

@@ -139,6 +139,11 @@ class _Fit:
         self.history.append(step)
         self.say(str(step))
 
+    @property
+    def walls(self) -> list[str]:
+        """Beginnings of the names of numbers of windows and tubes, through which the bare target is seen."""
+        return [f"{body.name}." for body in self.nominal.bodies if body.room is not None]
+
     def height_number(self, frame: TargetFrame) -> int:
         """Number of a frame's height."""
         return int(np.argmin(np.abs(np.array(self.unknowns.heights_mm) - frame.height_mm)))
@@ -166,7 +171,7 @@ class _Fit:
 
     def fit_camera(self, frames: Sequence[TargetFrame]) -> tuple[Unknowns, Solution]:
         """Find the bare target in more frames, one by one, and fit the camera to all there are."""
-        unknowns = self.unknowns.only(("camera.", "target"))
+        unknowns = self.unknowns.only(("camera.", "target", *self.walls))
         for frame in frames:
             self.bare.append(bare_frame(frame, self.board, unknowns.camera(self.full), self.height_number(frame)))
             solution = self.fits.solve(unknowns, unknowns.free(self.full), self.bare)
@@ -179,7 +184,7 @@ class _Fit:
         turn = turn_of_bench(self.nominal.camera, unknowns.camera(self.full), self.priors.camera)
         travel = (float(turn[0, 2]), float(turn[1, 2]), float(turn[2, 2]))
         followed = unknowns_of(turned(self.nominal, turn), self.heights, self.priors, self.focal_free, travel)
-        other = followed.only(("camera.", "target"))
+        other = followed.only(("camera.", "target", *self.walls))
         again = self.fits.solve(other, np.zeros(len(other.names)), self.bare)
         if _pull(again) > PRIOR_LIMIT:
             return unknowns, solution
@@ -201,11 +206,13 @@ class _Fit:
             )
         if pull > PRIOR_LIMIT:
             name = unknowns.names[int(np.argmax(np.abs(solution.x)))]
+            wall = name.rpartition(".")[0] if name.startswith(tuple(self.walls)) else ""
+            section = f"{wall!r} among the bodies" if wall else "the camera section"
             raise FitFailed(
                 "camera prior",
                 pull,
                 PRIOR_LIMIT,
-                f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and the camera section"
+                f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
                 " of the scene, or allow more in its fit section",
             )
 

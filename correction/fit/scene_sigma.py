@@ -29,7 +29,7 @@ from ground.map_file import Hash, checked, load_arrays
 from tracer.branches import name_keys, text_of
 from tracer.errors import StaleMap
 from tracer.scene import Scene, SceneBound
-from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, landings
+from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, landings, parameter_names
 
 KIND = "scene fit"
 BLOCK = 65536  # pixels at a time: some 60 MB of derivatives
@@ -41,6 +41,7 @@ class FitHeader(Table):
     model_config = ConfigDict(extra="allow")
 
     names: list[str]
+    numbers: list[str] = Field(default_factory=list)
     scene_hash: Hash
     nominal_hash: Hash
     history: list[str]
@@ -56,17 +57,21 @@ class SceneSigma(SceneBound):
     scene_hash : str
         Of the fitted scene.
     root : (Q, P) float64
-        root root^T is the covariance of the scene's Q numbers: camera (14), then 5 of each sphere.
+        root root^T is the covariance of the scene's Q numbers: camera (14), then 5 of each sphere, then the rows
+        of windows and tubes (`tracer.sensitivity`).
     systematic_px : dict
         Way through the glass ("" beside it) -> standard deviation of its own error, raw px per axis.
     plane_root : (6, K) float64
         The same of the plane's pose (`tracer.sensitivity.TARGET`); K = 0: it is the target's, which defines z = 0.
+    numbers : tuple of str
+        Names of the Q numbers; empty: there are only camera and spheres.
     """
 
     scene_hash: str
     root: NDArray[np.float64]
     systematic_px: dict[str, float] = field(default_factory=dict)
     plane_root: NDArray[np.float64] = field(default_factory=lambda: np.zeros((len(TARGET), 0)))
+    numbers: tuple[str, ...] = ()
     noun: ClassVar[str] = "fit"
     cure: ClassVar[str] = "calibrate again"
 
@@ -74,11 +79,14 @@ class SceneSigma(SceneBound):
     def of(cls, fit: SceneFit) -> "SceneSigma":
         """Uncertainty of the scene of a fit."""
         unknowns, full = fit.unknowns, fit.unknowns.full(fit.x)
-        root = fit.root[: unknowns.glass.stop].copy()
+        rows = unknowns.other_bodies.row_rates(full[unknowns.others], glass=True)
+        root = np.concatenate((fit.root[: unknowns.glass.stop], rows @ fit.root[unknowns.others]))
         root[3:6] = left_jacobian(full[3:6]) @ root[3:6]
         if fit.light.step.size:
             root = np.column_stack((root, fit.light.step))
-        return cls(fit.measured_scene.content_hash(), root, fit.verdict.systematic_px)
+        numbers = parameter_names(fit.measured_scene)[: -len(TARGET)] if len(rows) else ()
+        known = fit.verdict.systematic_px
+        return cls(fit.measured_scene.content_hash(), root, known, numbers=numbers)
 
     @classmethod
     def load(cls, path: Path | str) -> "SceneSigma":
@@ -93,18 +101,46 @@ class SceneSigma(SceneBound):
         said, root = checked(path, header, FitHeader), arrays.get("scene_root")
         if root is None or root.dtype.str != "<f8" or root.ndim != 2 or not np.isfinite(root).all():
             raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
-        return cls(said.scene_hash, root, said.systematic_px)
+        if said.numbers and len(said.numbers) != len(root):
+            raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
+        return cls(said.scene_hash, root, said.systematic_px, numbers=tuple(said.numbers))
 
     def in_light_sheet(self, scene: Scene) -> "SceneSigma":
         """Return the uncertainty of the scene as particles in its light sheet are seen (see `Scene`)."""
         if scene.sheet is None:
             return self
         root, axes = self.root.copy(), scene.sheet.axes()
-        spheres = range(len(CAMERA), len(root), len(SPHERE))
-        for at in (CAMERA.index("x"), CAMERA.index("rx"), *spheres):
+        for at in self._vectors():
             root[at : at + 3] = axes @ root[at : at + 3]
         seen = scene.in_light_sheet().content_hash()
         return replace(self, scene_hash=seen, root=root, plane_root=scene.sheet.pose_root())
+
+    def _vectors(self) -> list[int]:
+        """Where three numbers in a row are the parts of one vector."""
+        if self.numbers:
+            return [at for at, name in enumerate(self.numbers) if name.endswith("x") and self._is_vector(at)]
+        spheres = range(len(CAMERA), len(self.root), len(SPHERE))
+        return [CAMERA.index("x"), CAMERA.index("rx"), *spheres]
+
+    def _is_vector(self, at: int) -> bool:
+        stem = self.numbers[at][:-1]
+        return self.numbers[at + 1 : at + 3] == (f"{stem}y", f"{stem}z")
+
+    def _rows(self, numbers: tuple[str, ...]) -> NDArray[np.float64]:
+        """Root (Q', P) of those of the numbers that a scene without balls has as well.
+
+        Raises
+        ------
+        StaleMap
+            It is another scene.
+        """
+        if len(numbers) == len(self.root):
+            return self.root
+        if not self.numbers and len(numbers) == len(CAMERA):
+            return self.root[: len(CAMERA)]
+        if not set(numbers) <= set(self.numbers):
+            raise StaleMap("the scene has not the spheres and walls of the fitted one; calibrate again")
+        return self.root[[self.numbers.index(name) for name in numbers]]
 
     def spread(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Spread (N, 2, P) [mm] of the plane points that raw pixels (N, 2) show; NaN where none is shown.
@@ -112,21 +148,19 @@ class SceneSigma(SceneBound):
         Parameters
         ----------
         scene : Scene
-            The fitted scene, or the same without its bodies: then only the camera counts.
+            The fitted scene, or the same without its balls: then only camera, windows and tubes count.
         pixels : (N, 2) float64
             Acquired pixels.
 
         Raises
         ------
         StaleMap
-            The scene has another number of spheres than the fitted one, and is not without any.
+            The scene has other bodies than the fitted one, and is not that without balls.
         """
         asked = np.isfinite(pixels).all(axis=1)
         rays = landings(scene, pixels[asked])
         rate = rays.rate[:, :, : -len(TARGET)]
-        if rate.shape[2] not in (len(self.root), len(CAMERA)):
-            raise StaleMap("the scene has not the spheres of the fitted one; calibrate again")
-        parts = [rate @ self.root[: rate.shape[2]], self._systematic(scene, pixels[asked], rays)]
+        parts = [rate @ self._rows(rays.names[: -len(TARGET)]), self._systematic(scene, pixels[asked], rays)]
         parts.append(rays.rate[:, :, -len(TARGET) :] @ self.plane_root)
         found = np.full((len(pixels), 2, sum(part.shape[2] for part in parts)), np.nan)
         found[asked] = np.concatenate(parts, axis=2)

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.contact import WALL_MM, walls
+from correction.fit.room_contact import room_depths
 from correction.fit.unknowns import Unknowns, left_jacobian
-from tracer.cells import world_from
-from tracer.kernels.sphere import SOLID
+from tracer.errors import SceneError
 from tracer.sensitivity import CAMERA, Landings, landings_through
 
 LOST = 12.0  # [residual units] what a ray that lands nowhere costs
@@ -98,21 +98,27 @@ class Solution:
 
 
 def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners) -> Landings:
-    """Landing points of the corners' pixels on their target."""
-    scene = unknowns.scene if corners.glass else unknowns.scene.bare()
-    spheres = unknowns.spheres(full) if corners.glass else np.zeros((0, SOLID))
-    world = world_from(spheres, scene.other_tables(), scene.rooms())
-    pose = unknowns.pose(full, corners.height_number)
-    return landings_through(unknowns.camera(full), world, corners.pixel, pose, unknowns.scene.n_ambient)
+    """Landing points of the corners' pixels on their target; none if there are no such bodies."""
+    pose, camera = unknowns.pose(full, corners.height_number), unknowns.camera(full)
+    try:
+        world = unknowns.world(full, corners.glass)
+    except SceneError:
+        world = unknowns.world(unknowns.start, corners.glass)
+        return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient).nowhere()
+    return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient)
 
 
 def free_rates(
     unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, rays: Landings
 ) -> NDArray[np.float64]:
     """Derivatives (N, 2, P) [mm per sigma] of the landing points by the free vector."""
+    if not rays.recovered.any():
+        return np.full((len(rays.status), 2, len(unknowns.names)), np.nan)
     camera, place = slice(len(CAMERA)), unknowns.place(corners.height_number)
     glass = unknowns.columns[unknowns.glass][: None if corners.glass else 0]
-    turned = np.concatenate((unknowns.columns[camera], glass, unknowns.columns[place]))
+    by_number = unknowns.columns[unknowns.others]
+    rows = unknowns.other_bodies.row_rates(full[unknowns.others], corners.glass) @ by_number
+    turned = np.concatenate((unknowns.columns[camera], glass, rows, unknowns.columns[place]))
     turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
     turned[-3:] = left_jacobian(full[place][3:]) @ turned[-3:]
     count, _, numbers = rays.rate.shape
@@ -158,9 +164,12 @@ def normal_equations(
 
 def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P)."""
-    depth, rate = walls(unknowns.spheres(unknowns.full(x)))
+    full = unknowns.full(x)
+    depth, rate = walls(unknowns.spheres(full))
     columns = unknowns.columns[unknowns.glass]
-    return depth / WALL_MM, rate.reshape(len(depth), len(columns)) @ columns / WALL_MM
+    of_rooms, room_rate = room_depths(unknowns, full)
+    rates = (rate.reshape(len(depth), len(columns)) @ columns, room_rate @ unknowns.columns)
+    return np.concatenate((depth, of_rooms)) / WALL_MM, np.concatenate(rates) / WALL_MM
 
 
 def _step(
@@ -234,11 +243,15 @@ def pushed_step(
 
 def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Overlaps (K,) that push at x, in units of WALL_MM, and their derivatives (K, F) by the full vector."""
-    depth, rate = walls(unknowns.spheres(unknowns.full(x)))
+    full = unknowns.full(x)
+    depth, rate = walls(unknowns.spheres(full))
     active = depth > 0.0
     out = np.zeros((int(active.sum()), len(unknowns.start)))
     out[:, unknowns.glass] = rate.reshape(len(depth), -1)[active]
-    return depth[active] / WALL_MM, out / WALL_MM
+    of_rooms, room_rate = room_depths(unknowns, full)
+    cut = of_rooms > 0.0
+    deep, rates = (depth[active], of_rooms[cut]), (out, room_rate[cut])
+    return np.concatenate(deep) / WALL_MM, np.concatenate(rates) / WALL_MM
 
 
 def minimise(

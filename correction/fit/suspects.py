@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.ball_shape import SHAPES, shape_rates
+from correction.fit.held import WALL
 from correction.fit.measurement import MeasuredFrame
 from correction.fit.solver import free_rates, landed, pushed_step, touching
 from correction.fit.unknowns import LENS, Unknowns, unit_of
@@ -215,6 +216,13 @@ def _held_numbers(
             at = names.index(name)
             of = "" if ball == "camera" else ball
             yield numbered(of, np.array([ordinary]), [at], partial(_off, name, full[at]), part == "radius")
+    for body, numbers in unknowns.other_bodies.bodies:
+        for number in numbers:
+            name = f"{body.name}.{number.name}"
+            if name in held:
+                size = np.array([2.0 * WALL.get(number.known, 0.5 * BALL_ORDINARY["n"])])
+                at = names.index(name)
+                yield numbered(body.name, size, [at], partial(_off, name, full[at]), True)
     for sphere in spheres:
         place = [f"{sphere.name}.{axis}" for axis in "xyz"]
         if set(place) <= set(held):

@@ -2,7 +2,8 @@
 
 All numbers of the bench stand in one FULL vector:
 
-    camera (14) | 5 of each sphere in front of the plane | 6 of each height of the target
+    camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
+                | 6 of each height of the target
 
 in the units of `tracer.sensitivity`.  The FREE vector x is shorter and in units of the prior's sigmas:
 
@@ -18,15 +19,20 @@ arXiv:1812.01537, eq. 145):
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from correction.fit.other_bodies import OtherBodies
 from correction.fit.supports import carried
-from tracer.bodies import Body, Sphere
+from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, Vector3
+from tracer.cells import world_from
 from tracer.fit_section import FOCAL_SHARE, FitTable
+from tracer.kernels.sphere import SOLID
+from tracer.kernels.world import World
 from tracer.media import Medium, shifted
 from tracer.scene import Scene
 from tracer.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
@@ -67,9 +73,19 @@ class Unknowns:
         """Place of the spheres' numbers in the full vector."""
         return slice(len(CAMERA), len(CAMERA) + len(SPHERE) * len(self.scene.spheres))
 
+    @cached_property
+    def other_bodies(self) -> OtherBodies:
+        """Windows and tubes, and which numbers of theirs there are."""
+        return OtherBodies(self.scene)
+
+    @property
+    def others(self) -> slice:
+        """Place of the numbers of windows and tubes in the full vector."""
+        return slice(self.glass.stop, self.glass.stop + len(self.other_bodies.names))
+
     def place(self, height_number: int) -> slice:
         """Place of a height's pose in the full vector."""
-        first = self.glass.stop + len(TARGET) * height_number
+        first = self.others.stop + len(TARGET) * height_number
         return slice(first, first + len(TARGET))
 
     @property
@@ -124,6 +140,23 @@ class Unknowns:
         table[:, 4] /= self.n_around
         return table
 
+    def world(self, full: NDArray[np.float64], glass: bool) -> World:
+        """Return the bodies of a full vector for the kernels, with glass or without; overlap is allowed.
+
+        Raises
+        ------
+        SceneError
+            There is no such window or tube.
+        """
+        scene = self.scene if glass else self._bare
+        spheres = self.spheres(full) if glass else np.zeros((0, SOLID))
+        instead = self.other_bodies.moved(full[self.others])
+        return world_from(spheres, scene.other_tables(instead), scene.rooms())
+
+    @cached_property
+    def _bare(self) -> Scene:
+        return self.scene.bare()
+
     def pose(self, full: NDArray[np.float64], height_number: int) -> TargetPose:
         """Return the target's pose at one of the heights."""
         x, y, z, *turn = full[self.place(height_number)].tolist()
@@ -135,10 +168,10 @@ class Unknowns:
         Raises
         ------
         SceneError
-            Bodies overlap: make it legal first (`correction.fit.contact`).
+            Bodies overlap: make it legal first (`correction.fit.contact`); or there is no such window or tube.
         """
         rows = full[self.glass].reshape(-1, len(SPHERE)).tolist()
-        moved: dict[str, Body] = {}
+        moved = self.other_bodies.moved(full[self.others])
         for sphere, (x, y, z, radius, n), old in zip(self.scene.spheres, rows, self.start_of_glass(), strict=True):
             medium = None if sphere.medium is None else shifted(sphere.medium, n - float(old[4]))
             moved[sphere.name] = replace(sphere, centre_mm=(x, y, z), radius_mm=radius, medium=medium)
@@ -201,6 +234,8 @@ def unknowns_of(
         names_here = [f"{sphere.name}.{part}" for part in SPHERE]
         spread = [0.0] * 5 if sphere.medium is None else [*[known.centre_mm] * 3, known.radius_mm, 0.0]
         start.add(names_here, [*row[:4], row[4] * scene.n_around(sphere)], spread)
+    others = OtherBodies(scene)
+    start.add(others.names, others.start, others.spread(priors))
     for height in heights:
         known_z = 0.0 if height == 0.0 else 1.0
         target = priors.target
@@ -234,9 +269,9 @@ def unknowns_of(
 def unit_of(name: str) -> tuple[str, float]:
     """Unit in which a number is shown to people, and the factor to it from the unit of its value."""
     part = name.rsplit(".", 1)[-1]
-    if part in ("x", "y", "z", "radius"):
+    if part in ("x", "y", "z", "radius", "distance", "thickness", "outer_radius", "inner_radius"):
         return "mm", 1.0
-    if part in ("rx", "ry", "rz"):
+    if part in ("rx", "ry", "rz", "tilt_x", "tilt_y", "tilt_z"):
         return "deg", float(np.rad2deg(1.0))
     return ("px", 1.0) if part in ("focal_px", "cu", "cv") else ("", 1.0)
 

@@ -16,17 +16,18 @@ from correction.grid import PlaneGrid
 from tests.tracer.drawn_walls import aimed, drawn_walls
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Body, Dome, Sphere, Tube, Window
+from tracer.cells import world_from
 from tracer.errors import SceneError
 from tracer.kernels.dome import cross_dome, dome_rates, leave_dome
 from tracer.kernels.rooms import IN, OFF, OUT, THROUGH
 from tracer.kernels.tube import cross_tube, leave_tube, tube_rates
 from tracer.kernels.window import cross_window, window_rates
-from tracer.kernels.world import ENTERED, MOST_NUMBERS, OFF_INSIDE
+from tracer.kernels.world import ENTERED, KINDS, MOST_NUMBERS, OFF_INSIDE
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_scene
-from tracer.sensitivity import Landings, landings
+from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, landings_through
 from tracer.status import RayStatus
 from tracer.trace import trace, trace_from
 
@@ -131,6 +132,44 @@ def test_derivatives_are_those_of_the_rays() -> None:
             size = 0.01 + np.abs(numeric).max(axis=1, keepdims=True)
             assert (np.abs(numeric - rate) < 2e-6 * size)[same].all()
             judged += int(same.sum())
+    assert judged > 1000
+
+
+def test_landing_points_follow_every_row() -> None:
+    """Columns of all walls of drawn scenes at once, backwards, against differences of the rays."""
+    rng, step, judged = np.random.default_rng(6), 1e-5, 0
+    for _ in range(6):
+        scene = drawn_walls(rng)
+        scene = scene.with_camera(replace(scene.camera, focal_px=2000.0))
+        pixels = rng.uniform(-200.0, 250.0, (40, 2))
+        here, tables = landings(scene, pixels), scene.other_tables()
+        calm = here.recovered & (np.abs(here.pixel_rate).max(axis=(1, 2)) < 5.0)  # others: noise
+        place, called = len(CAMERA) + len(SPHERE) * len(scene.spheres), iter(scene.others)
+        for number, table in enumerate(tables):
+            parts = KINDS[type(table)].numbers
+            for which in range(len(table.rows)):
+                name = next(called).name
+                assert here.names[place : place + len(parts)] == tuple(f"{name}.{part}" for part in parts)
+                for k in range(len(parts)):
+                    move = np.zeros_like(table.rows)
+                    move[which, k] = 1.0
+                    if 3 <= k < 6:  # the direction stays one of length 1
+                        move[which, 3:6] -= table.rows[which, k] * table.rows[which, 3:6]
+                    seen = []
+                    for by in (step, -step):
+                        moved = [*tables]
+                        moved[number] = type(table)(table.rows + by * move)
+                        world = world_from(scene.sphere_table(), tuple(moved), scene.rooms())
+                        seen.append(landings_through(scene.camera, world, pixels, TargetPose()))
+                    same = calm & (seen[0].key == here.key) & (seen[1].key == here.key)
+                    same &= seen[0].recovered & seen[1].recovered
+                    numeric = (seen[0].point_mm - seen[1].point_mm) / (2.0 * step)
+                    rate = here.rate[:, :, place : place + len(parts)] @ move[which]
+                    size = 0.1 + np.abs(numeric).max(axis=1, keepdims=True)
+                    assert (np.abs(numeric - rate) < 2e-6 * size)[same].all()
+                    judged += int((same & (numeric != 0.0).any(axis=1)).sum())
+                place += len(parts)
+        assert here.names[place:] == tuple(f"target.{part}" for part in TARGET)
     assert judged > 1000
 
 

@@ -4,7 +4,7 @@ One file a kind, and its class in KINDS: ``docs/add-a-body.md``.  Scenes without
 place in KINDS is part of a scene's content hash: new kinds come last.
 """
 
-from tracer.bodies.body import CONTACT_TOL_MM, Body, BodySection, Capsule, Index, Room, shifted_by, vector3
+from tracer.bodies.body import CONTACT_TOL_MM, Body, BodySection, Capsule, Index, Number, Room, shifted_by, vector3
 from tracer.bodies.dome import Dome
 from tracer.bodies.rod import Rod
 from tracer.bodies.sphere import Core, Sphere
@@ -22,6 +22,7 @@ __all__ = [
     "Core",
     "Dome",
     "Index",
+    "Number",
     "Rod",
     "Room",
     "Sphere",

@@ -5,7 +5,7 @@ file that answers them (``docs/add-a-body.md``).
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -73,6 +73,24 @@ class Room(NamedTuple):
     surrounds: bool
 
 
+class Number(NamedTuple):
+    """One number of a body that a scene fit may find.
+
+    Parameters
+    ----------
+    name : str
+        What it is called after the body's name and a point.
+    value : float
+        [mm], [rad] or an index.
+    known : str
+        Key of the fit section that says how well it is known: place_mm, tilt_deg, thickness_mm, radius_mm or n.
+    """
+
+    name: str
+    value: float
+    known: str
+
+
 class Body(ABC):
     """A body: what stands before the investigation plane.  Subclasses are frozen dataclasses."""
 
@@ -124,6 +142,20 @@ class Body(ABC):
 
     def with_media(self, media: Iterable[Medium]) -> Self:
         """Return the body with other media, in the order of `media`."""
+        return self
+
+    def numbers(self, wavelength_nm: float) -> tuple[Number, ...]:
+        """Numbers of the body itself that a scene fit may find, where frames can show them at all."""
+        return ()
+
+    def with_numbers(self, values: Sequence[float], wavelength_nm: float) -> Self:
+        """Return the body with other values of its `numbers`, in their order; places and tilts count from here.
+
+        Raises
+        ------
+        SceneError
+            There is no such body.
+        """
         return self
 
     @property

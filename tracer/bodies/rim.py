@@ -27,6 +27,24 @@ def unit_vector(vector: Sequence[float], what: str) -> Vector3:
     return vector3(np.array(vector) / length)
 
 
+def sideways(direction: Vector3) -> tuple[tuple[str, str], NDArray[np.float64]]:
+    """Two unit vectors (2, 3) square to a direction and to each other, and the world's axes that they follow."""
+    along = np.array(direction)
+    first, second = sorted(range(3), key=lambda axis: abs(along[axis]))[:2]
+    first, second = min(first, second), max(first, second)
+    one = np.eye(3)[first] - along[first] * along
+    one /= np.linalg.norm(one)
+    other = np.cross(along, one)
+    other *= np.copysign(1.0, other[second])
+    return ("xyz"[first], "xyz"[second]), np.array([one, other])
+
+
+def leaning(direction: Vector3, by_rad: Sequence[float]) -> Vector3:
+    """Return a unit vector that leans towards its two `sideways` by two angles."""
+    _, aside = sideways(direction)
+    return unit_vector(vector3(np.array(direction) + np.tan(np.array(by_rad)) @ aside), "direction")
+
+
 def of_ring(over_mm: NDArray[np.float64], aside_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """Distance from a body of revolution: how far beyond its ends, and how far beside its round sides."""
     outside = np.hypot(np.maximum(over_mm, 0.0), np.maximum(aside_mm, 0.0))

@@ -4,7 +4,7 @@ A tube without a hole is a rod of glass: nothing is in it.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
@@ -14,13 +14,13 @@ from pydantic import Field
 
 from ground.config import Triple
 from ground.jit import Array
-from tracer.bodies.body import Body, BodySection, Capsule, Index, Room, vector3
-from tracer.bodies.rim import SHORTEST, of_ring, rims
+from tracer.bodies.body import Body, BodySection, Capsule, Index, Number, Room, vector3
+from tracer.bodies.rim import SHORTEST, leaning, of_ring, rims, sideways
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.tube import cross_tube, leave_tube, meets_tube, tube_rates
 from tracer.kernels.world import KINDS, Kind
-from tracer.media import Medium
+from tracer.media import Medium, shifted
 from tracer.medium_table import MediumTable, Positive, medium_of, written
 
 
@@ -30,7 +30,8 @@ class Tubes(NamedTuple):
     rows: Array
 
 
-KINDS[Tubes] = Kind(meets_tube, cross_tube, tube_rates, leave_tube)
+ROW = ("x", "y", "z", "axis_x", "axis_y", "axis_z", "length", "outer_radius", "inner_radius", "n", "n_filled")
+KINDS[Tubes] = Kind(meets_tube, cross_tube, tube_rates, leave_tube, ROW)
 
 
 class TubeSection(BodySection):
@@ -177,6 +178,41 @@ class Tube(Body):
         """Return the tube of other media."""
         own, *filled = media
         return replace(self, medium=own, filled=filled[0] if filled else None)
+
+    @property
+    def _seen_mm(self) -> float:
+        """Where along the axis it comes nearest to the origin: about there it is moved and turned."""
+        return float(np.clip(-np.array(self.start_mm) @ np.array(self.axis), 0.0, self.length_mm))
+
+    def numbers(self, wavelength_nm: float) -> tuple[Number, ...]:
+        """Place and tilt of the axis, radii and n; along its axis a tube may stand anywhere, and a rod is held."""
+        if self.room is None:
+            return ()
+        axes, aside = sideways(self.axis)
+        middle = np.array(self.start_mm) + self._seen_mm * np.array(self.axis)
+        places = [Number(axis, float(middle @ way), "place_mm") for axis, way in zip(axes, aside, strict=True)]
+        tilts = [Number(f"tilt_{axis}", 0.0, "tilt_deg") for axis in axes]
+        outer = Number("outer_radius", self.outer_radius_mm, "radius_mm")
+        inner = Number("inner_radius", self.inner_radius_mm, "radius_mm")
+        return (*places, *tilts, outer, inner, Number("n", self.medium.n(wavelength_nm), "n"))
+
+    def with_numbers(self, values: Sequence[float], wavelength_nm: float) -> Self:
+        """Return the tube moved sideways and turned about the point of its axis nearest to the origin."""
+        if not values:
+            return self
+        one, other, first, second, outer, inner, n = values
+        _, aside = sideways(self.axis)
+        middle = np.array(self.start_mm) + self._seen_mm * np.array(self.axis)
+        middle = middle + (np.array([one, other]) - aside @ middle) @ aside
+        axis = np.array(leaning(self.axis, (first, second)))
+        return replace(
+            self,
+            start_mm=vector3(middle - self._seen_mm * axis),
+            end_mm=vector3(middle + (self.length_mm - self._seen_mm) * axis),
+            outer_radius_mm=outer,
+            inner_radius_mm=inner,
+            medium=shifted(self.medium, n - self.medium.n(wavelength_nm)),
+        )
 
     @property
     def event_names(self) -> tuple[str, ...]:

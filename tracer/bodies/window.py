@@ -1,7 +1,7 @@
 """A window: a plane round plate of glass in a wall, with another medium behind it if need be."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from ground.config import Triple
 from ground.jit import Array
-from tracer.bodies.body import Body, BodySection, Capsule, Index, Room, vector3
-from tracer.bodies.rim import of_ring, rims, unit_vector
+from tracer.bodies.body import Body, BodySection, Capsule, Index, Number, Room, vector3
+from tracer.bodies.rim import leaning, of_ring, rims, sideways, unit_vector
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.window import cross_window, leave_window, meets_window, window_rates
 from tracer.kernels.world import KINDS, Kind
-from tracer.media import Medium
+from tracer.media import Medium, shifted
 from tracer.medium_table import MediumTable, Positive, medium_of, written
 
 
@@ -26,7 +26,8 @@ class Windows(NamedTuple):
     rows: Array
 
 
-KINDS[Windows] = Kind(meets_window, cross_window, window_rates, leave_window)
+ROW = ("x", "y", "z", "normal_x", "normal_y", "normal_z", "thickness", "n", "n_behind", "radius")
+KINDS[Windows] = Kind(meets_window, cross_window, window_rates, leave_window, ROW)
 
 
 class WindowSection(BodySection):
@@ -157,6 +158,25 @@ class Window(Body):
         """Return the window of other media."""
         own, *behind = media
         return replace(self, medium=own, behind=behind[0] if behind else None)
+
+    def numbers(self, wavelength_nm: float) -> tuple[Number, ...]:
+        """Tilt, thickness and n; the distance too where another medium is behind: else no ray feels it."""
+        tilts = [Number(f"tilt_{axis}", 0.0, "tilt_deg") for axis in sideways(self.normal)[0]]
+        size = Number("thickness", self.thickness_mm, "thickness_mm")
+        own = (*tilts, size, Number("n", self.medium.n(wavelength_nm), "n"))
+        far = Number("distance", float(np.array(self.centre_mm) @ np.array(self.normal)), "place_mm")
+        return own if self.behind is None else (far, *own)
+
+    def with_numbers(self, values: Sequence[float], wavelength_nm: float) -> Self:
+        """Return the window turned about the middle of its front face, and moved along its normal."""
+        *far, first, second, thickness, n = values
+        centre = np.array(self.centre_mm)
+        if far:
+            normal = np.array(self.normal)
+            centre += (far[0] - float(centre @ normal)) * normal
+        medium = shifted(self.medium, n - self.medium.n(wavelength_nm))
+        turned = leaning(self.normal, (first, second))
+        return replace(self, centre_mm=vector3(centre), normal=turned, thickness_mm=thickness, medium=medium)
 
     @property
     def room(self) -> Room:

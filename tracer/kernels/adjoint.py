@@ -16,7 +16,8 @@ with w = p - c, m = -w . d, a = w + m d, beta = a . a, C and q the turn, a' = C 
 Cost: about two tangents, whatever the number of parameters.
 
 A tangent by rounding (``tracer.kernels.walk``) passes: C = 1, q = 0 and nothing depends on the sphere.  A body of
-another kind gives derivatives forwards only (`Kind.rates`); one sweep through it takes six of them.
+another kind gives derivatives forwards only (`Kind.rates`); one sweep through it takes six of them, and one more
+for each of its own numbers.
 """
 
 from typing import Any
@@ -78,6 +79,25 @@ def back_through_other(
             rate if k == 5 else back[5],
         )
     return back
+
+
+@kernel
+def back_to_row(
+    fx: float, fy: float, fz: float, gx: float, gy: float, gz: float, body: int, way: int,
+    world: World, state: Array, move: Array, out: Array,
+) -> None:  # fmt: skip
+    """Add what a body of another kind has of one adjoint pair by each number of its row to out (W,).
+
+    move (MOST_NUMBERS,) scratch, all zeros before and after.
+    """
+    px, py, pz, dx, dy, dz = state[0], state[1], state[2], state[3], state[4], state[5]
+    for k in range(out.shape[0]):
+        move[k] = 1.0
+        x, y, z, u, v, w = rates_other(
+            px, py, pz, dx, dy, dz, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, body, world.others, move, way
+        )
+        out[k] += fx * x + fy * y + fz * z + gx * u + gy * v + gz * w
+        move[k] = 0.0
 
 
 @kernel

@@ -10,13 +10,23 @@ and the target's follows from the last straight piece: moving the target's mater
 landing point on it as moving the ray by -D does, of which the part along the ray counts for nothing.
 
 A row of ``rate`` holds camera (14: x, y, z, rx, ry, rz, focal_px, cu, cv, k1, k2, k3, p1, p2) | 5 of each
-sphere (x, y, z, radius, n) | target (6: x, y, z, rx, ry, rz); turns are about the world's axes [rad].
+sphere (x, y, z, radius, n) | the row of each other body whose kind has `Kind.numbers`, table by table | target (6:
+x, y, z, rx, ry, rz); turns are about the world's axes [rad].
 """
 
 import math
 
+import numpy as np
+
 from ground.jit import Array, kernel, unowned
-from tracer.kernels.adjoint import NORMAL, back_through, back_through_other, keep_states, land_on_target
+from tracer.kernels.adjoint import (
+    NORMAL,
+    back_through,
+    back_through_other,
+    back_to_row,
+    keep_states,
+    land_on_target,
+)
 from tracer.kernels.branches import NOTHING, body_of
 from tracer.kernels.camera import (
     AHEAD_X,
@@ -42,7 +52,7 @@ from tracer.kernels.camera import (
     undistorted,
 )
 from tracer.kernels.walk import walk
-from tracer.kernels.world import MISSED_PLANE, RECOVERED, World, unowned_world
+from tracer.kernels.world import MISSED_PLANE, MOST_NUMBERS, RECOVERED, World, place_of_other, unowned_world
 
 CAMERA_NUMBERS, SPHERE_NUMBERS, TARGET_NUMBERS = 14, 5, 6
 
@@ -89,12 +99,14 @@ def trace_landings(
 
     pixels (N, 2); directions (N, 3) of their rays; camera (20,); target (12,) origin and axes; trail
     (MAX_EVENTS,) int32 and state (MAX_EVENTS, STATE) scratch; status (N,) uint8, key (N,) int64, point (N, 2)
-    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + 6) out.  NaN unless recovered.
+    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out.  NaN unless recovered.
     """
     world, trail, state = unowned_world(world), unowned(trail), unowned(state)
     point, by_pixel, rate = unowned(point), unowned(by_pixel), unowned(rate)
     spheres = world.spheres
-    place = CAMERA_NUMBERS + SPHERE_NUMBERS * spheres.shape[0]
+    of_others = CAMERA_NUMBERS + SPHERE_NUMBERS * spheres.shape[0]
+    place = rate.shape[2] - TARGET_NUMBERS
+    move = np.zeros(MOST_NUMBERS if len(world.others) > 0 else 0)
     ox, oy, oz = camera[EYE_X], camera[EYE_Y], camera[EYE_Z]
     for i in range(first, last):
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -121,6 +133,8 @@ def trace_landings(
             for event in range(int(events) - 1, -1, -1):
                 body, way = body_of(trail[event], spheres)
                 if len(world.others) > 0 and body < NOTHING:
+                    at, width = place_of_other(body, world.others, of_others)
+                    back_to_row(fx, fy, fz, gx, gy, gz, body, way, world, state[event], move, row[at : at + width])
                     fx, fy, fz, gx, gy, gz = back_through_other(
                         fx, fy, fz, gx, gy, gz, body, way, world, state[event]
                     )

@@ -73,12 +73,16 @@ class Kind(NamedTuple):
     leave : like cross, optional
         The ray that meets nothing more in the room inside: ENTERED outside, RECOVERED if the investigation plane
         comes first, else BLOCKED, TIR or MISSED_PLANE.  Path / n of the room outside.  None: nobody comes out.
+    numbers : tuple of str, optional
+        Names of the row's numbers, all of them, if landing points are asked how they depend on these
+        (``tracer.kernels.landing``); the three parts of a vector are called ``..x``, ``..y``, ``..z``.
     """
 
     meets: Callable[..., float]
     cross: Callable[..., tuple[float, ...]] | None = None
     rates: Callable[..., tuple[float, ...]] | None = None
     leave: Callable[..., tuple[float, ...]] | None = None
+    numbers: tuple[str, ...] = ()
 
 
 KINDS: dict[type, Kind] = {}
@@ -182,6 +186,17 @@ def leave_other(
     return stays(px, py, pz, dx, dy, dz)
 
 
+def place_of_other(number: int, others: tuple[Any, ...], before: int) -> tuple[int, int]:
+    """Where the numbers of another body begin among those of all, and how many they are; `before` come first."""
+    for table in others:
+        width = len(KINDS[type(table)].numbers)
+        if FIRST_OTHER - number < len(table.rows):
+            return before + width * (FIRST_OTHER - number), width
+        number += len(table.rows)
+        before += width * len(table.rows)
+    return before, 0
+
+
 def rates_other(
     px: float, py: float, pz: float, dx: float, dy: float, dz: float,
     fx: float, fy: float, fz: float, ux: float, uy: float, uz: float,
@@ -274,6 +289,22 @@ def _leave_other(px, py, pz, dx, dy, dz, number, others):  # type: ignore[no-unt
         if FIRST_OTHER - number < rows.shape[0]:
             return leave(px, py, pz, dx, dy, dz, rows[FIRST_OTHER - number])
         return leave_other(px, py, pz, dx, dy, dz, number + rows.shape[0], others[1:])
+
+    return first_or_rest
+
+
+@overload(place_of_other, jit_options=OVERLOADED)
+def _place_of_other(number, others, before):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    kind = _kind(others)
+    if kind is None:
+        return lambda number, others, before: (before, 0)
+    width = len(kind.numbers)
+
+    def first_or_rest(number, others, before):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+        rows = others[0].rows
+        if FIRST_OTHER - number < rows.shape[0]:
+            return before + width * (FIRST_OTHER - number), width
+        return place_of_other(number + rows.shape[0], others[1:], before + width * rows.shape[0])
 
     return first_or_rest
 

@@ -1,6 +1,7 @@
 """The free vector: what it moves, and by how much."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from scipy.spatial.transform import Rotation
 from correction.fit.adjustment import legal_scene
 from correction.fit.contact import pushed_apart, walls
 from correction.fit.errors import ViewsMissing
+from correction.fit.held import doubted
 from correction.fit.light import back_from_light, in_light
 from correction.fit.solver import Corners, residuals
 from correction.fit.unknowns import left_jacobian, unknowns_of
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
+from tracer.bodies import Tube, Window
 from tracer.fit_section import (
     FitCameraTable,
     FitNamedTable,
@@ -22,7 +25,8 @@ from tracer.fit_section import (
     FitTargetTable,
 )
 from tracer.light import FULL_WIDTH, gaussian
-from tracer.media import MEDIA
+from tracer.media import MEDIA, ConstantMedium
+from tracer.scene import Scene
 from tracer.scene_file import load_priors, load_scene
 
 ALL = FitTable(
@@ -48,6 +52,43 @@ def test_every_derivative_agrees_with_differences():
             smooth = np.abs(both).max(axis=1) < 100.0  # a ray that changes its branch has no derivative
             scale = max(np.nanmax(np.abs(exact[smooth, :, number]), initial=0.0), 1e-3)
             assert np.nanmax(np.abs(both - exact[:, :, number])[smooth]) < 2e-5 * scale, name
+
+
+def test_every_derivative_by_walls_agrees_with_differences() -> None:
+    """Balls in a tube of liquid behind a window that holds back another one: with the glass, and without."""
+    scene = walled_scene()
+    bench = unknowns_of(scene, [0.0], FitTable())
+    names = [name for name in bench.names if name.startswith(("window.", "tube."))]
+    assert names == [
+        *(f"window.{part}" for part in ("distance", "tilt_x", "tilt_y", "thickness", "n")),
+        *(f"tube.{part}" for part in ("x", "z", "tilt_x", "tilt_z", "outer_radius", "inner_radius", "n")),
+    ]
+    u, v = np.meshgrid(np.linspace(150, 550, 12), np.linspace(160, 545, 9))
+    pixel = np.stack((u.ravel(), v.ravel()), axis=-1)
+    x = np.random.default_rng(0).normal(size=len(bench.names)) * 0.2
+    for glass in (True, False):
+        corners = Corners(0, glass, pixel, np.zeros_like(pixel), 1.0)
+        exact = residuals(bench, x, corners).rate
+        for number, name in enumerate(bench.names):
+            step = 1e-4 * np.eye(len(x))[number]
+            ahead, behind = residuals(bench, x + step, corners).value, residuals(bench, x - step, corners).value
+            both = (ahead - behind) / 2e-4
+            smooth = np.abs(both).max(axis=1) < 100.0  # a ray that changes its branch has no derivative
+            scale = max(np.nanmax(np.abs(exact[smooth, :, number]), initial=0.0), 1e-3)
+            assert np.nanmax(np.abs(both - exact[:, :, number])[smooth]) < 2e-5 * scale, name
+            if name in names:
+                assert np.nanmax(np.abs(exact[:, :, number])) > 1e-6, name
+
+
+def walled_scene() -> Scene:
+    """A tank behind a window, a tube in it, and two balls, one of which is in the tube."""
+    scene, glass, liquid = at_size(named_scene("one_sphere_500"), 700), MEDIA["N-BK7"], ConstantMedium(1.4)
+    (ball,) = scene.spheres
+    inside = replace(ball, centre_mm=(-12.0, 5.0, 21.0), radius_mm=20.0)
+    outside = replace(ball, name="outside", centre_mm=(70.0, 8.0, 25.0), radius_mm=18.0)
+    tube = Tube("tube", (0.0, -150.0, 0.0), (0.0, 150.0, 0.0), 50.0, 45.0, glass, ConstantMedium(1.2))
+    window = Window("window", (0.0, 0.0, 120.0), (0.0, 0.0, 1.0), 10.0, 150.0, glass, liquid)
+    return scene.with_bodies([window, tube, inside, outside])
 
 
 def test_spheres_of_one_glass_share_n_and_others_do_not():
@@ -171,8 +212,30 @@ fit:
     assert priors.index("melt") == 0.001
     assert load_scene(path).spheres[0].medium.n(532.0) == pytest.approx(1.51947 + 0.0012, abs=1e-5)
     path.write_text(text + "  named: {bal: {centre_mm: 0.1}}\n")
-    with pytest.raises(ConfigError, match=r"scene.yaml:\d+: fit.named: there is no sphere 'bal'"):
+    with pytest.raises(ConfigError, match=r"scene.yaml:\d+: fit.named: there is no sphere, window or tube 'bal'"):
         load_priors(path)
     path.write_text(text.replace("centre_mm: 0.3", "centre_um: 0.3"))
     with pytest.raises(ConfigError, match="did you mean 'centre_mm'"):
+        load_priors(path)
+
+
+def test_what_is_known_of_a_wall_is_read_by_its_name(tmp_path: Path) -> None:
+    text = """
+camera: {focal_px: 6000.0, sensor_px: [100, 100], position_mm: [0.0, 0.0, 500.0]}
+bodies:
+  - {kind: window, name: front, centre_mm: [0, 0, 99],
+     normal: [0, 0, 1], thickness_mm: 9, radius_mm: 80, material: BK7}
+fit:
+  walls: {thickness_mm: 0.02}
+"""
+    path = tmp_path / "scene.yaml"
+    path.write_text(text + "  named: {front: {tilt_deg: 0.0}}\n")
+    bench = unknowns_of(load_scene(path), [0.0], load_priors(path))
+    sigma = dict(zip(bench.names, bench.sigma.tolist(), strict=True))
+    assert sigma["front.thickness"] == 0.02
+    assert sigma["front.n"] == 0.005
+    assert "front.tilt_x" not in sigma
+    assert {"front.tilt_x", "front.tilt_y"} < set(doubted(bench).names)  # held, so the map's sigma counts them
+    path.write_text(text + "  named: {front: {radius_mm: 0.1}}\n")
+    with pytest.raises(ConfigError, match=r"scene.yaml:8: fit.named.front: radius_mm is no number"):
         load_priors(path)
