@@ -1,12 +1,16 @@
 """Scenes as the kernels take them, with a grid of cells where spheres are many (``tracer.kernels.bed``)."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.harmonics import largest_mm, row_of
+from tracer.kernels.ball import SHAPE_NUMBERS
 from tracer.kernels.bed import GROW
 from tracer.kernels.rooms import ONE_ROOM, Rooms
+from tracer.kernels.sphere import RADIUS
 from tracer.kernels.world import World
 from tracer.scene import Scene
 
@@ -19,12 +23,23 @@ NO_CELLS: Cells = np.zeros(7), np.zeros(1, np.int32), np.empty(0, np.int32)
 
 def world_of(scene: Scene) -> World:
     """Bodies of a scene as the kernels take them."""
-    return world_from(scene.sphere_table(), scene.other_tables(), scene.rooms())
+    return world_from(scene.sphere_table(), scene.other_tables(), scene.rooms(), scene.shapes())
 
 
-def world_from(spheres: NDArray[np.float64], others: tuple[Any, ...] = (), rooms: Rooms = ONE_ROOM) -> World:
-    """The same for bare tables."""
-    return World(spheres, *cells_of(spheres), others, rooms)
+def world_from(
+    spheres: NDArray[np.float64],
+    others: tuple[Any, ...] = (),
+    rooms: Rooms = ONE_ROOM,
+    shapes: Mapping[int, NDArray[np.float64]] | None = None,
+) -> World:
+    """The same for bare tables; shapes (45,) [mm] by the spheres' numbers, as `Scene.shapes`."""
+    if not shapes:
+        return World(spheres, *cells_of(spheres), others, rooms)
+    around, rows = np.array(spheres), np.zeros((len(spheres), SHAPE_NUMBERS))
+    for number, shape in shapes.items():
+        rows[number] = row_of(shape, float(spheres[number, RADIUS]))
+        around[number, RADIUS] += largest_mm(shape)
+    return World(around, *NO_CELLS, others, rooms, shapes=(rows,))
 
 
 def cells_of(spheres: NDArray[np.float64]) -> Cells:

@@ -45,6 +45,7 @@ def fits_lockstep(scene: Scene) -> bool:
     """Whether a scene can be traced in lockstep."""
     table = scene.sphere_table()
     few_and_solid = not scene.other_tables() and len(table) <= MAX_CHAIN and table.shape[1] == SOLID
+    few_and_solid = few_and_solid and not scene.shapes()
     return few_and_solid and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
 
 

@@ -5,11 +5,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from tracer.cells import world_of
 from tracer.kernels.adjoint import STATE, trace_states
+from tracer.kernels.ball import MEAN, inside
 from tracer.kernels.branches import body_of
 from tracer.kernels.shell import way_through
 from tracer.kernels.sphere import INDEX, RADIUS, SOLID, angles, turned
 from tracer.kernels.walk import MAX_EVENTS
-from tracer.kernels.world import RECOVERED
+from tracer.kernels.world import RECOVERED, World
 from tracer.scene import Scene
 
 Vector = NDArray[np.float64]
@@ -44,12 +45,22 @@ def ray_path(scene: Scene, pixel: ArrayLike) -> NDArray[np.float64]:
         w, way, m, b2 = state[k, :3], state[k, 3:6], state[k, 6], float(state[k, 7])
         if body < 0:
             corners.append(starts[k + 1])
+        elif world.shapes and world.shapes[0][body, MEAN] > 0.0:
+            corners += [centre + point for point in _in_ball(state[k, :6], world, body)]
         elif b2 < world.spheres[body, RADIUS] ** 2:  # else a tangent
             corners += [centre + point for point in _inside(w + m * way, way, b2, world.spheres[body])]
     if status == RECOVERED:
         reach = -p[2] / d[2] if d[2] < 0.0 else scene.camera.position_mm[2]
         corners.append(p + reach * d)
     return np.array(corners)
+
+
+def _in_ball(state: Vector, world: World, body: int) -> list[Vector]:
+    """Corners at the surfaces of a ball out of round, relative to its centre; none of a ray beside it."""
+    ball = world.spheres[body]
+    (px, py, pz), (dx, dy, dz) = (state[:3] + ball[:3]).tolist(), state[3:].tolist()
+    found = inside(px, py, pz, dx, dy, dz, ball, world.shapes[0][body])
+    return [np.array(found[1:4]), np.array(found[8:11])] if np.isfinite(found[0]) else []
 
 
 def _inside(a: Vector, d: Vector, b2: float, sphere: Vector) -> list[Vector]:

@@ -149,6 +149,10 @@ class Scene:
         """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""
         return Sphere.table_of(self.spheres, self._index)
 
+    def shapes(self) -> dict[int, NDArray[np.float64]]:
+        """Number and shape (45,) [mm] of each sphere that is out of round (``tracer.harmonics``)."""
+        return {number: one.shape_mm for number, one in enumerate(self.spheres) if one.shape_um}
+
     def other_tables(self, instead: Mapping[str, Body] | None = None) -> tuple[Any, ...]:
         """Bodies that are no spheres, for the kernels: a table of each kind in use (``tracer.kernels.world``).
 
@@ -217,6 +221,8 @@ class Scene:
             [*map(float, camera.sensor_px), *camera.lens.terms(), self.n_ambient],
         ]
         numbers += sorted([0.0, *row] for row in self.sphere_table().tolist())
+        shaped = [sphere for sphere in self.spheres if sphere.shape_um]
+        numbers += sorted([-2.0, *sphere.centre_mm, *sphere.shape_um] for sphere in shaped)
         for place, table in self._others({}):
             numbers += sorted([float(place), *row] for row in table.rows.tolist())
         rooms = self.rooms()
@@ -266,10 +272,7 @@ class Scene:
         pairs: list[tuple[Body, Sphere]] = [*_near_pairs(spheres)]
         others = [body for kind in KINDS[1:] for body in kind.among(self.bodies) if body.room is None]
         pairs += [(body, sphere) for body in others for sphere in spheres]
-        gaps: list[tuple[Body, Body, float]] = [
-            (one, other, float(one.distance_mm(np.array(other.centre_mm))) - other.radius_mm)
-            for one, other in pairs
-        ]
+        gaps: list[tuple[Body, Body, float]] = [(one, other, _to_sphere_mm(one, other)) for one, other in pairs]
         gaps += [
             (one, other, _gap_mm(one, other)) for one, other in combinations(others, 2) if one.media or other.media
         ]
@@ -303,14 +306,27 @@ def _ways_of(body: Body) -> tuple[str, str, str, str]:
     return names[0], "", "", names[1] if len(names) > 1 else ""
 
 
+def _to_sphere_mm(one: Body, other: Sphere) -> float:
+    """Distance between a body and a sphere, negative for an overlap; never too small.
+
+    Of balls out of round it is taken along the line of their centres, where bodies that are apart have a gap.
+    """
+    centre = np.array(other.centre_mm)
+    if isinstance(one, Sphere) and (one.shape_um or other.shape_um):
+        apart = np.array(one.centre_mm) - centre
+        back = apart / max(float(np.linalg.norm(apart)), CONTACT_TOL_MM)
+        return float(one.distance_mm(centre)) - float(other.radius_towards_mm(back))
+    return float(one.distance_mm(centre)) - other.radius_mm + other.uneven_mm
+
+
 def _near_pairs(spheres: Sequence[Sphere]) -> list[tuple[Sphere, Sphere]]:
     """Pairs whose extents in x meet; sorting along x keeps a bed of a thousand spheres quick."""
-    ordered = sorted(spheres, key=lambda s: s.centre_mm[0] - s.radius_mm)
+    ordered = sorted(spheres, key=lambda s: s.centre_mm[0] - s.radius_mm - s.uneven_mm)
     pairs = []
     for index, one in enumerate(ordered):
-        right = one.centre_mm[0] + one.radius_mm
+        right = one.centre_mm[0] + one.radius_mm + one.uneven_mm
         for other in ordered[index + 1 :]:
-            if other.centre_mm[0] - other.radius_mm > right:
+            if other.centre_mm[0] - other.radius_mm - other.uneven_mm > right:
                 break
             pairs.append((one, other))
     return pairs

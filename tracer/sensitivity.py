@@ -5,7 +5,8 @@ For the acquired pixel (u, v) the landing point (s1, s2) in the target's own axe
 the row of every window or tube (`tracer.kernels.world.Kind.numbers`) and of the target's pose.  `landings` returns
 it with all derivatives, exactly (`tracer.kernels.landing`).  Parameters are named ``camera.x`` (mm), ``camera.rx``
 (rad, about the world's axes through the pinhole), ``camera.focal_px``, ``camera.cu``, ``camera.k1``, ``NAME.x``,
-``NAME.radius``, ``NAME.n``, ``NAME.thickness``, ``target.x``, ``target.rx`` ...  An index in a row is relative to
+``NAME.radius``, ``NAME.n``, ``NAME.thickness``, ``NAME.C20`` (mm, of a ball out of round), ``target.x``,
+``target.rx`` ...  An index in a row is relative to
 what is around the body.
 """
 
@@ -19,7 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from ground.rows import run_rows
 from tracer.camera import Camera
 from tracer.cells import world_of
+from tracer.harmonics import NAMES, to_polynomials
 from tracer.kernels.adjoint import STATE
+from tracer.kernels.ball import EVEN, MEAN, SHAPE_NUMBERS
 from tracer.kernels.landing import trace_landings
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import KINDS, World
@@ -95,8 +98,15 @@ class Landings:
 
 def parameter_names(scene: Scene) -> tuple[str, ...]:
     """Names of all parameters of a scene and one target pose, in the order of `Landings.rate`."""
-    others = [body.name for body in scene.others]
-    return _names([sphere.name for sphere in scene.spheres], scene.other_tables(), others)
+    others, spheres = [body.name for body in scene.others], [sphere.name for sphere in scene.spheres]
+    names = _names(spheres, scene.other_tables(), others)
+    return _with_shapes(names, [spheres[number] for number in scene.shapes()])
+
+
+def _with_shapes(names: tuple[str, ...], uneven: Sequence[str]) -> tuple[str, ...]:
+    """The same with the harmonics of balls of these names before the target."""
+    of_shapes = [f"{name}.{term}" for name in uneven for term in NAMES]
+    return (*names[: -len(TARGET)], *of_shapes, *names[-len(TARGET) :])
 
 
 def _names(spheres: Sequence[str], tables: Sequence[Any], others: Sequence[str]) -> tuple[str, ...]:
@@ -159,7 +169,9 @@ def landings_through(
     directions = np.ascontiguousarray(camera.directions(points))
     count, packed, pose = len(points), pack_camera(camera), target.packed()
     called = [str(number) for number in range(len(world.spheres) + sum(len(one.rows) for one in world.others))]
+    uneven = [number for one in world.shapes for number in np.nonzero(one[:, MEAN] > 0.0)[0].tolist()]
     names = _names(called[: len(world.spheres)], world.others, called[len(world.spheres) :])
+    by_shape = np.empty((count if uneven else 0, 2, len(world.spheres), SHAPE_NUMBERS))
     status, key = np.empty(count, np.uint8), np.empty(count, np.int64)
     point, by_pixel, rate = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2, len(names)))
 
@@ -167,8 +179,13 @@ def landings_through(
         trail, state = np.empty(MAX_EVENTS, np.int32), np.empty((MAX_EVENTS, STATE))
         trace_landings(
             points, directions, packed, world, pose, n_ambient, first, last, trail, state, status, key,
-            point, by_pixel, rate,
+            point, by_pixel, rate, by_shape,
         )  # fmt: skip
 
     run_rows(work, count, block=1024)
+    if uneven:
+        names = _with_shapes(names, [called[number] for number in uneven])
+        of_shapes = by_shape[:, :, uneven, EVEN:] @ to_polynomials()
+        parts = (rate[:, :, : -len(TARGET)], of_shapes.reshape(count, 2, -1), rate[:, :, -len(TARGET) :])
+        rate = np.concatenate(parts, axis=2)
     return Landings(status, key, point, by_pixel, rate, names)

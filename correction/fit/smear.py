@@ -197,9 +197,8 @@ def _landed(
     """Landings with the index of every sphere moved."""
     table = scene.sphere_table()
     table[:, 4] += np.asarray(index_step) / [scene.n_around(sphere) for sphere in scene.spheres]
-    return landings_through(
-        scene.camera, world_from(table, scene.other_tables(), scene.rooms()), pixels, pose, scene.n_ambient
-    )
+    world = world_from(table, scene.other_tables(), scene.rooms(), scene.shapes())
+    return landings_through(scene.camera, world, pixels, pose, scene.n_ambient)
 
 
 def _displaced(colour: Landings, mean: Landings) -> NDArray[np.float64]:

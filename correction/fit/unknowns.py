@@ -151,7 +151,7 @@ class Unknowns:
         scene = self.scene if glass else self._bare
         spheres = self.spheres(full) if glass else np.zeros((0, SOLID))
         instead = self.other_bodies.moved(full[self.others])
-        return world_from(spheres, scene.other_tables(instead), scene.rooms())
+        return world_from(spheres, scene.other_tables(instead), scene.rooms(), scene.shapes())
 
     @cached_property
     def _bare(self) -> Scene:

@@ -130,7 +130,7 @@ class Inversion:
         key = key_of(sequence)
         trip = chain_trip(self.scene, sequence) if self.lockstep else -1
         world = self.tables[1]
-        solid = not len(world.rooms.home) and bool((sequence < len(world.spheres)).all())
+        solid = not len(world.rooms.home) and not world.shapes and bool((sequence < len(world.spheres)).all())
         balls, maps = self.balls, self.maps
 
         def work(part: Starts) -> None:

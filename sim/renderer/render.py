@@ -202,6 +202,8 @@ def tables_of(
     bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
     walls = [body for body in bodies if isinstance(body, Window | Tube | Dome)]
+    if shaped := [sphere for sphere in spheres if sphere.shape_um]:
+        raise SceneError(f"the simulator cannot render {shaped[0].name!r}, a ball out of round")
     if unknown := [body for body in bodies if body not in (*spheres, *rods, *walls)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)

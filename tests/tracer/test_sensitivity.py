@@ -143,6 +143,7 @@ def test_compiled_and_interpreted_agree_and_lost_rays_are_nan():
         np.empty((3, 2)),
         np.empty((3, 2, 2)),
         np.empty((3, 2, count)),
+        np.empty((0, 2, 2, 50)),
     )
     directions, camera = scene.camera.directions(pixels), pack_camera(scene.camera)
     world = (world_of(scene), POSE.packed(), scene.n_ambient)

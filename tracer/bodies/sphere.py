@@ -1,4 +1,4 @@
-"""A sphere, solid or with others inside it, of glass or opaque."""
+"""A sphere, solid or with others inside it, of glass or opaque; or a solid ball a little out of round."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 from ground.config import Table, Triple
 from ground.jit import Array
 from tracer.bodies.body import Body, BodySection, Capsule, Index, vector3
+from tracer.bodies.shape import Shape, ShapeTable, reach_mm, written_shape
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
+from tracer.harmonics import COUNT, bending_mm, largest_mm, turned, values
 from tracer.kernels.sphere import INDEX, SOLID
 from tracer.media import Medium
 from tracer.medium_table import OPAQUE, MediumTable, Positive, medium_of, written
+
+UNTURNED = 1e-9  # what rounding makes of a movement without a turn
 
 
 class CoreSection(Table):
@@ -33,6 +37,7 @@ class SphereSection(BodySection):
     radius_mm: Positive
     material: str | MediumTable
     core: CoreSection | None = None
+    shape: ShapeTable | None = None
 
     def body(self, name: str, media: Mapping[str, Medium]) -> "Sphere":
         """Return the sphere described.
@@ -43,7 +48,10 @@ class SphereSection(BodySection):
             It cannot be; names the part at fault, such as ``core``.
         """
         medium = None if self.material == OPAQUE else medium_of(self.material, media)
-        return Sphere(name, vector3(self.centre_mm), self.radius_mm, medium, self._cores(name, media))
+        radius_mm, shape = self.radius_mm, Shape()
+        if self.shape is not None:
+            radius_mm, shape = self.shape.radius_and_shape(name, radius_mm)
+        return Sphere(name, vector3(self.centre_mm), radius_mm, medium, self._cores(name, media), shape)
 
     def _cores(self, name: str, media: Mapping[str, Medium]) -> tuple["Core", ...]:
         """Cores from the outside in."""
@@ -91,6 +99,8 @@ class Sphere(Body):
         What it is made of; None is opaque.
     cores : tuple of Core
         What is inside it, about the same centre, from the outside in.
+    shape_um : tuple of float
+        How far a ball is out of round: coefficients in the order of `tracer.harmonics.NAMES`; empty for a sphere.
     """
 
     kind: ClassVar[str] = "sphere"
@@ -101,6 +111,7 @@ class Sphere(Body):
     radius_mm: float
     medium: Medium | None
     cores: tuple[Core, ...] = ()
+    shape_um: Shape = ()
 
     def __post_init__(self) -> None:
         if not (SMALLEST_MM <= self.radius_mm <= LONGEST_MM):
@@ -121,6 +132,42 @@ class Sphere(Body):
                 )
                 raise SceneError(problems=[(".".join(["core"] * depth), text)])
             around = core.radius_mm
+        if self.shape_um and not any(self.shape_um):
+            object.__setattr__(self, "shape_um", ())
+        if self.shape_um:
+            self._check_shape()
+
+    def _check_shape(self) -> None:
+        """Refuse a shape that cannot be traced."""
+        if len(self.shape_um) != COUNT or not np.isfinite(self.shape_um).all():
+            raise SceneError(problems=[("shape", f"sphere {self.name!r}: a shape is {COUNT} finite numbers")])
+        if self.cores:
+            text = f"sphere {self.name!r}: a ball with a shape has no core here; leave one of them out"
+            raise SceneError(problems=[("shape", text)])
+        bend_mm = float(bending_mm(self.shape_mm))
+        if not bend_mm <= self.radius_mm:
+            text = (
+                f"sphere {self.name!r}: a ball of {self.radius_mm:g} mm with heights of"
+                f" {float(largest_mm(self.shape_mm)):.3g} mm may have dents, which are not traced;"
+                " harmonics_um are micrometres: are they too large?"
+            )
+            raise SceneError(problems=[("shape", text)])
+
+    @property
+    def shape_mm(self) -> NDArray[np.float64]:
+        """Coefficients (45,) [mm], zeros for a sphere."""
+        return 1e-3 * np.array(self.shape_um or (0.0,) * COUNT)
+
+    @property
+    def uneven_mm(self) -> float:
+        """What the surface is nowhere higher or lower than the radius; 0 for a sphere."""
+        return float(largest_mm(self.shape_mm)) if self.shape_um else 0.0
+
+    def radius_towards_mm(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from the centre to the surface in unit directions (..., 3)."""
+        if not self.shape_um:
+            return np.full(directions.shape[:-1], self.radius_mm)
+        return np.asarray(self.radius_mm + values(directions) @ self.shape_mm)
 
     @classmethod
     def table_of(cls, bodies: Iterable[Self], index: Index) -> Array:
@@ -146,30 +193,47 @@ class Sphere(Body):
             inside = {"core": {"radius_mm": core.radius_mm, "material": written(core.medium), **inside}}
         place = {"name": self.name, "kind": self.kind, "centre_mm": list(self.centre_mm)}
         material = OPAQUE if self.medium is None else written(self.medium)
-        return {**place, "radius_mm": self.radius_mm, "material": material, **inside}
+        shape = {"shape": written_shape(self.shape_um)} if self.shape_um else {}
+        return {**place, "radius_mm": self.radius_mm, "material": material, **inside, **shape}
 
     @property
     def capsule(self) -> Capsule:
-        """The sphere itself."""
-        return Capsule(self.centre_mm, self.centre_mm, self.radius_mm)
+        """The sphere itself, or one around the ball."""
+        return Capsule(self.centre_mm, self.centre_mm, self.radius_mm + self.uneven_mm)
 
     @property
     def lowest_mm(self) -> float:
         """Smallest z of the sphere."""
-        return self.centre_mm[2] - self.radius_mm
+        return self.centre_mm[2] - self._reach_mm(-1.0)
 
     @property
     def highest_mm(self) -> float:
         """Largest z of the sphere."""
-        return self.centre_mm[2] + self.radius_mm
+        return self.centre_mm[2] + self._reach_mm(1.0)
+
+    def _reach_mm(self, side: float) -> float:
+        """How far the ball reaches along z, up (1) or down (-1)."""
+        return reach_mm(self.radius_mm, self.shape_um, side) if self.shape_um else self.radius_mm
 
     def distance_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance from the surface to points (..., 3), negative inside."""
-        return np.asarray(np.linalg.norm(points_mm - np.array(self.centre_mm), axis=-1) - self.radius_mm)
+        """Distance from the surface to points (..., 3), negative inside; of a shape along its radius."""
+        off = points_mm - np.array(self.centre_mm)
+        away = np.linalg.norm(off, axis=-1)
+        if not self.shape_um:
+            return np.asarray(away - self.radius_mm)
+        return np.asarray(away - self.radius_towards_mm(off / np.maximum(away, SMALLEST_MM)[..., None]))
 
     def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
-        """Return the sphere with its centre moved."""
-        return replace(self, centre_mm=to(self.centre_mm))
+        """Return the sphere with its centre moved, and its shape turned with it."""
+        centre = to(self.centre_mm)
+        if not self.shape_um:
+            return replace(self, centre_mm=centre)
+        x, y, z = self.centre_mm
+        ahead = np.array([to((x + 1.0, y, z)), to((x, y + 1.0, z)), to((x, y, z + 1.0))]) - np.array(centre)
+        if np.abs(ahead - np.eye(3)).max() < UNTURNED:
+            return replace(self, centre_mm=centre)
+        shape = turned(np.array(self.shape_um), ahead.T)
+        return replace(self, centre_mm=centre, shape_um=tuple(shape.tolist()))
 
     @property
     def media(self) -> tuple[tuple[str, Medium], ...]:

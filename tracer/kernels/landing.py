@@ -11,7 +11,8 @@ landing point on it as moving the ray by -D does, of which the part along the ra
 
 A row of ``rate`` holds camera (14: x, y, z, rx, ry, rz, focal_px, cu, cv, k1, k2, k3, p1, p2) | 5 of each
 sphere (x, y, z, radius, n) | the row of each other body whose kind has `Kind.numbers`, table by table | target (6:
-x, y, z, rx, ry, rz); turns are about the world's axes [rad].
+x, y, z, rx, ry, rz); turns are about the world's axes [rad].  What the shapes of balls out of round do stands in
+``by_shape``, of no rows where none is.
 """
 
 import math
@@ -51,6 +52,7 @@ from tracer.kernels.camera import (
     RIGHT_Z,
     undistorted,
 )
+from tracer.kernels.shaped import back_through_shaped, is_shaped
 from tracer.kernels.walk import walk
 from tracer.kernels.world import MISSED_PLANE, MOST_NUMBERS, RECOVERED, World, place_of_other, unowned_world
 
@@ -93,13 +95,14 @@ def camera_rates(
 def trace_landings(
     pixels: Array, directions: Array, camera: Array, world: World, target: Array, n_ambient: float,
     first: int, last: int, trail: Array, state: Array, status: Array, key: Array, point: Array, by_pixel: Array,
-    rate: Array,
+    rate: Array, by_shape: Array,
 ) -> None:  # fmt: skip
     """Trace pixels first..last-1 onto a target plane with all derivatives.
 
     pixels (N, 2); directions (N, 3) of their rays; camera (20,); target (12,) origin and axes; trail
     (MAX_EVENTS,) int32 and state (MAX_EVENTS, STATE) scratch; status (N,) uint8, key (N,) int64, point (N, 2)
-    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out.  NaN unless recovered.
+    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out, by_shape (N, 2, S, 50), or
+    (0, 2, S, 50) where all spheres are round.  NaN unless recovered.
     """
     world, trail, state = unowned_world(world), unowned(trail), unowned(state)
     point, by_pixel, rate = unowned(point), unowned(by_pixel), unowned(rate)
@@ -120,6 +123,8 @@ def trace_landings(
             point[i] = math.nan
             by_pixel[i] = math.nan
             rate[i] = math.nan
+            if len(world.shapes) > 0:
+                by_shape[i] = math.nan
             continue
         for axis in range(2):
             value, t, fx, fy, fz, gx, gy, gz = land_on_target(px, py, pz, wx, wy, wz, target, axis)
@@ -130,6 +135,8 @@ def trace_landings(
             row[place + 3], row[place + 4] = -(ay * fz - az * fy), -(az * fx - ax * fz)
             row[place + 5] = -(ax * fy - ay * fx)
             row[CAMERA_NUMBERS:place] = 0.0
+            if len(world.shapes) > 0:
+                by_shape[i, axis] = 0.0
             for event in range(int(events) - 1, -1, -1):
                 body, way = body_of(trail[event], spheres)
                 if len(world.others) > 0 and body < NOTHING:
@@ -140,6 +147,12 @@ def trace_landings(
                     )
                     continue
                 at = CAMERA_NUMBERS + SPHERE_NUMBERS * body
+                if len(world.shapes) > 0 and is_shaped(world.shapes, body):
+                    fx, fy, fz, gx, gy, gz = back_through_shaped(
+                        fx, fy, fz, gx, gy, gz, state[event], body, spheres, world.shapes,
+                        row[at : at + SPHERE_NUMBERS], by_shape[i, axis, body],
+                    )  # fmt: skip
+                    continue
                 fx, fy, fz, gx, gy, gz = back_through(
                     fx, fy, fz, gx, gy, gz, spheres[body], way, state[event], row[at : at + SPHERE_NUMBERS]
                 )

@@ -4,9 +4,19 @@ import math
 
 from ground.jit import Array, kernel, kernel_composed, kernel_inlined
 from tracer.kernels.camera import EYE_X, EYE_Y, EYE_Z, pixel_ray_tangents
+from tracer.kernels.shaped import shaped_rates
 from tracer.kernels.shell import with_cores_rates
-from tracer.kernels.sphere import INDEX, RADIUS, foot_tangent, through_rates, turned_tangent
-from tracer.kernels.walk import OTHER, TURNED, Crossing, keep_light, walk
+from tracer.kernels.sphere import (
+    CENTRE_X,
+    CENTRE_Y,
+    CENTRE_Z,
+    INDEX,
+    RADIUS,
+    foot_tangent,
+    through_rates,
+    turned_tangent,
+)
+from tracer.kernels.walk import OTHER, SHAPED, TURNED, Crossing, keep_light, walk
 from tracer.kernels.world import MISSED_PLANE, RECOVERED, World, rates_other
 
 Tangents = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float]
@@ -65,6 +75,16 @@ def keep_tangents(kept: Tangents, c: Crossing, world: World) -> Tangents:
         )
         gx, gy, gz, vx, vy, vz = rates_other(
             c.wx, c.wy, c.wz, c.dx, c.dy, c.dz, gx, gy, gz, vx, vy, vz, c.body, world.others, world.still, c.way
+        )
+        return fx, fy, fz, gx, gy, gz, ux, uy, uz, vx, vy, vz, passed
+    if len(world.shapes) > 0 and c.kind == SHAPED:
+        ball, shapes = world.spheres[c.body], world.shapes
+        px, py, pz = c.wx + ball[CENTRE_X], c.wy + ball[CENTRE_Y], c.wz + ball[CENTRE_Z]
+        fx, fy, fz, ux, uy, uz = shaped_rates(
+            px, py, pz, c.dx, c.dy, c.dz, fx, fy, fz, ux, uy, uz, c.body, world.spheres, shapes
+        )
+        gx, gy, gz, vx, vy, vz = shaped_rates(
+            px, py, pz, c.dx, c.dy, c.dz, gx, gy, gz, vx, vy, vz, c.body, world.spheres, shapes
         )
         return fx, fy, fz, gx, gy, gz, ux, uy, uz, vx, vy, vz, passed
     fx, fy, fz = foot_tangent(c.wx, c.wy, c.wz, c.dx, c.dy, c.dz, c.m, fx, fy, fz, ux, uy, uz)

@@ -23,8 +23,10 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ground.jit import Array, kernel_composed
+from tracer.kernels.ball import BENT, BESIDE
 from tracer.kernels.branches import DIRECT, FIRST_OTHER, NOTHING, next_key, other_event
 from tracer.kernels.rooms import IN, OFF, OUT, OUTERMOST, THROUGH
+from tracer.kernels.shaped import cross_shaped, is_shaped
 from tracer.kernels.shell import way_through, with_cores
 from tracer.kernels.sphere import (
     CENTRE_X,
@@ -55,7 +57,7 @@ from tracer.kernels.world import (
 )
 
 MAX_EVENTS = 64  # bodies crossed by one ray; a bed of a thousand spheres stays below 20
-PASSED, TURNED, REFLECTED, OTHER = range(4)
+PASSED, TURNED, REFLECTED, OTHER, SHAPED = range(5)
 
 
 class Crossing(NamedTuple):
@@ -64,7 +66,8 @@ class Crossing(NamedTuple):
     Parameters
     ----------
     kind : int
-        TURNED by a sphere; PASSED: a tangent by rounding; REFLECTED: totally, its last event; OTHER: no sphere.
+        TURNED by a sphere; PASSED: a tangent by rounding; REFLECTED: totally, its last event; OTHER: no sphere;
+        SHAPED: through a ball out of round.
     place, event, body, way : int
         How many bodies came before; event, number and way of this one (``tracer.kernels.branches``).
     wx, wy, wz, dx, dy, dz : float
@@ -170,6 +173,24 @@ def walk(
         cx, cy, cz = spheres[body, CENTRE_X], spheres[body, CENTRE_Y], spheres[body, CENTRE_Z]
         radius, n = spheres[body, RADIUS], spheres[body, INDEX]
         wx, wy, wz = px - cx, py - cy, pz - cz
+        if len(world.shapes) > 0 and is_shaped(world.shapes, body):
+            fate, qx, qy, qz, ex, ey, ez, path, light = cross_shaped(
+                px, py, pz, dx, dy, dz, body, spheres, world.shapes
+            )
+            key = next_key(key, body)
+            kind = SHAPED if fate == BENT else PASSED if fate == BESIDE else REFLECTED
+            m = -(wx * dx + wy * dy + wz * dz)
+            crossing = Crossing(
+                kind, events, body, body, 0, wx, wy, wz, dx, dy, dz, m, qx - cx, qy - cy, qz - cz, 0.0,
+                0.0, 0.0, 1.0, 0.0, 1.0, 0.0, path * index, light, 0.0, 1.0,
+            )  # fmt: skip
+            kept = record(kept, crossing, world)
+            events += 1
+            if kind == REFLECTED:
+                return TIR, px, py, pz, dx, dy, dz, key, events, kept, index
+            px, py, pz, dx, dy, dz = qx, qy, qz, ex, ey, ez
+            last = body
+            continue
         m, ax, ay, az = foot(wx, wy, wz, dx, dy, dz)
         b2 = ax * ax + ay * ay + az * az
         way = way_through(b2, spheres[body]) if cored else 0

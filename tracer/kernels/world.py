@@ -20,6 +20,7 @@ from ground.jit import OVERLOADED, Array, kernel, kernel_inlined, overload, unow
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.branches import FIRST_OTHER, NOTHING
 from tracer.kernels.rooms import ONE_ROOM, Rooms
+from tracer.kernels.shaped import next_shaped
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Y, CENTRE_Z, OPAQUE, RADIUS
 
 RECOVERED, BLOCKED, TIR, MISSED_PLANE, TOO_MANY_EVENTS = 0, 1, 2, 3, 4  # RayStatus, as plain integers
@@ -45,6 +46,8 @@ class World(NamedTuple):
         Which of them stand where, if there are walls.
     still : (MOST_NUMBERS,) float64
         Rates of a row that does not change: zeros.
+    shapes : tuple of (N, SHAPE_NUMBERS) float64
+        Which spheres are out of round (``tracer.kernels.shaped``); empty where none is.
     """
 
     spheres: Array
@@ -54,6 +57,7 @@ class World(NamedTuple):
     others: tuple[Any, ...] = ()
     rooms: Rooms = ONE_ROOM
     still: Array = STILL
+    shapes: tuple[Any, ...] = ()
 
 
 class Kind(NamedTuple):
@@ -95,7 +99,7 @@ def unowned_world(world: World) -> World:
     return World(
         unowned(world.spheres), unowned(world.frame), unowned(world.begin), unowned(world.items), world.others,
         Rooms(unowned(rooms.home), unowned(rooms.inside), unowned(rooms.wall), unowned(rooms.n), rooms.first),
-        unowned(world.still),
+        unowned(world.still), world.shapes,
     )  # fmt: skip
 
 
@@ -125,7 +129,9 @@ def next_body(
 ) -> int:
     """Number of the body in a room met next, or NOTHING; the half-line starts at p and `last` is excluded."""
     home = world.rooms.home
-    if world.items.shape[0] > 0:
+    if len(world.shapes) > 0:
+        best, nearest = next_shaped(px, py, pz, dx, dy, dz, last, world.spheres, world.shapes, room, home)
+    elif world.items.shape[0] > 0:
         best, nearest = next_in_bed(
             px, py, pz, dx, dy, dz, last, world.spheres, world.frame, world.begin, world.items, room, home
         )
