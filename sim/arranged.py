@@ -24,17 +24,19 @@ from tracer.scene import Scene
 def arranged(bench: Bench, scene: Scene, positions_mm: Mapping[str, float]) -> tuple[Scene, Pose]:
     """Scene and place of the print, from the `scene` that holds where every axis stands at home.
 
+    What the bench itself carries, such as the window of a furnace, no axis moves.
+
     Raises
     ------
     SceneError
         Bodies or camera cannot stand there.
     """
-    offsets = {"camera": np.zeros(3), "glass": np.zeros(3), "target": np.zeros(3)}
+    offsets = {element: np.zeros(3) for element in ("camera", "glass", "target", "bench")}
     for name, axis in bench.table.stages.axes.items():
         offsets[axis.carries]["xyz".index(axis.along)] += positions_mm[name] - bench.home_mm[name]
     camera = scene.camera
     x, y, z = (float(c) for c in np.add(camera.position_mm, offsets["camera"]))
-    bodies = tuple(body.moved(shifted_by(offsets["glass"])) for body in scene.bodies)
+    bodies = tuple(body.moved(shifted_by(offsets[body.carried])) for body in scene.bodies)
     moved = replace(scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
     return moved, Pose().moved(*(float(c) for c in offsets["target"]))
 

@@ -1,9 +1,11 @@
 """Nothing may touch: ways are judged by what they bring together, before they are driven.
 
-Three elements move rigidly on the bench: the camera, the glass (every body of the scene) and the target. For
-the judgement they are simple convex shapes:
+Three elements move rigidly on the bench: the camera, the glass (every body of the scene but walls) and the target.
+Windows and tubes stand, unless the scene file says that glass or camera carry them. For the judgement all are
+simple convex shapes:
 
-* a body is a capsule: all points within a radius of a segment (a sphere is one without length),
+* a body is a capsule: all points within a radius of a segment (a sphere is one without length); a window is a
+  plate, a tube is many planks around a free inside (`tracer.bodies.Body.pieces`),
 * the camera is a capsule along its axis, `camera_behind_mm` behind the pinhole to `camera_ahead_mm` before it,
 * the target is a box of `target_size_mm` whose front face lies in the plane z = 0 of the scene.
 
@@ -20,7 +22,7 @@ named in `contact` may touch the target: for them CONTACT_MM of overlap is allow
 be off. Homing is not judged, because nobody knows yet where anything is.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -32,6 +34,7 @@ from pydantic import Field
 from ground.config import Table
 from stages.errors import Obstructed, StageUsageError
 from stages.stage import Piece
+from tracer.bodies import Room
 from tracer.scene import Scene
 
 CONTACT_MM = 0.025
@@ -41,7 +44,7 @@ WAY_OUT = (
     "write the way out as stages: after_home"
 )
 
-Element = Literal["camera", "glass", "target"]
+Element = Literal["camera", "glass", "target", "bench"]
 Vector = NDArray[np.float64]
 Length = Annotated[float, Field(ge=0.0, le=1e4)]
 
@@ -92,7 +95,7 @@ class KeepOut:
     Raises
     ------
     StageUsageError
-        A body that may touch the target is not in the scene.
+        A body that may touch the target is not in the scene, or camera or target stand in a wall.
     """
 
     def __init__(self, scene: Scene, carriers: Mapping[str, Carrier], table: KeepOutTable) -> None:
@@ -120,9 +123,24 @@ class KeepOut:
             ),
         ]
         for body in scene.bodies:
-            start, end = np.array(body.capsule.start_mm), np.array(body.capsule.end_mm)
-            along, radius_mm = (end - start)[None], body.capsule.radius_mm
-            self._shapes.append(_Shape("glass", body.name, start, along, radius_mm))
+            self._shapes += [
+                _Shape(body.carried, body.name, piece.start_mm, piece.edges_mm, piece.radius_mm)
+                for piece in body.pieces
+            ]
+        walls = {body.name for body in scene.bodies if body.room is not None}
+        self._refuse_cut(walls - {body.name for body in scene.bodies if body.room and _holds(body.room, pinhole)})
+
+    def _refuse_cut(self, walls: Set[str]) -> None:
+        """Refuse sizes by which camera or target stand in one of some walls."""
+        for one in self._shapes[:2]:
+            for wall in (shape for shape in self._shapes if shape.name in walls):
+                gap = one.start_mm - wall.start_mm
+                deep_mm = one.radius_mm + wall.radius_mm - _distance(gap, one.edges_mm, wall.edges_mm)
+                if deep_mm > CONTACT_MM:
+                    raise StageUsageError(
+                        f"keep_out: where the scene file holds, {one.name} stands {deep_mm:.2f} mm deep in"
+                        f" {wall.name!r}; correct the sizes in keep_out, or the scene"
+                    )
 
     def check(self, way: Sequence[Piece]) -> None:
         """Raise if a way brings shapes too close.
@@ -148,14 +166,14 @@ class KeepOut:
 
     def _allowed_mm(self, one: _Shape, other: _Shape) -> float:
         elements = {one.element, other.element}
-        if elements == {"glass", "target"} and {one.name, other.name} & set(self._table.contact):
+        if "target" in elements and {one.name, other.name} & set(self._table.contact):
             return -CONTACT_MM
         return self._table.clearance_mm
 
     def _approaches(self, piece: Piece) -> list[tuple[_Shape, _Shape, float, float]]:
         """Every pair of which one moves: closest distance on the piece, and distance at its beginning."""
         carrier = self._carriers[piece.axis]
-        here = {name: np.zeros(3) for name in ("camera", "glass", "target")}
+        here = {name: np.zeros(3) for name in ("camera", "glass", "target", "bench")}
         for name, at_mm in {**piece.others_mm, piece.axis: piece.start_mm}.items():
             other = self._carriers[name]
             here[other.element] = here[other.element] + (at_mm - other.scene_at_mm) * _direction(other.along)
@@ -169,6 +187,11 @@ class KeepOut:
                 closest_mm = _distance(gap, np.vstack([moved.edges_mm, sweep]), still.edges_mm) - radii
                 found.append((moved, still, closest_mm, begin_mm))
         return found
+
+
+def _holds(room: Room, point_mm: Vector) -> bool:
+    """Whether a point is in a room that is closed around it: a camera looks out of its dome."""
+    return room.surrounds and room.gaps_mm(point_mm[None], 0.0)[1] >= 0.0
 
 
 def _direction(along: str) -> Vector:

@@ -111,8 +111,8 @@ class Scene:
         return replace(self, bodies=tuple(bodies))
 
     def bare(self) -> "Scene":
-        """Return the scene without what is driven out of the view: balls and supports; windows and tubes stay."""
-        return self.with_bodies([body for body in self.bodies if body.room is not None])
+        """Return the scene without what is driven out of the view: balls, supports, walls that go with them."""
+        return self.with_bodies([body for body in self.bodies if body.stays])
 
     def with_camera(self, camera: Camera) -> "Scene":
         """Return the same scene with another camera."""

@@ -66,7 +66,7 @@ class OtherBodies:
         """T (R, K): rows of those that stand there, with the glass or without, by the numbers of all."""
         parts, first = [np.zeros((0, len(values)))], 0
         for body, numbers, own in self._each(values):
-            if glass or body.room is not None:
+            if glass or body.stays:
                 rate = np.zeros((len(self.scene.row_of(body)), len(values)))
                 for place in range(len(numbers)):
                     move = STEP * np.eye(len(numbers))[place]

@@ -30,7 +30,7 @@ from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import FLOOR_PX, MeasuredFrame, TargetFrame, bare_frame, glass_frame
 from correction.fit.pairing import pair
 from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
-from correction.fit.result import PRIOR_LIMIT, FitStep, SceneFit, check, rms_limit_px
+from correction.fit.result import PRIOR_LIMIT, SHARE_LIMIT, FitStep, SceneFit, check, rms_limit_px
 from correction.fit.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
@@ -142,7 +142,7 @@ class _Fit:
     @property
     def walls(self) -> list[str]:
         """Beginnings of the names of numbers of windows and tubes, through which the bare target is seen."""
-        return [f"{body.name}." for body in self.nominal.bodies if body.room is not None]
+        return [f"{body.name}." for body in self.nominal.bodies if body.stays]
 
     def height_number(self, frame: TargetFrame) -> int:
         """Number of a frame's height."""
@@ -166,8 +166,16 @@ class _Fit:
             unknowns, solution = self.follow_board(unknowns, solution)
         if len(self.bare_frames) > 1:
             unknowns, solution = self.fit_camera(self.bare_frames[1:])
-        rms = float(np.sqrt(np.mean(self.fits.reprojection(unknowns, solution.x, self.bare) ** 2)))
+        rms = self.bare_rms_px(unknowns, solution.x)
         self.check_camera(rms, _pull(solution), unknowns, solution)
+
+    def bare_rms_px(self, unknowns: Unknowns, x: NDArray[np.float64]) -> float:
+        """Residual of the bare target's corners; through walls of those that these show well, if most are."""
+        off = self.fits.reprojection(unknowns, x, self.bare)
+        kept = np.concatenate([self.fits.inliers(unknowns, x, frame) for frame in self.bare])
+        if self.walls and kept.mean() >= SHARE_LIMIT:  # at the edge of a tube the view is squeezed, or lost
+            off = off[kept]
+        return float(np.sqrt(np.mean(off**2)))
 
     def fit_camera(self, frames: Sequence[TargetFrame]) -> tuple[Unknowns, Solution]:
         """Find the bare target in more frames, one by one, and fit the camera to all there are."""
@@ -220,6 +228,7 @@ class _Fit:
         """Stage 2."""
         self.follow_outlines()
         prefixes = [f"{sphere.name}." for sphere in self.unknowns.scene.spheres] + ["glass "]
+        prefixes += [f"{body.name}." for body, _ in self.unknowns.other_bodies.bodies if not body.stays]
         unknowns = self.unknowns.around(self.full).only(prefixes)
         coarse = unknowns.only([f"{s.name}.{part}" for s in unknowns.scene.spheres for part in "xyz"] + ["glass "])
         candidates = self.candidates(coarse)

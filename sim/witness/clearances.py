@@ -7,8 +7,9 @@ So from one exact look a whole neighbourhood is known to be free, and the next e
 it: that is what makes watching cheap.
 
 Shapes are those of the bench file: bodies are capsules (a sphere is one without length), the camera is a capsule
-along its axis, the target a box behind z = 0. The scene is the file's: that a simulated bench is built a few
-tenths of a millimetre off it is not held against whoever works with the file.
+along its axis, the target a box behind z = 0; a window is a raft of capsules as thick as it, a tube a ring of
+them, and what the bench carries stands. The scene is the file's: that a simulated bench is built a few tenths of a
+millimetre off it is not held against whoever works with the file.
 """
 
 import math
@@ -19,13 +20,13 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from sim.witness.distances import Point, along, least, plus, segment_to_box, segment_to_segment
-from tracer.bodies import Rod, Sphere
+from tracer.bodies import Body, Dome, Rod, Sphere, Tube, Window
 
 if TYPE_CHECKING:  # names alone: whoever watches without a scene does not wait for scipy and numba
     from stages.keep_out import KeepOutTable
     from tracer.scene import Scene
 
-ELEMENTS = ("camera", "glass", "target")
+ELEMENTS = ("camera", "glass", "bench", "target")
 CONTACT_MM = 0.025  # by which bodies named in `contact` may overlap the target, as docs/files.md says
 
 
@@ -208,15 +209,67 @@ def _shapes(scene: "Scene", table: "KeepOutTable") -> dict[str, list[_Capsule | 
     )
     width, height, depth = table.target_size_mm
     target = _Box("the target", (-width / 2, -height / 2, -depth), (width / 2, height / 2, 0.0))
-    glass: list[_Capsule | _Box] = []
+    shapes: dict[str, list[_Capsule | _Box]] = {"camera": [camera], "glass": [], "bench": [], "target": [target]}
     for body in scene.bodies:
-        if isinstance(body, Rod):
-            glass.append(_Capsule(body.name, body.start_mm, body.end_mm, body.radius_mm))
-        elif isinstance(body, Sphere):
-            glass.append(_Capsule(body.name, body.centre_mm, body.centre_mm, body.radius_mm))
-        else:
-            raise TypeError(f"the witness knows no distances to {body!r}; teach it")
-    return {"camera": [camera], "glass": glass, "target": [target]}
+        shapes[body.carried] += _capsules(body)
+    return shapes
+
+
+def _capsules(body: Body) -> list[_Capsule]:
+    if isinstance(body, Rod):
+        return [_Capsule(body.name, body.start_mm, body.end_mm, body.radius_mm)]
+    if isinstance(body, Sphere):
+        return [_Capsule(body.name, body.centre_mm, body.centre_mm, body.radius_mm)]
+    if isinstance(body, Dome):
+        return [_Capsule(body.name, body.centre_mm, body.centre_mm, body.outer_radius_mm)]
+    if isinstance(body, Window):
+        return _raft(body)
+    if isinstance(body, Tube):
+        return _ring(body)
+    raise TypeError(f"the witness knows no distances to {body!r}; teach it")
+
+
+def _raft(window: Window) -> list[_Capsule]:
+    """Capsules side by side in the middle of the plate, half as far apart as they are thick."""
+    half_mm, (right, up) = 0.5 * window.thickness_mm, _square_to(window.normal)
+    middle = plus(window.centre_mm, _times(-half_mm, window.normal))
+    count = max(1, math.ceil(window.radius_mm / half_mm))
+    found = []
+    for number in range(-count, count + 1):
+        off_mm = number * window.radius_mm / count
+        reach_mm = math.sqrt(window.radius_mm**2 - off_mm**2)
+        foot = plus(middle, _times(off_mm, up))
+        ends = plus(foot, _times(-reach_mm, right)), plus(foot, _times(reach_mm, right))
+        found.append(_Capsule(window.name, *ends, half_mm))
+    return found
+
+
+def _ring(tube: Tube) -> list[_Capsule]:
+    """Capsules along the tube in the middle of its wall, half as far apart as they are thick."""
+    half_mm, (right, up) = 0.5 * (tube.outer_radius_mm - tube.inner_radius_mm), _square_to(tube.axis)
+    if tube.inner_radius_mm == 0.0:
+        return [_Capsule(tube.name, tube.start_mm, tube.end_mm, tube.outer_radius_mm)]
+    around_mm = tube.outer_radius_mm - half_mm
+    count = math.ceil(2.0 * math.pi * around_mm / half_mm)
+    found = []
+    for number in range(count):
+        angle = 2.0 * math.pi * number / count
+        step = plus(_times(around_mm * math.cos(angle), right), _times(around_mm * math.sin(angle), up))
+        found.append(_Capsule(tube.name, plus(tube.start_mm, step), plus(tube.end_mm, step), half_mm))
+    return found
+
+
+def _times(factor: float, vector: Point) -> Point:
+    return (factor * vector[0], factor * vector[1], factor * vector[2])
+
+
+def _square_to(way: Point) -> tuple[Point, Point]:
+    """Two unit vectors at right angles to a unit vector and to each other."""
+    x, y, z = way
+    helper = (1.0, 0.0, 0.0) if abs(x) < 0.7 else (0.0, 1.0, 0.0)
+    one = (y * helper[2] - z * helper[1], z * helper[0] - x * helper[2], x * helper[1] - y * helper[0])
+    one = _times(1.0 / math.hypot(*one), one)
+    return one, (y * one[2] - z * one[1], z * one[0] - x * one[2], x * one[1] - y * one[0])
 
 
 def _pair(one: _Capsule | _Box, other: _Capsule | _Box, table: "KeepOutTable") -> _Pair:

@@ -4,7 +4,19 @@ One file a kind, and its class in KINDS: ``docs/add-a-body.md``.  Scenes without
 place in KINDS is part of a scene's content hash: new kinds come last.
 """
 
-from tracer.bodies.body import CONTACT_TOL_MM, Body, BodySection, Capsule, Index, Number, Room, shifted_by, vector3
+from tracer.bodies.body import (
+    CONTACT_TOL_MM,
+    Body,
+    BodySection,
+    Capsule,
+    Carrier,
+    Index,
+    Number,
+    Piece,
+    Room,
+    shifted_by,
+    vector3,
+)
 from tracer.bodies.dome import Dome
 from tracer.bodies.rod import Rod
 from tracer.bodies.sphere import Core, Sphere
@@ -19,10 +31,12 @@ __all__ = [
     "Body",
     "BodySection",
     "Capsule",
+    "Carrier",
     "Core",
     "Dome",
     "Index",
     "Number",
+    "Piece",
     "Rod",
     "Room",
     "Sphere",

@@ -6,7 +6,7 @@ file that answers them (``docs/add-a-body.md``).
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,23 @@ class Capsule(NamedTuple):
         return np.asarray(np.linalg.norm(points_mm - start - along[..., None] * axis, axis=-1) - self.radius_mm)
 
 
+class Piece(NamedTuple):
+    """A convex part of a body: all points start + sum v_i edges_i, 0 <= v_i <= 1, and what is near them.
+
+    Parameters
+    ----------
+    start_mm : (3,) float64
+    edges_mm : (n, 3) float64
+    radius_mm : float
+        How near.
+    """
+
+    start_mm: NDArray[np.float64]
+    edges_mm: NDArray[np.float64]
+    radius_mm: float
+
+
+Carrier = Literal["glass", "bench", "camera"]
 Index = Callable[["Body", Medium | None], float]  # n of a medium (None: around) / n around a body
 
 
@@ -172,6 +189,22 @@ class Body(ABC):
     def room(self) -> Room | None:
         """The room behind or inside the body, if it parts the world (``tracer.kernels.rooms``)."""
         return None
+
+    @property
+    def carried(self) -> Carrier:
+        """What the body moves with: the glass, as balls and their supports do, the camera, or nothing."""
+        return "glass"
+
+    @property
+    def stays(self) -> bool:
+        """Whether it is there still when the glass is driven out."""
+        return self.carried != "glass"
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Convex parts that cover the body, for keep-out zones."""
+        start, end, radius_mm = self.capsule
+        return (Piece(np.array(start), np.subtract(end, start)[None], radius_mm),)
 
     @property
     def outline_mm(self) -> tuple[NDArray[np.float64], float]:

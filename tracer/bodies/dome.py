@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ground.config import Triple
 from ground.jit import Array
-from tracer.bodies.body import Body, BodySection, Capsule, Index, Room, vector3
+from tracer.bodies.body import Body, BodySection, Capsule, Carrier, Index, Room, vector3
 from tracer.bodies.rim import unit_vector
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
@@ -46,6 +46,7 @@ class DomeSection(BodySection):
     half_angle_deg: Annotated[float, Field(gt=0.0, le=WHOLE_DEG)] = WHOLE_DEG
     material: str | MediumTable
     filled: str | MediumTable | None = None
+    carried_by: Carrier = "bench"
 
     def body(self, name: str, media: Mapping[str, Medium]) -> "Dome":
         """Return the dome described.
@@ -64,7 +65,7 @@ class DomeSection(BodySection):
         axis = UP if self.axis is None else unit_vector(self.axis, f"dome {name!r}: axis")
         return Dome(
             name, vector3(self.centre_mm), self.outer_radius_mm, self.inner_radius_mm,
-            medium_of(self.material, media), filled, inner, axis, self.half_angle_deg,
+            medium_of(self.material, media), filled, inner, axis, self.half_angle_deg, self.carried_by,
         )  # fmt: skip
 
 
@@ -90,6 +91,8 @@ class Dome(Body):
         Unit vector from the centre to the middle of the part that is glass.
     half_angle_deg : float
         How far from the axis the glass reaches, seen from the centre; beyond is its opaque mount, 180: none.
+    carried_by : "bench", "glass" or "camera"
+        What it moves with on a bench.
     """
 
     kind: ClassVar[str] = "dome"
@@ -104,6 +107,7 @@ class Dome(Body):
     inner_centre_mm: Vector3 | None = None
     axis: Vector3 = UP
     half_angle_deg: float = WHOLE_DEG
+    carried_by: Carrier = "bench"
 
     def __post_init__(self) -> None:
         if not SMALLEST_MM <= self.inner_radius_mm < self.outer_radius_mm <= LONGEST_MM:
@@ -143,9 +147,15 @@ class Dome(Body):
         whole = self.half_angle_deg == WHOLE_DEG
         mount = {} if whole else {"axis": list(self.axis), "half_angle_deg": self.half_angle_deg}
         filled = {} if self.filled is None else {"filled": written(self.filled)}
+        filled |= {} if self.carried_by == "bench" else {"carried_by": self.carried_by}
         radii = {"outer_radius_mm": self.outer_radius_mm, "inner_radius_mm": self.inner_radius_mm}
         place = {"centre_mm": list(self.centre_mm), **radii, **inner, **mount}
         return {"name": self.name, "kind": self.kind, **place, "material": written(self.medium), **filled}
+
+    @property
+    def carried(self) -> Carrier:
+        """What it moves with."""
+        return self.carried_by
 
     @property
     def capsule(self) -> Capsule:

@@ -11,6 +11,7 @@ from tracer.errors import SceneError
 
 POINTS = 64  # of a rim; its polygon is 0.1 % of a radius inside the circle
 SHORTEST = 1e-9
+SIDES = 8  # directions of sides of a polygon around a disc: it has twice as many, and corners 2 % outside
 
 
 def unit_vector(vector: Sequence[float], what: str) -> Vector3:
@@ -43,6 +44,14 @@ def leaning(direction: Vector3, by_rad: Sequence[float]) -> Vector3:
     """Return a unit vector that leans towards its two `sideways` by two angles."""
     _, aside = sideways(direction)
     return unit_vector(vector3(np.array(direction) + np.tan(np.array(by_rad)) @ aside), "direction")
+
+
+def disc(normal: Vector3, radius_mm: float) -> NDArray[np.float64]:
+    """Edges (SIDES, 3) whose sums, each counted once or not or in part, make a polygon just around a disc."""
+    _, aside = sideways(normal)
+    angle = np.pi * np.arange(SIDES) / SIDES
+    side_mm = 2.0 * radius_mm * np.tan(0.5 * np.pi / SIDES)
+    return np.asarray(side_mm * (np.cos(angle)[:, None] * aside[0] + np.sin(angle)[:, None] * aside[1]))
 
 
 def of_ring(over_mm: NDArray[np.float64], aside_mm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ground.config import Triple
 from ground.jit import Array
-from tracer.bodies.body import Body, BodySection, Capsule, Index, Number, Room, vector3
+from tracer.bodies.body import Body, BodySection, Capsule, Carrier, Index, Number, Piece, Room, vector3
 from tracer.bodies.rim import SHORTEST, leaning, of_ring, rims, sideways
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
@@ -22,6 +22,8 @@ from tracer.kernels.tube import cross_tube, leave_tube, meets_tube, tube_rates
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium, shifted
 from tracer.medium_table import MediumTable, Positive, medium_of, written
+
+STAVES = 32  # of a wall: they stand out by 0.5 % of its radius
 
 
 class Tubes(NamedTuple):
@@ -44,6 +46,7 @@ class TubeSection(BodySection):
     inner_radius_mm: Annotated[float, Field(ge=0.0)]
     material: str | MediumTable
     filled: str | MediumTable | None = None
+    carried_by: Carrier | None = None
 
     def body(self, name: str, media: Mapping[str, Medium]) -> "Tube":
         """Return the tube described.
@@ -55,7 +58,7 @@ class TubeSection(BodySection):
         """
         filled = None if self.filled is None else medium_of(self.filled, media)
         ends, radii = (vector3(self.start_mm), vector3(self.end_mm)), (self.outer_radius_mm, self.inner_radius_mm)
-        return Tube(name, *ends, *radii, medium_of(self.material, media), filled)
+        return Tube(name, *ends, *radii, medium_of(self.material, media), filled, self.carried_by)
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ class Tube(Body):
         The glass.
     filled : Medium or None
         What is in the tube; None: what is around it.
+    carried_by : "bench", "glass", "camera" or None
+        What it moves with on a bench; None: a tube with nothing, a rod with the glass.
     """
 
     kind: ClassVar[str] = "tube"
@@ -86,6 +91,7 @@ class Tube(Body):
     inner_radius_mm: float
     medium: Medium
     filled: Medium | None = None
+    carried_by: Carrier | None = None
 
     def __post_init__(self) -> None:
         hollow = self.inner_radius_mm != 0.0
@@ -130,6 +136,7 @@ class Tube(Body):
     def section(self) -> dict[str, Any]:
         """Return the tube as a scene file has it."""
         filled = {} if self.filled is None else {"filled": written(self.filled)}
+        filled |= {} if self.carried_by is None else {"carried_by": self.carried_by}
         ends = {"start_mm": list(self.start_mm), "end_mm": list(self.end_mm)}
         radii = {"outer_radius_mm": self.outer_radius_mm, "inner_radius_mm": self.inner_radius_mm}
         return {
@@ -140,6 +147,28 @@ class Tube(Body):
     def capsule(self) -> Capsule:
         """A capsule around the tube, round beyond its ends."""
         return Capsule(self.start_mm, self.end_mm, self.outer_radius_mm)
+
+    @property
+    def carried(self) -> Carrier:
+        """What it moves with."""
+        return self.carried_by or ("glass" if self.inner_radius_mm == 0.0 else "bench")
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Staves of the wall: planks as thick as it, rounded; the inside is free."""
+        if self.inner_radius_mm == 0.0:
+            return super().pieces
+        _, aside = sideways(self.axis)
+        along = self.length_mm * np.array(self.axis)
+        half, start = math.pi / STAVES, np.array(self.start_mm)
+        middle = 0.5 * (self.outer_radius_mm + self.inner_radius_mm)
+        radius_mm = self.outer_radius_mm - middle + middle * (1.0 / math.cos(half) - 1.0)
+        pieces = []
+        for angle in 2.0 * half * np.arange(STAVES):
+            outwards = math.cos(angle) * aside[0] + math.sin(angle) * aside[1]
+            wide = 2.0 * middle * math.tan(half) * (math.cos(angle) * aside[1] - math.sin(angle) * aside[0])
+            pieces.append(Piece(start + middle * outwards - 0.5 * wide, np.array([along, wide]), radius_mm))
+        return tuple(pieces)
 
     @property
     def outline_mm(self) -> tuple[NDArray[np.float64], float]:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ground.config import Triple
 from ground.jit import Array
-from tracer.bodies.body import Body, BodySection, Capsule, Index, Number, Room, vector3
-from tracer.bodies.rim import leaning, of_ring, rims, sideways, unit_vector
+from tracer.bodies.body import Body, BodySection, Capsule, Carrier, Index, Number, Piece, Room, vector3
+from tracer.bodies.rim import disc, leaning, of_ring, rims, sideways, unit_vector
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.window import cross_window, leave_window, meets_window, window_rates
@@ -40,6 +40,7 @@ class WindowSection(BodySection):
     radius_mm: Positive
     material: str | MediumTable
     behind: str | MediumTable | None = None
+    carried_by: Carrier = "bench"
 
     def body(self, name: str, media: Mapping[str, Medium]) -> "Window":
         """Return the window described.
@@ -52,7 +53,8 @@ class WindowSection(BodySection):
         behind = None if self.behind is None else medium_of(self.behind, media)
         normal = unit_vector(self.normal, f"window {name!r}: normal")
         material = medium_of(self.material, media)
-        return Window(name, vector3(self.centre_mm), normal, self.thickness_mm, self.radius_mm, material, behind)
+        place = vector3(self.centre_mm), normal, self.thickness_mm, self.radius_mm
+        return Window(name, *place, material, behind, self.carried_by)
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,8 @@ class Window(Body):
         The glass.
     behind : Medium or None
         What fills the room behind; None: what is before it.
+    carried_by : "bench", "glass" or "camera"
+        What it moves with on a bench.
     """
 
     kind: ClassVar[str] = "window"
@@ -87,6 +91,7 @@ class Window(Body):
     radius_mm: float
     medium: Medium
     behind: Medium | None = None
+    carried_by: Carrier = "bench"
 
     def __post_init__(self) -> None:
         if not (SMALLEST_MM <= self.thickness_mm <= LONGEST_MM and SMALLEST_MM <= self.radius_mm <= LONGEST_MM):
@@ -108,6 +113,7 @@ class Window(Body):
     def section(self) -> dict[str, Any]:
         """Return the window as a scene file has it."""
         behind = {} if self.behind is None else {"behind": written(self.behind)}
+        behind |= {} if self.carried_by == "bench" else {"carried_by": self.carried_by}
         size = {"thickness_mm": self.thickness_mm, "radius_mm": self.radius_mm}
         place = {"centre_mm": list(self.centre_mm), "normal": list(self.normal)}
         return {
@@ -119,6 +125,18 @@ class Window(Body):
         """A ball around the plate: no good bound, see `distance_mm`."""
         middle = self._inwards(0.5 * self.thickness_mm)
         return Capsule(middle, middle, math.hypot(self.radius_mm, 0.5 * self.thickness_mm))
+
+    @property
+    def carried(self) -> Carrier:
+        """What it moves with."""
+        return self.carried_by
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """The plate, its rim rounded outwards."""
+        edges = disc(self.normal, self.radius_mm)
+        middle = np.array(self._inwards(0.5 * self.thickness_mm))
+        return (Piece(middle - 0.5 * edges.sum(axis=0), edges, 0.5 * self.thickness_mm),)
 
     @property
     def outline_mm(self) -> tuple[NDArray[np.float64], float]:

@@ -22,16 +22,20 @@ Which axis moves which element, and along which world direction, is said by the 
 function of the axis positions.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daq.acquisition.bench.bench_table import GLASS, Bench, BenchTable, Device
+import numpy as np
+
+from daq.acquisition.bench.bench_table import CAMERA, GLASS, Bench, BenchTable, Device
 from daq.acquisition.bench.kinds import kind_of
 from daq.errors import RunUsageError
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError, Problem
+from tracer.bodies import CONTACT_TOL_MM
+from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
 T = TypeVar("T")
@@ -53,17 +57,13 @@ def load_bench(path: Path | str) -> Bench:
     scene = None
     if isinstance(named, str) and named:
         scene = _tried(lambda: load_scene(document.path.parent / named), wrong)
-    if table is not None and scene is not None and table.glass is None and table.axes_of(GLASS) and scene.bodies:
+    glass = [body for body in scene.bodies if not body.stays] if scene is not None else []
+    if table is not None and table.glass is None and table.axes_of(GLASS) and glass:
         text = "axes carry the glass, so say glass.out_mm"
         wrong.append(ConfigError(document.path, [Problem(document.line(("stages",)), text)]))
-    walls = [body.name for body in scene.bodies if body.room is not None] if scene is not None else []
-    if walls:  # keep-out, the witness and runs move all bodies with the glass, and know a wall by a ball around it
-        named_walls = " and ".join(map(repr, walls))
-        text = (
-            f"the scene has {named_walls}: no bench knows yet where windows and tubes stand; leave them out of its"
-        )
-        text += " scene, and correct its frames with a scene file that has them"
-        wrong.append(ConfigError(document.path, [Problem(document.line(("scene",)), text)]))
+    if table is not None and scene is not None:
+        parted = [Problem(document.line(("scene",)), text) for text in _parted(table, scene)]
+        wrong += [ConfigError(document.path, parted)] if parted else []
     devices = table.devices if table is not None else tree.get("devices")
     sections = devices.items() if isinstance(devices, dict) else ()
     more = {
@@ -74,6 +74,29 @@ def load_bench(path: Path | str) -> Bench:
     if table is None or scene is None or wrong:
         raise ConfigError.joined(wrong)
     return Bench(document.path.resolve(), document, table, scene, {name: d for name, d in more.items() if d})
+
+
+def _parted(table: BenchTable, scene: Scene) -> Iterator[str]:
+    """What an axis would drive through the wall of a tube, or out of it."""
+    walls = {body.name: body for body in scene.bodies if body.room is not None and body.room.surrounds}
+    for wall in walls.values():
+        room = wall.room
+        assert room is not None
+        inside = [body for body in scene.bodies if body.name != wall.name]
+        held: dict[str, str] = {
+            body.name: body.carried for body in inside if room.gaps_mm(*body.outline_mm)[1] >= -CONTACT_TOL_MM
+        }
+        if room.gaps_mm(np.array([scene.camera.position_mm]), 0.0)[1] >= 0.0:
+            held["the camera"] = CAMERA
+        for name, carrier in held.items():
+            axes = [*table.axes_of(carrier), *table.axes_of(wall.carried)]
+            if carrier != wall.carried and axes:
+                yield (
+                    f"{wall.kind} {wall.name!r} is carried by the {wall.carried}, {name} in it by the {carrier}:"
+                    f" {axes[0]} would drive one through the other; say carried_by: {carrier} of {wall.name!r} in"
+                    " the scene file"
+                )
+                break
 
 
 def _tried(build: Callable[[], T], wrong: list[ConfigError]) -> T | None:

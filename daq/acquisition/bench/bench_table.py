@@ -162,8 +162,8 @@ class Bench:
 
     @property
     def has_glass(self) -> bool:
-        """Whether bodies stand before the plane."""
-        return bool(self.scene.bodies)
+        """Whether bodies stand before the plane that can be driven out; a window that stands is none of them."""
+        return any(not body.stays for body in self.scene.bodies)
 
     def content_hash(self) -> str:
         """Hex digest (16 characters) of all that the file says, but for ports and boxes, which may be replaced."""
@@ -173,8 +173,9 @@ class Bench:
             controller.pop("identity", None)
         for device in tree.get("devices", {}).values():
             device.pop("port", None)
-        del tree["scene"]  # its content is hashed by the scene itself
-        return digest(tree)
+        del tree["scene"]  # its content is hashed by the scene itself, but for what moves with what
+        walls = {body.name: body.carried for body in self.scene.bodies if body.room is not None}
+        return digest(tree | {"walls": walls} if walls else tree)
 
     def with_scene(self, scene: Scene) -> "Bench":
         """Return the same bench with a scene that is known better, such as a fitted one."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from daq.acquisition.bench.bench_table import GLASS, TARGET, Bench
+from daq.acquisition.bench.bench_table import CAMERA, GLASS, TARGET, Bench
 
 
 def sheet_clearance_mm(bench: Bench, positions_mm: Mapping[str, float]) -> float:
@@ -18,14 +18,17 @@ def sheet_clearance_mm(bench: Bench, positions_mm: Mapping[str, float]) -> float
     Returns
     -------
     float
-        Below 0 if the sheet is cut; infinity if there is neither glass nor target.
+        Below 0 if the sheet is cut; infinity if there is neither glass nor target.  A tube around the sheet does
+        not count: the light goes in through it.
     """
     distances = [float("inf")]
-    glass_z_mm = bench.table.offset_mm(GLASS, positions_mm)[2]
+    table = bench.table
+    z_mm = {one: table.offset_mm(one, positions_mm)[2] for one in (GLASS, CAMERA)}
     for body in bench.scene.bodies:
-        ends_mm = [end[2] + glass_z_mm for end in (body.capsule.start_mm, body.capsule.end_mm)]
-        nearest_mm = 0.0 if min(ends_mm) <= 0.0 <= max(ends_mm) else min(abs(end) for end in ends_mm)
-        distances.append(nearest_mm - body.capsule.radius_mm)
+        off_mm = z_mm.get(body.carried, 0.0)
+        gap_mm = max(body.lowest_mm + off_mm, -body.highest_mm - off_mm)
+        if gap_mm > 0.0 or not body.may_cross_plane:
+            distances.append(gap_mm)
     if bench.table.axes_of(TARGET):
         front_mm = bench.table.offset_mm(TARGET, positions_mm)[2]
         keep_out = bench.table.keep_out

@@ -52,7 +52,8 @@ def glass_off_scene_mm(table: BenchTable, positions_mm: Mapping[str, float]) -> 
 
 
 def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
-    """The scene with its bodies moved by `place_mm` from where its file has them."""
+    """The scene with its glass moved by `place_mm` from where its file has it; walls that stand, stand."""
     if not any(place_mm):
         return scene
-    return scene.with_bodies([body.moved(shifted_by(place_mm)) for body in scene.bodies])
+    step = shifted_by(place_mm)
+    return scene.with_bodies([body if body.stays else body.moved(step) for body in scene.bodies])

@@ -16,7 +16,7 @@ from correction.fit.solver import Corners, residuals
 from correction.fit.unknowns import left_jacobian, unknowns_of
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
-from tracer.bodies import Tube, Window
+from tracer.bodies import Dome, Tube, Window
 from tracer.fit_section import (
     FitCameraTable,
     FitNamedTable,
@@ -88,7 +88,8 @@ def walled_scene() -> Scene:
     outside = replace(ball, name="outside", centre_mm=(70.0, 8.0, 25.0), radius_mm=18.0)
     tube = Tube("tube", (0.0, -150.0, 0.0), (0.0, 150.0, 0.0), 50.0, 45.0, glass, ConstantMedium(1.2))
     window = Window("window", (0.0, 0.0, 120.0), (0.0, 0.0, 1.0), 10.0, 150.0, glass, liquid)
-    return scene.with_bodies([window, tube, inside, outside])
+    aside = Dome("aside", (200.0, 90.0, 40.0), 30.0, 28.0, glass)  # the kinds for which other tests compile
+    return scene.with_bodies([window, tube, aside, inside, outside])
 
 
 def test_spheres_of_one_glass_share_n_and_others_do_not():

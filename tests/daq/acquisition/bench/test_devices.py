@@ -135,13 +135,3 @@ def test_its_port_may_be_replaced_and_nothing_else(tmp_path, said):
         load_bench(bench_with(tmp_path / str(n), text)).content_hash() for n, text in enumerate(texts)
     )
     assert first == other_port != other_volt
-
-
-def test_a_scene_with_walls_is_refused_on_a_bench(tmp_path):
-    """Keep-out knows a window by a ball around it, and would move it with the glass."""
-    path = write_bench(tmp_path)
-    scene = path.parent / "scene.yaml"
-    wall = "{name: pane, kind: window, centre_mm: [0, 0, 200], normal: [0, 0, 1], thickness_mm: 5, radius_mm: 60, "
-    scene.write_text(scene.read_text().replace("bodies:\n", f"bodies:\n  - {wall}material: BK7}}\n", 1))
-    with pytest.raises(ConfigError, match="'pane': no bench knows yet where windows and tubes stand"):
-        load_bench(path)
