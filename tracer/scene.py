@@ -23,6 +23,7 @@ from tracer.bodies import CONTACT_TOL_MM, KINDS, Body, Index, Sphere, vector3
 from tracer.camera import Camera
 from tracer.errors import SceneError, StaleMap
 from tracer.kernels.rooms import ONE_ROOM, Rooms
+from tracer.kernels.world import MOST_NUMBERS
 from tracer.light_sheet import LightSheet
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 from tracer.rooms import Arrangement
@@ -224,7 +225,7 @@ class Scene:
         shaped = [sphere for sphere in self.spheres if sphere.shape_um]
         numbers += sorted([-2.0, *sphere.centre_mm, *sphere.shape_um] for sphere in shaped)
         for place, table in self._others({}):
-            numbers += sorted([float(place), *row] for row in table.rows.tolist())
+            numbers += sorted([float(place), *_in_short(row)] for row in table.rows)
         rooms = self.rooms()
         if len(rooms.home):  # which is where follows from the numbers; what fills the rooms does not
             numbers.append([-1.0, *rooms.n.tolist()])
@@ -284,6 +285,13 @@ class Scene:
             for one, other, gap_mm in gaps
             if gap_mm < -CONTACT_TOL_MM
         ]
+
+
+def _in_short(row: NDArray[np.float64]) -> list[float]:
+    """Numbers of a row; those of a long one, a mesh, as 32 bytes."""
+    if len(row) <= MOST_NUMBERS:
+        return [float(number) for number in row]
+    return [float(byte) for byte in hashlib.sha256((row + 0.0).tobytes()).digest()]
 
 
 def _gap_mm(one: Body, other: Body) -> float:

@@ -66,7 +66,7 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     names = [body.name or f"{body.kind}{index + 1}" for index, body in enumerate(table.bodies)]
     for index, (name, entry) in enumerate(zip(names, table.bodies, strict=True)):
         try:
-            bodies.append(entry.body(name, inside))
+            bodies.append(entry.located(document.path.parent).body(name, inside))
         except SceneError as error:
             for part, text in error.problems:
                 at: tuple[str | int, ...] = ("bodies", index, *(part or "material").split("."))

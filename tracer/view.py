@@ -13,8 +13,10 @@ import numpy as np
 from tracer.bodies import Body
 from tracer.camera import Camera
 
+COARSEST_PX = 0.1  # what a mesh may be off in the picture of the plane
 LEAST_ANGLE_DEG = 5.0  # between axis and plane; PIV through glass is rarely done below 45
 REACHES_MM = 1e-6
+NM = 550.0  # any light will do for an estimate
 
 
 def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str]]:
@@ -42,6 +44,13 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
     for body in bodies:
         if not body.media:
             continue
+        if (expected_px := surface_error_px(camera, body)) > COARSEST_PX:
+            text = (
+                f"{body.kind} {body.name!r} knows its slope to {1e6 * body.slope_rad:.0f} urad,"
+                f" {expected_px:.2g} px in the picture, and {COARSEST_PX:g} are the most; give it more points and"
+                " exact normals or, for a scan, fit a smooth shape to it"
+            )
+            problems.append((body.name, text))
         if body.highest_mm <= REACHES_MM:
             text = f"body {body.name!r} lies behind the investigation plane, which no ray passes; is its z right?"
             problems.append((body.name, text))
@@ -49,6 +58,18 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
             text = f"body {body.name!r} lies behind the camera, which cannot see through it; move one of them"
             problems.append((body.name, text))
     return problems
+
+
+def surface_error_px(camera: Camera, body: Body) -> float:
+    """How far off the plane is seen through a body, rms, as far as it knows itself (`Body.slope_rad`).
+
+    A slope wrong by s turns a ray by (n - 1) s, which is (n - 1) s z on the plane, at both faces.
+    """
+    if body.slope_rad == 0.0:
+        return 0.0
+    turned = (body.media[0][1].n(NM) - 1.0) * body.slope_rad
+    px_per_mm = camera.focal_px / max(abs(camera.position_mm[2]), REACHES_MM)
+    return turned * math.hypot(body.highest_mm, body.lowest_mm) * px_per_mm
 
 
 def _is_behind(

@@ -18,12 +18,13 @@ from tracer.bodies.body import (
     vector3,
 )
 from tracer.bodies.dome import Dome
+from tracer.bodies.mesh import Mesh
 from tracer.bodies.rod import Rod
 from tracer.bodies.sphere import Core, Sphere
 from tracer.bodies.tube import Tube
 from tracer.bodies.window import Window
 
-KINDS: tuple[type[Body], ...] = (Sphere, Rod, Window, Tube, Dome)
+KINDS: tuple[type[Body], ...] = (Sphere, Rod, Window, Tube, Dome, Mesh)
 
 __all__ = [
     "CONTACT_TOL_MM",
@@ -35,6 +36,7 @@ __all__ = [
     "Core",
     "Dome",
     "Index",
+    "Mesh",
     "Number",
     "Piece",
     "Rod",

@@ -6,6 +6,7 @@ file that answers them (``docs/add-a-body.md``).
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -59,6 +60,10 @@ class BodySection(Table):
 
     name: Annotated[str, Field(min_length=1, max_length=100)] | None = None
     kind: str
+
+    def located(self, folder: Path) -> Self:
+        """Return the section of a scene file in a folder; files that it names are beside it."""
+        return self
 
     def body(self, name: str, media: Mapping[str, Medium]) -> "Body":
         """Return the body described.
@@ -184,6 +189,11 @@ class Body(ABC):
     def may_cross_plane(self) -> bool:
         """Whether the body may reach through the investigation plane."""
         return False
+
+    @property
+    def slope_rad(self) -> float:
+        """How far the slope of the surface is off, rms, as far as the body knows; 0: it is a formula."""
+        return 0.0
 
     @property
     def room(self) -> Room | None:
