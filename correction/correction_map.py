@@ -23,6 +23,7 @@ is not worth correcting (LOW_MAGNIFICATION); where it is stretched beyond `max_m
 are about to merge (FOLD).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -81,7 +82,7 @@ class CorrectionMap(SceneBound):
         Share of the light that passes the glass.
     branch : (K, h, w) uint16 or uint32, as in the ray map
         Index into `branches`.
-    branches : tuple of tuple of str
+    branches : sequence of tuple of str
         Names of the spheres crossed; number 0 is the direct view.
     sensor_px : (int, int)
         Width and height of the frames that the map corrects.
@@ -96,7 +97,7 @@ class CorrectionMap(SceneBound):
     weight: NDArray[np.float32]
     transmittance: NDArray[np.float32]
     branch: Numbers
-    branches: tuple[Branch, ...]
+    branches: Sequence[Branch]
     sensor_px: tuple[int, int]
     scene_hash: str
 

@@ -18,6 +18,7 @@ turns one of these into another stands here; kernels write keys and trips by ``t
 """
 
 from collections.abc import Sequence
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,57 @@ Branch = tuple[str, ...]
 Numbers = NDArray[np.uint16 | np.uint32]  # of branches, whichever is long enough
 BETWEEN = " > "  # the names of a text
 SHORT_NUMBERS = 1 << 16  # branches that uint16 can number; a packed bed seen by a whole sensor has more
+
+
+class BranchList(Sequence[Branch]):
+    """Branches as numbers, each named when it is asked for: a bed has a hundred thousand.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the events.
+    events : (E,) int
+        Events of all branches, one after the other.
+    begin : (B + 1,) int
+        Where each branch begins in `events`.
+    """
+
+    def __init__(
+        self, names: Sequence[str], events: NDArray[np.integer[Any]], begin: NDArray[np.integer[Any]]
+    ) -> None:
+        self.names, self.events, self.begin = tuple(names), events, begin
+
+    def __len__(self) -> int:
+        return len(self.begin) - 1
+
+    @overload
+    def __getitem__(self, index: int) -> Branch: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Branch, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Branch | tuple[Branch, ...]:
+        places = range(len(self))[index]
+        if isinstance(places, range):
+            return tuple(self[place] for place in places)
+        events = self.events[self.begin[places] : self.begin[places + 1]].tolist()
+        return tuple([self.names[event] for event in events])
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+    def __repr__(self) -> str:
+        return f"BranchList({len(self)} branches)"
+
+
+def lengths_of(branches: Sequence[Branch]) -> NDArray[np.int64]:
+    """Bodies crossed on each branch (B,)."""
+    if isinstance(branches, BranchList):
+        return np.diff(branches.begin).astype(np.int64)
+    return np.array([len(names) for names in branches], np.int64)
 
 
 def event_numbers(scene: Scene) -> dict[str, int]:
@@ -140,6 +192,7 @@ def branch_of(text: str) -> Branch:
 __all__ = [
     "DIRECT",
     "Branch",
+    "BranchList",
     "Numbers",
     "branch_of",
     "chain",
@@ -148,6 +201,7 @@ __all__ = [
     "event_numbers",
     "key_of",
     "last_sphere",
+    "lengths_of",
     "mirrored_numbers",
     "name_keys",
     "number_in",

@@ -1,8 +1,9 @@
 """When and how a whole sensor is traced in lockstep (``tracer.kernels.chain``).
 
 Lockstep serves scenes of a few solid transparent spheres that are nowhere optically thinner than the room: every
-scene of the paper.  Anything else (supports, opaque balls, bubbles, hollow balls, a whole bed) goes through
-``march``, pixel by pixel.  Both give the same map to rounding; a test holds them together.
+scene of the paper.  More of them, opaque ones and bubbles go in bundles (``tracer.beds``), anything else
+(supports, hollow balls, walls) through ``march``, pixel by pixel.  All give the same map to rounding; tests hold
+them together.
 
 Branches are numbered beforehand (``tracer.branches``).  What rays meet in another order than a number can say is
 traced again by ``march``, which names it.
@@ -101,7 +102,7 @@ def find_mirrors(scene: Scene) -> Mirrors:
 def row_scratch(width: int, bodies: int) -> RowScratch:
     """Memory of one thread for the kernels in ``tracer.kernels.sensor``."""
     spans, wanted = np.empty((3 * bodies + 1, 2), np.int64), np.empty(bodies, np.int64)
-    x, y = _aligned(width + VECTOR, np.float64), _aligned(width + VECTOR, np.float64)
+    x, y = aligned(width + VECTOR, np.float64), aligned(width + VECTOR, np.float64)
     return RowScratch(x, y, spans, wanted, *block_scratch())
 
 
@@ -134,7 +135,7 @@ def by_march(
 
 def block_scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Scratch ``rays`` and ``trips`` of one block."""
-    return _aligned(RAY_NUMBERS, np.float64), _aligned(TRIP_NUMBERS, np.int64)
+    return aligned(RAY_NUMBERS, np.float64), aligned(TRIP_NUMBERS, np.int64)
 
 
 def pack_chain(scene: Scene) -> NDArray[np.float64]:
@@ -149,7 +150,7 @@ def sphere_discs(table: NDArray[np.float64]) -> NDArray[np.float64]:
     return discs
 
 
-def _aligned(count: int, dtype: type) -> NDArray[Any]:
+def aligned(count: int, dtype: type) -> NDArray[Any]:
     """Uninitialised numbers of 8 bytes that begin at a cache line: vectors across two lines cost twice."""
     memory = np.empty(8 * count + LINE, np.uint8)
     start = -memory.__array_interface__["data"][0] % LINE  # `ctypes` takes as long as a row

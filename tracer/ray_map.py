@@ -6,6 +6,7 @@ The ray map is computed once for a scene and can be stored; the content hash of 
 a map that belongs to another scene is refused.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from ground.map_file import Hash, checked, load_arrays, save_arrays
 from ground.memory import require_memory
 from ground.rows import run_rows
 from ground.short_repr import short_repr
+from tracer.beds import fits_bed, trace_bed
 from tracer.branches import Branch, Numbers, number_keys
 from tracer.cells import world_of
 from tracer.kernels.maps import trace_rows
@@ -50,7 +52,7 @@ class RayMap(SceneBound):
         RayStatus.
     branch : (H, W) uint16, or uint32 where there are more than 65536 branches
         Index into `branches`.
-    branches : tuple of tuple of str
+    branches : sequence of tuple of str
         Names of the spheres crossed, in order; number 0 is the direct view, ().
     scene_hash : str
         Content hash of the scene.
@@ -59,7 +61,7 @@ class RayMap(SceneBound):
     plane_mm: NDArray[np.float64 | np.float32]
     status: NDArray[np.uint8]
     branch: Numbers
-    branches: tuple[Branch, ...]
+    branches: Sequence[Branch]
     scene_hash: str
 
     @property
@@ -145,6 +147,9 @@ def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = Fal
     if fits_lockstep(scene):
         branches = trace_lockstep(scene, plane, status, branch)
         return RayMap(plane, status, branch, branches, scene.content_hash())
+    if fits_bed(scene):
+        numbers, named = trace_bed(scene, plane, status, branch)
+        return RayMap(plane, status, numbers, named, scene.content_hash())
     key = np.empty((height, width), np.int64)
     camera, world = pack_camera(scene.camera), world_of(scene)
 

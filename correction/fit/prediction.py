@@ -130,7 +130,7 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     window = _windows(seen_from_target, pixel, axes, board.square_mm)
     at = np.rint(pixel).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64)
-    every = Expected(index, pixel, axes, found.branch[seen], rim, window, found.branches, away > RIM_PX)
+    every = Expected(index, pixel, axes, found.branch[seen], rim, window, tuple(found.branches), away > RIM_PX)
     return every.take((window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
 
 

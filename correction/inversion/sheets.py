@@ -16,6 +16,7 @@ from correction.inversion.kernels.inverse import Tables
 from correction.inversion.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
 from correction.inversion.kernels.starts import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
 from ground.rows import run_rows
+from tracer.branches import lengths_of
 from tracer.ray_map import RayMap
 
 Starts = tuple[NDArray[np.float64], NDArray[np.int32]]  # (N, 4) and (N, 2), see `scatter_sheet`
@@ -50,7 +51,7 @@ class Sheets:
         height, width = ray_map.status.shape
         self.tables, self.grid_numbers = tables, np.array([*grid.origin_mm, grid.pitch_mm])
         self.plane, self.branch = ray_map.plane_mm.reshape(height, 2 * width), ray_map.branch
-        self.events = np.array([len(names) for names in ray_map.branches])
+        self.events = lengths_of(ray_map.branches)
         self.flags, self.taken, self.stamp = np.empty((height, width), np.uint8), np.zeros(grid.shape, np.uint8), 0
         # A pixel's largest square, two wide, is sqrt(8) of its longest side across.
         across = math.sqrt(8.0) * longest_mm / grid.pitch_mm
