@@ -1,6 +1,6 @@
 """How a whole sensor is traced behind many spheres (``tracer.kernels.bundle``).
 
-Beds serve scenes of solid and opaque spheres, however many, in one room: those that ``lockstep`` does not take
+Beds serve scenes of solid and opaque round spheres, however many, in one room: those that ``lockstep`` does not take
 because they are many, opaque or thinner than the room.  They give the map of ``march`` to rounding; a test holds
 them together.
 
@@ -47,7 +47,7 @@ FIRST_ENTRIES = 1024  # branches of a book before it grows
 
 def fits_bed(scene: Scene) -> bool:
     """Whether a scene can be traced in bundles."""
-    return not scene.other_tables() and scene.sphere_table().shape[1] == SOLID
+    return not scene.other_tables() and not scene.shapes() and scene.sphere_table().shape[1] == SOLID
 
 
 class Balls:

@@ -127,6 +127,14 @@ def test_same_bits_for_any_tile(shift: int) -> None:
         assert np.array_equal(names[0][there], names[1])
 
 
+def test_a_ball_out_of_round_is_not_taken_for_a_sphere() -> None:
+    where = small(packed(16))
+    first, *rest = where.spheres
+    bent = where.with_bodies([replace(first, shape_um=(30.0,) + 44 * (0.0,)), *rest])
+    assert not fits_bed(bent)
+    check(bent)
+
+
 def test_a_map_without_any_ball_in_view() -> None:
     where = packed(16)
     away = camera_at((500.0, 0.0, 300.0), (500.0, 0.0, 0.0), 300.0, (40, 33))
