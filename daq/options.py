@@ -278,6 +278,9 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
         "--retake", action="store_true", help="take steps again of which a frame is missing or damaged"
     )
 
+    for verb in (acquire, resume):
+        verb.add_argument("--live", action="store_true", help="show frames on a page in the browser as they come")
+
     check = verbs.add_parser("check", help="whether files are right, and runs what was acquired")
     check.add_argument(
         "paths", type=Path, nargs="+", metavar="PATH", help="scene, bench, plan or PIV file, or folder of a run"
@@ -308,6 +311,16 @@ def _bench_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -
     camera.add_argument("action", choices=("list", "snap"))
     _bench_options(camera)
     camera.add_argument("-o", "--out", type=Path, default=Path("snap.tif"), help="file (default: snap.tif)")
+
+    live = verbs.add_parser("live", help="a page in the browser with frames as they come; nothing is kept")
+    _bench_options(live)
+    live.add_argument("--scene", type=Path, help="scene for the correction, such as a fitted one")
+    live.add_argument("--no-correct", dest="correct", action="store_false", help="raw frames only")
+    live.add_argument("--port", type=_count, default=0, metavar="N", help="of the page (default: a free one)")
+    live.add_argument(
+        "--shows", choices=("chessboard", "particles", "flow"), default="chessboard", help="what is to be seen"
+    )
+    live.add_argument("--for-s", type=_positive, help="end by itself after this time")
 
     doctor = verbs.add_parser("doctor", help="what this computer has, and what a bench still lacks")
     doctor.add_argument("--bench", type=Path, help="bench.yaml to check as well")

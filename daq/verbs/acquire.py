@@ -1,9 +1,10 @@
 """`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
 
 import shlex
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
@@ -25,13 +26,16 @@ from daq.acquisition.runs.displacement import FILE as MOVED
 from daq.acquisition.runs.displacement import Moved, read_displacements
 from daq.acquisition.runs.gaps import gap_sentence
 from daq.acquisition.runs.run_folder import RunFolder
-from daq.errors import BadBalance, FrameDoubt, PlanError
+from daq.errors import BadBalance, FrameDoubt, PlanError, RunUsageError
 from daq.terminal import console, error_console
 from daq.verbs.operator import operator_of
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of
 from ground.errors import ConfigError
 from stages.identities import confusable
+
+if TYPE_CHECKING:
+    from daq.live.run_shown import RunShown
 
 SHOWN_STEPS = 40
 SHOWN_PAIRS = 12
@@ -51,6 +55,7 @@ def acquire(
     method: Method = "quintic",
     live_queue: int = LIVE_QUEUE,
     operator: str | None = None,
+    live: bool = False,
 ) -> Path | None:
     """Carry a plan out on a bench.
 
@@ -80,6 +85,8 @@ def acquire(
         Frames that may wait to be corrected; 1 for the lowest latency.
     operator : str, optional
         Who answers for the light of a flow run where nobody sits at a terminal; see `verbs.operator`.
+    live : bool
+        Show frames on a page in the browser as they are corrected.
 
     Returns
     -------
@@ -128,7 +135,7 @@ def acquire(
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
-    run_and_report(screen, request, loaded, steps, folder, home, operator=operator)
+    run_and_report(screen, request, loaded, steps, folder, home, operator=operator, live=live)
     return folder.path
 
 
@@ -154,12 +161,15 @@ def run_and_report(
     home: bool,
     again: Collection[int] = (),
     operator: str | None = None,
+    live: bool = False,
 ) -> dict[str, Any]:
     """Do what is left of a run, say what came of it, or how to go on."""
     try:
-        with watch(error_console()) as watcher:
+        with watch(error_console()) as watcher, _shown(screen, request, bench, folder, live) as shown:
             person = operator_of(operator, request.simulate)
-            done = carry_out(request, bench, plan, folder, home, watcher, again=again, operator=person)
+            watchers = watcher if shown is None else shown.watching(watcher)
+            show = None if shown is None else shown.show
+            done = carry_out(request, bench, plan, folder, home, watchers, again=again, operator=person, show=show)
     except (BadBalance, FrameDoubt):
         said = f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed"
         error_console().print(said, soft_wrap=True, highlight=False)
@@ -171,6 +181,25 @@ def run_and_report(
         raise
     print_done(screen, folder, done)
     return done
+
+
+@contextmanager
+def _shown(
+    screen: Console, request: Request, bench: Bench, folder: RunFolder, live: bool
+) -> "Iterator[RunShown | None]":
+    """A page for the run, if one is wanted."""
+    if not live:
+        yield None
+        return
+    from daq.live.live_page import BYTES_PER_PX, LivePage
+    from daq.live.run_shown import RunShown
+
+    if not request.correct:
+        raise RunUsageError("--live shows frames as they are corrected; leave out --no-correct")
+    width, height = bench.scene.camera.sensor_px
+    with LivePage(BYTES_PER_PX * width * height) as page:
+        screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
+        yield RunShown(page, folder.path.name)
 
 
 def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, with_steps: bool) -> None:

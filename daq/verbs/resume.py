@@ -9,7 +9,9 @@ from daq.verbs.acquire import run_and_report
 from daq.verbs.paths import Named
 
 
-def resume(run: Named, home: bool = False, retake: bool = False, operator: str | None = None) -> Path:
+def resume(
+    run: Named, home: bool = False, retake: bool = False, operator: str | None = None, live: bool = False
+) -> Path:
     """Do what is left of a run: plan minus journal.
 
     Parameters
@@ -21,6 +23,8 @@ def resume(run: Named, home: bool = False, retake: bool = False, operator: str |
     retake : bool
         Take steps again of which a frame is missing or damaged; also those of a finished run.
     operator : str, optional
+        As for `acquire`.
+    live : bool
         As for `acquire`.
 
     Returns
@@ -44,5 +48,5 @@ def resume(run: Named, home: bool = False, retake: bool = False, operator: str |
     require_libraries(found.bench.table.camera.backend)
     if found.again:
         screen.print(f"taken again for missing or damaged frames: {len(found.again)} steps")
-    run_and_report(screen, found.request, found.bench, found.plan, found.folder, home, found.again, operator)
+    run_and_report(screen, found.request, found.bench, found.plan, found.folder, home, found.again, operator, live)
     return run

@@ -68,6 +68,10 @@ class Corrections:
         """Corrector for the frames of a step; None if they are not to be corrected."""
         return self._view(step.view).corrector if step.on_plane else None
 
+    def corrector(self, view: str) -> Corrector:
+        """Corrector for a view of the investigation plane."""
+        return self._view(view).corrector
+
     def write(self, path: Path, corrected: NDArray[np.float32], step: Step, source: str) -> None:
         """Write a corrected frame as the verb `correct` does; DiskError if the disk does not take it."""
         corrector = self._view(step.view).corrector

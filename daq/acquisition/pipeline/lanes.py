@@ -21,6 +21,7 @@ import math
 import queue
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -70,6 +71,9 @@ class Job:
     record: dict[str, Any]
 
 
+Show = Callable[[Job, NDArray[np.float32]], None]  # gets a frame and its correction, and waits for nobody
+
+
 class _Shared:
     """A job that two lanes hold; the last one to let go gives the memory back."""
 
@@ -102,6 +106,8 @@ class Pipeline:
         bursts.
     raw_queue : int
         Frames that may wait to be written: it bridges moments in which the disk is busy.
+    show : callable, optional
+        Called by the live lane with each frame and its correction.
     """
 
     def __init__(
@@ -111,11 +117,13 @@ class Pipeline:
         corrections: Corrections | None,
         live_queue: int = LIVE_QUEUE,
         raw_queue: int = RAW_QUEUE,
+        show: Show | None = None,
     ) -> None:
         self.flow = Flow()
         self._folder = folder
         self._journal = journal
         self._corrections = corrections
+        self._show_to = show
         self._raw: queue.Queue[_Shared | None] = queue.Queue(raw_queue)
         self._store: queue.Queue[tuple[Job, NDArray[np.float32]] | None] = queue.Queue(STORE_QUEUE)
         self._live: LiveQueue[_Shared] = LiveQueue(live_queue)
@@ -278,11 +286,13 @@ class Pipeline:
             corrector = self._corrections.of(job.step)
             assert corrector is not None
             corrected = corrector(job.frame.pixels)
+            self.flow.latency_ms.append((time.monotonic_ns() - job.frame.meta.received_ns) / 1e6)
+            self.flow.correct_s += time.perf_counter() - begun_s
+            self.flow.corrected += 1
+            if self._show_to is not None:
+                self._show_to(job, corrected)
         finally:
             shared.let_go()
-        self.flow.latency_ms.append((time.monotonic_ns() - job.frame.meta.received_ns) / 1e6)
-        self.flow.correct_s += time.perf_counter() - begun_s
-        self.flow.corrected += 1
         if self._pairs is not None:
             self._pairs.see(job.step, job.number, corrected, job.frame.meta.received_ns)
         self._store.put((job, corrected))

@@ -19,7 +19,7 @@ from typing import Any
 from daq.acquisition.bench.opened import OpenBench, known_positions
 from daq.acquisition.pipeline.catch_up import correct_from_disk, uncorrected
 from daq.acquisition.pipeline.corrections import Corrections
-from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline
+from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline, Show
 from daq.acquisition.pipeline.live_pairs import warm_up
 from daq.acquisition.plans.pulse_order import PulseOrder
 from daq.acquisition.plans.steps import Step
@@ -109,13 +109,14 @@ class Runner:
         live_queue: int = LIVE_QUEUE,
         again: Collection[int] = (),
         operator: Operator | None = None,
+        show: Show | None = None,
     ) -> None:
         self._hardware = hardware
         self._folder = folder
         self._steps = list(steps)
         self._corrections = corrections
         self._watcher = watcher or (lambda progress: None)
-        self._live_queue = live_queue
+        self._live_queue, self._show = live_queue, show
         self._again = again
         self._journal: Journal | None = None
         self._exposures = Exposures(
@@ -184,7 +185,7 @@ class Runner:
             self._folder.path / f"camera_{count}.json", {"info": _info(self._hardware), "settings": settings}
         )
         raw_queue = max(1, self._hardware.camera_section.buffers // 2)
-        pipeline = Pipeline(self._folder, journal, self._corrections, self._live_queue, raw_queue)
+        pipeline = Pipeline(self._folder, journal, self._corrections, self._live_queue, raw_queue, self._show)
         self.progress.flow = pipeline.flow
         frames = StepFrames(
             self._folder, journal, pipeline, self._exposures, self._hardware, self.interrupts, self.progress,

@@ -17,7 +17,7 @@ from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import Bench, digest
 from daq.acquisition.bench.opened import OpenBench, open_bench
 from daq.acquisition.pipeline.corrections import Corrections
-from daq.acquisition.pipeline.lanes import LIVE_QUEUE
+from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Show
 from daq.acquisition.plans.plan import Plan, load_plan
 from daq.acquisition.plans.steps import BEHIND_GLASS, Step, frame_count
 from daq.acquisition.runner.light import Operator
@@ -228,6 +228,7 @@ def carry_out(
     before: Callable[[OpenBench], None] | None = None,
     again: Collection[int] = (),
     operator: Operator | None = None,
+    show: Show | None = None,
 ) -> dict[str, Any]:
     """Open the bench and do what is left of a run; return the contents of done.json.
 
@@ -245,6 +246,8 @@ def carry_out(
         Finished steps that are to be taken again, see `reopen`.
     operator : Operator, optional
         The person at the bench, whom a laser asks for its word.
+    show : callable, optional
+        Gets each frame that is corrected as it arrives, for a page.
 
     Raises
     ------
@@ -283,5 +286,7 @@ def carry_out(
         if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
             for name in (DONE, MOVED):
                 (folder.path / name).unlink(missing_ok=True)
-        runner = Runner(hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator)
+        runner = Runner(
+            hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator, show
+        )
         return runner.run()

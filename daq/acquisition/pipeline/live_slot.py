@@ -1,0 +1,203 @@
+"""The last moment of a run, where another process can look at it: one place in memory that both have mapped.
+
+    writer (live lane)  --moment-->  file of fixed size, two halves  --moment-->  readers, as many as like
+
+Whoever measures waits for nobody.  The writer fills the half that was not shown last and then says which one is
+newer; each half has a count that is odd while it is written.  A reader copies a half and takes it only if its
+count was even and the same before and after: else the writer has overtaken it, and it looks again.  What nobody
+looked at is gone; the number of the moment says how many that were.
+"""
+
+import json
+import mmap
+import os
+import struct
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import DaqError
+
+MAGIC = b"rtpivlv1"
+HEAD = struct.Struct("<8sQQQ")  # magic, bytes of a half, moments so far, which half is newest
+HALF = struct.Struct("<QII")  # count, bytes of words, number of pictures
+PICTURE = struct.Struct("<16sIIcxxx")  # name, height, width, type
+WORDS_BYTES = 65_536
+MOST_PICTURES = 4
+MOST_BYTES = 1 << 31
+TRIES = 50
+TYPES: dict[bytes, np.dtype[Any]] = {b"H": np.dtype("<u2"), b"f": np.dtype("<f4")}
+CODES = {dtype: code for code, dtype in TYPES.items()}
+
+
+class NoSlotError(DaqError):
+    """There is no slot to look into, or it is not one."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What was seen at one time.
+
+    Parameters
+    ----------
+    number : int
+        Counted from 1; gaps are moments that nobody looked at.
+    words : dict
+        What is known beside the pictures.
+    pictures : dict
+        Name to pixels (H, W), uint16 or float32.
+    """
+
+    number: int
+    words: dict[str, Any]
+    pictures: dict[str, NDArray[Any]]
+
+
+class SlotWriter:
+    """The side of whoever measures.
+
+    Parameters
+    ----------
+    most_bytes : int
+        Bytes of all pictures of a moment together.
+    """
+
+    def __init__(self, most_bytes: int) -> None:
+        half = HALF.size + WORDS_BYTES + MOST_PICTURES * PICTURE.size + most_bytes
+        if HEAD.size + 2 * half > MOST_BYTES:
+            raise NoSlotError(
+                f"frames of {most_bytes / 1e6:.0f} MB are too large to be shown live; lower the sensor's"
+            )
+        folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
+        handle, name = tempfile.mkstemp(prefix="rtpiv-live-", dir=folder)  # mode 0600
+        try:
+            os.ftruncate(handle, HEAD.size + 2 * half)
+            self._memory = mmap.mmap(handle, HEAD.size + 2 * half)
+        finally:
+            os.close(handle)
+        self.path = Path(name)
+        self._half, self._count = half, 0
+        self._memory[: HEAD.size] = HEAD.pack(MAGIC, half, 0, 0)
+
+    def put(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
+        """Show a moment; takes the time of a copy, and waits for nobody.
+
+        Pictures that do not fit are left out: the page says so, the run goes on.
+        """
+        self._count += 1
+        which = self._count % 2
+        start = HEAD.size + which * self._half
+        text = json.dumps(dict(words)).encode()[:WORDS_BYTES]
+        shown = [(name, pixels) for name, pixels in pictures.items() if pixels.dtype in CODES][:MOST_PICTURES]
+        self._memory[start : start + HALF.size] = HALF.pack(2 * self._count - 1, len(text), len(shown))
+        at = start + HALF.size
+        self._memory[at : at + len(text)] = text
+        at += WORDS_BYTES
+        data = at + MOST_PICTURES * PICTURE.size
+        for name, pixels in shown:
+            if data + pixels.nbytes > start + self._half:
+                height = width = 0
+            else:
+                height, width = pixels.shape
+                room = np.frombuffer(self._memory, pixels.dtype, height * width, data)
+                np.copyto(room.reshape(height, width), pixels)
+                del room
+                data += pixels.nbytes
+            self._memory[at : at + PICTURE.size] = PICTURE.pack(
+                name.encode()[:16], height, width, CODES[pixels.dtype]
+            )
+            at += PICTURE.size
+        self._memory[start : start + HALF.size] = HALF.pack(2 * self._count, len(text), len(shown))
+        self._memory[: HEAD.size] = HEAD.pack(MAGIC, self._half, self._count, which)
+
+    def close(self) -> None:
+        """Take the place down; readers keep what they have."""
+        self.path.unlink(missing_ok=True)
+        self._memory.close()
+
+
+class SlotReader:
+    """The side of whoever looks.
+
+    Parameters
+    ----------
+    path : Path
+        File of the writer.
+
+    Raises
+    ------
+    NoSlotError
+        It is not there, or not a slot.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with path.open("rb") as stream:
+                self._memory = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except (OSError, ValueError) as error:
+            raise NoSlotError(f"{path}: nothing is shown there ({error})") from None
+        self.path = path
+        magic, self._half, _, _ = self._head() if len(self._memory) >= HEAD.size else (b"", 0, 0, 0)
+        if magic != MAGIC or HEAD.size + 2 * self._half != len(self._memory):
+            raise NoSlotError(f"{path}: this is no place where a run shows its frames")
+
+    @property
+    def number(self) -> int:
+        """Number of the last moment; 0 before the first."""
+        return int(self._head()[2])
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the writer has taken the place down."""
+        return not self.path.exists()
+
+    def latest(self) -> Moment | None:
+        """Return the last moment, copied whole; None before the first, or if the writer overtakes every look."""
+        for _ in range(TRIES):
+            _, _, number, which = self._head()
+            if number == 0:
+                return None
+            start = HEAD.size + which * self._half
+            before, words, count = HALF.unpack_from(self._memory, start)
+            if before % 2 == 0 and words <= WORDS_BYTES and count <= MOST_PICTURES:
+                moment = self._copied(start, before // 2, words, count)
+                if moment is not None and HALF.unpack_from(self._memory, start)[0] == before:
+                    return moment
+            time.sleep(0.001)
+        return None
+
+    def close(self) -> None:
+        """Look no more."""
+        self._memory.close()
+
+    def _head(self) -> tuple[bytes, int, int, int]:
+        magic, half, number, which = HEAD.unpack_from(self._memory, 0)
+        return magic, half, number, which & 1
+
+    def _copied(self, start: int, number: int, words: int, count: int) -> Moment | None:
+        """A moment; None where it cannot be one, because the writer was in it meanwhile."""
+        at = start + HALF.size
+        text = bytes(self._memory[at : at + words])
+        at += WORDS_BYTES
+        data, pictures = at + MOST_PICTURES * PICTURE.size, {}
+        for _ in range(count):
+            name, height, width, code = PICTURE.unpack_from(self._memory, at)
+            at += PICTURE.size
+            dtype = TYPES.get(code)
+            if dtype is None or data + height * width * dtype.itemsize > start + self._half:
+                return None
+            if height and width:
+                pixels = np.frombuffer(self._memory, dtype, height * width, data).reshape(height, width)
+                pictures[name.rstrip(b"\0").decode(errors="replace")] = pixels.copy()
+                data += height * width * dtype.itemsize
+        try:
+            known = json.loads(text)
+        except ValueError:
+            return None
+        return Moment(number, known, pictures) if isinstance(known, dict) else None

@@ -1,0 +1,124 @@
+"""`rtpiv live`: a page in the browser with frames as the camera gives them, raw and corrected; nothing is kept."""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import CAMERA, Bench
+from daq.acquisition.bench.opened import open_bench
+from daq.acquisition.cameras.frame import Frame
+from daq.acquisition.pipeline.corrections import Corrections
+from daq.acquisition.plans.steps import BEHIND_GLASS
+from daq.acquisition.runner.exposures import Exposures
+from daq.live.live_page import BYTES_PER_PX, LivePage
+from daq.terminal import console
+from daq.verbs.paths import Named, path_of
+from tracer.scene_file import load_scene
+
+BATCH = 1000  # frames of one arming
+
+
+def live(
+    bench: Named = "bench.yaml",
+    simulate: bool = False,
+    scene: Named | None = None,
+    correct: bool = True,
+    port: int = 0,
+    shows: str = "chessboard",
+    for_s: float | None = None,
+) -> int:
+    """Show what the camera sees until Ctrl-C.
+
+    Parameters
+    ----------
+    bench : path
+        bench.yaml; its camera is opened with its settings, nothing else is touched.
+    simulate : bool
+        Use its simulation.
+    scene : path, optional
+        Scene for the correction, such as a fitted one; default is the bench's.
+    correct : bool
+        Show corrected frames beside raw ones.
+    port : int
+        Where the page listens on this computer; 0 takes a free one.
+    shows : {"chessboard", "particles", "flow"}
+        What there is to be seen; a page that looks at a chessboard says nothing of particles.
+    for_s : float, optional
+        End by itself after this time.
+
+    Returns
+    -------
+    int
+        Frames seen.
+
+    Raises
+    ------
+    CameraError
+        The camera is not there, or gives no frame.
+    PageError
+        The page cannot be shown.
+    """
+    screen, loaded = console(), load_bench(bench)
+    height, width = loaded.scene.camera.shape
+    corrector = _corrector(loaded, path_of(scene)) if correct else None
+    seen, begun_s = 0, time.monotonic()
+    with ExitStack() as stack:
+        page = stack.enter_context(LivePage(BYTES_PER_PX * height * width, port))
+        hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
+        exposures = Exposures(hardware.camera, hardware.camera_section)
+        exposures.set_up()
+        screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
+        screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
+        try:
+            for frame in _endless(exposures):
+                with frame:
+                    corrected = None if corrector is None else corrector(frame.pixels)
+                    page.show(*_moment(loaded, frame, corrected, shows, seen, begun_s))
+                seen += 1
+                if for_s is not None and time.monotonic() - begun_s > for_s:
+                    break
+        except KeyboardInterrupt:
+            pass
+        finally:
+            exposures.end()
+    return seen
+
+
+def _corrector(bench: Bench, scene: Path | None) -> Any:  # noqa: ANN401 - a Corrector
+    corrections = Corrections(bench.scene if scene is None else load_scene(scene))
+    corrections.prepare([BEHIND_GLASS])
+    return corrections.corrector(BEHIND_GLASS)
+
+
+def _endless(exposures: Exposures) -> Iterator[Frame]:
+    while True:
+        for _, frame in exposures.frames(BATCH, may_lose=BATCH):
+            yield frame
+
+
+def _moment(
+    bench: Bench, frame: Frame, corrected: NDArray[np.float32] | None, shows: str, seen: int, begun_s: float
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    elapsed_s = max(time.monotonic() - begun_s, 1e-9)
+    age_ms = (time.monotonic_ns() - frame.meta.received_ns) / 1e6
+    words = {
+        "run": f"{bench.table.name}: nothing is kept",
+        "doing": "axes are not asked: the correction is for the place that the scene file gives them",
+        "shows": shows,
+        "bits": frame.meta.significant_bits,
+        "counters": {
+            "frames": [str(seen + 1), False],
+            "frames a second": [f"{(seen + 1) / elapsed_s:.1f}", False],
+            "from camera to page": [f"{age_ms:.0f} ms", age_ms > 500.0],
+        },
+    }
+    pictures: dict[str, NDArray[Any]] = {"raw": frame.pixels}
+    if corrected is not None:
+        pictures["corrected"] = corrected
+    return words, pictures

@@ -1,0 +1,233 @@
+"""The live page in a real browser, and whoever has no business with it."""
+
+import http.client
+import json
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("websockets")
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from daq.live.live_page import LivePage
+from tests.daq.live.chromium import chromium, tab_at
+
+SIDE = 1008
+EVIL = "<img src=x onerror='window.hit=1'><script>window.hit=1</script>"
+
+
+def moment(number: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A moment as a run shows it: particles, one saturated square, and a corrected half."""
+    rng = np.random.default_rng(number % 4)
+    raw = rng.integers(90, 130, (SIDE, SIDE)).astype(np.uint16)
+    raw[100:110, 200:210] = 4095
+    raw[::16, ::16] = 1200
+    corrected = raw.astype(np.float32)
+    corrected[:, : SIDE // 4] = np.nan
+    counters = {"frames": [str(number), False], "lost": ["3", True]}
+    return {"run": EVIL, "doing": "step 1", "bits": 12, "counters": counters}, {"raw": raw, "corrected": corrected}
+
+
+class Showing:
+    """Somebody who measures at a rate, and shows what there is."""
+
+    def __init__(self, page: LivePage, rate_hz: float) -> None:
+        self.page, self._moments = page, [moment(number) for number in range(4)]
+        self.shown, self.slowest_s, self._ends, self._period_s = 0, 0.0, threading.Event(), 1.0 / rate_hz
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
+        while not self._ends.wait(self._period_s):
+            begun_s = time.monotonic()
+            self.page.show(*self._moments[self.shown % 4])
+            self.slowest_s = max(self.slowest_s, time.monotonic() - begun_s)
+            self.shown += 1
+
+    def end(self) -> None:
+        self._ends.set()
+        self._thread.join()
+
+
+@contextmanager
+def showing(rate_hz: float = 20.0) -> Iterator[Showing]:
+    with LivePage(2 * 6 * SIDE * SIDE) as page:
+        measures = Showing(page, rate_hz)
+        try:
+            yield measures
+        finally:
+            measures.end()
+
+
+@pytest.fixture(scope="module")
+def measures() -> Iterator[Showing]:
+    with showing() as found:
+        yield found
+
+
+@contextmanager
+def viewer(page: LivePage, token: str | None = None, **options: Any) -> Iterator[ClientConnection]:
+    """A viewer with the token, or another one."""
+    origin = options.pop("origin", f"http://127.0.0.1:{page.port}")
+    address = f"ws://127.0.0.1:{page.port}/frames"
+    with connect(address, origin=origin, compression=None, max_size=None, close_timeout=0.5, **options) as found:
+        found.send(json.dumps({"token": page.url.split("#")[1] if token is None else token}))
+        yield found
+
+
+def until_closed(found: ClientConnection) -> None:
+    """Take what comes; ConnectionClosed in the end."""
+    while True:
+        found.recv(timeout=20.0)
+
+
+def taken(found: ClientConnection) -> tuple[dict[str, Any], list[bytes]]:
+    words = json.loads(found.recv(timeout=20.0))
+    return words, [bytes(found.recv(timeout=20.0)) for _ in words.get("shown", ())]
+
+
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium on this computer")
+def test_a_browser_shows_frames(measures: Showing) -> None:
+    with tab_at(measures.page.url) as tab:
+        tab.until("window.rtpivLive && window.rtpivLive.drawn > 5")
+        assert tab.value("window.rtpivLive.first_ms") < 5000.0  # 1 s on a quiet computer
+        begun, begun_s = tab.value("window.rtpivLive.drawn"), time.monotonic()
+        time.sleep(2.0)
+        rate_hz = (tab.value("window.rtpivLive.drawn") - begun) / (time.monotonic() - begun_s)
+        print(f"first picture after {tab.value('window.rtpivLive.first_ms'):.0f} ms, {rate_hz:.1f} a second")
+        assert rate_hz > 1.0
+        # a name with script in it is text
+        assert tab.value("document.getElementById('run').textContent") == EVIL
+        assert tab.value("window.hit") is None
+        # saturated pixels are red, particles are not, what is not recovered is dark blue
+        tab.value("document.querySelector('[data-mode=raw]').click()")
+        colour = "[...document.getElementById('%s').getContext('2d').getImageData(%d, %d, 1, 1).data]"
+        assert tab.value(colour % ("raw", 205, 105)) == [255, 32, 32, 255]
+        red, green, blue, _ = tab.value(colour % ("raw", 208, 208))
+        assert red == green == blue > 200
+        assert tab.value(colour % ("corrected", 100, 500)) == [16, 32, 64, 255]
+        assert "wrong" in tab.value("document.getElementById('counters').innerHTML")
+        tab.until(
+            "document.getElementById('advice').textContent.length > 0 || window.rtpivLive.words.figures.maps"
+        )
+        tab.value("document.dispatchEvent(new KeyboardEvent('keydown', {key: 'b'}))")
+        tab.until("window.rtpivLive.view.mode === 'blink'")
+
+
+def test_what_others_ask_is_refused(measures: Showing) -> None:
+    port = measures.page.port
+
+    def status(method: str, path: str, host: str) -> int:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10.0)
+        try:
+            connection.putrequest(method, path, skip_host=True)
+            connection.putheader("Host", host)
+            connection.endheaders()
+            return connection.getresponse().status
+        except (http.client.HTTPException, OSError):
+            return 0  # cut off
+        finally:
+            connection.close()
+
+    good = f"127.0.0.1:{port}"
+    assert status("GET", "/", good) == 200
+    assert status("GET", "/page.js", f"localhost:{port}") == 200
+    assert status("GET", "/", f"evil.example:{port}") == 403
+    assert status("GET", "/", "127.0.0.1") == 403
+    assert status("GET", "/../serve.py", good) == 404
+    assert status("GET", "/page/index.html", good) == 404
+    for method in ("POST", "PUT", "DELETE", "OPTIONS"):
+        assert status(method, "/", good) != 200
+    for origin in ("http://evil.example", None, "null", f"https://127.0.0.1:{port}"):
+        with pytest.raises(InvalidStatus) as refused, viewer(measures.page, origin=origin):
+            pass
+        assert refused.value.response.status_code == 403
+    for token in ("", "x" * 32, measures.page.url.split("#")[1][:-1]):
+        with viewer(measures.page, token) as found:
+            with pytest.raises(ConnectionClosed):
+                found.recv(timeout=20.0)
+            assert found.close_code == 1008
+    with viewer(measures.page) as found:
+        taken(found)
+        found.send("x" * 100_000)
+        with pytest.raises(ConnectionClosed):
+            until_closed(found)
+
+
+def test_the_page_may_run_nothing_from_elsewhere(measures: Showing) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", measures.page.port, timeout=10.0)
+    connection.request("GET", "/")
+    answer = connection.getresponse()
+    policy, body = answer.headers["Content-Security-Policy"], answer.read().decode()
+    connection.close()
+    assert "default-src 'self'" in policy
+    assert "unsafe" not in policy
+    assert "http://" not in body
+    assert "https://" not in body
+    assert answer.headers["Cache-Control"] == "no-store"
+
+
+def test_what_a_viewer_missed_is_counted(measures: Showing) -> None:
+    with viewer(measures.page) as found:
+        first, pictures = taken(found)
+        assert first["shown"] == ["raw", "corrected"]
+        assert len(pictures[0]) == 40 + 2 * SIDE * SIDE
+        got, last = 1, first
+        for pause_s in (0.0, 0.5, 0.0, 0.3):
+            time.sleep(pause_s)
+            found.send(json.dumps({"drawn": last["number"], "wanted": ["raw"], "part": [100, 100, 64]}))
+            last, pictures = taken(found)
+            got += 1
+        assert last["missed"] + got == last["number"] - first["number"] + 1
+        assert last["missed"] > 5
+        assert len(pictures) == 1
+        assert len(pictures[0]) == 40 + 2 * 64 * 64
+        for nonsense in (
+            "[",
+            '{"part": [1, 2]}',
+            '{"part": "x", "wanted": 3}',
+            "[" * 3000,
+            '{"part": [-5, 1e9, 2]}',
+        ):
+            found.send(nonsense)
+            taken(found)
+
+
+def test_stalled_viewers_and_a_killed_page_hold_nobody_up() -> None:
+    with showing() as measures, ExitStack() as stack:
+        stalled = [stack.enter_context(viewer(measures.page)) for _ in range(50)]
+        dead = socket.create_connection(("127.0.0.1", measures.page.port))  # says nothing at all
+        time.sleep(1.0)
+        before = measures.shown
+        time.sleep(1.0)
+        assert measures.shown - before > 8
+        with viewer(measures.page) as found:
+            taken(found)
+        os.kill(measures.page.server_pid, signal.SIGKILL)
+        before = measures.shown
+        time.sleep(0.5)
+        assert measures.shown - before > 3
+        assert len(stalled) == 50
+        dead.close()
+        print(f"slowest of {measures.shown} moments: {1e3 * measures.slowest_s:.1f} ms")
+
+
+def test_viewers_are_told_that_it_is_over() -> None:
+    with ExitStack() as stack:
+        with showing() as measures:
+            found = stack.enter_context(viewer(measures.page))
+            taken(found)
+            path = measures.page._slot.path
+            assert path.stat().st_mode & 0o077 == 0
+        assert not path.exists()
+        with pytest.raises(ConnectionClosed):
+            until_closed(found)

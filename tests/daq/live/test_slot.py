@@ -1,0 +1,66 @@
+"""The place in memory through which a run is looked at."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.acquisition.pipeline.live_slot import NoSlotError, SlotReader, SlotWriter
+
+
+def test_a_moment_is_whole_however_fast_the_writer_is() -> None:
+    """Every pixel of a moment has the number of the moment, while it is overwritten as fast as it can be."""
+    writer = SlotWriter(4 * 300 * 400)
+    reader = SlotReader(writer.path)
+    assert reader.latest() is None
+    ends = threading.Event()
+
+    def write() -> None:
+        number = 0
+        while not ends.is_set():
+            number += 1
+            writer.put({"number": number}, {"raw": np.full((300, 400), number % 60_000, np.uint16)})
+
+    thread = threading.Thread(target=write)
+    thread.start()
+    seen: list[int] = []
+    end_s = time.monotonic() + 20.0
+    while len(set(seen)) < 50 and time.monotonic() < end_s:
+        moment = reader.latest()
+        if moment is not None:
+            assert moment.words["number"] == moment.number
+            assert (moment.pictures["raw"] == moment.number % 60_000).all()
+            seen.append(moment.number)
+    ends.set()
+    thread.join()
+    assert seen == sorted(seen)
+    assert len(set(seen)) == 50
+    writer.close()
+    assert reader.is_over
+
+
+def test_two_pictures_come_back_as_they_were() -> None:
+    writer = SlotWriter(10_000)
+    corrected = np.array([[1.5, np.nan]], np.float32)
+    writer.put({"text": "ä"}, {"raw": np.arange(6, dtype=np.uint16).reshape(2, 3), "corrected": corrected})
+    moment = SlotReader(writer.path).latest()
+    assert moment is not None
+    assert moment.words == {"text": "ä"}
+    np.testing.assert_array_equal(moment.pictures["raw"], [[0, 1, 2], [3, 4, 5]])
+    np.testing.assert_array_equal(moment.pictures["corrected"], corrected)
+    writer.put({}, {"raw": np.zeros((200, 200), np.uint16)})  # does not fit
+    late = SlotReader(writer.path).latest()
+    assert late is not None
+    assert late.pictures == {}
+    writer.close()
+
+
+def test_what_is_no_slot_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(NoSlotError):
+        SlotReader(tmp_path / "none")
+    for content in (b"", b"x" * 10, b"rtpivlv1" + b"\xff" * 5000):
+        (tmp_path / "slot").write_bytes(content)
+        with pytest.raises(NoSlotError):
+            SlotReader(tmp_path / "slot")
