@@ -1,8 +1,8 @@
 """How a whole sensor is traced behind many spheres (``tracer.kernels.bundle``).
 
-Beds serve scenes of solid and opaque round spheres, however many, in one room: those that ``lockstep`` does not take
-because they are many, opaque or thinner than the room.  They give the map of ``march`` to rounding; a test holds
-them together.
+Beds serve scenes of solid and opaque round spheres, however many, in one room: those that ``lockstep`` does not
+take because they are many, opaque or thinner than the room.  They give the map of ``march`` to rounding; a test
+holds them together.
 
 Every thread notes in a book of its own which branches it met.  The books become one list, numbered by length and
 name, whoever traced what; what remains a list of numbers until somebody asks for its names (`BranchList`).
