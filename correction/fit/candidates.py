@@ -16,7 +16,7 @@ from correction.board.saddles import Saddles
 from correction.fit.solver import Corners, Residuals, free_rates, landed
 from correction.fit.unknowns import Unknowns
 from tracer.branches import DIRECT
-from tracer.sensitivity import SPHERE, Landings
+from tracer.sensitivity import SPHERE, TARGET, Landings, parameter_names
 
 SQUEEZED = 5.0  # a raw pixel that covers more corrected pixels than this shows no squares
 WIDER = 1.15  # candidates are looked for in spheres wider by this
@@ -72,13 +72,23 @@ def candidates_of(
     bare = np.linalg.norm(rays.point_mm - node, axis=1) < 0.1 * board.square_mm
     wide = np.array(full)
     wide[unknowns.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
-    inside = (
-        landed(unknowns, wide, Corners(height_number, True, everything.pixel, everything.node_mm, 1.0)).key
-        != DIRECT
-    )
-    inside &= saddles.strength > least
-    chosen = inside | (~bare & (saddles.strength > least))
+    through = landed(unknowns, wide, Corners(height_number, True, everything.pixel, everything.node_mm, 1.0))
+    inside = _behind_balls(unknowns, through, rays) & (saddles.strength > least)
+    in_wall = rays.recovered & (rays.key != DIRECT)  # squeezed by the wall of a tube: no ball is there
+    chosen = inside | (~bare & ~in_wall & (saddles.strength > least))
     return Candidates(height_number, saddles.position_px[chosen], bright[chosen], inside[chosen], bare[chosen])
+
+
+def _behind_balls(unknowns: Unknowns, rays: Landings, bare: Landings) -> NDArray[np.bool_]:
+    """Rays (N,) that a ball turns, or loses; going through a tube's wall alone does not count."""
+    behind, scene = rays.key != DIRECT, unknowns.scene
+    standing = {body.name for body in scene.bodies if body.stays}
+    if not standing:
+        return np.asarray(behind)
+    owners = [name.rpartition(".")[0] for name in parameter_names(scene)[: -len(TARGET)]]
+    of_glass = [place for place, owner in enumerate(owners) if owner not in {"camera", *standing}]
+    turned = np.any(rays.rate[:, :, of_glass] != 0.0, axis=(1, 2))
+    return np.asarray(behind & np.where(rays.recovered, turned, bare.recovered))
 
 
 def nearest_nodes(

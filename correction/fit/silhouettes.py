@@ -26,6 +26,7 @@ from correction.fit.measurement import MeasuredFrame
 from correction.fit.pairing import moved
 from correction.fit.solver import Corners, landed
 from correction.fit.unknowns import Unknowns
+from tracer.branches import DIRECT
 from tracer.camera import Camera
 from tracer.scene import Scene
 from tracer.trace import trace
@@ -38,6 +39,7 @@ ENOUGH = 12  # of them that make a rim a ball's own
 FEWEST = 50  # corners of the lattice that must be seen or hidden
 SURE = 3.0  # sigmas from which a move is more than chance
 SAME = 0.1  # squares: a saddle so near to a corner of its kind is that corner
+GAS = 0.01  # by which gases differ in n, and no liquid
 DEPTH_MM = 4.0  # what the outlines may be off in depth whatever their sigma: rims blur, and hide less or more
 
 
@@ -212,6 +214,9 @@ def seen_outlines(
         Of the frame's target.
     board : Chessboard
     """
+    around = [unknowns.scene.n_around(ball) for ball in unknowns.scene.spheres]
+    if any(abs(n - unknowns.scene.n_ambient) > GAS for n in around):
+        return None  # behind a window of liquid a ball is not seen in the direction in which it stands
     strong = saddles.strength > least
     pixel, bright = saddles.position_px[strong], saddles.edges[strong].sum(axis=1)
     rays = landed(unknowns, full, Corners(height_number, False, pixel, np.zeros_like(pixel), 1.0))
@@ -225,7 +230,8 @@ def seen_outlines(
     rest = [body for body in scene.bodies if body not in scene.spheres]
     clear = np.ones(len(corners), dtype=np.bool_)
     if rest:  # what hides a corner is then no ball
-        clear = trace(scene.with_camera(camera).with_bodies(rest), camera.project(corners)).recovered
+        seen = trace(scene.with_camera(camera).with_bodies(rest), camera.project(corners))
+        clear = seen.recovered & (seen.rays["key"] == DIRECT)
     return outlines_of(scene, camera, free, corners[clear], hidden[clear], board.square_mm)
 
 

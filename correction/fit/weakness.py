@@ -22,6 +22,9 @@ from tracer.branches import branch_of
 LEARNED = 1.0
 TIED = 0.97
 LOOSE = 0.05
+WALL_CURE = (
+    "measure the wall (callipers, level, catalogue) and give its sigma in fit.walls, if its numbers are wanted"
+)
 SHARE = 0.3  # of a unit eigenvector, from which a number is named
 
 
@@ -58,20 +61,38 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
         text = f"no corner is seen through {name}: its place is what the scene file says"
         found.append(Weakness(tuple(n for n in fit.names if n in lost), f"{text}; smaller squares may show some"))
     values, vectors = np.linalg.eigh(fit.normal)
+    of_walls = set(fit.unknowns.other_bodies.names)
+    unknown: set[str] = set()
     for value, vector in zip(values, vectors.T, strict=True):
         names = tuple(n for n, share in zip(fit.names, vector, strict=True) if abs(share) > SHARE)
-        if value < LEARNED and not set(names) <= lost:
+        if value < LEARNED and names and set(names) <= of_walls:
+            unknown |= set(names)
+        elif value < LEARNED and not set(names) <= lost:
             text = f"{_list(fit, names)}: known no better than before, the frames do not show it"
             found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
+    found += _walls_unknown(fit, unknown)
     root = np.sqrt(np.diag(fit.covariance))
     tied = np.abs(fit.covariance / np.outer(root, root)) > TIED
     count, group = scipy.sparse.csgraph.connected_components(tied, directed=False)
     for number in range(count):
         members = group == number
         names = tuple(name for name, member in zip(fit.names, members, strict=True) if member)
-        if len(names) > 1 and root[members].max() > LOOSE:
+        if len(names) > 1 and root[members].max() > LOOSE and not set(names) <= unknown:
             text = f"{_list(fit, names)} are nearly one unknown, known well only together"
             found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
+    return found
+
+
+def _walls_unknown(fit: SceneFit, unknown: set[str]) -> list[Weakness]:
+    """One sentence a wall: what frames do not tell of it, why that is so, and whether it matters."""
+    found = []
+    for body, _ in fit.unknowns.other_bodies.bodies:
+        names = tuple(name for name in fit.names if name in unknown and name.startswith(f"{body.name}."))
+        if names:
+            text = f"{body.kind} {body.name}: {_list(fit, names)} known no better than before"
+            why = "a camera a little elsewhere shows the same, and the map hardly depends on which"
+            still = f" ({body.moves_no_ray})" if body.moves_no_ray else ""
+            found.append(Weakness(names, f"{text}: {why}; its sigma holds the rest{still}; {WALL_CURE}"))
     return found
 
 
@@ -94,6 +115,8 @@ def _list(fit: SceneFit, names: tuple[str, ...]) -> str:
 
 def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
     """Frames or figures that would separate these numbers, given the frames there are."""
+    if set(names) & set(fit.unknowns.other_bodies.names):
+        return f"a wall and a camera elsewhere show nearly the same: {WALL_CURE}"
     stack = {glass: _heights(fit, glass) >= 3 for glass in (False, True)}
     spheres = [name for name in names if not name.startswith(("camera.", "target"))]
     if any(name.startswith("target") for name in names) and stack[False]:

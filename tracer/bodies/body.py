@@ -119,6 +119,7 @@ class Body(ABC):
     name: str
     kind: ClassVar[str]
     Section: ClassVar[type[BodySection]]
+    moves_no_ray: ClassVar[str] = ""  # what no frame tells of such a body, in words
 
     @classmethod
     def among(cls, bodies: Iterable["Body"]) -> tuple[Self, ...]:
