@@ -97,7 +97,7 @@ class Scene:
         """Index of the ambient medium at the scene's wavelength."""
         return self.ambient.n(self.wavelength_nm)
 
-    @property
+    @cached_property
     def seen(self) -> tuple[Body, ...]:
         """The bodies in front of the plane, in file order."""
         return tuple(body for body in self.bodies if body.highest_mm > CONTACT_TOL_MM)
@@ -181,6 +181,10 @@ class Scene:
 
     def rooms(self) -> Rooms:
         """Rooms for the kernels."""
+        return self._rooms
+
+    @cached_property
+    def _rooms(self) -> Rooms:
         if self.arrangement.is_one_room:
             return ONE_ROOM
         return self.arrangement.rooms(self.spheres, self.others, self.wavelength_nm)

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.fit.sides import Side, sides_of
 from tracer.bodies import Body, Number
 from tracer.fit_section import FitTable
 from tracer.kernels.world import KINDS
@@ -37,6 +38,11 @@ class OtherBodies:
         """Those with numbers, in the order of the kernels' tables."""
         every = ((body, body.numbers(self.scene.wavelength_nm)) for body in self.scene.others)
         return tuple((body, numbers) for body, numbers in every if numbers)
+
+    @cached_property
+    def sides(self) -> tuple[Side, ...]:
+        """Which ball stands on which side of which wall."""
+        return sides_of(self.scene)
 
     @property
     def names(self) -> tuple[str, ...]:

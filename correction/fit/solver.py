@@ -25,7 +25,7 @@ from correction.fit.contact import WALL_MM, walls
 from correction.fit.room_contact import room_depths
 from correction.fit.unknowns import Unknowns, left_jacobian
 from tracer.errors import SceneError
-from tracer.sensitivity import CAMERA, Landings, landings_through
+from tracer.sensitivity import CAMERA, TARGET, Landings, landings_through
 
 LOST = 12.0  # [residual units] what a ray that lands nowhere costs
 STEPS = 40
@@ -117,7 +117,9 @@ def free_rates(
     camera, place = slice(len(CAMERA)), unknowns.place(corners.height_number)
     glass = unknowns.columns[unknowns.glass][: None if corners.glass else 0]
     by_number = unknowns.columns[unknowns.others]
-    rows = unknowns.other_bodies.row_rates(full[unknowns.others], corners.glass) @ by_number
+    rows = np.zeros((rays.rate.shape[2] - len(CAMERA) - len(glass) - len(TARGET), len(unknowns.names)))
+    if by_number.any():
+        rows = unknowns.other_bodies.row_rates(full[unknowns.others], corners.glass) @ by_number
     turned = np.concatenate((unknowns.columns[camera], glass, rows, unknowns.columns[place]))
     turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
     turned[-3:] = left_jacobian(full[place][3:]) @ turned[-3:]
