@@ -5,7 +5,7 @@ stage accuracy, catalogue tolerance.  0 holds a number fixed; what is not given 
 
     fit:
       camera: {position_mm: 2.0, rotation_deg: 2.0, focal_px: 0.0, principal_px: 0.0, k1: 1.0}
-      spheres: {centre_mm: 1.0, radius_mm: 0.02}      # of every sphere ...
+      spheres: {centre_mm: 1.0, radius_mm: 0.02}      # of every sphere ...; out_of_round_um: 10.0 frees its shape
       walls: {place_mm: 1.0, tilt_deg: 1.0, thickness_mm: 0.1, radius_mm: 0.3}     # of every window and tube
       named: {front: {radius_mm: 0.0}, window: {tilt_deg: 0.0}}                    # ... but these
       n: 0.005                                        # of every glass ...
@@ -19,12 +19,16 @@ because one plane cannot tell the focal length from the distance.
 
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from ground.config import Table
+from tracer.harmonics import DEGREES, HIGHEST, LOWEST, up_to
 from tracer.light_table import LightTable
 
 Sigma = Annotated[float, Field(ge=0.0, le=1e6)]
+Degree = Annotated[int, Field(ge=LOWEST, le=HIGHEST)]
 FOCAL_SHARE = 0.003  # of the focal length, when a z-stack can tell it from the distance
 
 
@@ -47,6 +51,17 @@ class FitSphereTable(Table):
 
     centre_mm: Sigma = 1.0
     radius_mm: Sigma = 0.02
+    out_of_round_um: Sigma = 0.0
+    out_of_round_degree: Degree = 2
+
+    def shape_mm(self) -> NDArray[np.float64]:
+        """Standard deviations (45,) of the harmonics [mm]; 0 for those that are held.
+
+        An ellipsoid takes `out_of_round_um` in all, rms over the ball; a number of degree l has (2 / l)^2 of one
+        of its five: what is ground or drawn is smooth.
+        """
+        free = self.out_of_round_degree >= DEGREES
+        return np.where(free, 1e-3 * self.out_of_round_um / np.sqrt(up_to(LOWEST)) * (LOWEST / DEGREES) ** 2, 0.0)
 
 
 class FitWallTable(Table):
@@ -63,6 +78,8 @@ class FitNamedTable(Table):
 
     centre_mm: Sigma | None = None
     radius_mm: Sigma | None = None
+    out_of_round_um: Sigma | None = None
+    out_of_round_degree: Degree | None = None
     place_mm: Sigma | None = None
     tilt_deg: Sigma | None = None
     thickness_mm: Sigma | None = None
@@ -90,14 +107,16 @@ class FitTable(Table):
 
     def sphere(self, name: str) -> FitSphereTable:
         """Return what is known of the sphere called `name`."""
-        own = self.named.get(name, FitNamedTable())
-        centre = self.spheres.centre_mm if own.centre_mm is None else own.centre_mm
-        radius = self.spheres.radius_mm if own.radius_mm is None else own.radius_mm
-        return FitSphereTable(centre_mm=centre, radius_mm=radius)
+        own = self.named.get(name, FitNamedTable()).model_dump(
+            exclude_none=True, include=set(FitSphereTable.model_fields)
+        )
+        return self.spheres.model_copy(update=own)
 
     def wall(self, name: str) -> FitWallTable:
         """Return what is known of the window or tube called `name`."""
-        own = self.named.get(name, FitNamedTable()).model_dump(exclude_none=True, exclude={"centre_mm"})
+        own = self.named.get(name, FitNamedTable()).model_dump(
+            exclude_none=True, include=set(FitWallTable.model_fields)
+        )
         return self.walls.model_copy(update=own)
 
     def index(self, glass: str) -> float:

@@ -117,9 +117,14 @@ def _quadrature() -> tuple[Float64, Float64]:
 
 def turned(shape_mm: Float64, rotation: Float64) -> Float64:
     """Coefficients (45,) of a ball turned by a rotation (3, 3)."""
+    return np.asarray(turning(rotation) @ shape_mm)
+
+
+def turning(rotation: Float64) -> Float64:
+    """Matrix (45, 45) that turns coefficients."""
     directions, weights = _quadrature()
-    heights = values(directions @ rotation) @ shape_mm  # what stands at u now stood at R^T u
-    return np.asarray((weights * heights) @ values(directions))
+    before = values(directions @ rotation)  # what stands at u now stood at R^T u
+    return np.asarray((weights[:, None] * values(directions)).T @ before)
 
 
 def of_ellipsoid(semi_axes_mm: ArrayLike, rotation: Float64) -> tuple[float, Float64, float]:

@@ -211,7 +211,7 @@ def root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def legal_scene(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[Scene, float]:
     """Return the scene of a full vector with overlaps pushed apart, and the largest overlap [mm]."""
-    overlap = largest_overlap_mm(unknowns.spheres(full))
+    overlap = largest_overlap_mm(unknowns.spheres(full), unknowns.shapes(full))
     pushed, cut = pushed_clear(unknowns, full)
     moved = np.array(full)
     moved[unknowns.glass].reshape(-1, len(SPHERE))[:, :3] = pushed[:, :3]

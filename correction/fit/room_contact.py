@@ -49,10 +49,10 @@ def room_depths(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[
 def pushed_clear(unknowns: Unknowns, full: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Sphere table (N, 6) with balls clear of each other, the plane and the walls, and the deepest cut."""
     sides, walls = unknowns.other_bodies.sides, unknowns.other_bodies.moved(full[unknowns.others])
-    table = unknowns.spheres(full)
+    table, shapes = unknowns.spheres(full), unknowns.shapes(full)
     deepest = max((-pair.gap_mm(table, walls) for pair in sides), default=0.0)
     for _ in range(ROUNDS):
-        table, clean = pushed_apart(table), True
+        table, clean = pushed_apart(table, shapes=shapes), True
         for pair in sides:
             gap = pair.gap_mm(table, walls)
             if gap < 0.0:

@@ -28,6 +28,7 @@ from ground.errors import MapFileError
 from ground.map_file import Hash, checked, load_arrays
 from tracer.branches import name_keys, text_of
 from tracer.errors import StaleMap
+from tracer.harmonics import COUNT, NAMES, turning
 from tracer.scene import Scene, SceneBound
 from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, landings, parameter_names
 
@@ -58,7 +59,7 @@ class SceneSigma(SceneBound):
         Of the fitted scene.
     root : (Q, P) float64
         root root^T is the covariance of the scene's Q numbers: camera (14), then 5 of each sphere, then the rows
-        of windows and tubes (`tracer.sensitivity`).
+        of windows and tubes, then 45 of each ball out of round (`tracer.sensitivity`).
     systematic_px : dict
         Way through the glass ("" beside it) -> standard deviation of its own error, raw px per axis.
     plane_root : (6, K) float64
@@ -80,11 +81,16 @@ class SceneSigma(SceneBound):
         """Uncertainty of the scene of a fit."""
         unknowns, full = fit.unknowns, fit.unknowns.full(fit.x)
         rows = unknowns.other_bodies.row_rates(full[unknowns.others], glass=True)
-        root = np.concatenate((fit.root[: unknowns.glass.stop], rows @ fit.root[unknowns.others]))
+        shapes = fit.root[unknowns.all_shapes]
+        root = np.concatenate((fit.root[: unknowns.glass.stop], rows @ fit.root[unknowns.others], shapes))
         root[3:6] = left_jacobian(full[3:6]) @ root[3:6]
         if fit.light.step.size:
-            root = np.column_stack((root, fit.light.step))
-        numbers = parameter_names(fit.measured_scene)[: -len(TARGET)] if len(rows) else ()
+            step = np.zeros(len(root))
+            step[: len(fit.light.step)] = fit.light.step
+            root = np.column_stack((root, step))
+        known_as = parameter_names(fit.measured_scene)
+        numbers = known_as[: unknowns.glass.stop + len(rows)] + unknowns.full_names[unknowns.all_shapes]
+        numbers = numbers if len(rows) or len(shapes) else ()
         known = fit.verdict.systematic_px
         return cls(fit.measured_scene.content_hash(), root, known, numbers=numbers)
 
@@ -112,6 +118,9 @@ class SceneSigma(SceneBound):
         root, axes = self.root.copy(), scene.sheet.axes()
         for at in self._vectors():
             root[at : at + 3] = axes @ root[at : at + 3]
+        for at, name in enumerate(self.numbers):
+            if name.endswith(f".{NAMES[0]}"):
+                root[at : at + COUNT] = turning(axes) @ root[at : at + COUNT]
         seen = scene.in_light_sheet().content_hash()
         return replace(self, scene_hash=seen, root=root, plane_root=scene.sheet.pose_root())
 
@@ -134,7 +143,7 @@ class SceneSigma(SceneBound):
         StaleMap
             It is another scene.
         """
-        if len(numbers) == len(self.root):
+        if len(numbers) == len(self.root) and self.numbers in ((), numbers):
             return self.root
         if not self.numbers and len(numbers) == len(CAMERA):
             return self.root[: len(CAMERA)]

@@ -117,10 +117,12 @@ def free_rates(
     camera, place = slice(len(CAMERA)), unknowns.place(corners.height_number)
     glass = unknowns.columns[unknowns.glass][: None if corners.glass else 0]
     by_number = unknowns.columns[unknowns.others]
-    rows = np.zeros((rays.rate.shape[2] - len(CAMERA) - len(glass) - len(TARGET), len(unknowns.names)))
+    shapes = unknowns.columns[unknowns.all_shapes][: None if corners.glass else 0]
+    known = len(CAMERA) + len(glass) + len(shapes) + len(TARGET)
+    rows = np.zeros((rays.rate.shape[2] - known, len(unknowns.names)))
     if by_number.any():
         rows = unknowns.other_bodies.row_rates(full[unknowns.others], corners.glass) @ by_number
-    turned = np.concatenate((unknowns.columns[camera], glass, rows, unknowns.columns[place]))
+    turned = np.concatenate((unknowns.columns[camera], glass, rows, shapes, unknowns.columns[place]))
     turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
     turned[-3:] = left_jacobian(full[place][3:]) @ turned[-3:]
     count, _, numbers = rays.rate.shape
@@ -167,10 +169,11 @@ def normal_equations(
 def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P)."""
     full = unknowns.full(x)
-    depth, rate = walls(unknowns.spheres(full))
-    columns = unknowns.columns[unknowns.glass]
+    depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
+    columns = np.concatenate((unknowns.columns[unknowns.glass], unknowns.columns[unknowns.all_shapes]))
     of_rooms, room_rate = room_depths(unknowns, full)
-    rates = (rate.reshape(len(depth), len(columns)) @ columns, room_rate @ unknowns.columns)
+    every = np.concatenate((rate.reshape(len(depth), -1), by_shape), axis=1)
+    rates = (every @ columns, room_rate @ unknowns.columns)
     return np.concatenate((depth, of_rooms)) / WALL_MM, np.concatenate(rates) / WALL_MM
 
 
@@ -246,10 +249,11 @@ def pushed_step(
 def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Overlaps (K,) that push at x, in units of WALL_MM, and their derivatives (K, F) by the full vector."""
     full = unknowns.full(x)
-    depth, rate = walls(unknowns.spheres(full))
+    depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
     active = depth > 0.0
     out = np.zeros((int(active.sum()), len(unknowns.start)))
     out[:, unknowns.glass] = rate.reshape(len(depth), -1)[active]
+    out[:, unknowns.all_shapes] = by_shape[active]
     of_rooms, room_rate = room_depths(unknowns, full)
     cut = of_rooms > 0.0
     deep, rates = (depth[active], of_rooms[cut]), (out, room_rate[cut])

@@ -3,13 +3,15 @@
 All numbers of the bench stand in one FULL vector:
 
     camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
-                | 6 of each height of the target
+                | 45 of each ball out of round | 6 of each height of the target
 
 in the units of `tracer.sensitivity`.  The FREE vector x is shorter and in units of the prior's sigmas:
 
     full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
 
-so "fixed" is a column that A lacks, and spheres of one glass share one column for n.  Rotations are rotation
+so "fixed" is a column that A lacks, and spheres of one glass share one column for n.  A ball out of round has the
+harmonics of its shape [mm], of degree 2 and more: what its radius and its place could do as well is not among
+them, and which way it is turned is said by them (``tracer.harmonics``).  Rotations are rotation
 vectors from the nominal pose; the tracer's derivatives turn about the world's axes at the present pose,
 which the left Jacobian of the rotation group turns into derivatives by the vector (Sola et al.,
 arXiv:1812.01537, eq. 145):
@@ -31,6 +33,7 @@ from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, Vector3
 from tracer.cells import world_from
 from tracer.fit_section import FOCAL_SHARE, FitTable
+from tracer.harmonics import COUNT, NAMES
 from tracer.kernels.sphere import SOLID
 from tracer.kernels.world import World
 from tracer.media import Medium, shifted
@@ -83,9 +86,28 @@ class Unknowns:
         """Place of the numbers of windows and tubes in the full vector."""
         return slice(self.glass.stop, self.glass.stop + len(self.other_bodies.names))
 
+    @cached_property
+    def uneven(self) -> dict[int, slice]:
+        """Number of each ball with a shape, nominal or free, and the place of its harmonics in the full vector."""
+        first = {
+            number: self.full_names.index(f"{sphere.name}.{NAMES[0]}")
+            for number, sphere in enumerate(self.scene.spheres)
+            if f"{sphere.name}.{NAMES[0]}" in self.full_names
+        }
+        return {number: slice(at, at + COUNT) for number, at in first.items()}
+
+    @property
+    def all_shapes(self) -> slice:
+        """Place of all harmonics in the full vector."""
+        return slice(self.others.stop, self.others.stop + COUNT * len(self.uneven))
+
+    def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
+        """Shapes (45,) [mm] of a full vector by the numbers of the balls."""
+        return {number: full[place] for number, place in self.uneven.items()}
+
     def place(self, height_number: int) -> slice:
         """Place of a height's pose in the full vector."""
-        first = self.others.stop + len(TARGET) * height_number
+        first = self.all_shapes.stop + len(TARGET) * height_number
         return slice(first, first + len(TARGET))
 
     @property
@@ -151,7 +173,7 @@ class Unknowns:
         scene = self.scene if glass else self._bare
         spheres = self.spheres(full) if glass else np.zeros((0, SOLID))
         instead = self.other_bodies.moved(full[self.others])
-        return world_from(spheres, scene.other_tables(instead), scene.rooms(), scene.shapes())
+        return world_from(spheres, scene.other_tables(instead), scene.rooms(), self.shapes(full) if glass else {})
 
     @cached_property
     def _bare(self) -> Scene:
@@ -172,9 +194,13 @@ class Unknowns:
         """
         rows = full[self.glass].reshape(-1, len(SPHERE)).tolist()
         moved = self.other_bodies.moved(full[self.others])
-        for sphere, (x, y, z, radius, n), old in zip(self.scene.spheres, rows, self.start_of_glass(), strict=True):
-            medium = None if sphere.medium is None else shifted(sphere.medium, n - float(old[4]))
-            moved[sphere.name] = replace(sphere, centre_mm=(x, y, z), radius_mm=radius, medium=medium)
+        shapes, olds = self.shapes(full), self.start_of_glass()
+        for number, (sphere, (x, y, z, radius, n)) in enumerate(zip(self.scene.spheres, rows, strict=True)):
+            medium = None if sphere.medium is None else shifted(sphere.medium, n - float(olds[number, 4]))
+            shape = tuple((1e3 * shapes[number]).tolist()) if number in shapes else ()
+            moved[sphere.name] = replace(
+                sphere, centre_mm=(x, y, z), radius_mm=radius, medium=medium, shape_um=shape
+            )
         balls = Sphere.among(moved.values())
         bodies = tuple(
             moved.get(body.name)
@@ -236,6 +262,11 @@ def unknowns_of(
         start.add(names_here, [*row[:4], row[4] * scene.n_around(sphere)], spread)
     others = OtherBodies(scene)
     start.add(others.names, others.start, others.spread(priors))
+    for sphere in scene.spheres:
+        can_be = sphere.medium is not None and not sphere.cores
+        shape_sigma = priors.sphere(sphere.name).shape_mm() * float(can_be)
+        if sphere.shape_um or shape_sigma.any():
+            start.add([f"{sphere.name}.{term}" for term in NAMES], sphere.shape_mm.tolist(), shape_sigma.tolist())
     for height in heights:
         known_z = 0.0 if height == 0.0 else 1.0
         target = priors.target
@@ -273,6 +304,8 @@ def unit_of(name: str) -> tuple[str, float]:
         return "mm", 1.0
     if part in ("rx", "ry", "rz", "tilt_x", "tilt_y", "tilt_z"):
         return "deg", float(np.rad2deg(1.0))
+    if part in NAMES:
+        return "um", 1e3
     return ("px", 1.0) if part in ("focal_px", "cu", "cv") else ("", 1.0)
 
 

@@ -25,6 +25,7 @@ from sim.renderer.surfaces import (
     snell,
     through_cores,
 )
+from sim.renderer.uneven import crossing, is_uneven, normal_at
 from sim.renderer.walls import INSIDE, LOST, next_wall
 
 Float32 = NDArray[np.float32]
@@ -73,7 +74,8 @@ def last_way(
     """Follow one ray to the straight way on which it meets the plane: its origin, direction, transmittance, chain.
 
     T = 0 if it does not arrive.  `chain` tells rays apart that went through other bodies or in another order; 0
-    went through none.  Rows of `spheres`: centre, radius, n / n around, opaque, then cores, see `through_cores`;
+    went through none.  Rows of `spheres`: centre, radius, n / n around, opaque, then cores, see `through_cores`,
+    or what makes a ball uneven, see `sim.renderer.uneven`;
     of `walls` see `sim.renderer.walls`.
     Rows of `plane`: origin, x axis, y axis, normal.
     """
@@ -97,7 +99,10 @@ def last_way(
         for index in range(spheres.shape[0] if not in_glass else 0):
             if index != last:
                 s = spheres[index]
-                t = entry_sphere(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
+                if is_uneven(s):
+                    t = crossing(ox, oy, oz, dx, dy, dz, s, True)
+                else:
+                    t = entry_sphere(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
                 if t < nearest:
                     nearest, body = t, index
         for index in range(rods.shape[0]):
@@ -126,14 +131,22 @@ def last_way(
         # In: the outward normal is against the ray.
         ox, oy, oz = ox + nearest * dx, oy + nearest * dy, oz + nearest * dz
         nx, ny, nz = (ox - s[0]) / s[3], (oy - s[1]) / s[3], (oz - s[2]) / s[3]
+        if is_uneven(s):
+            nx, ny, nz = normal_at(ox, oy, oz, s)
         dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, 1.0 / s[4])
         transmittance *= part
         if s.shape[0] > SOLID:
             ox, oy, oz, dx, dy, dz, part = through_cores(ox, oy, oz, dx, dy, dz, s)
             transmittance *= part
         # Out: far root of the same quadratic, inward normal.
-        ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
-        nx, ny, nz = (s[0] - ox) / s[3], (s[1] - oy) / s[3], (s[2] - oz) / s[3]
+        if is_uneven(s):
+            t = crossing(ox, oy, oz, dx, dy, dz, s, False)
+            ox, oy, oz = ox + t * dx, oy + t * dy, oz + t * dz
+            nx, ny, nz = normal_at(ox, oy, oz, s)
+            nx, ny, nz = -nx, -ny, -nz
+        else:
+            ox, oy, oz = far_side(ox, oy, oz, dx, dy, dz, s[0], s[1], s[2], s[3])
+            nx, ny, nz = (s[0] - ox) / s[3], (s[1] - oy) / s[3], (s[2] - oz) / s[3]
         dx, dy, dz, part = snell(dx, dy, dz, nx, ny, nz, s[4])
         transmittance *= part
         if transmittance <= 0.0:

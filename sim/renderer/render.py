@@ -20,6 +20,7 @@ from sim.prints.patterns import Pattern, Pose
 from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
 from sim.renderer.surfaces import SOLID
+from sim.renderer.uneven import uneven_numbers
 from sim.renderer.walls import NUMBERS, n_at, wall_rows
 from tracer.bodies import CONTACT_TOL_MM, Body, Dome, Rod, Sphere, Tube, Window
 from tracer.errors import SceneError
@@ -202,8 +203,6 @@ def tables_of(
     bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
     walls = [body for body in bodies if isinstance(body, Window | Tube | Dome)]
-    if shaped := [sphere for sphere in spheres if sphere.shape_um]:
-        raise SceneError(f"the simulator cannot render {shaped[0].name!r}, a ball out of round")
     if unknown := [body for body in bodies if body not in (*spheres, *rods, *walls)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
@@ -213,20 +212,20 @@ def tables_of(
         spheres=_balls(scene, spheres),
         rods=_rows([[*r.start_mm, *r.end_mm, r.radius_mm] for r in rods], 7),
         walls=_rows(wall_rows(scene, walls), NUMBERS),
-        bounds=_rows([[*s.centre_mm, s.radius_mm] for s in spheres] + [_ball(r) for r in rods], 4),
+        bounds=_rows([[*s.centre_mm, s.radius_mm + s.uneven_mm] for s in spheres] + [_ball(r) for r in rods], 4),
         plane=plane,
         px_mm=float(abs((np.array(camera.position_mm) - plane[0]) @ plane[3])) / camera.focal_px,
     )
 
 
 def _balls(scene: Scene, spheres: Sequence[Sphere]) -> NDArray[np.float64]:
-    """Rows of the spheres, filled up with zeros to the one with the most cores."""
+    """Rows of the spheres, filled up with zeros to the longest, with the most cores or the finest shape."""
     rows = []
     for s in spheres:
         around, nm = n_at(scene, np.array(s.centre_mm)), scene.wavelength_nm
         glass = [1.0, 1.0] if s.medium is None else [s.medium.n(nm) / around, 0.0]  # opaque, or not
         cores = [number for core in s.cores for number in (core.radius_mm, core.medium.n(nm) / around)]
-        rows.append([*s.centre_mm, s.radius_mm, *glass, *cores])
+        rows.append([*s.centre_mm, s.radius_mm, *glass, *(uneven_numbers(s) if s.shape_um else cores)])
     width = max(map(len, rows), default=SOLID)
     return _rows([row + [0.0] * (width - len(row)) for row in rows], width)
 
@@ -254,6 +253,8 @@ def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, flo
     *ends, radius_mm = body.capsule
     if isinstance(body, Window):
         ends, radius_mm = [*body.outline_mm[0]], 0.0
+    if isinstance(body, Sphere):
+        radius_mm -= 2.0 * body.uneven_mm  # the least it can be: that a ball is not in the sheet, its scene says
     heights = [float((np.array(end) - plane[0]) @ plane[3]) for end in ends]
     if min(heights) - radius_mm >= -CONTACT_TOL_MM:
         return True
