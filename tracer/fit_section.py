@@ -29,6 +29,7 @@ from tracer.light_table import LightTable
 
 Sigma = Annotated[float, Field(ge=0.0, le=1e6)]
 Degree = Annotated[int, Field(ge=LOWEST, le=HIGHEST)]
+SHAPE_KEYS = ("out_of_round_um", "out_of_round_degree")
 FOCAL_SHARE = 0.003  # of the focal length, when a z-stack can tell it from the distance
 
 

@@ -39,7 +39,7 @@ from ground.config import Document, Place, open_document, validate
 from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
 from tracer.errors import SceneError
-from tracer.fit_section import FitSphereTable, FitTable
+from tracer.fit_section import SHAPE_KEYS, FitSphereTable, FitTable
 from tracer.light_sheet import LightSheet
 from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium, medium_called
 from tracer.medium_table import medium_of, written
@@ -134,7 +134,10 @@ def load_priors(path: Path | str) -> FitTable:
     document = open_document(path)
     table = validate(document, SceneTable)
     scene = scene_from(document, table)
-    known_keys = {sphere.name: set(FitSphereTable.model_fields) for sphere in scene.spheres}
+    known_keys = {
+        sphere.name: {key for key in FitSphereTable.model_fields if sphere.may_be_uneven or key not in SHAPE_KEYS}
+        for sphere in scene.spheres
+    }
     for body in scene.others:
         if numbers := body.numbers(scene.wavelength_nm):
             known_keys[body.name] = {number.known for number in numbers}

@@ -27,6 +27,7 @@ from correction.fit.measurement import MeasuredFrame
 from correction.fit.solver import free_rates, landed, pushed_step, touching
 from correction.fit.unknowns import LENS, Unknowns, unit_of
 from tracer.branches import branch_of
+from tracer.harmonics import DEGREES, HIGHEST, LOWEST
 from tracer.sensitivity import TARGET
 
 EXPLAINS = 0.5
@@ -223,6 +224,15 @@ def _held_numbers(
                 size = np.array([2.0 * WALL.get(number.known, 0.5 * BALL_ORDINARY["n"])])
                 at = names.index(name)
                 yield numbered(body.name, size, [at], partial(_off, name, full[at]), True)
+    for ball_number, place_of in unknowns.uneven.items():
+        ball = unknowns.scene.spheres[ball_number].name
+        every_term = list(zip(range(place_of.start, place_of.stop), DEGREES.tolist(), strict=True))
+        closed = [degree for place, degree in every_term if names[place] in held]
+        highest = min(min(closed, default=HIGHEST) + 1, HIGHEST)
+        more = [(place, degree) for place, degree in every_term if degree <= highest and names[place] in held]
+        if more:
+            size = np.array([SHAPE_MM * (LOWEST / degree) ** 2 for _, degree in more])
+            yield numbered(ball, size, [place for place, _ in more], partial(_more_uneven, ball, highest))
     for sphere in spheres:
         place = [f"{sphere.name}.{axis}" for axis in "xyz"]
         if set(place) <= set(held):
@@ -300,7 +310,15 @@ def _other_glass(was: float, value: NDArray[np.float64], sigma: NDArray[np.float
 def _not_round(ball: str, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
     radii = np.linalg.eigvalsh(np.tensordot(value, np.array(SHAPES), axes=1))
     differ = f"its radii seem to differ by {1e3 * (radii[-1] - radii[0]):.0f} um"
-    return f"the ball `{ball}` is not the sphere of the file: {differ}"
+    cure = "give its fit.named.out_of_round_um, and the fit finds its shape"
+    return f"the ball `{ball}` is not the sphere of the file: {differ}; {cure}"
+
+
+def _more_uneven(ball: str, degree: int, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:
+    height = f"{1e3 * float(np.linalg.norm(value)):.1f} um rms in harmonics up to degree {degree}"
+    return (
+        f"the ball `{ball}` is out of round by {height} that were held; raise its out_of_round_degree to {degree}"
+    )
 
 
 def _moved(value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:

@@ -263,8 +263,7 @@ def unknowns_of(
     others = OtherBodies(scene)
     start.add(others.names, others.start, others.spread(priors))
     for sphere in scene.spheres:
-        can_be = sphere.medium is not None and not sphere.cores
-        shape_sigma = priors.sphere(sphere.name).shape_mm() * float(can_be)
+        shape_sigma = priors.sphere(sphere.name).shape_mm() * float(sphere.may_be_uneven)
         if sphere.shape_um or shape_sigma.any():
             start.add([f"{sphere.name}.{term}" for term in NAMES], sphere.shape_mm.tolist(), shape_sigma.tolist())
     for height in heights:

@@ -18,6 +18,7 @@ from correction.fit.result import SceneFit
 from correction.fit.unknowns import unit_of
 from tracer.bodies import Sphere
 from tracer.branches import branch_of
+from tracer.harmonics import NAMES
 
 LEARNED = 1.0
 TIED = 0.97
@@ -121,6 +122,11 @@ def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
     spheres = [name for name in names if not name.startswith(("camera.", "target"))]
     if any(name.startswith("target") for name in names) and stack[False]:
         return "the stage decides: one known better than fit.target.z_mm, or a longer travel, would help"
+    if any(name.rpartition(".")[2] in NAMES for name in names):
+        return (
+            "rays through that side of the ball are too few or too alike, so that the map hardly depends on it"
+            " either; fit.spheres.out_of_round_um says what is known"
+        )
     if any(name.endswith((".n", ".z")) for name in spheres):
         if not stack[True]:
             return "add target planes at -10 and -20 mm behind the glass, which separate depth from n"

@@ -108,10 +108,11 @@ def test_random_rays_against_50_digits() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_many_random_rays_against_50_digits() -> None:
-    landed, grazing = judge(scenes=100, rays=18, seed=4)
-    assert landed > 900
-    assert grazing > 100
+    landed, grazing = judge(scenes=60, rays=18, seed=4)
+    assert landed > 500
+    assert grazing > 60
 
 
 def through_quadric(scene: Scene, semi_axes: Float64, rotation: Float64, ways: Float64) -> Float64:

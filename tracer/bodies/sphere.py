@@ -159,6 +159,11 @@ class Sphere(Body):
         return 1e-3 * np.array(self.shape_um or (0.0,) * COUNT)
 
     @property
+    def may_be_uneven(self) -> bool:
+        """Whether a fit could find a shape: of solid glass."""
+        return self.medium is not None and not self.cores
+
+    @property
     def uneven_mm(self) -> float:
         """What the surface is nowhere higher or lower than the radius; 0 for a sphere."""
         return float(largest_mm(self.shape_mm)) if self.shape_um else 0.0

@@ -24,6 +24,7 @@ from tracer.fit_section import (
     FitTable,
     FitTargetTable,
 )
+from tracer.harmonics import COUNT
 from tracer.light import FULL_WIDTH, gaussian
 from tracer.media import MEDIA, ConstantMedium
 from tracer.scene import Scene
@@ -52,6 +53,90 @@ def test_every_derivative_agrees_with_differences():
             smooth = np.abs(both).max(axis=1) < 100.0  # a ray that changes its branch has no derivative
             scale = max(np.nanmax(np.abs(exact[smooth, :, number]), initial=0.0), 1e-3)
             assert np.nanmax(np.abs(both - exact[:, :, number])[smooth]) < 2e-5 * scale, name
+
+
+def uneven(scene: Scene, seed: int) -> Scene:
+    """The scene with every ball out of round by some micrometres, clear of each other."""
+    rng = np.random.default_rng(seed)
+    shapes = {number: rng.normal(0.0, 1e-3, COUNT) for number in range(len(scene.spheres))}
+    places = pushed_apart(scene.sphere_table(), shapes=shapes)[:, :3].tolist()
+    return scene.with_bodies(
+        [
+            replace(one, centre_mm=tuple(place), shape_um=tuple((1e3 * shapes[number]).tolist()))
+            for number, (one, place) in enumerate(zip(scene.spheres, places, strict=True))
+        ]
+    )
+
+
+def test_every_derivative_by_shapes_agrees_with_differences() -> None:
+    """All degrees of one ball, an ellipsoid of the other; both touch, so that they push each other as well."""
+    scene = uneven(at_size(named_scene("two_spheres_500"), 700), 4)
+    upper, lower = (one.name for one in scene.spheres)
+    named = {upper: FitNamedTable(out_of_round_um=5.0, out_of_round_degree=6)}
+    named |= {lower: FitNamedTable(out_of_round_um=5.0)}
+    bench = unknowns_of(scene, [0.0], FitTable(named=named))
+    assert sum(name.startswith(f"{upper}.") for name in bench.names) == 4 + COUNT
+    assert sum(name.startswith(f"{lower}.") for name in bench.names) == 4 + 5
+    u, v = np.meshgrid(np.linspace(240, 460, 6), np.linspace(240, 460, 6))
+    pixel = np.stack((u.ravel(), v.ravel()), axis=-1)
+    x = np.random.default_rng(0).normal(size=len(bench.names)) * 0.1
+    for glass in (True, False):
+        corners = Corners(0, glass, pixel, np.zeros_like(pixel), 1.0)
+        exact = residuals(bench, x, corners).rate
+        for number, name in enumerate(bench.names):
+            step = np.zeros(len(x))
+            step[number] = 1e-4
+            ahead, behind = residuals(bench, x + step, corners).value, residuals(bench, x - step, corners).value
+            both = (ahead - behind) / 2e-4
+            smooth = np.abs(both).max(axis=1) < 100.0
+            scale = max(np.nanmax(np.abs(exact[smooth, :, number]), initial=0.0), 1e-3)
+            assert np.nanmax(np.abs(both - exact[:, :, number])[smooth]) < 2e-5 * scale, name
+    full = np.array(bench.start)
+    full[bench.glass].reshape(-1, 5)[0, 2] -= 0.01  # into the plane or the other ball
+    full[bench.glass].reshape(-1, 5)[1, 2] -= 0.01
+    legal, overlap = legal_scene(bench, full)
+    assert overlap > 0.001
+    for one, other in zip(legal.spheres, scene.spheres, strict=True):
+        np.testing.assert_allclose(one.shape_um, other.shape_um, rtol=1e-12)
+
+
+def test_walls_of_balls_out_of_round_follow_every_number() -> None:
+    scene = uneven(named_scene("two_spheres_500"), 5)
+    table, shapes = scene.sphere_table(), scene.shapes()
+    depth, rate, by_shape = walls(table, shapes)
+    assert (np.abs(depth) < 0.02).sum() == 2  # on the plane, and on each other
+    rng = np.random.default_rng(0)
+    step = rng.normal(size=(len(table), 5)) * 1e-5
+    bent = {number: rng.normal(size=COUNT) * 1e-5 for number in shapes}
+    moved = np.array(table)
+    moved[:, :4] += step[:, :4]
+    after = walls(moved, {number: shape + bent[number] for number, shape in shapes.items()})[0]
+    told = rate.reshape(len(depth), -1) @ step.ravel() + by_shape @ np.concatenate(list(bent.values()))
+    np.testing.assert_allclose(after - depth, told, atol=3e-8)
+
+
+def test_shapes_are_free_where_the_section_says_so(tmp_path: Path) -> None:
+    text = """
+camera: {focal_px: 6000.0, sensor_px: [100, 100], position_mm: [0.0, 0.0, 500.0]}
+bodies:
+  - {name: ball, kind: sphere, centre_mm: [0.0, 0.0, 30.0], radius_mm: 25.0, material: BK7}
+  - {name: hollow, kind: sphere, centre_mm: [60.0, 0.0, 30.0], radius_mm: 25.0, material: BK7,
+     core: {radius_mm: 20.0, material: air}}
+fit:
+"""
+    path = tmp_path / "scene.yaml"
+    path.write_text(text + "  spheres: {out_of_round_um: 10.0, out_of_round_degree: 3}\n")
+    bench = unknowns_of(load_scene(path), [0.0], load_priors(path))
+    sigma = dict(zip(bench.names, bench.sigma.tolist(), strict=True))
+    assert sigma["ball.C20"] == pytest.approx(0.01 / np.sqrt(5.0))
+    assert sigma["ball.S33"] == pytest.approx(0.01 / np.sqrt(5.0) * 4.0 / 9.0)
+    assert not {"ball.C40", "hollow.C20"} & set(sigma)
+    path.write_text(text + "  named: {hollow: {out_of_round_um: 1.0}}\n")
+    with pytest.raises(ConfigError, match=r"scene.yaml:8: fit.named.hollow: out_of_round_um is no number"):
+        load_priors(path)
+    path.write_text(text + "  spheres: {out_of_round_degree: 7}\n")
+    with pytest.raises(ConfigError, match="out_of_round_degree"):
+        load_priors(path)
 
 
 def test_every_derivative_by_walls_agrees_with_differences() -> None:
