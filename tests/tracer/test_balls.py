@@ -15,10 +15,12 @@ from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
 from ground.errors import ConfigError
 from tests.tracer.scenes import ball, camera_at
+from tracer.beds import fits_bed
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
 from tracer.harmonics import COUNT, DEGREES, NAMES, of_ellipsoid, to_polynomials, turned, up_to, values
 from tracer.light_sheet import LightSheet
+from tracer.lockstep import fits_lockstep
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.ray_path import ray_path
@@ -169,6 +171,18 @@ def test_ten_million_rays_at_ellipsoids() -> None:
     count, worst = rays_at_ellipsoids(balls=100, rays=100_000)
     assert count > 9_000_000
     assert worst < 2e-9
+
+
+def test_only_spheres_go_by_the_fast_ways() -> None:
+    """Lockstep and bundles know no shapes: a ball out of round traced there would be a sphere, silently."""
+    one = ball("one", 0.0, 0.0, 45.0, 14.0)
+    for several in ([one], [one, *(ball(f"b{k}", 30.0 * k, 30.0, 20.0, 9.0) for k in range(1, 12))]):
+        scene = Scene(CAMERA, tuple(several))
+        assert fits_lockstep(scene) == (len(several) == 1)
+        assert fits_bed(scene)
+        uneven = scene.with_bodies([replace(one, shape_um=(1.0,) + (0.0,) * 44), *several[1:]])
+        assert not fits_lockstep(uneven)
+        assert not fits_bed(uneven)
 
 
 def test_a_shape_of_nothing_is_a_sphere() -> None:

@@ -112,7 +112,7 @@ def test_walls_of_balls_out_of_round_follow_every_number() -> None:
     moved[:, :4] += step[:, :4]
     after = walls(moved, {number: shape + bent[number] for number, shape in shapes.items()})[0]
     told = rate.reshape(len(depth), -1) @ step.ravel() + by_shape @ np.concatenate(list(bent.values()))
-    np.testing.assert_allclose(after - depth, told, atol=3e-8)
+    np.testing.assert_allclose(after - depth, told, atol=2e-7)  # of 1e-5; that the line turns is left out
 
 
 def test_shapes_are_free_where_the_section_says_so(tmp_path: Path) -> None:
