@@ -1,0 +1,66 @@
+"""A run that is looked at: the page shows what its lanes did, and the run is the one that nobody looks at."""
+
+import json
+import threading
+
+import pytest
+
+pytest.importorskip("websockets")
+from websockets.sync.client import connect
+
+from daq.acquisition.pipeline.corrections import Corrections
+from daq.acquisition.runner.runner import Runner
+from daq.acquisition.runner.session import Request, begin
+from daq.live.live_page import LivePage
+from daq.live.run_shown import RunShown
+from tests.daq.small_bench import FILES_CAMERA, SHIFT, SIDE_PX, files_bench, load, write_frames
+
+PLAN = SHIFT + "frames: 3\n"
+
+
+def pixels_of(folder):
+    return [path.read_bytes()[-2 * SIDE_PX**2 :] for path in sorted((folder.path / "frames").glob("*.tif"))]
+
+
+def test_a_run_is_the_same_with_a_page(tmp_path):
+    bench, plan = load(tmp_path, PLAN, camera=FILES_CAMERA)
+    files, folders, seen = write_frames(tmp_path / "frames_in", 40), [], []
+    corrections = Corrections(bench.scene)
+    for is_shown in (False, True):
+        folder = begin(Request(bench.path, plan.path), bench, plan, tmp_path / f"runs{is_shown}")
+        folders.append(folder)
+        if not is_shown:
+            with files_bench(bench, files) as hardware:
+                Runner(hardware, folder, plan.steps, corrections).run()
+            continue
+        with LivePage(12 * SIDE_PX**2) as page:
+            shown = RunShown(page, folder.path.name)
+
+            def look():
+                origin, token = page.url.rstrip("/").split("/#")
+                with connect(f"ws{origin[4:]}/frames", origin=origin, compression=None, max_size=None) as found:
+                    found.send(json.dumps({"token": token}))
+                    while not seen or not seen[-1].get("over"):
+                        words = json.loads(found.recv(timeout=30.0))
+                        pictures = [found.recv(timeout=30.0) for _ in words.get("shown", ())]
+                        seen.append(words | {"pictures": len(pictures)})
+                        if not words.get("over"):
+                            found.send(json.dumps({"drawn": words["number"]}))
+
+            viewer = threading.Thread(target=look)
+            viewer.start()
+            with files_bench(bench, files) as hardware:
+                watching = shown.watching(lambda progress: None)
+                done = Runner(hardware, folder, plan.steps, corrections, watching, show=shown.show).run()
+        viewer.join(30.0)
+    assert pixels_of(folders[0]) == pixels_of(folders[1])
+    assert done["frames"] == len(pixels_of(folders[0])) == 24
+    frames, over = seen[:-1], seen[-1]
+    assert over["over"]
+    assert frames[0]["run"].startswith(folders[1].path.name)
+    assert all(words["pictures"] == 2 and words["bits"] == 16 for words in frames)
+    last = frames[-1]
+    assert last["missed"] + len(frames) == last["number"] - frames[0]["number"] + 1
+    assert last["number"] <= done["flow"][-1]["corrected_live"]
+    assert last["counters"]["frames"][0].endswith("of 24")
+    assert last["counters"]["lost or incomplete"] == ["0", False]
