@@ -227,6 +227,7 @@ def main() -> int:
     while page.viewers and time.monotonic() < until_s:  # those who can hear it are told that it is over
         time.sleep(LOOK_S)
     server.shutdown()
+    page.slot.path.unlink(missing_ok=True)  # whoever was killed could not take it down
     return 0
 
 

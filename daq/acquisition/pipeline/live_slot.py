@@ -72,7 +72,7 @@ class SlotWriter:
         half = HALF.size + WORDS_BYTES + MOST_PICTURES * PICTURE.size + most_bytes
         if HEAD.size + 2 * half > MOST_BYTES:
             raise NoSlotError(
-                f"frames of {most_bytes / 1e6:.0f} MB are too large to be shown live; lower the sensor's"
+                f"frames of {most_bytes / 1e6:.0f} MB are too large to be shown live; leave out --live"
             )
         folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
         handle, name = tempfile.mkstemp(prefix="rtpiv-live-", dir=folder)  # mode 0600
@@ -88,12 +88,13 @@ class SlotWriter:
     def put(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
         """Show a moment; takes the time of a copy, and waits for nobody.
 
-        Pictures that do not fit are left out: the page says so, the run goes on.
+        Pictures that do not fit are left out, and words that are too many: the run goes on.
         """
         self._count += 1
         which = self._count % 2
         start = HEAD.size + which * self._half
-        text = json.dumps(dict(words)).encode()[:WORDS_BYTES]
+        text = json.dumps(dict(words)).encode()
+        text = text if len(text) <= WORDS_BYTES else b"{}"
         shown = [(name, pixels) for name, pixels in pictures.items() if pixels.dtype in CODES][:MOST_PICTURES]
         self._memory[start : start + HALF.size] = HALF.pack(2 * self._count - 1, len(text), len(shown))
         at = start + HALF.size

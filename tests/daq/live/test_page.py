@@ -5,10 +5,13 @@ import json
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -231,3 +234,22 @@ def test_viewers_are_told_that_it_is_over() -> None:
         assert not path.exists()
         with pytest.raises(ConnectionClosed):
             until_closed(found)
+
+
+def test_whoever_is_killed_leaves_nothing_in_memory(tmp_path: Path) -> None:
+    """kill -9 of the program that measures: its server ends, and takes the place of the frames down."""
+    text = (
+        "import time\nfrom daq.live.live_page import LivePage\n"
+        "page = LivePage(1000)\nprint(page._slot.path, page.server_pid, flush=True)\ntime.sleep(60.0)\n"
+    )
+    program = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None
+    path, server = program.stdout.readline().split()
+    assert Path(path).exists()
+    program.kill()
+    program.wait()
+    program.stdout.close()
+    end_s = time.monotonic() + 20.0
+    while Path(path).exists() or Path(f"/proc/{server}").exists():
+        assert time.monotonic() < end_s
+        time.sleep(0.05)

@@ -54,6 +54,10 @@ def test_two_pictures_come_back_as_they_were() -> None:
     late = SlotReader(writer.path).latest()
     assert late is not None
     assert late.pictures == {}
+    writer.put({"text": "x" * 100_000}, {})
+    wordless = SlotReader(writer.path).latest()
+    assert wordless is not None
+    assert wordless.words == {}
     writer.close()
 
 
