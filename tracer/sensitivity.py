@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from ground.rows import run_rows
 from tracer.camera import Camera
 from tracer.cells import world_of
-from tracer.harmonics import NAMES, to_polynomials
+from tracer.harmonics import COUNT, NAMES, to_polynomials
 from tracer.kernels.adjoint import STATE
 from tracer.kernels.ball import EVEN, MEAN, SHAPE_NUMBERS
 from tracer.kernels.landing import trace_landings
@@ -186,6 +186,10 @@ def landings_through(
     if uneven:
         names = _with_shapes(names, [called[number] for number in uneven])
         of_shapes = by_shape[:, :, uneven, EVEN:] @ to_polynomials()
-        parts = (rate[:, :, : -len(TARGET)], of_shapes.reshape(count, 2, -1), rate[:, :, -len(TARGET) :])
+        parts = (
+            rate[:, :, : -len(TARGET)],
+            of_shapes.reshape(count, 2, COUNT * len(uneven)),
+            rate[:, :, -len(TARGET) :],
+        )
         rate = np.concatenate(parts, axis=2)
     return Landings(status, key, point, by_pixel, rate, names)

@@ -25,7 +25,7 @@ from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.ray_path import ray_path
 from tracer.scene import Scene
-from tracer.scene_file import dump_scene, load_scene
+from tracer.scene_file import dump_scene, load_priors, load_scene
 from tracer.sensitivity import landings
 from tracer.status import RayStatus
 from tracer.trace import trace, trace_from
@@ -173,6 +173,14 @@ def test_ten_million_rays_at_ellipsoids() -> None:
     assert worst < 2e-9
 
 
+def test_the_example_is_a_scene_with_free_shapes() -> None:
+    path = Path(__file__).resolve().parents[2] / "examples" / "uneven_balls.yaml"
+    upper, lower = load_scene(path).spheres
+    assert upper.shape_um
+    assert lower.shape_um[NAMES.index("S43")] == 0.5
+    assert load_priors(path).sphere("upper").shape_mm()[up_to(4) - 1] > 0.0
+
+
 def test_only_spheres_go_by_the_fast_ways() -> None:
     """Lockstep and bundles know no shapes: a ball out of round traced there would be a sphere, silently."""
     one = ball("one", 0.0, 0.0, 45.0, 14.0)
@@ -222,6 +230,7 @@ def test_derivatives_are_those_of_the_rays() -> None:
     scene = Scene(CAMERA, (low, high))
     pixels = rng.uniform((40.0, 20.0), (120.0, 100.0), (40, 2))
     here = landings(scene, pixels)
+    assert landings(scene, pixels[:0]).rate.shape == (0, *here.rate.shape[1:])
 
     def moved(**changes: object) -> Scene:
         return scene.with_bodies([low, replace(high, **changes)])
