@@ -30,6 +30,7 @@ from tracer.kernels.bundle import (
     RAY_NUMBERS,
     Bed,
     Bundle,
+    fill_alike,
 )
 from tracer.kernels.candidates import BINS, CLUSTER, Lists, Neighbours, count_neighbours
 from tracer.kernels.rooms import ONE_ROOM
@@ -92,8 +93,11 @@ class Balls:
             np.empty(room),
             np.zeros(1, np.int64),
         )
+        rays = aligned(RAY_NUMBERS, np.float64)
+        if spheres and self.bed.alike:
+            fill_alike(self.balls, rays)
         return Bundle(
-            aligned(RAY_NUMBERS, np.float64),
+            rays,
             aligned(MARK_NUMBERS, np.int64),
             aligned(END_NUMBERS, np.float64),
             aligned(FATE_NUMBERS, np.int64),

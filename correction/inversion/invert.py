@@ -15,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
+from correction.inversion.kernels.bed_sheets import Sensor, Small, StartScratch, solve_small_sheets
 from correction.inversion.kernels.direct import direct_rows
 from correction.inversion.kernels.inverse import join_weights
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS
+from correction.inversion.kernels.starts import LANES, MEASURES
 from correction.inversion.kernels.views import NodeScratch, solve_nodes
 from correction.inversion.sheets import Sheet, Sheets, Starts
 from ground.rows import run_parts, run_rows
+from tracer.beds import Balls, fits_bed
 from tracer.branches import chain_trip, event_numbers, key_of
 from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
@@ -120,13 +123,69 @@ class Inversion:
     def glass(self) -> None:
         """Cut the sensor into sheets and solve each that is worth it."""
         sheets = Sheets(self.ray_map, self.grid, self.tables, self.longest_mm)
+        if fits_bed(self.scene) and not self.lockstep and len(self.scene.spheres):
+            self._solve_many(sheets)
+            return
         for sheet in sheets:
-            enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
-            self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
+            self._solve_one(sheet, sheets)
+
+    def _solve_one(self, sheet: Sheet, sheets: Sheets) -> None:
+        """Solve a sheet on all cores."""
+        enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
+        self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
+
+    def _solve_many(self, sheets: Sheets) -> None:
+        """Solve the sheets of a bed: small ones in one call, each large one by itself."""
+        every, balls = sheets.ordered(), Balls(self.scene.sphere_table())
+        used, of_sheet = np.unique(every.branch, return_inverse=True)
+        ways = [np.array(self._sequence(number), np.int64) for number in used.tolist()]
+        keys = np.array([key_of(way) for way in ways], np.int64)
+        sizes = np.array([len(way) for way in ways], np.int64)[of_sheet]
+        events = np.concatenate([ways[k] for k in of_sheet.tolist()]) if len(of_sheet) else np.empty(0, np.int64)
+        place = np.empty(len(balls.order), np.int64)
+        place[balls.order] = np.arange(len(balls.order))
+        begin = np.concatenate(([0], np.cumsum(sizes)))
+        enough = (1.0 / (1.0 + every.events) if self.skip else np.full(len(sizes), np.inf)).astype(np.float32)
+        small = Small(
+            every.branch, every.sign, keys[of_sheet], events, place[events], begin, every.runs, every.first, enough
+        )
+        start = StartScratch(
+            np.zeros(3, np.int64),
+            np.empty(LANES, np.int64),
+            np.empty(MEASURES),
+            *sheets.room_for_starts(),
+            np.zeros(1 << (2 * sheets.room).bit_length(), np.int64),
+        )
+        sensor = Sensor(sheets.plane, sheets.branch, sheets.flags, sheets.taken)
+        scratch = balls.bundle(), np.empty(NEWTON_NUMBERS), np.empty(GROUP, np.int64), block_scratch()[1]
+        progress = np.zeros(2, np.int64)
+        while progress[0] < len(every.branch):
+            progress[1] = sheets.stamp
+            solve_small_sheets(
+                self.tables,
+                self.grid_numbers,
+                balls.balls,
+                balls.bed,
+                small,
+                sensor,
+                progress,
+                self.limits,
+                start,
+                *scratch,
+                self.maps,
+            )
+            sheets.stamp = int(progress[1])
+            if progress[0] < len(every.branch):
+                self._solve_one(every.sheet(int(progress[0])), sheets)
+                progress[0] += 1
+
+    def _sequence(self, number: int) -> list[int]:
+        """Events of a branch."""
+        return [self.events[name] for name in self.ray_map.branches[number]]
 
     def _solve(self, sheet: Sheet, parts: Iterator[Starts]) -> None:
         """Solve the nodes of one sheet and keep the best views."""
-        sequence = np.array([self.events[name] for name in self.ray_map.branches[sheet.branch]], np.int64)
+        sequence = np.array(self._sequence(sheet.branch), np.int64)
         key = key_of(sequence)
         trip = chain_trip(self.scene, sequence) if self.lockstep else -1
         world = self.tables[1]

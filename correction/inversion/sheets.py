@@ -32,6 +32,21 @@ class Sheet(NamedTuple):
     runs: NDArray[np.int64]
 
 
+class Ordered(NamedTuple):
+    """All sheets: branch, sign and events (S,) of each; its runs are runs[first[k] : first[k + 1]]."""
+
+    branch: NDArray[np.int64]
+    sign: NDArray[np.float64]
+    events: NDArray[np.int64]
+    runs: NDArray[np.int64]
+    first: NDArray[np.int64]
+
+    def sheet(self, k: int) -> Sheet:
+        """Sheet k."""
+        runs = self.runs[self.first[k] : self.first[k + 1]]
+        return Sheet(int(self.branch[k]), float(self.sign[k]), int(self.events[k]), runs)
+
+
 class Sheets:
     """The sheets of a ray map.
 
@@ -74,7 +89,7 @@ class Sheets:
 
         run_rows(cut, height)
 
-    def __iter__(self) -> Iterator[Sheet]:
+    def ordered(self) -> Ordered:
         """Sheets worth a start, those with few events first."""
         runs = self.runs
         parent, useful = np.empty(len(runs), np.int64), np.zeros(len(runs), np.int64)
@@ -86,10 +101,17 @@ class Sheets:
         lasts = np.searchsorted(parent[order], heads, side="right")
         events = self.events[runs[heads, 3] >> 1]
         # As the branches are numbered, not as the sensor meets them: of equal views the same one is kept.
-        for k in np.lexsort((heads, runs[heads, 3], events)).tolist():
-            code = int(runs[heads[k], 3])
-            sign = -1.0 if code & 1 else 1.0
-            yield Sheet(code >> 1, sign, int(events[k]), runs[order[firsts[k] : lasts[k]]])
+        best = np.lexsort((heads, runs[heads, 3], events))
+        firsts, lasts, code = firsts[best], lasts[best], runs[heads[best], 3]
+        first = np.concatenate(([0], np.cumsum(lasts - firsts)))
+        places = np.repeat(firsts - first[:-1], lasts - firsts) + np.arange(first[-1])
+        return Ordered(code >> 1, np.where(code & 1, -1.0, 1.0), events[best], runs[order[places]], first)
+
+    def __iter__(self) -> Iterator[Sheet]:
+        """Sheets as `ordered`, one by one."""
+        every = self.ordered()
+        for k in range(len(every.branch)):
+            yield every.sheet(k)
 
     def starts(self, sheet: Sheet, weight: NDArray[np.float32], enough: np.float32) -> Iterator[Starts]:
         """Starts of a sheet and their nodes, but for nodes whose weight (h, w) is `enough`."""
@@ -101,7 +123,7 @@ class Sheets:
         tiles: list[Starts] = []
         edges: list[Starts] = []
         while cursor[0] < DONE:
-            starts, nodes = self.spare.pop() if self.spare else self._room()
+            starts, nodes = self.spare.pop() if self.spare else self.room_for_starts()
             tiled, found = scatter_sheet(
                 self.plane,
                 self.branch,
@@ -130,7 +152,7 @@ class Sheets:
             for low in range(0, len(starts), ENOUGH_NODES):
                 yield starts[low : low + ENOUGH_NODES], nodes[low : low + ENOUGH_NODES]
 
-    def _room(self) -> Starts:
+    def room_for_starts(self) -> Starts:
         """Fresh memory for what one call of `scatter_sheet` gives."""
         return np.empty((self.room, 4)), np.empty((self.room, 2), np.int32)
 

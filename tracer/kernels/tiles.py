@@ -34,7 +34,6 @@ from tracer.kernels.bundle import (
     PZ,
     Bed,
     Bundle,
-    fill_alike,
     follow_bundle,
     unowned_bed,
     unowned_bundle,
@@ -130,8 +129,6 @@ def trace_tiles(
     )
     rays, marks, ends = bundle.rays, bundle.marks, bundle.ends
     width = status.shape[1]
-    if balls.shape[1] > 0:
-        fill_alike(balls, rays)
     while tile * SIDE < width:
         column = tile * SIDE
         columns = min(SIDE, width - column)

@@ -92,59 +92,83 @@ def solve_nodes(
     transmittance, branch, starts, nodes = unowned(transmittance), unowned(branch), unowned(starts), unowned(nodes)
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
     state, balls, spans, wanted = unowned(state), unowned(balls), unowned(spans), unowned(wanted)
+    kept = status, pixel, jacobian, weight, transmittance, branch
     for low in range(0, nodes.shape[0], GROUP):
         count = min(GROUP, nodes.shape[0] - low)
-        for i in range(count):
-            row, column = nodes[low + i, 0], nodes[low + i, 1]
-            block[X + i], block[Y + i] = grid[0] + column * grid[2], grid[1] - row * grid[2]
-            block[U + i], block[V + i], block[WITHIN + i] = (
-                starts[low + i, 0],
-                starts[low + i, 1],
-                starts[low + i, 3],
-            )
-            state[i] = FAILED
-        full = whole_vectors(count)
-        for i in range(count, full):
-            block[X + i], block[Y + i] = block[X], block[Y]
-            block[U + i], block[V + i], block[WITHIN + i] = block[U], block[V], block[WITHIN]
+        group, of_group = starts[low : low + count], nodes[low : low + count]
+        begin_group(count, grid, group, of_group, block, state)
         if trip > 0:
-            solve_block(full, camera, spheres, sequence, sign, block, state)
+            solve_block(whole_vectors(count), camera, spheres, sequence, sign, block, state)
             verify(count, camera, balls, xy, spans, wanted, rays, trips, block)
         elif solid:
-            solve_block(full, camera, spheres, sequence, sign, block, state)
+            solve_block(whole_vectors(count), camera, spheres, sequence, sign, block, state)
             verify_one_by_one(count, trip, key, tables, state, trips, block)
-        for i in range(count):
-            if not (state[i] == CONVERGED and trips[TRIP + i] == trip):
-                done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
-                    block[X + i], block[Y + i], starts[low + i, 0], starts[low + i, 1], key, sign, tables
-                )
-                block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
-                state[i] = CONVERGED if done > 0.0 else FAILED
-        judge(count, grid[2], sequence.shape[0], limits, block, state)
-        for i in range(count):
-            row, column = nodes[low + i, 0] & INDEX, nodes[low + i, 1] & INDEX
-            uc, ur, vc, vr = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
-            u, v, light, worth = block[U + i], block[V + i], block[KEPT + i], block[WORTH + i]
-            keep_view(
-                state[i],
-                u,
-                v,
-                uc,
-                ur,
-                vc,
-                vr,
-                light,
-                worth,
-                number,
-                row,
-                column,
-                status,
-                pixel,
-                jacobian,
-                weight,
-                transmittance,
-                branch,
+        careful_group(count, trip, key, sign, tables, group, trips, block, state)
+        keep_group(count, grid[2], sequence.shape[0], number, limits, of_group, block, state, kept)
+
+
+@kernel
+def begin_group(count: int, grid: Array, starts: Array, nodes: Array, block: Array, state: Array) -> None:
+    """Put `count` nodes and their starts into the block, whole vectors."""
+    for i in range(count):
+        row, column = nodes[i, 0], nodes[i, 1]
+        block[X + i], block[Y + i] = grid[0] + column * grid[2], grid[1] - row * grid[2]
+        block[U + i], block[V + i], block[WITHIN + i] = starts[i, 0], starts[i, 1], starts[i, 3]
+        state[i] = FAILED
+    for i in range(count, whole_vectors(count)):
+        block[X + i], block[Y + i] = block[X], block[Y]
+        block[U + i], block[V + i], block[WITHIN + i] = block[U], block[V], block[WITHIN]
+
+
+@kernel
+def careful_group(
+    count: int, trip: int, key: int, sign: float, tables: Tables, starts: Array, trips: Array, block: Array,
+    state: Array,
+) -> None:  # fmt: skip
+    """Solve by itself each node that has not converged to a ray of the trip."""
+    for i in range(count):
+        if not (state[i] == CONVERGED and trips[TRIP + i] == trip):
+            done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
+                block[X + i], block[Y + i], starts[i, 0], starts[i, 1], key, sign, tables
             )
+            block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
+            state[i] = CONVERGED if done > 0.0 else FAILED
+
+
+@kernel
+def keep_group(
+    count: int, pitch: float, events: int, number: int, limits: Array, nodes: Array, block: Array, state: Array,
+    maps: tuple[Array, ...],
+) -> None:  # fmt: skip
+    """Judge the views of a block and keep the best of each node."""
+    status, pixel, jacobian, weight, transmittance, branch = maps
+    status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
+    transmittance, branch = unowned(transmittance), unowned(branch)
+    judge(count, pitch, events, limits, block, state)
+    for i in range(count):
+        row, column = nodes[i, 0] & INDEX, nodes[i, 1] & INDEX
+        uc, ur, vc, vr = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
+        u, v, light, worth = block[U + i], block[V + i], block[KEPT + i], block[WORTH + i]
+        keep_view(
+            state[i],
+            u,
+            v,
+            uc,
+            ur,
+            vc,
+            vr,
+            light,
+            worth,
+            number,
+            row,
+            column,
+            status,
+            pixel,
+            jacobian,
+            weight,
+            transmittance,
+            branch,
+        )
 
 
 @kernel

@@ -1,0 +1,57 @@
+"""Small sheets of a bed solved in one call: the bits of solving one after the other, large or small."""
+
+import numpy as np
+import pytest
+
+from benchmarks.scenes import bed
+from correction.correction_map import CorrectionMap, build_correction_map
+from correction.inversion import invert
+from correction.inversion.kernels import starts
+from correction.inversion.kernels.bed_sheets import keep_nearest
+from correction.inversion.sheets import _nearest
+from tests.tracer.test_beds import mixed_bed, small
+from tracer.ray_map import RayMap, build_ray_map
+from tracer.scene import Scene
+
+
+def bits(made: CorrectionMap) -> list[bytes]:
+    return [array.tobytes() for array in made.arrays().values()]
+
+
+def one_by_one(where: Scene, ray_map: RayMap, layers: int, monkeypatch: pytest.MonkeyPatch) -> CorrectionMap:
+    with monkeypatch.context() as patched:
+        patched.setattr(invert, "fits_bed", lambda scene: False)
+        return build_correction_map(where, ray_map, layers=layers)
+
+
+@pytest.mark.parametrize("layers", [1, 3])
+def test_same_bits_as_one_by_one(layers: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    for where in (small(bed(128), 16.0), mixed_bed(2)):
+        ray_map = build_ray_map(where)
+        made = build_correction_map(where, ray_map, layers=layers)
+        assert bits(made) == bits(one_by_one(where, ray_map, layers, monkeypatch))
+        assert made.behind_glass.sum() > 100
+
+
+def test_sheets_that_are_too_large_for_one_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bed of sixteen balls on many pixels: sheets of more nodes than one portion of starts."""
+    where = small(bed(16), 2.5)
+    ray_map = build_ray_map(where)
+    made = build_correction_map(where, ray_map)
+    assert max(np.bincount(made.branch[0].ravel())[1:]) > starts.ENOUGH_NODES
+    assert bits(made) == bits(one_by_one(where, ray_map, 1, monkeypatch))
+
+
+def test_the_nearest_start_of_each_node_is_kept() -> None:
+    rng = np.random.default_rng(5)
+    nodes = rng.integers(0, 12, (400, 2)).astype(np.int32)
+    told = np.column_stack((rng.random((400, 2)), rng.integers(0, 9, 400), rng.random(400)))
+    told_before, nodes_before, slots = told.copy(), nodes.copy(), np.zeros(1024, np.int64)
+    for stamp in (1, 2):
+        told[...], nodes[...] = told_before, nodes_before
+        kept = keep_nearest(50, 400, stamp, told, nodes, slots)
+        wanted = _nearest(told_before[50:], nodes_before[50:])
+        order = np.lexsort(nodes[50:kept].T[::-1])
+        assert np.array_equal(nodes[50:kept][order], wanted[1])
+        assert np.array_equal(told[50:kept][order], wanted[0])
+        assert np.array_equal(told[:50], told_before[:50])
