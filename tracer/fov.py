@@ -87,7 +87,7 @@ def field_of_view(scene: Scene) -> FieldOfView:
     Parameters
     ----------
     scene : Scene
-        Any camera orientation; other bodies are disregarded.
+        Any camera orientation; opaque bodies that are no spheres are disregarded.
 
     Returns
     -------
@@ -96,8 +96,8 @@ def field_of_view(scene: Scene) -> FieldOfView:
     Raises
     ------
     SceneError
-        The scene has no sphere before the camera, one is off the line or has a core, or the centre sees no plane
-        point.
+        The scene has no sphere before the camera, one is off the line, out of round or has a core, other glass
+        stands in it, or the centre sees no plane point.
     """
     spheres = _row(scene)
     for sphere in spheres:
@@ -157,7 +157,12 @@ def _row(scene: Scene) -> list[Sphere]:
     spheres = [sphere for sphere in scene.spheres if sphere.centre_mm[2] < length_mm]
     if not spheres:
         raise SceneError("there is no sphere between the camera and the plane, so there is no view through glass")
+    for body in scene.seen:
+        if body.media and body not in scene.spheres:
+            raise SceneError(f"there is a {body.kind}, {body.name!r}; a radial field of view is for spheres alone")
     for sphere in spheres:
+        if sphere.shape_um:
+            raise SceneError(f"sphere {sphere.name!r} is out of round; a radial field of view is for round ones")
         off_mm = math.hypot(sphere.centre_mm[0] - x, sphere.centre_mm[1] - y)
         if off_mm > COAXIAL_TOL * sphere.radius_mm:
             raise SceneError(

@@ -18,6 +18,7 @@ from tests.tracer.scenes import camera_at
 from tracer.bodies import Body, Dome, Sphere, Tube, Window
 from tracer.cells import world_from
 from tracer.errors import SceneError
+from tracer.fov import field_of_view
 from tracer.kernels.dome import cross_dome, dome_rates, leave_dome
 from tracer.kernels.rooms import IN, OFF, OUT, THROUGH
 from tracer.kernels.tube import cross_tube, leave_tube, tube_rates
@@ -392,3 +393,11 @@ def sideways() -> Window:
 def test_what_cannot_be_is_refused(bodies: Callable[[], tuple[Body, ...]], words: str) -> None:
     with pytest.raises(SceneError, match=re.escape(words)):
         Scene(AIR_CAMERA, bodies())
+
+
+def test_a_radial_field_of_view_is_for_round_spheres_alone() -> None:
+    """A window bends the rays as well: the curve of the spheres alone would be that of another scene."""
+    for bodies in ((window(), ball(20.0)), (replace(ball(20.0), shape_um=(5.0,) + 44 * (0.0,)),)):
+        with pytest.raises(SceneError, match="radial field of view is for"):
+            field_of_view(Scene(AIR_CAMERA, bodies))
+    assert field_of_view(Scene(AIR_CAMERA, (ball(20.0),))).radius_mm == 5.0

@@ -38,21 +38,23 @@ def outline_mm(body: Body, pinhole_mm: Iterable[float]) -> Floats | None:
     import cv2
 
     pinhole, (ends, radius) = np.array(list(pinhole_mm)), body.outline_mm
-    angle = np.linspace(0.0, 2.0 * np.pi, ROUND_STEPS, endpoint=False)
-    found = []
-    for end in ends:
-        to_end = np.array(end) - pinhole
-        distance = float(np.linalg.norm(to_end))
-        axis = to_end / distance
-        side = np.cross(axis, (1.0, 0.0, 0.0) if abs(axis[0]) < 0.9 else (0.0, 1.0, 0.0))
-        side /= np.linalg.norm(side)
-        sine = min(radius / distance, 1.0)
-        around = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(axis, side)
-        ways = np.sqrt(1.0 - sine * sine) * axis + sine * around
-        if (ways[:, 2] > -1e-3).any():
-            return None
-        found.append((pinhole - pinhole[2] / ways[:, 2:] * ways)[:, :2])
-    hull = cv2.convexHull(np.vstack(found).astype(np.float32))
+    to_ends = np.asarray(ends) - pinhole
+    distances = np.linalg.norm(to_ends, axis=1)
+    if (distances <= radius).any():  # the camera is in it
+        return None
+    axes = to_ends / distances[:, None]
+    ways = axes[:, None]
+    if radius > 0.0:
+        side = np.cross(axes, np.where(np.abs(axes[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        angle, sine = np.linspace(0.0, 2.0 * np.pi, ROUND_STEPS, endpoint=False)[:, None], radius / distances
+        around = np.cos(angle) * side[:, None] + np.sin(angle) * np.cross(axes, side)[:, None]
+        ways = np.sqrt(1.0 - sine * sine)[:, None, None] * axes[:, None] + sine[:, None, None] * around
+    ways = ways.reshape(-1, 3)
+    if (ways[:, 2] > -1e-3).any():
+        return None
+    found = (pinhole - pinhole[2] / ways[:, 2:] * ways)[:, :2]
+    hull = cv2.convexHull(found.astype(np.float32))
     return np.asarray(hull[:, 0], dtype=np.float64)
 
 
