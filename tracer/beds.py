@@ -181,10 +181,11 @@ def trace_bed(
     plane: NDArray[np.float64 | np.float32],
     status: NDArray[np.uint8],
     branch: Numbers,
+    most: int = MAX_EVENTS,
 ) -> tuple[Numbers, Sequence[Branch]]:
     """Trace every pixel into plane (H, W, 2) and status (H, W); return numbers, in `branch` if they fit.
 
-    The same bits for any number of threads and any order of bodies.
+    The same bits for any number of threads and any order of bodies.  `most`: no ray goes through more spheres.
     """
     height, width = status.shape
     camera, spheres = pack_camera(scene.camera), Balls(scene.sphere_table())
@@ -206,7 +207,7 @@ def trace_bed(
             rows = min(SIDE, height - row)
             while SIDE * tile < width:
                 tile = trace_tiles(
-                    camera, spheres.balls, spheres.bed, MAX_EVENTS, row, rows, tile, bundle,
+                    camera, spheres.balls, spheres.bed, most, row, rows, tile, bundle,
                     books[number], point, status, entry,
                 )  # fmt: skip
                 if SIDE * tile < width:

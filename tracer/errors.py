@@ -3,6 +3,7 @@
     TracerError
     +-- SceneError       the scene is well-formed but impossible: overlap, camera inside glass, n < 1
     +-- StaleMap         a stored map belongs to another scene
+    +-- RayMapUsageError a ray map is asked for that cannot be (also a ValueError)
 
 Files that cannot be read raise errors of `ground`.  Rays never raise: each carries a RayStatus.
 """
@@ -30,3 +31,7 @@ class SceneError(TracerError):
 
 class StaleMap(TracerError):  # noqa: N818 - says what it is
     """A map was made from another scene; trace the scene again."""
+
+
+class RayMapUsageError(TracerError, ValueError):
+    """A ray map is asked for that cannot be."""

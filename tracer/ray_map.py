@@ -20,9 +20,11 @@ from ground.memory import require_memory
 from ground.rows import run_rows
 from ground.short_repr import short_repr
 from tracer.beds import fits_bed, trace_bed
-from tracer.branches import Branch, Numbers, number_keys
+from tracer.branches import Branch, Numbers, lengths_of, number_keys
 from tracer.cells import world_of
+from tracer.errors import RayMapUsageError
 from tracer.kernels.maps import trace_rows
+from tracer.kernels.walk import MAX_EVENTS
 from tracer.lockstep import fits_lockstep, trace_lockstep
 from tracer.scene import Scene, SceneBound
 from tracer.status import RayStatus
@@ -107,7 +109,9 @@ class RayMap(SceneBound):
         return cls(plane, status, branch, branches, said.scene_hash)
 
 
-def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = False) -> RayMap:
+def build_ray_map(
+    scene: Scene, out: RayMap | None = None, *, single: bool = False, most_bodies: int | None = None
+) -> RayMap:
     """Trace every pixel of the sensor to the investigation plane.
 
     Parameters
@@ -120,6 +124,10 @@ def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = Fal
     single : bool
         Whether the points, traced in float64 like any other, are stored as float32: 11 instead of 19 bytes a
         pixel, each coordinate rounded by at most 6e-8 of itself (4 nm at 80 mm).
+    most_bodies : int, optional
+        Follow no ray through more bodies than these, 0 to MAX_EVENTS: who would go on is TOO_MANY_EVENTS.  Every
+        other pixel has the bits that it has without.  Through many balls little light comes, and each adds its own
+        error; a bed is done sooner.  Default: no such limit.
 
     Returns
     -------
@@ -130,7 +138,11 @@ def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = Fal
     ------
     MemoryShort
         The map of such a sensor does not fit into memory.
+    RayMapUsageError
+        `most_bodies` is not 0 to MAX_EVENTS.
     """
+    if most_bodies is not None and not 0 <= most_bodies <= MAX_EVENTS:
+        raise RayMapUsageError(f"most_bodies is 0 to {MAX_EVENTS}, not {most_bodies}")
     height, width = scene.camera.shape
     require_memory(BYTES_PER_PX * height * width, f"the ray map of a sensor of {width} x {height} px")
     kind = np.dtype(np.float32 if single else np.float64)
@@ -146,9 +158,12 @@ def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = Fal
         branch = np.empty((height, width), np.uint16)
     if fits_lockstep(scene):
         branches = trace_lockstep(scene, plane, status, branch)
-        return RayMap(plane, status, branch, branches, scene.content_hash())
+        made = RayMap(plane, status, branch, branches, scene.content_hash())
+        return _without_longer(made, most_bodies)
     if fits_bed(scene):
-        numbers, named = trace_bed(scene, plane, status, branch)
+        numbers, named = trace_bed(
+            scene, plane, status, branch, MAX_EVENTS if most_bodies is None else most_bodies
+        )
         return RayMap(plane, status, numbers, named, scene.content_hash())
     key = np.empty((height, width), np.int64)
     camera, world = pack_camera(scene.camera), world_of(scene)
@@ -158,4 +173,12 @@ def build_ray_map(scene: Scene, out: RayMap | None = None, *, single: bool = Fal
 
     run_rows(work, height)
     numbers, branches = number_keys(scene, key)
-    return RayMap(plane, status, numbers, branches, scene.content_hash())
+    return _without_longer(RayMap(plane, status, numbers, branches, scene.content_hash()), most_bodies)
+
+
+def _without_longer(made: RayMap, most_bodies: int | None) -> RayMap:
+    """Drop the pixels that go through more than `most_bodies`, in place."""
+    if most_bodies is not None:
+        longer = (lengths_of(made.branches) > most_bodies)[made.branch]
+        made.status[longer], made.plane_mm[longer] = RayStatus.TOO_MANY_EVENTS, np.nan
+    return made

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from benchmarks.scenes import bed
-from tests.tracer.scenes import ball, camera_at, shrunk
+from tests.tracer.scenes import HOLLOW, ball, camera_at, scene, shrunk
 from tests.tracer.test_lockstep import check
 from tracer.beds import fits_bed
 from tracer.bodies import Sphere
+from tracer.branches import lengths_of
+from tracer.errors import RayMapUsageError
 from tracer.lockstep import fits_lockstep
 from tracer.media import ConstantMedium
 from tracer.ray_map import RayMap, build_ray_map
@@ -133,6 +135,22 @@ def test_a_ball_out_of_round_is_not_taken_for_a_sphere() -> None:
     bent = where.with_bodies([replace(first, shape_um=(30.0,) + 44 * (0.0,)), *rest])
     assert not fits_bed(bent)
     check(bent)
+
+
+@pytest.mark.parametrize("most", [0, 2])
+def test_no_more_bodies_than_asked_for(most: int) -> None:
+    """Ways that are no longer keep their bits, all others are dropped: in a bed, in lockstep and ray by ray."""
+    hollow = scene(HOLLOW)
+    for where in (small(packed(128)), mixed_bed(1), small(scene("three_spheres_500")), small(hollow)):
+        whole, cut = build_ray_map(where), build_ray_map(where, most_bodies=most)
+        longer = (lengths_of(whole.branches) > most)[whole.branch]
+        assert longer.any()
+        assert (cut.status[longer] == RayStatus.TOO_MANY_EVENTS).all()
+        assert np.isnan(cut.plane_mm[longer]).all()
+        assert np.array_equal(cut.status[~longer], whole.status[~longer])
+        assert cut.plane_mm[~longer].tobytes() == whole.plane_mm[~longer].tobytes()
+    with pytest.raises(RayMapUsageError, match="most_bodies"):
+        build_ray_map(hollow, most_bodies=-1)
 
 
 def test_a_map_without_any_ball_in_view() -> None:
