@@ -7,7 +7,7 @@ a map that belongs to another scene is refused.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +58,8 @@ class RayMap(SceneBound):
         Names of the spheres crossed, in order; number 0 is the direct view, ().
     scene_hash : str
         Content hash of the scene.
+    most_bodies : int or None
+        Rays through more bodies than these were left out; None: all are there.
     """
 
     plane_mm: NDArray[np.float64 | np.float32]
@@ -65,6 +67,7 @@ class RayMap(SceneBound):
     branch: Numbers
     branches: Sequence[Branch]
     scene_hash: str
+    most_bodies: int | None = None
 
     @property
     def recovered(self) -> NDArray[np.bool_]:
@@ -72,7 +75,15 @@ class RayMap(SceneBound):
         return np.asarray(self.status == RayStatus.RECOVERED)
 
     def save(self, path: Path | str) -> None:
-        """Write the map to a file, atomically."""
+        """Write the map to a file, atomically.
+
+        Raises
+        ------
+        RayMapUsageError
+            Ways were left out: who reads the file would take what it lacks for lost.
+        """
+        if self.most_bodies is not None:
+            raise RayMapUsageError("a map with most_bodies is not stored; trace the scene without that limit")
         header = {"scene_hash": self.scene_hash, "branches": [list(names) for names in self.branches]}
         save_arrays(path, KIND, header, {"plane_mm": self.plane_mm, "status": self.status, "branch": self.branch})
 
@@ -164,7 +175,7 @@ def build_ray_map(
         numbers, named = trace_bed(
             scene, plane, status, branch, MAX_EVENTS if most_bodies is None else most_bodies
         )
-        return RayMap(plane, status, numbers, named, scene.content_hash())
+        return RayMap(plane, status, numbers, named, scene.content_hash(), most_bodies)
     key = np.empty((height, width), np.int64)
     camera, world = pack_camera(scene.camera), world_of(scene)
 
@@ -178,7 +189,8 @@ def build_ray_map(
 
 def _without_longer(made: RayMap, most_bodies: int | None) -> RayMap:
     """Drop the pixels that go through more than `most_bodies`, in place."""
-    if most_bodies is not None:
-        longer = (lengths_of(made.branches) > most_bodies)[made.branch]
-        made.status[longer], made.plane_mm[longer] = RayStatus.TOO_MANY_EVENTS, np.nan
-    return made
+    if most_bodies is None:
+        return made
+    longer = (lengths_of(made.branches) > most_bodies)[made.branch]
+    made.status[longer], made.plane_mm[longer] = RayStatus.TOO_MANY_EVENTS, np.nan
+    return replace(made, most_bodies=most_bodies)

@@ -149,6 +149,8 @@ def test_no_more_bodies_than_asked_for(most: int) -> None:
         assert np.isnan(cut.plane_mm[longer]).all()
         assert np.array_equal(cut.status[~longer], whole.status[~longer])
         assert cut.plane_mm[~longer].tobytes() == whole.plane_mm[~longer].tobytes()
+        with pytest.raises(RayMapUsageError, match="is not stored"):
+            cut.save("limited.map")
     with pytest.raises(RayMapUsageError, match="most_bodies"):
         build_ray_map(hollow, most_bodies=-1)
 
