@@ -67,7 +67,7 @@ def walls(
             if one in shapes:
                 by_shape[k, place[one]] = values(towards)
                 depth[k] += float(by_shape[k, place[one]] @ shapes[one])
-    return depth, rate, by_shape.reshape(len(depth), -1)
+    return depth, rate, by_shape.reshape(len(depth), len(shapes) * COUNT)
 
 
 def reach_down_mm(number: int, sphere: NDArray[np.float64], shapes: Shapes) -> float:
