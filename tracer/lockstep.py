@@ -160,7 +160,7 @@ def aligned(count: int, dtype: type) -> NDArray[Any]:
 def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:
     """Row of ``balls`` of ``tracer.kernels.chain``."""
     assert sphere.medium is not None
-    n, radius = sphere.medium.n(scene.wavelength_nm) / scene.n_ambient, sphere.radius_mm
+    n, radius = sphere.medium.n(scene.wavelength_nm) / scene.n_around(sphere), sphere.radius_mm
     square = radius * radius
     numbers = (
         *sphere.centre_mm,

@@ -29,6 +29,7 @@ from tracer.lockstep import fits_lockstep, trace_lockstep
 from tracer.scene import Scene, SceneBound
 from tracer.status import RayStatus
 from tracer.trace import pack_camera
+from tracer.windows_in_front import trace_windows, windows_in_front
 
 KIND = "ray map"
 BYTES_PER_PX = 27  # of a map, and of the keys of its branches while it is made
@@ -169,6 +170,10 @@ def build_ray_map(
         branch = np.empty((height, width), np.uint16)
     if fits_lockstep(scene):
         branches = trace_lockstep(scene, plane, status, branch)
+        made = RayMap(plane, status, branch, branches, scene.content_hash())
+        return _without_longer(made, most_bodies)
+    if (windows := windows_in_front(scene)) is not None:
+        branches = trace_windows(scene, windows, plane, status, branch)
         made = RayMap(plane, status, branch, branches, scene.content_hash())
         return _without_longer(made, most_bodies)
     if fits_bed(scene):

@@ -172,7 +172,7 @@ def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float
     depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
     columns = np.concatenate((unknowns.columns[unknowns.glass], unknowns.columns[unknowns.all_shapes]))
     of_rooms, room_rate = room_depths(unknowns, full)
-    every = np.concatenate((rate.reshape(len(depth), -1), by_shape), axis=1)
+    every = np.concatenate((rate.reshape(len(depth), rate.shape[1] * rate.shape[2]), by_shape), axis=1)
     rates = (every @ columns, room_rate @ unknowns.columns)
     return np.concatenate((depth, of_rooms)) / WALL_MM, np.concatenate(rates) / WALL_MM
 
