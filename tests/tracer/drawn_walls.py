@@ -10,8 +10,43 @@ from tracer.bodies import Body, Core, Dome, Sphere, Tube, Window
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium, Medium
 from tracer.scene import Scene
+from tracer.trace import TraceResult, trace_from
 
 CAMERA_Z = 400.0
+GLASS, WATER = ConstantMedium(1.5195), ConstantMedium(1.333)
+AIR_CAMERA = camera_at((0.0, 0.0, CAMERA_Z), (0.0, 0.0, 0.0), 2000.0, (96, 64))
+
+
+def window(**changes: object) -> Window:
+    plain = Window("window", (0.0, 0.0, 150.0), (0.0, 0.0, 1.0), 10.0, 100.0, GLASS, WATER)
+    return replace(plain, **changes)
+
+
+def tube(**changes: object) -> Tube:
+    plain = Tube("tube", (-80.0, 0.0, 0.0), (80.0, 0.0, 0.0), 50.0, 45.0, GLASS)
+    return replace(plain, **changes)
+
+
+def dome(**changes: object) -> Dome:
+    """A flask, thicker on one side."""
+    plain = Dome("dome", (0.0, 0.0, 0.0), 50.0, 45.0, GLASS, None, (0.5, 0.3, -0.4))
+    return replace(plain, **changes)
+
+
+def among_all_kinds(*bodies: Body, **scene: object) -> Scene:
+    """A scene with a wall of every kind, those that are missing far away: kernels are compiled but once."""
+    far = (
+        window(name="far window", centre_mm=(-3000.0, 0.0, 300.0), normal=(1.0, 0.0, 0.0)),
+        tube(name="far tube", start_mm=(-380.0, 400.0, 60.0), end_mm=(-280.0, 400.0, 60.0)),
+        dome(name="far dome", centre_mm=(0.0, -400.0, 20.0), inner_centre_mm=None),
+    )
+    kinds = {body.kind for body in bodies}
+    return Scene(AIR_CAMERA, (*bodies, *(body for body in far if body.kind not in kinds)), **scene)
+
+
+def seen(scene: Scene, pixels: NDArray[np.float64]) -> TraceResult:
+    """Trace pixels as rays from the pinhole, by the kernel that has been compiled for rays."""
+    return trace_from(scene, np.array(scene.camera.position_mm), scene.camera.directions(pixels))
 
 
 def index(rng: np.random.Generator, *choices: float) -> Medium:

@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.tracer.drawn_walls import GLASS, WATER, among_all_kinds, seen
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Body, Sphere, Tube, Window
 from tracer.camera import Lens
 from tracer.media import ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
-from tracer.trace import trace
+from tracer.status import RayStatus
 from tracer.windows_in_front import windows_in_front
 
-GLASS, WATER = ConstantMedium(1.5195), ConstantMedium(1.333)
+NEAR_MM = 150.0
 CAMERA = camera_at((12.0, -7.0, 400.0), (0.0, 0.0, 0.0), 900.0, (150, 131))
 
 
@@ -30,23 +31,22 @@ def balls(n: float = 1.6) -> tuple[Body, ...]:
 
 
 def check(scene: Scene) -> dict[int, int]:
-    """Compare with the march; how many pixels have each status."""
+    """Compare with the march, which has been compiled for walls of all kinds; how many pixels have each status.
+
+    Those walls stand far off: what flies that far is left out.
+    """
     assert windows_in_front(scene) is not None
     made = build_ray_map(scene)
     height, width = made.status.shape
     v, u = np.mgrid[0:height, 0:width]
-    marched = trace(scene, np.stack((u, v), axis=-1).astype(np.float64))
-    np.testing.assert_array_equal(made.status, marched.rays["status"])
-    np.testing.assert_allclose(made.plane_mm, marched.plane_mm, rtol=1e-10, atol=1e-10)
-    names = [marched.branches[int(key)] for key in marched.rays["key"].ravel()]
-    lands = made.recovered.ravel()
-    found = [made.branches[number] for number in made.branch.ravel()]
-    assert [a for a, on in zip(found, lands, strict=True) if on] == [
-        a for a, on in zip(names, lands, strict=True) if on
-    ]
-    steep = np.abs(marched.rays["direction"][..., 2]) > 0.2
-    off = np.abs(made.plane_mm - marched.plane_mm)[steep & made.recovered]
-    assert off.max() < 1e-10
+    marched = seen(among_all_kinds(*scene.bodies).with_camera(scene.camera), np.stack((u, v), axis=-1) * 1.0)
+    with np.errstate(invalid="ignore"):
+        near, near_there = ((np.abs(plane) < NEAR_MM).all(axis=2) for plane in (made.plane_mm, marched.plane_mm))
+    np.testing.assert_array_equal(near, near_there)
+    assert (marched.rays["status"][made.status == RayStatus.BLOCKED] == RayStatus.BLOCKED).all()
+    np.testing.assert_allclose(made.plane_mm[near], marched.plane_mm[near], rtol=0.0, atol=1e-10)
+    names = [marched.branches[int(key)] for key in marched.rays["key"][near]]
+    assert [made.branches[number] for number in made.branch[near]] == names
     numbers, counts = np.unique(made.status, return_counts=True)
     return dict(zip(numbers.tolist(), counts.tolist(), strict=True))
 
@@ -63,6 +63,7 @@ def test_a_tank_behind_two_windows_and_a_lens_with_distortion() -> None:
     assert statuses[1] > 100  # beside the inner opening
 
 
+@pytest.mark.slow  # compiles the march for windows alone, which names what is not the usual case
 def test_a_window_that_leans_far() -> None:
     """Some rays pass beside the window's plane, some come back to it, some see its edge."""
     leaning = replace(window(60.0, "window", 40.0), normal=(0.8, 0.0, 0.6), centre_mm=(70.0, 0.0, 60.0))
