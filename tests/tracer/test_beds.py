@@ -13,7 +13,7 @@ from tracer.beds import fits_bed
 from tracer.bodies import Sphere
 from tracer.branches import lengths_of
 from tracer.errors import RayMapUsageError
-from tracer.lockstep import fits_lockstep
+from tracer.lockstep import aligned, fits_lockstep
 from tracer.media import ConstantMedium
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
@@ -160,3 +160,18 @@ def test_a_map_without_any_ball_in_view() -> None:
     away = camera_at((500.0, 0.0, 300.0), (500.0, 0.0, 0.0), 300.0, (40, 33))
     made = check(where.with_camera(away))
     assert tuple(made.branches) == ((),)
+
+
+def test_a_tile_whose_rays_are_all_totally_reflected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody is left to ask a list, and memory that nobody has written to must not say which."""
+
+    def poisoned(count: int, dtype: type) -> np.ndarray:
+        memory = aligned(count, dtype)
+        memory[...] = np.nan if np.issubdtype(dtype, np.floating) else 7_777_777_777_777
+        return memory
+
+    monkeypatch.setattr("tracer.beds.aligned", poisoned)
+    bubble = Sphere("bubble", (0.0, 0.0, 60.0), 20.0, ConstantMedium(1.0))
+    camera = camera_at((18.0, 0.0, 460.0), (18.0, 0.0, 0.0), 4000.0, (16, 16))
+    made = build_ray_map(Scene(camera, (bubble,), ambient=ConstantMedium(1.5)))
+    assert (made.status == RayStatus.TIR).all()

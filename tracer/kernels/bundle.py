@@ -428,4 +428,6 @@ def follow_bundle(count: int, most: int, balls: Array, bed: Bed, bundle: Bundle)
         events += 1
         if turn(full, bed.alike, balls, rays, marks) != 0:
             count = part_lost(count, events, bundle)
+            if count == 0:
+                return True
         point_cells(count, rays, marks)
