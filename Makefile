@@ -11,7 +11,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (daq/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow labs fuzz lamps sheets far-starts benchmark bench lint compiled picture pins clean
+.PHONY: demo test test-slow labs fuzz lamps sheets far-starts benchmark bench lint compiled-rays compiled-pairs picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -28,7 +28,7 @@ demo: $(STAMP)
 	$(BIN)/rtpiv demo -o demo
 
 test: $(STAMP)
-	@$(MAKE) --no-print-directory -j2 lint compiled
+	@$(MAKE) --no-print-directory -j3 lint compiled-rays compiled-pairs
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 test-slow: $(STAMP)
@@ -69,9 +69,12 @@ bench: benchmark
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks -o benchmarks/results
 
-# What most tests need is compiled on one core while the other lints: tests on two cores would compile it twice.
-compiled: $(STAMP)
+# What most tests need is compiled beside the linters: tests on two cores would compile it twice.
+compiled-rays: $(STAMP)
 	@$(BIN)/python -c "from tests.system.test_cold_start import fingerprint; fingerprint()"
+
+compiled-pairs: $(STAMP)
+	@$(BIN)/python -c "from tests.system.test_cold_start import compile_pairs; compile_pairs()"
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -62,6 +62,14 @@ def fingerprint() -> str:
     return "\n".join(lines)
 
 
+def compile_pairs() -> None:
+    """Compile what measures pairs and renders frames: it needs no map, so it goes beside `fingerprint`."""
+    rng = np.random.default_rng(1)
+    frames = rng.integers(0, 4096, (2, 400, 400)).astype(np.float32)
+    evaluate_pair(frames[0], frames[1], np.ones(frames[0].shape, bool))
+    render(at_size(named_scene(SCENES[0]), 64), Print(5.0, 2.0), Sensor(), seed=1)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_compiling_and_loading_give_the_same_bits(tmp_path):
