@@ -1,9 +1,9 @@
 """When and how a whole sensor is traced in lockstep (``tracer.kernels.chain``).
 
 Lockstep serves scenes of a few solid transparent spheres that are nowhere optically thinner than the room: every
-scene of the paper.  More of them, opaque ones and bubbles go in bundles (``tracer.beds``), anything else
-(supports, hollow balls, walls) through ``march``, pixel by pixel.  All give the same map to rounding; tests hold
-them together.
+scene of the paper.  The same behind windows goes by ``tracer.windows_in_front``; more of them, opaque ones and
+bubbles go in bundles (``tracer.beds``), anything else (supports, hollow balls, tubes) through ``march``, pixel by
+pixel.  All give the same map to rounding; tests hold them together.
 
 Branches are numbered beforehand (``tracer.branches``).  What rays meet in another order than a number can say is
 traced again by ``march``, which names it.

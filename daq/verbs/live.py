@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.corrector import Corrector
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import CAMERA, Bench
 from daq.acquisition.bench.opened import open_bench
@@ -90,7 +91,7 @@ def live(
     return seen
 
 
-def _corrector(bench: Bench, scene: Path | None) -> Any:  # noqa: ANN401 - a Corrector
+def _corrector(bench: Bench, scene: Path | None) -> Corrector:
     corrections = Corrections(bench.scene if scene is None else load_scene(scene))
     corrections.prepare([BEHIND_GLASS])
     return corrections.corrector(BEHIND_GLASS)

@@ -95,7 +95,6 @@ function figures() {
   say(at("run"), words.run || "rtpiv live");
   const seconds = (performance.now() - begun) / 1000;
   say(at("state"), words.doing || "running");
-  if (words.laser) { at("laser").hidden = false; at("laser").className = words.laser.on ? "on" : "off"; say(at("laser"), words.laser.text); }
   const rows = Object.entries(words.counters || {}).map(([name, [text, wrong]]) => [name, text, wrong]);
   rows.push(["pictures drawn", `${drawn}, ${(drawn / seconds).toFixed(1)} a second`, false]);
   rows.push(["not shown to you", String(words.missed || 0), false]);
