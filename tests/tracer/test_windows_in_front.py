@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.correction_map import build_correction_map
 from tests.tracer.drawn_walls import GLASS, WATER, among_all_kinds, seen
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Body, Sphere, Tube, Window
@@ -92,3 +93,13 @@ def test_what_else_stands_there_goes_by_the_march() -> None:
     for bodies in ((one,), (one, *balls(), beside), (tank, bubble), (one, *balls(), before), balls()):
         assert windows_in_front(Scene(CAMERA, bodies)) is None
     assert windows_in_front(Scene(CAMERA, (one, *balls()))) is not None
+
+
+@pytest.mark.slow  # compiles an inversion for windows alone
+def test_its_map_is_inverted_as_that_of_the_march(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(CAMERA, (window(150.0, "window"), *balls()))
+    blocks = build_correction_map(scene, build_ray_map(scene))
+    monkeypatch.setattr("tracer.ray_map.windows_in_front", lambda _: None)
+    marched = build_correction_map(scene, build_ray_map(scene))
+    np.testing.assert_array_equal(blocks.recovered, marched.recovered)
+    np.testing.assert_allclose(blocks.pixel, marched.pixel, rtol=0.0, atol=1e-9)
