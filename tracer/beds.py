@@ -1,8 +1,8 @@
 """How a whole sensor is traced behind many spheres (``tracer.kernels.bundle``).
 
-Beds serve scenes of solid and opaque round spheres, however many, in one room: those that ``lockstep`` does not
-take because they are many, opaque or thinner than the room.  They give the map of ``march`` to rounding; a test
-holds them together.
+Beds serve scenes of solid and opaque round spheres, however many, in one room, behind windows or not: those
+that ``lockstep`` and ``windows_in_front`` do not take because they are many, opaque or thinner than the room.
+They give the map of ``march`` to rounding; a test holds them together.
 
 Every thread notes in a book of its own which branches it met.  The books become one list, numbered by length and
 name, whoever traced what; what remains a list of numbers until somebody asks for its names (`BranchList`).
@@ -19,7 +19,9 @@ from ground.rows import run_rows
 from tracer.branches import SHORT_NUMBERS, Branch, BranchList, Numbers
 from tracer.cells import cells_of
 from tracer.kernels.branch_book import BranchBook, copy_book, pack_ranks
-from tracer.kernels.bundle import (
+from tracer.kernels.bundle import fill_alike
+from tracer.kernels.candidates import BINS, CLUSTER, Lists, Neighbours, count_neighbours
+from tracer.kernels.lanes import (
     BALL_ROWS,
     END_NUMBERS,
     FATE_NUMBERS,
@@ -30,9 +32,7 @@ from tracer.kernels.bundle import (
     RAY_NUMBERS,
     Bed,
     Bundle,
-    fill_alike,
 )
-from tracer.kernels.candidates import BINS, CLUSTER, Lists, Neighbours, count_neighbours
 from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, INDEX, OPAQUE, RADIUS, SOLID
 from tracer.kernels.tiles import SIDE, number_rows, trace_tiles
@@ -40,6 +40,7 @@ from tracer.kernels.walk import MAX_EVENTS
 from tracer.lockstep import aligned
 from tracer.scene import Scene
 from tracer.trace import pack_camera
+from tracer.windows_in_front import windows_before
 
 NEIGHBOURS = 100  # balls around each that are asked first
 ROOM = 1 << 18  # balls in all lists of a thread, 3 MB: what a bed of a thousand uses
@@ -47,8 +48,13 @@ FIRST_ENTRIES = 1024  # branches of a book before it grows
 
 
 def fits_bed(scene: Scene) -> bool:
-    """Whether a scene can be traced in bundles."""
-    return not scene.other_tables() and not scene.shapes() and scene.sphere_table().shape[1] == SOLID
+    """Whether a scene without windows can be traced in bundles."""
+    return not scene.other_tables() and fits_bed_behind(scene)
+
+
+def fits_bed_behind(scene: Scene) -> bool:
+    """Whether a scene can be traced in bundles, behind windows if there are any."""
+    return not scene.shapes() and scene.sphere_table().shape[1] == SOLID and windows_before(scene) is not None
 
 
 class Balls:
@@ -182,23 +188,27 @@ def trace_bed(
     status: NDArray[np.uint8],
     branch: Numbers,
     most: int = MAX_EVENTS,
-) -> tuple[Numbers, Sequence[Branch]]:
+) -> tuple[Numbers, Sequence[Branch]] | None:
     """Trace every pixel into plane (H, W, 2) and status (H, W); return numbers, in `branch` if they fit.
 
-    The same bits for any number of threads and any order of bodies.  `most`: no ray goes through more spheres.
+    None: some ray passes beside a window's plane or is reflected by it, which only `march` can follow.  The same
+    bits for any number of threads and any order of bodies.  `most`: no ray goes through more spheres.
     """
     height, width = status.shape
+    windows = windows_before(scene)
+    assert windows is not None
     camera, spheres = pack_camera(scene.camera), Balls(scene.sphere_table())
     point, entry = plane.reshape(height, 2 * width), np.empty((height, width), np.uint32)
     bands = -(-height // SIDE)
     owner, books = np.empty(bands, np.int64), list[BranchBook]()
-    spare, one_at_a_time = deque[tuple[int, Bundle]](), Lock()
+    spare, one_at_a_time = deque[tuple[int, Bundle, NDArray[np.int64]]](), Lock()
+    odd = np.zeros(height, np.int64)
 
     def work(first: int, last: int) -> None:
         try:
-            number, bundle = spare.pop()
+            number, bundle, passed = spare.pop()
         except IndexError:
-            bundle = spheres.bundle()
+            bundle, passed = spheres.bundle(), np.empty(LANES, np.int64)
             with one_at_a_time:
                 number = len(books)
                 books.append(new_book(FIRST_ENTRIES))
@@ -207,14 +217,16 @@ def trace_bed(
             rows = min(SIDE, height - row)
             while SIDE * tile < width:
                 tile = trace_tiles(
-                    camera, spheres.balls, spheres.bed, most, row, rows, tile, bundle,
-                    books[number], point, status, entry,
+                    camera, spheres.balls, spheres.bed, windows, most, row, rows, tile, bundle,
+                    passed, odd, books[number], point, status, entry,
                 )  # fmt: skip
                 if SIDE * tile < width:
                     books[number] = grown(books[number])
-        spare.append((number, bundle))
+        spare.append((number, bundle, passed))
 
     run_rows(work, bands, block=max(1, bands // 32))
+    if odd.any():
+        return None
     numbers, branches = number_books(scene, spheres.order, books)
     if len(branches) > SHORT_NUMBERS:
         branch = np.empty((height, width), np.uint32)

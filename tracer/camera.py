@@ -29,6 +29,7 @@ Vector3 = tuple[float, float, float]
 
 SMALLEST_MM = 1e-9  # a picometre: the smallest radius
 LONGEST_MM = 1e12  # a million kilometres; far below where squares of lengths leave float64
+SETTLED_PX = 1e-12  # a round that no longer matters
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,18 @@ class Camera:
         )
         return np.asarray(centre + self.focal_px * out)
 
+    def coarser(self, times: int) -> "Camera":
+        """Return the camera with pixels so many times wider and the same view, but for a rest at its far edges."""
+        if times == 1:
+            return self
+        (cu, cv), (width, height) = self.principal_px, self.sensor_px
+        return replace(
+            self,
+            focal_px=self.focal_px / times,
+            principal_px=((cu + 0.5) / times - 0.5, (cv + 0.5) / times - 0.5),
+            sensor_px=(max(1, width // times), max(1, height // times)),
+        )
+
     def directions(self, pixels: ArrayLike) -> NDArray[np.float64]:
         """Unit world directions (..., 3) of the rays through acquired pixels (..., 2)."""
         ideal = self.ideal(pixels)
@@ -166,6 +179,8 @@ class Camera:
             for _ in range(60):
                 step = wanted - self.ideal(acquired)
                 acquired = acquired + step
+                if not (np.abs(step) > SETTLED_PX).any():
+                    break
             acquired[~(np.abs(wanted - self.ideal(acquired)).max(axis=-1) < 1e-9)] = np.nan
         return acquired
 

@@ -84,8 +84,8 @@ def trace_lockstep(
 NO_MIRRORS = Mirrors(False, False, np.empty(0, np.int64), np.empty(0, np.int64))
 
 
-def find_mirrors(scene: Scene) -> Mirrors:
-    """Mirrors of a scene.  All numbers must agree to the last bit: nearly symmetric is not symmetric."""
+def find_mirrors(scene: Scene, windows: NDArray[np.float64] | None = None) -> Mirrors:
+    """Mirrors of a scene, behind windows (K, 10).  Numbers must agree to the last bit: nearly is not symmetric."""
     camera, rows = scene.camera, [_constants(sphere, scene) for sphere in chain(scene)]
     if camera.rotation != STRAIGHT_DOWN or not camera.lens.is_ideal:
         return NO_MIRRORS
@@ -93,6 +93,7 @@ def find_mirrors(scene: Scene) -> Mirrors:
     for axis in (0, 1):
         places = [(*row[:axis], -row[axis], *row[axis + 1 :]) for row in rows]
         symmetric = camera.position_mm[axis] == 0.0 and set(places) == set(rows)
+        symmetric = symmetric and (windows is None or not windows[:, (axis, 3 + axis)].any())
         there.append(symmetric and camera.principal_px[axis] == (camera.sensor_px[axis] - 1) / 2.0)
         images.append([rows.index(place) if there[axis] else k for k, place in enumerate(places)])
     swap_x, swap_y = map(mirrored_numbers, images)

@@ -19,7 +19,7 @@ from ground.map_file import Hash, checked, load_arrays, save_arrays
 from ground.memory import require_memory
 from ground.rows import run_rows
 from ground.short_repr import short_repr
-from tracer.beds import fits_bed, trace_bed
+from tracer.beds import fits_bed_behind, trace_bed
 from tracer.branches import Branch, Numbers, lengths_of, number_keys
 from tracer.cells import world_of
 from tracer.errors import RayMapUsageError
@@ -176,11 +176,10 @@ def build_ray_map(
         branches = trace_windows(scene, windows, plane, status, branch)
         made = RayMap(plane, status, branch, branches, scene.content_hash())
         return _without_longer(made, most_bodies)
-    if fits_bed(scene):
-        numbers, named = trace_bed(
-            scene, plane, status, branch, MAX_EVENTS if most_bodies is None else most_bodies
-        )
-        return RayMap(plane, status, numbers, named, scene.content_hash(), most_bodies)
+    if fits_bed_behind(scene):
+        traced = trace_bed(scene, plane, status, branch, MAX_EVENTS if most_bodies is None else most_bodies)
+        if traced is not None:
+            return RayMap(plane, status, *traced, scene.content_hash(), most_bodies)
     key = np.empty((height, width), np.int64)
     camera, world = pack_camera(scene.camera), world_of(scene)
 

@@ -102,7 +102,7 @@ class Scene:
         """The bodies in front of the plane, in file order."""
         return tuple(body for body in self.bodies if body.highest_mm > CONTACT_TOL_MM)
 
-    @property
+    @cached_property
     def spheres(self) -> tuple[Sphere, ...]:
         """The spheres in front of the plane, in file order."""
         return Sphere.among(self.seen)
@@ -148,6 +148,10 @@ class Scene:
 
     def sphere_table(self) -> NDArray[np.float64]:
         """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""
+        return self._sphere_table.copy()
+
+    @cached_property
+    def _sphere_table(self) -> NDArray[np.float64]:
         return Sphere.table_of(self.spheres, self._index)
 
     def shapes(self) -> dict[int, NDArray[np.float64]]:
@@ -162,13 +166,17 @@ class Scene:
         instead : mapping, optional
             Name -> what stands in the place of that body, and need not fit in there: for a fit on its way.
         """
-        return tuple(table for _, table in self._others(instead or {}))
+        return tuple(table for _, table in (self._others(instead) if instead else self._other_tables))
+
+    @cached_property
+    def _other_tables(self) -> tuple[tuple[int, Any], ...]:
+        return tuple(self._others({}))
 
     def row_of(self, body: Body) -> NDArray[np.float64]:
         """Row (W,) of a body that is no sphere for the kernels, as it is or as it might be."""
         return np.array(type(body).table_of((body,), self._index).rows[0])
 
-    @property
+    @cached_property
     def others(self) -> tuple[Body, ...]:
         """The bodies in `other_tables`, in their order."""
         seen = self.seen
@@ -228,7 +236,7 @@ class Scene:
         numbers += sorted([0.0, *row] for row in self.sphere_table().tolist())
         shaped = [sphere for sphere in self.spheres if sphere.shape_um]
         numbers += sorted([-2.0, *sphere.centre_mm, *sphere.shape_um] for sphere in shaped)
-        for place, table in self._others({}):
+        for place, table in self._other_tables:
             numbers += sorted([float(place), *_in_short(row)] for row in table.rows)
         rooms = self.rooms()
         if len(rooms.home):  # which is where follows from the numbers; what fills the rooms does not

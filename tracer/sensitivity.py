@@ -144,6 +144,7 @@ def landings_through(
     pixels: ArrayLike,
     target: TargetPose,
     n_ambient: float = 1.0,
+    by_walls: bool = True,
 ) -> Landings:
     """`landings` for bare numbers: a fit on its way may pass through scenes in which bodies overlap.
 
@@ -159,6 +160,9 @@ def landings_through(
         The plane.
     n_ambient : float
         Index around the bodies; derivatives by n are by the absolute index.
+    by_walls : bool
+        Whether derivatives by the numbers of bodies other than spheres are asked for; those of windows and tubes
+        take half of the time.
 
     Returns
     -------
@@ -170,7 +174,8 @@ def landings_through(
     count, packed, pose = len(points), pack_camera(camera), target.packed()
     called = [str(number) for number in range(len(world.spheres) + sum(len(one.rows) for one in world.others))]
     uneven = [number for one in world.shapes for number in np.nonzero(one[:, MEAN] > 0.0)[0].tolist()]
-    names = _names(called[: len(world.spheres)], world.others, called[len(world.spheres) :])
+    balls, others = called[: len(world.spheres)], called[len(world.spheres) :]
+    names = _names(balls, world.others, others) if by_walls else _names(balls, (), ())
     by_shape = np.empty((count if uneven else 0, 2, len(world.spheres), SHAPE_NUMBERS))
     status, key = np.empty(count, np.uint8), np.empty(count, np.int64)
     point, by_pixel, rate = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2, len(names)))

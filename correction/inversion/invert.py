@@ -6,6 +6,7 @@ sought this way.  The direct view comes first, in closed form; then every sheet,
 Skipped, with the same result: a view through e spheres weighs at most 1/(1 + e), because the transmittance and
 the share of the magnification that counts are at most 1.  A node whose last layer already weighs as much cannot
 take it, so it is not solved: what is seen directly is not sought through glass unless several views are wanted.
+Nor is a node sought with care where there is no hope (``kernels.views``): four of five that a bed's blocks leave.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,7 +24,7 @@ from correction.inversion.kernels.starts import LANES, MEASURES
 from correction.inversion.kernels.views import NodeScratch, solve_nodes
 from correction.inversion.sheets import Sheet, Sheets, Starts
 from ground.rows import run_parts, run_rows
-from tracer.beds import Balls, fits_bed
+from tracer.beds import Balls, fits_bed_behind
 from tracer.branches import chain_trip, event_numbers, key_of
 from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
@@ -32,6 +33,7 @@ from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_dis
 from tracer.ray_map import RayMap
 from tracer.scene import Scene
 from tracer.trace import pack_camera
+from tracer.windows_in_front import NO_WINDOWS, usual_windows, windows_in_front
 
 NO_BALLS = np.empty((0, BALL))
 
@@ -56,7 +58,10 @@ class Inversion:
         self.tables = (pack_camera(scene.camera), world_of(scene))
         self.events = event_numbers(scene)
         self.lockstep = fits_lockstep(scene)
-        self.balls = pack_chain(scene) if self.lockstep else NO_BALLS
+        usual = usual_windows(scene)
+        self.windows, self.in_blocks = (NO_WINDOWS, False) if usual is None else (usual, True)
+        self.few = self.lockstep or (self.in_blocks and windows_in_front(scene) is not None)
+        self.balls = pack_chain(scene) if self.few else NO_BALLS
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
         lead, kind = (layers, height, width), ray_map.branch.dtype
@@ -123,7 +128,7 @@ class Inversion:
     def glass(self) -> None:
         """Cut the sensor into sheets and solve each that is worth it."""
         sheets = Sheets(self.ray_map, self.grid, self.tables, self.longest_mm)
-        if fits_bed(self.scene) and not self.lockstep and len(self.scene.spheres):
+        if self.in_blocks and fits_bed_behind(self.scene) and not self.few:
             self._solve_many(sheets)
             return
         for sheet in sheets:
@@ -139,16 +144,13 @@ class Inversion:
         every, balls = sheets.ordered(), Balls(self.scene.sphere_table())
         used, of_sheet = np.unique(every.branch, return_inverse=True)
         ways = [np.array(self._sequence(number), np.int64) for number in used.tolist()]
-        keys = np.array([key_of(way) for way in ways], np.int64)
         sizes = np.array([len(way) for way in ways], np.int64)[of_sheet]
         events = np.concatenate([ways[k] for k in of_sheet.tolist()]) if len(of_sheet) else np.empty(0, np.int64)
         place = np.empty(len(balls.order), np.int64)
         place[balls.order] = np.arange(len(balls.order))
         begin = np.concatenate(([0], np.cumsum(sizes)))
         enough = (1.0 / (1.0 + every.events) if self.skip else np.full(len(sizes), np.inf)).astype(np.float32)
-        small = Small(
-            every.branch, every.sign, keys[of_sheet], events, place[events], begin, every.runs, every.first, enough
-        )
+        small = Small(every.branch, every.sign, events, place[events], begin, every.runs, every.first, enough)
         start = StartScratch(
             np.zeros(3, np.int64),
             np.empty(LANES, np.int64),
@@ -157,15 +159,23 @@ class Inversion:
             np.zeros(1 << (2 * sheets.room).bit_length(), np.int64),
         )
         sensor = Sensor(sheets.plane, sheets.branch, sheets.flags, sheets.taken)
-        scratch = balls.bundle(), np.empty(NEWTON_NUMBERS), np.empty(GROUP, np.int64), block_scratch()[1]
+        scratch = (
+            balls.bundle(),
+            np.empty(GROUP, np.int64),
+            np.empty(NEWTON_NUMBERS),
+            np.empty(GROUP, np.int64),
+            block_scratch()[1],
+        )
         progress = np.zeros(2, np.int64)
         while progress[0] < len(every.branch):
             progress[1] = sheets.stamp
             solve_small_sheets(
                 self.tables,
                 self.grid_numbers,
+                self.windows,
                 balls.balls,
                 balls.bed,
+                not self.skip,
                 small,
                 sensor,
                 progress,
@@ -187,9 +197,9 @@ class Inversion:
         """Solve the nodes of one sheet and keep the best views."""
         sequence = np.array(self._sequence(sheet.branch), np.int64)
         key = key_of(sequence)
-        trip = chain_trip(self.scene, sequence) if self.lockstep else -1
+        trip = chain_trip(self.scene, sequence) if self.few else -1
         world = self.tables[1]
-        solid = not len(world.rooms.home) and not world.shapes and bool((sequence < len(world.spheres)).all())
+        solid = self.in_blocks and not world.shapes and bool((sequence < len(world.spheres)).all())
         balls, maps = self.balls, self.maps
 
         def work(part: Starts) -> None:
@@ -200,14 +210,17 @@ class Inversion:
                 np.empty((len(balls), 2), np.int64),
                 np.empty(len(balls), np.int64),
                 *block_scratch(),
+                np.empty(GROUP, np.int64),
             )
             solve_nodes(
                 self.tables,
                 self.grid_numbers,
                 balls,
+                self.windows,
                 sequence,
                 trip,
                 solid,
+                not self.skip,
                 key,
                 sheet.branch,
                 sheet.sign,

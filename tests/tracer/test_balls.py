@@ -222,6 +222,7 @@ def test_harmonics_are_what_they_are_said_to_be() -> None:
     )
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_rays() -> None:
     """By the pixel, by where the ball stands, its radius and n, and by every harmonic."""
     rng = np.random.default_rng(7)
@@ -367,6 +368,7 @@ def test_a_tilted_light_sheet_turns_the_shape() -> None:
     assert shifted.shape_um == one.shape_um
 
 
+@pytest.mark.slow
 def test_no_pixel_has_no_landing() -> None:
     """A view in which nothing is seen through glass asks for none."""
     uneven = replace(ball("b", 0.0, 0.0, 20.0, 15.0, 1.5), shape_um=(5.0,) + (COUNT - 1) * (0.0,))

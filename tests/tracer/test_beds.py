@@ -9,7 +9,7 @@ import pytest
 from benchmarks.scenes import bed
 from tests.tracer.scenes import HOLLOW, ball, camera_at, scene, shrunk
 from tests.tracer.test_lockstep import check
-from tracer.beds import fits_bed
+from tracer.beds import fits_bed, fits_bed_behind
 from tracer.bodies import Sphere
 from tracer.branches import lengths_of
 from tracer.errors import RayMapUsageError
@@ -129,12 +129,22 @@ def test_same_bits_for_any_tile(shift: int) -> None:
         assert np.array_equal(names[0][there], names[1])
 
 
-def test_a_ball_out_of_round_is_not_taken_for_a_sphere() -> None:
+def one_uneven() -> Scene:
     where = small(packed(16))
     first, *rest = where.spheres
-    bent = where.with_bodies([replace(first, shape_um=(30.0,) + 44 * (0.0,)), *rest])
+    return where.with_bodies([replace(first, shape_um=(30.0,) + 44 * (0.0,)), *rest])
+
+
+def test_a_bed_with_a_ball_out_of_round_goes_no_fast_way() -> None:
+    bent = one_uneven()
     assert not fits_bed(bent)
-    check(bent)
+    assert not fits_bed_behind(bent)
+    assert not fits_lockstep(bent)
+
+
+@pytest.mark.slow
+def test_a_ball_out_of_round_is_not_taken_for_a_sphere() -> None:
+    check(one_uneven())
 
 
 @pytest.mark.parametrize("most", [0, 2])

@@ -39,6 +39,7 @@ def test_round_trip(stored: Path) -> None:
     read.check(small_scene())
 
 
+@pytest.mark.slow
 def test_short_numbers_are_the_long_ones_rounded_once(tmp_path: Path) -> None:
     for where in (small_scene(), scene("pyramid_500").with_camera(small_scene().camera)):  # by march, in lockstep
         long, short = build_ray_map(where), build_ray_map(where, single=True)

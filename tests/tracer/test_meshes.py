@@ -51,6 +51,7 @@ def off_px(found: NDArray[np.float64], exact: NDArray[np.float64]) -> NDArray[np
     return np.asarray(np.linalg.norm(found - exact, axis=1)[both] / PX_MM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("halvings", "rms_px"), [(4, 0.03), (5, 0.005)])
 def test_a_mesh_of_a_ball_is_the_ball(tmp_path: Path, halvings: int, rms_px: float) -> None:
     """20 480 triangles: 0.005 px; the mesh says itself what to expect, within a factor of two."""
@@ -92,6 +93,7 @@ def through_the_stone(ways: NDArray[np.float64], start: NDArray[np.float64], z_m
     return p[:, :2] - p[:, 2:] / out[:, 2:] * out[:, :2]
 
 
+@pytest.mark.slow
 def test_a_stone_of_known_formula(tmp_path: Path) -> None:
     stone = mesh_of(write_obj(tmp_path / "stone.obj", *stone_points(5)), 30.0)
     ways = downwards(np.random.default_rng(1), 0.045, 4000)
@@ -103,6 +105,7 @@ def test_a_stone_of_known_formula(tmp_path: Path) -> None:
     assert float(np.nanmedian(off_px(found, direct))) > 20.0  # it does bend
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_rays(tmp_path: Path) -> None:
     stone = mesh_of(write_ply(tmp_path / "stone.ply", *stone_points(2)), 30.0)
     (row,) = Scene(CAMERA, (stone,)).other_tables()[0].rows
@@ -126,8 +129,8 @@ def test_derivatives_are_those_of_the_rays(tmp_path: Path) -> None:
             np.testing.assert_allclose(found, (ends[0] - ends[1]) / (2.0 * step), rtol=1e-6, atol=1e-6)
 
 
-def test_a_mesh_stands_where_the_file_says(tmp_path: Path) -> None:
-    """Turned, moved, in metres, from a file beside the scene; and moved on by a stage."""
+def turned_stone(tmp_path: Path) -> Scene:
+    """Scene of a stone from a file beside it: turned, moved, in metres."""
     points, normals, triangles = stone_points(4)
     (tmp_path / "shapes").mkdir()
     write_ply(tmp_path / "shapes" / "stone.ply", 1e-3 * points, normals, triangles)
@@ -137,7 +140,12 @@ def test_a_mesh_stands_where_the_file_says(tmp_path: Path) -> None:
         "   rotation: [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]}\n"
     )
     (tmp_path / "scene.yaml").write_text(text.replace("bodies: []\n", ""))
-    scene = load_scene(tmp_path / "scene.yaml")
+    return load_scene(tmp_path / "scene.yaml")
+
+
+def test_a_mesh_stands_where_the_file_says(tmp_path: Path) -> None:
+    scene = turned_stone(tmp_path)
+    points, normals, triangles = stone_points(4)
     (stone,) = scene.bodies
     assert isinstance(stone, Mesh)
     quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -146,20 +154,25 @@ def test_a_mesh_stands_where_the_file_says(tmp_path: Path) -> None:
     )
     (tmp_path / "again.yaml").write_text(dump_scene(scene))
     assert load_scene(tmp_path / "again.yaml").content_hash() == scene.content_hash()
-    moved = stone.moved(lambda point: (point[0] + 3.0, point[1], point[2]))
-    pixels = np.random.default_rng(3).uniform(0.0, 48.0, (50, 2))
-    aside = scene.camera.position_mm[0] + 3.0, *scene.camera.position_mm[1:]
-    with_camera = Scene(replace(scene.camera, position_mm=aside), (moved,))
-    np.testing.assert_allclose(
-        trace(with_camera, pixels).plane_mm - (3.0, 0.0), trace(scene, pixels).plane_mm, atol=1e-9
-    )
-    assert with_camera.content_hash() != scene.content_hash()
     (tmp_path / "shapes" / "stone.ply").write_text("ply\n")
     with pytest.raises(ConfigError, match=r"stone\.ply"):
         load_scene(tmp_path / "again.yaml")
     write_ply(tmp_path / "shapes" / "stone.ply", 1.1e-3 * points, normals, triangles)
     with pytest.raises(ConfigError, match="is not the file it was"):
         load_scene(tmp_path / "again.yaml")
+
+
+@pytest.mark.slow
+def test_a_mesh_moved_by_a_stage_is_traced_where_it_is(tmp_path: Path) -> None:
+    scene = turned_stone(tmp_path)
+    moved = scene.bodies[0].moved(lambda point: (point[0] + 3.0, point[1], point[2]))
+    pixels = np.random.default_rng(3).uniform(0.0, 48.0, (50, 2))
+    aside = scene.camera.position_mm[0] + 3.0, *scene.camera.position_mm[1:]
+    with_camera = Scene(replace(scene.camera, position_mm=aside), (moved,))
+    seen = trace(scene, pixels).plane_mm
+    assert np.isfinite(seen).any()
+    np.testing.assert_allclose(trace(with_camera, pixels).plane_mm - (3.0, 0.0), seen, atol=1e-9)
+    assert with_camera.content_hash() != scene.content_hash()
 
 
 Broken = Callable[[Path, NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]], Path]

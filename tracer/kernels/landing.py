@@ -101,8 +101,9 @@ def trace_landings(
 
     pixels (N, 2); directions (N, 3) of their rays; camera (20,); target (12,) origin and axes; trail
     (MAX_EVENTS,) int32 and state (MAX_EVENTS, STATE) scratch; status (N,) uint8, key (N,) int64, point (N, 2)
-    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out, by_shape (N, 2, S, 50), or
-    (0, 2, S, 50) where all spheres are round.  NaN unless recovered.
+    target coordinates, by_pixel (N, 2, 2), rate (N, 2, 14 + 5 S + W + 6) out, or with W = 0 where nobody asks for
+    the other bodies' numbers; by_shape (N, 2, S, 50), or (0, 2, S, 50) where all spheres are round.  NaN unless
+    recovered.
     """
     world, trail, state = unowned_world(world), unowned(trail), unowned(state)
     point, by_pixel, rate = unowned(point), unowned(by_pixel), unowned(rate)
@@ -141,7 +142,9 @@ def trace_landings(
                 body, way = body_of(trail[event], spheres)
                 if len(world.others) > 0 and body < NOTHING:
                     at, width = place_of_other(body, world.others, of_others)
-                    back_to_row(fx, fy, fz, gx, gy, gz, body, way, world, state[event], move, row[at : at + width])
+                    if at + width <= place:
+                        numbers = row[at : at + width]
+                        back_to_row(fx, fy, fz, gx, gy, gz, body, way, world, state[event], move, numbers)
                     fx, fy, fz, gx, gy, gz = back_through_other(
                         fx, fy, fz, gx, gy, gz, body, way, world, state[event]
                     )

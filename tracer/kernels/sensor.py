@@ -105,16 +105,15 @@ def write_block(count: int, rays: Array, trips: Array, point: Array, status: Arr
 
 @kernel
 def silhouettes(
-    row: int, flat: bool, skips: int, camera: Array, balls: Array, x: Array, y: Array, width: int, spans: Array
+    flat: bool, skips: int, camera: Array, balls: Array, x: Array, y: Array, width: int, spans: Array
 ) -> int:
-    """Write each sphere's columns to spans[:N], joined ones to spans[N:]; return how many these are."""
+    """Write each sphere's columns of a row to spans[:N], joined ones to spans[N:]; return how many these are."""
     bodies = balls.shape[0]
-    place_row(row, flat, camera, x, y)
     count = 0
     for k in range(bodies):
-        low, high = glass_span(x[:width], y[:width], flat, camera, balls, k)
-        if not skips & SKIP_SILHOUETTES:
-            low, high = 0, width
+        low, high = 0, width
+        if skips & SKIP_SILHOUETTES:
+            low, high = glass_span(x[:width], y[:width], flat, camera, balls, k)
         spans[k, 0], spans[k, 1] = low, high
         if low < high:
             count = insert_span(spans[bodies:], count, low, high)
@@ -167,7 +166,8 @@ def sensor_rows(
     joined = spans[bodies:]
     edge = (width + 1) // 2 if mirror_x else width
     for row in range(first, last):
-        count = silhouettes(row, flat, skips, camera, balls, x, y, width, spans)
+        place_row(row, flat, camera, x, y)
+        count = silhouettes(flat, skips, camera, balls, x, y, width, spans)
         other = height - 1 - row
         unknown[row] = 0
         low, j = 0, 0

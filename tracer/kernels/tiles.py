@@ -1,16 +1,22 @@
 """Tiles of the sensor: bundles of a few rows and columns, what became of their rays, and which branch each took.
 
-A tile is as square as a bundle allows: rays stay together longest so.  The branch of a pixel is first an entry in
-the book of the thread that traced it (``tracer.kernels.branch_book``); the caller numbers them.  When a book may
-not hold the next tile the kernel comes back and says where it is.
+A tile is as square as a bundle allows: rays stay together longest so.  Windows in front of everything are a pass
+over the tile before it (``tracer.kernels.windowed``): rays stand in the columns in which a block has them.
+
+The branch of a pixel is first an entry in the book of the thread that traced it (``tracer.kernels.branch_book``);
+the caller numbers them.  When a book may not hold the next tile the kernel comes back and says where it is.
 """
 
 import math
 
 from ground.jit import Array, kernel, unowned
+from tracer.kernels import chain
 from tracer.kernels.branch_book import BranchBook, enter, has_room
 from tracer.kernels.branches import NOTHING
-from tracer.kernels.bundle import (
+from tracer.kernels.bundle import follow_bundle
+from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of, lens_of, undistorted
+from tracer.kernels.chain import whole_vectors
+from tracer.kernels.lanes import (
     DX,
     DY,
     DZ,
@@ -34,17 +40,17 @@ from tracer.kernels.bundle import (
     PZ,
     Bed,
     Bundle,
-    follow_bundle,
     unowned_bed,
     unowned_bundle,
 )
-from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of, lens_of, undistorted
-from tracer.kernels.chain import whole_vectors
 from tracer.kernels.walk import MAX_EVENTS
-from tracer.kernels.world import MISSED_PLANE, RECOVERED
+from tracer.kernels.window import BEHIND, GLASS, THICKNESS
+from tracer.kernels.windowed import OPEN, SHUT, through_window_carefully
+from tracer.kernels.world import BLOCKED, MISSED_PLANE, RECOVERED
 
 SIDE = 16  # pixels of a tile each way
 assert SIDE * SIDE == LANES
+assert (PX, PY, PZ, DX, DY, DZ) == (chain.PX, chain.PY, chain.PZ, chain.DX, chain.DY, chain.DZ)
 
 
 @kernel
@@ -68,6 +74,52 @@ def aim_lanes(count: int, camera: Array, rays: Array, marks: Array) -> None:
     for i in range(count):
         marks[LAST + i], marks[PICK + i], marks[PLACE + i] = NOTHING, NOTHING, i
         marks[KEY + i], marks[LOST + i] = 1, 0
+
+
+@kernel
+def pass_windows(count: int, windows: Array, rays: Array, fates: Array) -> int:
+    """Take `count` rays, whole vectors, through windows (K, 10); how many come through, as `fates` (n,) says."""
+    for i in range(count):
+        fates[i] = OPEN
+        rays[chain.QQ + i] = 1.0
+    away, k = 0.0, 0
+    for k in range(windows.shape[0]):
+        row = windows[k]
+        before = (rays[PX] - row[0]) * row[3] + (rays[PY] - row[1]) * row[4] + (rays[PZ] - row[2]) * row[5]
+        away = ((away + before) * row[GLASS] + row[THICKNESS]) * row[BEHIND] / row[GLASS]
+        through_window_carefully(count, row, rays, fates)
+        for i in range(count):
+            rays[chain.QQ + i] = 1.0
+    # back to about where they seem to come from: a list is the shorter the closer rays begin together
+    nx, ny, nz = windows[k, 3], windows[k, 4], windows[k, 5]
+    passed = 0
+    for i in range(count):
+        t = -away / (rays[DX + i] * nx + rays[DY + i] * ny + rays[DZ + i] * nz)
+        back = t if fates[i] == OPEN else 0.0
+        rays[PX + i] -= back * rays[DX + i]
+        rays[PY + i] -= back * rays[DY + i]
+        rays[PZ + i] -= back * rays[DZ + i]
+        passed += fates[i] == OPEN
+    return passed
+
+
+@kernel
+def end_behind(count: int, inner: Array, fates: Array, ends: Array, ended: Array) -> int:
+    """Correct what became of landed rays behind windows, the last one `inner`; how many `march` has to know.
+
+    Who would land in front of its back meets the wall there.
+    """
+    nx, ny, nz = inner[3], inner[4], inner[5]
+    level = inner[2] * nz - inner[THICKNESS]
+    odd = 0
+    for i in range(count):
+        above = (ends[END_PX + i] - inner[0]) * nx + (ends[END_PY + i] - inner[1]) * ny > level
+        if fates[i] != OPEN:
+            ended[FATE + i], ended[EVENTS + i], ended[HASH + i] = BLOCKED, 0, 1
+            odd += fates[i] != SHUT
+        elif above and ended[FATE + i] == RECOVERED:
+            ended[FATE + i] = MISSED_PLANE
+    return odd
 
 
 @kernel
@@ -114,14 +166,17 @@ def write_tile(
 
 @kernel
 def trace_tiles(
-    camera: Array, balls: Array, bed: Bed, most: int, row: int, rows: int, tile: int,
-    bundle: Bundle, book: BranchBook, point: Array, status: Array, entry: Array,
+    camera: Array, balls: Array, bed: Bed, windows: Array, most: int, row: int, rows: int, tile: int,
+    bundle: Bundle, passed: Array, odd: Array, book: BranchBook, point: Array, status: Array, entry: Array,
 ) -> int:  # fmt: skip
     """Trace the tiles of `rows` rows from `row` on, beginning with number `tile`; the number of the next one.
 
-    Outputs: plane points (H, 2 W), status (H, W) uint8 and entries in the book (H, W) uint32.
+    ``windows`` (K, 10) are passed before, from the camera on; ``passed`` (LANES,) int64 is scratch.  Outputs:
+    plane points (H, 2 W), status (H, W) uint8, entries in the book (H, W) uint32, and ``odd`` (H,) int64, which
+    counts in the tiles' first row what only `march` can follow through the windows.
     """
-    camera, balls, bed = unowned(camera), unowned(balls), unowned_bed(bed)
+    camera, balls, bed, windows = unowned(camera), unowned(balls), unowned_bed(bed), unowned(windows)
+    passed = unowned(passed)
     point, status, entry = unowned(point), unowned(status), unowned(entry)
     bundle = unowned_bundle(bundle)
     book = BranchBook(
@@ -141,11 +196,15 @@ def trace_tiles(
         for i in range(count, full):
             rays[DX + i], rays[DY + i] = rays[DX], rays[DY]
         aim_lanes(full, camera, rays, marks)
-        follow_bundle(count, most, balls, bed, bundle)
+        behind = windows.shape[0] > 0
+        if not behind or pass_windows(full, windows, rays, passed) > 0:
+            follow_bundle(count, most, balls, bed, bundle)
         for i in range(count, full):
             ends[END_PX + i], ends[END_PY + i], ends[END_PZ + i] = ends[END_PX], ends[END_PY], ends[END_PZ]
             ends[END_DX + i], ends[END_DY + i], ends[END_DZ + i] = ends[END_DX], ends[END_DY], ends[END_DZ]
         land_lanes(full, ends)
+        if behind:
+            odd[row] += end_behind(count, windows[windows.shape[0] - 1], passed, ends, bundle.fates)
         write_tile(row, rows, column, columns, bundle, book, point, status, entry)
         tile += 1
     return tile

@@ -4,7 +4,7 @@ What ``correction.inversion.invert`` does for one large sheet after the other is
 after the other: starts scattered, of those from the edges the nearest of each node kept, nodes solved in blocks
 and verified.  A bed's rays are verified in a bundle (``tracer.kernels.bundle``): what a block of Newton has
 solved is traced once more with all bodies, and only counts if the ray meets the very spheres of the sheet, in
-this order, and nothing else.  Every other node is solved by itself, with care.
+this order, and nothing else.
 
 A sheet that is not done within one portion of starts is left to the caller, who then calls again.
 """
@@ -14,24 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from correction.inversion.kernels.inverse import Tables, unowned_tables
-from correction.inversion.kernels.newton import CONVERGED, GROUP, U, V, solve_block
+from correction.inversion.kernels.newton import CONVERGED, GROUP, U, V, solve_block, solve_patiently
 from correction.inversion.kernels.starts import DONE, scatter_sheet
-from correction.inversion.kernels.views import ANOTHER, begin_group, careful_group, keep_group
+from correction.inversion.kernels.views import ANOTHER, begin_group, judge_trips, keep_group, put_off
 from ground.jit import Array, kernel, unowned
-from tracer.kernels.bundle import (
-    DX,
-    DY,
-    END_DZ,
-    EVENTS,
-    FATE,
-    Bed,
-    Bundle,
-    follow_bundle,
-    unowned_bed,
-    unowned_bundle,
-)
+from tracer.kernels.bundle import follow_bundle
 from tracer.kernels.chain import TRIP, whole_vectors
-from tracer.kernels.tiles import aim_lanes
+from tracer.kernels.lanes import DX, DY, END_DZ, EVENTS, FATE, Bed, Bundle, unowned_bed, unowned_bundle
+from tracer.kernels.tiles import aim_lanes, end_behind, land_lanes, pass_windows
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import RECOVERED as TRACED
 
@@ -48,8 +38,6 @@ class Small(NamedTuple):
         Branch number of each.
     sign : (S,) float64
         Of its determinant.
-    key : (S,) int64
-        Branch key of ``march``.
     events, balls, begin : (E,) int64, (E,) int64, (S + 1,) int64
         Spheres of each sheet, events[begin[s] : begin[s + 1]], in the order of the sphere table and of a bundle's.
     runs, first : (R, RUN) int64, (S + 1,) int64
@@ -60,7 +48,6 @@ class Small(NamedTuple):
 
     branch: Array
     sign: Array
-    key: Array
     events: Array
     balls: Array
     begin: Array
@@ -121,8 +108,8 @@ def keep_nearest(tiled: int, found: int, stamp: int, starts: Array, nodes: Array
 
 @kernel
 def verify_in_bundle(
-    count: int, balls: Array, first: int, last: int, camera: Array, bed: Bed, table: Array, bundle: Bundle,
-    state: Array, trips: Array, b: Array,
+    count: int, balls: Array, first: int, last: int, camera: Array, windows: Array, bed: Bed, table: Array,
+    bundle: Bundle, passed: Array, state: Array, trips: Array, b: Array,
 ) -> None:  # fmt: skip
     """MET for converged pixels whose ray meets the spheres balls[first:last] of `table`, no others."""
     rays, some = bundle.rays, -1
@@ -137,7 +124,15 @@ def verify_in_bundle(
         good = i < count and state[i] == CONVERGED
         rays[DX + i], rays[DY + i] = b[U + i] if good else b[U + some], b[V + i] if good else b[V + some]
     aim_lanes(full, camera, rays, bundle.marks)
+    behind = windows.shape[0] > 0
+    if behind:
+        pass_windows(full, windows, rays, passed)
     follow_bundle(count, MAX_EVENTS, table, bed, bundle)
+    if behind:
+        for i in range(count, full):
+            bundle.ends[END_DZ + i] = -1.0
+        land_lanes(full, bundle.ends)
+        end_behind(count, windows[windows.shape[0] - 1], passed, bundle.ends, bundle.fates)
     for i in range(count):
         same = state[i] == CONVERGED and bundle.fates[FATE + i] == TRACED and bundle.ends[END_DZ + i] < 0.0
         same = same and bundle.fates[EVENTS + i] == last - first
@@ -148,17 +143,18 @@ def verify_in_bundle(
 
 @kernel
 def solve_small_sheets(
-    tables: Tables, grid: Array, table: Array, bed: Bed, sheets: Small, sensor: Sensor, progress: Array,
-    limits: Array, start: StartScratch, bundle: Bundle, block: Array, state: Array, trips: Array,
-    maps: tuple[Array, ...],
+    tables: Tables, grid: Array, windows: Array, table: Array, bed: Bed, every: bool, sheets: Small,
+    sensor: Sensor, progress: Array, limits: Array, start: StartScratch, bundle: Bundle, passed: Array,
+    block: Array, state: Array, trips: Array, maps: tuple[Array, ...],
 ) -> None:  # fmt: skip
     """Solve sheets from number progress[0] on, until one is too large, which then is progress[0], or all are done.
 
-    ``table`` (BALL_ROWS, N) balls of the bundle; ``progress`` (2,) int64: next sheet, stamp of the last one.
+    ``table`` (BALL_ROWS, N) balls of the bundle; ``progress`` (2,) int64: next sheet, stamp of the last one;
+    ``passed`` (GROUP,) int64 is scratch.
     Others as `solve_nodes` and `scatter_sheet` take them.
     """
     tables, bed, bundle = unowned_tables(tables), unowned_bed(bed), unowned_bundle(bundle)
-    camera, spheres = tables[0], tables[1].spheres
+    camera, spheres, windows, passed = tables[0], tables[1].spheres, unowned(windows), unowned(passed)
     starts, nodes = unowned(start.starts), unowned(start.nodes)
     block, state, trips, table = unowned(block), unowned(state), unowned(trips), unowned(table)
     events, balls, begin, weight = unowned(sheets.events), unowned(sheets.balls), unowned(sheets.begin), maps[3]
@@ -178,16 +174,30 @@ def solve_small_sheets(
             return
         found = keep_nearest(tiled, found, s + 1, starts, nodes, start.slots)
         sequence = events[begin[s] : begin[s + 1]]
-        for low in range(0, found, GROUP):
-            count = min(GROUP, found - low)
-            group, of_group = starts[low : low + count], nodes[low : low + count]
-            begin_group(count, grid, group, of_group, block, state)
-            solve_block(whole_vectors(count), camera, spheres, sequence, sheets.sign[s], block, state)
-            verify_in_bundle(count, balls, begin[s], begin[s + 1], camera, bed, table, bundle, state, trips, block)
-            careful_group(count, MET, sheets.key[s], sheets.sign[s], tables, group, trips, block, state)
-            keep_group(
-                count, grid[2], begin[s + 1] - begin[s], sheets.branch[s], limits, of_group, block, state, maps
-            )
+        total, left = found, 0
+        for patient in range(2):
+            for low in range(0, total, GROUP):
+                count = min(GROUP, total - low)
+                group, of_group = starts[low : low + count], nodes[low : low + count]
+                begin_group(count, grid, group, of_group, block, state)
+                if patient:
+                    solve_patiently(
+                        whole_vectors(count), camera, windows, spheres, sequence, sheets.sign[s], block, state
+                    )
+                else:
+                    solve_block(
+                        whole_vectors(count), camera, windows, spheres, sequence, sheets.sign[s], block, state
+                    )
+                verify_in_bundle(
+                    count, balls, begin[s], begin[s + 1], camera, windows, bed, table, bundle, passed, state,
+                    trips, block,
+                )  # fmt: skip
+                judge_trips(count, MET, every, group, trips, block, state)
+                keep_group(
+                    count, grid[2], begin[s + 1] - begin[s], sheets.branch[s], limits, of_group, block, state, maps
+                )
+                left = put_off(low, count, left, starts, nodes, trips)
+            total, left = left, 0
         progress[0] = s + 1
 
 

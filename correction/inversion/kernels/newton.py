@@ -2,13 +2,18 @@
 
 On a sheet every ray takes the same sequence, so nothing has to be looked for while iterating: the block goes
 through the turns of the sequence, derivatives and all, in loops without a branch.  What leaves the sheet (no hit:
-NaN; wrong sign of the determinant; a long step; no convergence) is left to the careful one-by-one Newton of
-``inverse``; what converged still has to be verified (``views``).
+NaN; wrong sign of the determinant; a long step; no convergence) is gathered and solved again, patiently: no step
+is longer than LONGEST_PX, and who has left the sheet goes half the way back.  Whose very start is off the sheet is
+hopeless: it has nowhere to go back to.  What converged still has to be verified (``views``); who finds its node
+only behind another body, which the sequence knows nothing of, is not seen there.
 
 A node has converged when a step is so small that derivatives and transmittance, which are those of the place
 before it, are right behind it to what float32 holds; how small that is comes with its start.  The step is still
 taken and leaves about its square.  The node then stays frozen while its neighbours go on, so that its bits do not
 depend on them.
+
+Windows in front of everything come first, in the closed form of ``tracer.kernels.windowed``: for unit vectors D,
+with w^2 = n^2 - 1 + m^2 and w'^2 likewise, D' = (D + (m - w') N)/n' through P' = P + (w' h/m + w' T/w - h - T) N.
 
 Columns of the block, STEP apart in one array (see ``tracer.kernels.chain``): pixel u, v; node x, y; position and
 direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobian d plane / d pixel.
@@ -16,6 +21,7 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 
 import math
 
+from correction.inversion.kernels.inverse import MAX_STEPS, TOLERANCE_PX
 from ground.jit import Array, kernel, kernel_inlined
 from tracer.kernels.camera import (
     CENTRE_U,
@@ -37,23 +43,27 @@ from tracer.kernels.sphere import (
     RADIUS,
     foot,
     foot_tangent,
+    transmittance,
     turned,
     turned_tangent,
 )
+from tracer.kernels.window import BEHIND, GLASS, THICKNESS
 
 GROUP = 64  # nodes of a block: 27 columns of them fit the first-level cache
 STEP = GROUP + 8
 U, V, X, Y, PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(10))
 FX, FY, FZ, UX, UY, UZ, GX, GY, GZ, VX, VY, VZ = (k * STEP for k in range(10, 22))
-LIGHT, KEPT, XU, XV, YU, YV, WORTH, WITHIN = (k * STEP for k in range(22, 30))
-NEWTON_NUMBERS = 30 * STEP
-VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the careful way
-MOVING, CONVERGED, FAILED = 0, 1, 2
+LIGHT, KEPT, XU, XV, YU, YV, WORTH, WITHIN, BACK_U, BACK_V = (k * STEP for k in range(22, 32))
+NEWTON_NUMBERS = 32 * STEP
+VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the patient way
+LONGEST_PX = 2.0  # of a patient step
+MOVING, CONVERGED, FAILED, HOPELESS = 0, 1, 2, 3
 
 foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
 turned_inlined = kernel_inlined(turned.py_func)  # type: ignore[attr-defined]
 foot_tangent_inlined = kernel_inlined(foot_tangent.py_func)  # type: ignore[attr-defined]
 turned_tangent_inlined = kernel_inlined(turned_tangent.py_func)  # type: ignore[attr-defined]
+transmittance_inlined = kernel_inlined(transmittance.py_func)  # type: ignore[attr-defined]
 unit_tangent_inlined = kernel_inlined(unit_tangent.py_func)  # type: ignore[attr-defined]
 
 
@@ -82,6 +92,39 @@ def aim(count: int, camera: Array, b: Array) -> None:
         b[UX + i], b[UY + i], b[UZ + i], b[VX + i], b[VY + i], b[VZ + i] = ux, uy, uz, vx, vy, vz
         b[FX + i], b[FY + i], b[FZ + i], b[GX + i], b[GY + i], b[GZ + i] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         b[LIGHT + i] = 1.0
+
+
+@kernel
+def enter_window(count: int, row: Array, b: Array) -> None:
+    """All rays through one window, to where they seem to come from behind it; NaN where one is reflected."""
+    nx, ny, nz, thickness, n, behind = row[3], row[4], row[5], row[THICKNESS], row[GLASS], row[BEHIND]
+    gain, gain_behind, inverse = (n - 1.0) * (n + 1.0), (behind - 1.0) * (behind + 1.0), 1.0 / behind
+    for i in range(count):
+        dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
+        px, py, pz = b[PX + i], b[PY + i], b[PZ + i]
+        m = -(dx * nx + dy * ny + dz * nz)
+        h = (px - row[0]) * nx + (py - row[1]) * ny + (pz - row[2]) * nz
+        w, w2 = math.sqrt(gain + m * m), math.sqrt(gain_behind + m * m)
+        far = h / m + thickness / w
+        moved, turned = w2 * far - h - thickness, m - w2
+        b[LIGHT + i] *= transmittance_inlined(m, w / n, n) * transmittance_inlined(w / n, w2 * inverse, behind / n)
+        mu = -(b[UX + i] * nx + b[UY + i] * ny + b[UZ + i] * nz)
+        mv = -(b[VX + i] * nx + b[VY + i] * ny + b[VZ + i] * nz)
+        hu = b[FX + i] * nx + b[FY + i] * ny + b[FZ + i] * nz
+        hv = b[GX + i] * nx + b[GY + i] * ny + b[GZ + i] * nz
+        by_m = m / w2 * far - w2 * (h / (m * m) + thickness * m / (w * w * w))
+        by_h, by_turn = w2 / m - 1.0, 1.0 - m / w2
+        su, sv = by_m * mu + by_h * hu, by_m * mv + by_h * hv
+        cu, cv = by_turn * mu, by_turn * mv
+        b[PX + i], b[PY + i], b[PZ + i] = px + moved * nx, py + moved * ny, pz + moved * nz
+        b[FX + i], b[FY + i], b[FZ + i] = b[FX + i] + su * nx, b[FY + i] + su * ny, b[FZ + i] + su * nz
+        b[GX + i], b[GY + i], b[GZ + i] = b[GX + i] + sv * nx, b[GY + i] + sv * ny, b[GZ + i] + sv * nz
+        b[DX + i], b[DY + i] = (dx + turned * nx) * inverse, (dy + turned * ny) * inverse
+        b[DZ + i] = (dz + turned * nz) * inverse
+        b[UX + i], b[UY + i] = (b[UX + i] + cu * nx) * inverse, (b[UY + i] + cu * ny) * inverse
+        b[UZ + i] = (b[UZ + i] + cu * nz) * inverse
+        b[VX + i], b[VY + i] = (b[VX + i] + cv * nx) * inverse, (b[VY + i] + cv * ny) * inverse
+        b[VZ + i] = (b[VZ + i] + cv * nz) * inverse
 
 
 @kernel_inlined
@@ -144,8 +187,42 @@ def cross(count: int, cx: float, cy: float, cz: float, radius: float, n: float, 
 
 
 @kernel
-def step_pixels(count: int, sign: float, b: Array, state: Array) -> int:
+def step_pixels(count: int, first: bool, sign: float, b: Array, state: Array) -> int:
     """Move u, v by one Newton step towards the nodes; state (LANES,) int64; how many still move."""
+    moving, off = 0, HOPELESS if first else FAILED
+    for i in range(count):
+        dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
+        inverse = -1.0 / dz
+        t = b[PZ + i] * inverse
+        tu, tv = (b[FZ + i] + t * b[UZ + i]) * inverse, (b[GZ + i] + t * b[VZ + i]) * inverse
+        xu, xv = b[FX + i] + tu * dx + t * b[UX + i], b[GX + i] + tv * dx + t * b[VX + i]
+        yu, yv = b[FY + i] + tu * dy + t * b[UY + i], b[GY + i] + tv * dy + t * b[VY + i]
+        ex, ey = b[X + i] - b[PX + i] - t * dx, b[Y + i] - b[PY + i] - t * dy
+        det = xu * yv - xv * yu
+        inverse = 1.0 / det
+        du, dv = (yv * ex - xv * ey) * inverse, (xu * ey - yu * ex) * inverse
+        size = max(abs(du), abs(dv))
+        on_sheet = (det * sign > 0.0) & (dz < 0.0)  # NaN is not
+        good = on_sheet & (abs(du) <= 2.0) & (abs(dv) <= 2.0)
+        goes = (state[i] == MOVING) & good
+        settled = goes & (size <= b[WITHIN + i])
+        b[U + i] = b[U + i] + du if goes else b[U + i]
+        b[V + i] = b[V + i] + dv if goes else b[V + i]
+        b[KEPT + i] = b[LIGHT + i] if goes else b[KEPT + i]
+        b[XU + i], b[XV + i] = xu if goes else b[XU + i], xv if goes else b[XV + i]
+        b[YU + i], b[YV + i] = yu if goes else b[YU + i], yv if goes else b[YV + i]
+        ended = CONVERGED if settled else MOVING
+        ended = ended if good else FAILED
+        ended = ended if on_sheet else off
+        ended = ended if state[i] == MOVING else state[i]
+        state[i] = ended
+        moving += ended == MOVING
+    return moving
+
+
+@kernel
+def step_patiently(count: int, sign: float, b: Array, state: Array) -> int:
+    """As `step_pixels`, but no step is too long, and who has left the sheet goes half of the last step back."""
     moving = 0
     for i in range(count):
         dx, dy, dz = b[DX + i], b[DY + i], b[DZ + i]
@@ -159,41 +236,66 @@ def step_pixels(count: int, sign: float, b: Array, state: Array) -> int:
         inverse = 1.0 / det
         du, dv = (yv * ex - xv * ey) * inverse, (xu * ey - yu * ex) * inverse
         size = max(abs(du), abs(dv))
-        good = (det * sign > 0.0) & (dz < 0.0) & (abs(du) <= 2.0) & (abs(dv) <= 2.0)  # NaN is not good
-        goes = (state[i] == MOVING) & good
-        settled = goes & (size <= b[WITHIN + i])
-        b[U + i] = b[U + i] + du if goes else b[U + i]
-        b[V + i] = b[V + i] + dv if goes else b[V + i]
-        b[KEPT + i] = b[LIGHT + i] if goes else b[KEPT + i]
-        b[XU + i], b[XV + i] = xu if goes else b[XU + i], xv if goes else b[XV + i]
-        b[YU + i], b[YV + i] = yu if goes else b[YU + i], yv if goes else b[YV + i]
-        ended = CONVERGED if settled else MOVING
-        ended = ended if good else FAILED
-        ended = ended if state[i] == MOVING else state[i]
+        shorter = LONGEST_PX / max(size, LONGEST_PX)
+        back_u, back_v = -0.5 * b[BACK_U + i], -0.5 * b[BACK_V + i]
+        on_sheet = (det * sign > 0.0) & (dz < 0.0)  # NaN is not
+        goes = state[i] == MOVING
+        du, dv = shorter * du if on_sheet else back_u, shorter * dv if on_sheet else back_v
+        kept = goes & on_sheet
+        b[U + i], b[V + i] = b[U + i] + du if goes else b[U + i], b[V + i] + dv if goes else b[V + i]
+        b[BACK_U + i], b[BACK_V + i] = du if on_sheet else -back_u, dv if on_sheet else -back_v
+        b[KEPT + i] = b[LIGHT + i] if kept else b[KEPT + i]
+        b[XU + i], b[XV + i] = xu if kept else b[XU + i], xv if kept else b[XV + i]
+        b[YU + i], b[YV + i] = yu if kept else b[YU + i], yv if kept else b[YV + i]
+        ended = CONVERGED if kept & (size <= TOLERANCE_PX) else MOVING
+        ended = ended if on_sheet | (abs(back_u) + abs(back_v) >= TOLERANCE_PX) else FAILED
+        ended = ended if goes else state[i]
         state[i] = ended
         moving += ended == MOVING
     return moving
 
 
 @kernel
-def solve_block(
-    count: int, camera: Array, spheres: Array, sequence: Array, sign: float, b: Array, state: Array
+def solve_patiently(
+    count: int, camera: Array, windows: Array, spheres: Array, sequence: Array, sign: float, b: Array, state: Array
 ) -> None:
-    """Newton for the nodes x, y from the pixels u, v through the spheres of `sequence` (E,), in this order."""
+    """As `solve_block`, for nodes for which that was too quick: every step that leaves the sheet is halved."""
     for i in range(count):
         state[i] = MOVING
-    for _ in range(VECTOR_STEPS):
-        aim(count, camera, b)
-        for e in range(sequence.shape[0]):
-            k = sequence[e]
-            cross(
-                count,
-                spheres[k, CENTRE_X],
-                spheres[k, CENTRE_Y],
-                spheres[k, CENTRE_Z],
-                spheres[k, RADIUS],
-                spheres[k, INDEX],
-                b,
-            )
-        if step_pixels(count, sign, b, state) == 0:
+        b[BACK_U + i] = b[BACK_V + i] = 0.0
+    for _ in range(MAX_STEPS):
+        follow_sequence(count, camera, windows, spheres, sequence, b)
+        if step_patiently(count, sign, b, state) == 0:
+            break
+
+
+@kernel
+def follow_sequence(count: int, camera: Array, windows: Array, spheres: Array, sequence: Array, b: Array) -> None:
+    """All rays with their derivatives through windows (K, 10), then the spheres of `sequence`."""
+    aim(count, camera, b)
+    for k in range(windows.shape[0]):
+        enter_window(count, windows[k], b)
+    for e in range(sequence.shape[0]):
+        k = sequence[e]
+        cross(
+            count,
+            spheres[k, CENTRE_X],
+            spheres[k, CENTRE_Y],
+            spheres[k, CENTRE_Z],
+            spheres[k, RADIUS],
+            spheres[k, INDEX],
+            b,
+        )
+
+
+@kernel
+def solve_block(
+    count: int, camera: Array, windows: Array, spheres: Array, sequence: Array, sign: float, b: Array, state: Array
+) -> None:
+    """Newton for the nodes x, y from the pixels u, v through windows (K, 10), then the spheres of `sequence`."""
+    for i in range(count):
+        state[i] = MOVING
+    for step in range(VECTOR_STEPS):
+        follow_sequence(count, camera, windows, spheres, sequence, b)
+        if step_pixels(count, step == 0, sign, b, state) == 0:
             break

@@ -2,8 +2,9 @@
 
 What a block of Newton has solved is traced once more with all bodies, and only counts if the ray really takes the
 sequence of the sheet: in lockstep where the scene fits it, ray by ray through the cells where it has many bodies.
-Every other node is solved by itself, with care.  A view is then held against the limits of magnification and
-sensor, weighed, and kept if it is among the best of its node.
+Every other node for which there is hope is solved again, patiently.  Where a sequence is not one of spheres alone,
+every node is solved by itself.  A view is then held against the limits of magnification and sensor, weighed, and
+kept if it is among the best of its node.
 """
 
 from typing import NamedTuple
@@ -20,6 +21,7 @@ from correction.inversion.kernels.newton import (
     CONVERGED,
     FAILED,
     GROUP,
+    HOPELESS,
     KEPT,
     WITHIN,
     WORTH,
@@ -32,23 +34,27 @@ from correction.inversion.kernels.newton import (
     X,
     Y,
     solve_block,
+    solve_patiently,
 )
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
 from correction.resample.kernels.bspline import INDEX
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistorted
-from tracer.kernels.chain import SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
+from tracer.kernels.chain import PX, PY, SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
 from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.straight import land_block
+from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
 
-ANOTHER = -2  # a trip that no ray takes
+ANOTHER, AGAIN = -2, -3  # trips that no ray takes; the second: of a node that is not given up
+CLOSE_PX = 2.0  # from its start, which is within a pixel of the node or nearly so
 
 inverse_inlined = kernel_inlined(inverse_2x2.py_func)  # type: ignore[attr-defined]
 stretch_inlined = kernel_inlined(stretch.py_func)  # type: ignore[attr-defined]
 
 
 class NodeScratch(NamedTuple):
-    """Memory of one thread: ``block`` (NEWTON_NUMBERS,), ``state`` (GROUP,), ``xy`` (2, GROUP), the chain's."""
+    """Memory of one thread: ``block`` (NEWTON_NUMBERS,), ``state``, ``passed`` (GROUP,), ``xy`` (2, GROUP), ..."""
 
     block: Array
     state: Array
@@ -57,6 +63,7 @@ class NodeScratch(NamedTuple):
     wanted: Array
     rays: Array
     trips: Array
+    passed: Array
 
 
 @kernel
@@ -64,9 +71,11 @@ def solve_nodes(
     tables: Tables,
     grid: Array,
     balls: Array,
+    windows: Array,
     sequence: Array,
     trip: int,
     solid: bool,
+    every: bool,
     key: int,
     number: int,
     sign: float,
@@ -78,33 +87,45 @@ def solve_nodes(
 ) -> None:
     """Solve nodes of one sheet from their starts and keep the views.
 
-    ``sequence`` (E,) numbers the spheres of the branch in the sphere table, `trip` is the same in the order of
-    ``balls`` (see ``tracer.kernels.chain``), -1 where a scene does not fit lockstep: then what a block has solved
-    is verified ray by ray, and where not all spheres of the sequence are `solid` every node is solved by itself.
-    `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
+    ``windows`` (K, 10) stand in front of everything, from the camera on.  ``sequence`` (E,) numbers the spheres of
+    the branch in the sphere table, `trip` is the same in the order of ``balls`` (see ``tracer.kernels.chain``), -1
+    where a scene does not fit lockstep: then what a block has solved is verified ray by ray, and where not all
+    spheres of the sequence are `solid`, or stand behind other walls, every node is solved by itself.  `every`:
+    hopeless ones too.  `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
     `scatter_sheet`; ``maps`` as in `keep_view`.
     """
-    block, state, xy, spans, wanted, rays, trips = scratch
+    block, state, xy, spans, wanted, rays, trips, passed = scratch
     status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
-    tables, sequence = unowned_tables(tables), unowned(sequence)
+    tables, sequence, windows = unowned_tables(tables), unowned(sequence), unowned(windows)
     camera, spheres = tables[0], tables[1].spheres
     status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
     transmittance, branch, starts, nodes = unowned(transmittance), unowned(branch), unowned(starts), unowned(nodes)
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
     state, balls, spans, wanted = unowned(state), unowned(balls), unowned(spans), unowned(wanted)
+    passed = unowned(passed)
     kept = status, pixel, jacobian, weight, transmittance, branch
-    for low in range(0, nodes.shape[0], GROUP):
-        count = min(GROUP, nodes.shape[0] - low)
-        group, of_group = starts[low : low + count], nodes[low : low + count]
-        begin_group(count, grid, group, of_group, block, state)
-        if trip > 0:
-            solve_block(whole_vectors(count), camera, spheres, sequence, sign, block, state)
-            verify(count, camera, balls, xy, spans, wanted, rays, trips, block)
-        elif solid:
-            solve_block(whole_vectors(count), camera, spheres, sequence, sign, block, state)
-            verify_one_by_one(count, trip, key, tables, state, trips, block)
-        careful_group(count, trip, key, sign, tables, group, trips, block, state)
-        keep_group(count, grid[2], sequence.shape[0], number, limits, of_group, block, state, kept)
+    total, left, is_block = nodes.shape[0], 0, trip >= 0 or solid
+    for patient in range(2 if is_block else 1):
+        for low in range(0, total, GROUP):
+            count = min(GROUP, total - low)
+            group, of_group = starts[low : low + count], nodes[low : low + count]
+            begin_group(count, grid, group, of_group, block, state)
+            if patient:
+                solve_patiently(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
+            elif is_block:
+                solve_block(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
+            else:
+                solve_carefully(count, key, sign, tables, group, block, state)
+            if trip >= 0:
+                verify(count, camera, balls, windows, xy, spans, wanted, rays, passed, trips, block)
+            elif solid:
+                verify_one_by_one(count, trip, key, tables, state, trips, block)
+            if is_block:
+                judge_trips(count, trip, every, group, trips, block, state)
+            keep_group(count, grid[2], sequence.shape[0], number, limits, of_group, block, state, kept)
+            if is_block:
+                left = put_off(low, count, left, starts, nodes, trips)
+        total, left = left, 0
 
 
 @kernel
@@ -121,18 +142,46 @@ def begin_group(count: int, grid: Array, starts: Array, nodes: Array, block: Arr
 
 
 @kernel
-def careful_group(
-    count: int, trip: int, key: int, sign: float, tables: Tables, starts: Array, trips: Array, block: Array,
-    state: Array,
-) -> None:  # fmt: skip
-    """Solve by itself each node that has not converged to a ray of the trip."""
+def judge_trips(
+    count: int, trip: int, every: bool, starts: Array, trips: Array, block: Array, state: Array
+) -> None:
+    """Let only nodes count whose ray takes the trip; mark others, `every` one or those with hope, as AGAIN.
+
+    There is none where the start is off the sheet, nor where the node has been found close by, but along a ray
+    that takes another trip: where derivatives are as good as a start needs, the node is seen only once around it.
+    """
     for i in range(count):
-        if not (state[i] == CONVERGED and trips[TRIP + i] == trip):
-            done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
-                block[X + i], block[Y + i], starts[i, 0], starts[i, 1], key, sign, tables
-            )
-            block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
-            state[i] = CONVERGED if done > 0.0 else FAILED
+        if state[i] == CONVERGED and trips[TRIP + i] == trip:
+            continue
+        away = max(abs(block[U + i] - starts[i, 0]), abs(block[V + i] - starts[i, 1]))
+        hopeless = state[i] == HOPELESS or (state[i] == CONVERGED and away <= CLOSE_PX)
+        trips[TRIP + i] = AGAIN if every or not hopeless else ANOTHER
+        state[i] = FAILED
+
+
+@kernel
+def put_off(low: int, count: int, left: int, starts: Array, nodes: Array, trips: Array) -> int:
+    """Move what is to be solved AGAIN behind the `left` ones at the front, before low; how many there are now."""
+    for i in range(count):
+        if trips[TRIP + i] == AGAIN:
+            for c in range(4):
+                starts[left, c] = starts[low + i, c]
+            nodes[left, 0], nodes[left, 1] = nodes[low + i, 0], nodes[low + i, 1]
+            left += 1
+    return left
+
+
+@kernel
+def solve_carefully(
+    count: int, key: int, sign: float, tables: Tables, starts: Array, block: Array, state: Array
+) -> None:
+    """Solve each node of a block by itself, where its sequence is not one of spheres alone."""
+    for i in range(count):
+        done, block[U + i], block[V + i], xu, xv, yu, yv, block[KEPT + i] = solve_node(
+            block[X + i], block[Y + i], starts[i, 0], starts[i, 1], key, sign, tables
+        )
+        block[XU + i], block[XV + i], block[YU + i], block[YV + i] = xu, xv, yu, yv
+        state[i] = CONVERGED if done > 0.0 else FAILED
 
 
 @kernel
@@ -195,16 +244,9 @@ def judge(count: int, pitch: float, events: int, limits: Array, b: Array, state:
 
 @kernel
 def verify(
-    count: int,
-    camera: Array,
-    balls: Array,
-    xy: Array,
-    spans: Array,
-    wanted: Array,
-    rays: Array,
-    trips: Array,
-    b: Array,
-) -> None:
+    count: int, camera: Array, balls: Array, windows: Array, xy: Array, spans: Array, wanted: Array, rays: Array,
+    passed: Array, trips: Array, b: Array,
+) -> None:  # fmt: skip
     """Trips that the pixels u, v of a block really take, all bodies asked."""
     scale, u0, v0 = 1.0 / camera[FOCAL], camera[CENTRE_U], camera[CENTRE_V]
     k1, k2, k3, p1, p2 = lens_of(camera)
@@ -213,7 +255,19 @@ def verify(
         a, e, _, _ = undistorted((b[U + i] - u0) * scale, (b[V + i] - v0) * scale, k1, k2, k3, p1, p2)
         x[i], y[i] = a, e
     begin_block(x[:count], y[:count], camera, rays, trips)
+    if windows.shape[0] == 0:
+        follow_block(0, count, SKIP_LEFT_BEHIND, balls, spans, rays, trips, wanted)
+        return
+    for i in range(count):
+        passed[i] = OPEN
+    for k in range(windows.shape[0]):
+        through_window_carefully(count, windows[k], rays, passed)
     follow_block(0, count, SKIP_LEFT_BEHIND, balls, spans, rays, trips, wanted)
+    land_block(count, rays)
+    for i in range(count):
+        lands = (rays[PX + i] == rays[PX + i]) & (passed[i] == OPEN)
+        lands &= not is_before(rays[PX + i], rays[PY + i], windows[windows.shape[0] - 1])
+        trips[TRIP + i] = trips[TRIP + i] if lands else ANOTHER
 
 
 @kernel

@@ -20,7 +20,7 @@ def bits(made: CorrectionMap) -> list[bytes]:
 
 def one_by_one(where: Scene, ray_map: RayMap, layers: int, monkeypatch: pytest.MonkeyPatch) -> CorrectionMap:
     with monkeypatch.context() as patched:
-        patched.setattr(invert, "fits_bed", lambda scene: False)
+        patched.setattr(invert, "fits_bed_behind", lambda scene: False)
         return build_correction_map(where, ray_map, layers=layers)
 
 
@@ -31,6 +31,15 @@ def test_same_bits_as_one_by_one(layers: int, monkeypatch: pytest.MonkeyPatch) -
         made = build_correction_map(where, ray_map, layers=layers)
         assert bits(made) == bits(one_by_one(where, ray_map, layers, monkeypatch))
         assert made.behind_glass.sum() > 100
+
+
+@pytest.mark.parametrize("place", ["packed", "mixed"])
+def test_what_is_given_up_had_no_hope(place: str) -> None:
+    """The bits of solving every node with care that a block has not solved."""
+    where = small(bed(128), 12.0) if place == "packed" else mixed_bed(4)
+    ray_map = build_ray_map(where)
+    every = build_correction_map(where, ray_map, layers=2, skip=False)
+    assert bits(build_correction_map(where, ray_map, layers=2)) == bits(every)
 
 
 def test_sheets_that_are_too_large_for_one_call(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,91 @@
+"""The tables of a bundle of rays (``tracer.kernels.bundle``): columns in one array each, and what holds them.
+
+``balls`` (BALL_ROWS, N): rows as named below; neighbours in space stand side by side.  ``rays`` (RAY_NUMBERS,)
+float64 and ``marks`` (MARK_NUMBERS,) int64 are the lanes, ``ends`` (END_NUMBERS,) float64, ``fates``
+(FATE_NUMBERS,) int64 and ``trail`` (LANES * MAX_EVENTS,) int32 what became of the rays, in the places of the tile.
+``grouped`` (GROUP_NUMBERS,) float64 and ``group_marks`` (GROUP_MARKS,) int64 are the lanes in groups; ``group_of``
+(N * BINS + 1,) int32 says which group asks a list, and is -1 between two rounds.
+"""
+
+from typing import NamedTuple
+
+from ground.jit import Array, kernel_inlined, unowned
+from tracer.kernels.candidates import Lists, Neighbours
+
+LANES = 256
+STEP = LANES + 40  # columns a power of two apart would fight for the same lines of the first-level cache
+BALL_R2, BALL_IR2, BALL_KT, BALL_NU, BALL_GK, BALL_IR, BALL_OPAQUE = range(4, 11)
+BALL_ROWS = 11  # centre x, y, z, R, R^2, 1/R^2, 1/(n R)^2, 1/n, (n^2 - 1)/n^2, 1/R, opaque
+PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(6))
+CX, CY, CZ, R2, IR2, KT, NU, GK, IR = (k * STEP for k in range(6, 15))  # of the ball that turns a ray
+RAY_NUMBERS = 15 * STEP
+LAST, PICK, PLACE, KEY, LOST, CELL = (k * STEP for k in range(6))
+MARK_NUMBERS = 6 * STEP
+GROUPED = LANES * 8 + 40  # each group begins a whole vector
+GX, GY, GZ, GU, GV, GW, NEAR = (k * GROUPED for k in range(7))
+GROUP_NUMBERS = 7 * GROUPED
+FOUND, LANE, BEGIN, LIST, MEMBER = (k * GROUPED for k in range(5))
+GROUP_MARKS = 5 * GROUPED
+END_PX, END_PY, END_PZ, END_DX, END_DY, END_DZ = (k * STEP for k in range(6))
+END_NUMBERS = 6 * STEP
+FATE, EVENTS, HASH = (k * STEP for k in range(3))
+FATE_NUMBERS = 3 * STEP
+
+
+class Bed(NamedTuple):
+    """Where the spheres of ``balls`` stand: who is near whom, clusters, and the cells of the bed.
+
+    ``spheres`` (N, 6) as ``Scene.sphere_table`` in the order of ``balls``; ``frame``, ``begin``, ``items`` their
+    cells, see ``tracer.kernels.bed``; ``home`` (0,).  ``alike``: all are of one radius and one index; ``clear``:
+    none is opaque.
+    """
+
+    near: Neighbours
+    clusters: Array
+    spheres: Array
+    frame: Array
+    begin: Array
+    items: Array
+    home: Array
+    alike: bool
+    clear: bool
+
+
+class Bundle(NamedTuple):
+    """Memory of one thread; see the top of the file."""
+
+    rays: Array
+    marks: Array
+    ends: Array
+    fates: Array
+    trail: Array
+    box: Array
+    grouped: Array
+    group_marks: Array
+    group_of: Array
+    lists: Lists
+
+
+@kernel_inlined
+def unowned_bundle(bundle: Bundle) -> Bundle:
+    """Return a bundle whose arrays do not count references; see `unowned`."""
+    lists = bundle.lists
+    return Bundle(
+        unowned(bundle.rays), unowned(bundle.marks), unowned(bundle.ends), unowned(bundle.fates),
+        unowned(bundle.trail), unowned(bundle.box), unowned(bundle.grouped), unowned(bundle.group_marks),
+        unowned(bundle.group_of),
+        Lists(
+            unowned(lists.begin), unowned(lists.size), unowned(lists.ball), unowned(lists.least),
+            unowned(lists.used),
+        ),
+    )  # fmt: skip
+
+
+@kernel_inlined
+def unowned_bed(bed: Bed) -> Bed:
+    """Return a bed whose arrays do not count references."""
+    near = Neighbours(unowned(bed.near.begin), unowned(bed.near.items), bed.near.horizon)
+    return Bed(
+        near, unowned(bed.clusters), unowned(bed.spheres), unowned(bed.frame), unowned(bed.begin),
+        unowned(bed.items), unowned(bed.home), bed.alike, bed.clear,
+    )  # fmt: skip
