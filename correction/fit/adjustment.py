@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.contact import largest_overlap_mm
+from correction.fit.correlation import with_correlation
 from correction.fit.held import doubted
 from correction.fit.measurement import MeasuredFrame, whitening
 from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
 from correction.fit.result import FitStep, FittedCorners, SceneFit
 from correction.fit.room_contact import pushed_clear
+from correction.fit.shape_doubt import SIZES_MM, ShapeRoot, doubted_shapes, likely_scale, shape_parts, with_shapes
 from correction.fit.solver import (
     Corners,
     Residuals,
@@ -60,13 +62,17 @@ class Adjustment:
         return solution
 
     def locked(
-        self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
+        self,
+        unknowns: Unknowns,
+        x: NDArray[np.float64],
+        frames: Sequence[MeasuredFrame],
+        parts: Sequence[Residuals] | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Find the lock on the rows of pixels; and what not knowing it takes of the information on x (P, P)."""
         asked = []
-        for frame in frames:
+        for number, frame in enumerate(frames):
             corners = self.weighted(frame)
-            left = residuals(unknowns, x, corners)
+            left = parts[number] if parts else residuals(unknowns, x, corners)
             good = np.linalg.norm(left.value, axis=1) < OUTLIER  # False for NaN
             terms = np.asarray(corners.whiten) @ lock_terms(frame.corners.pixel, frame.axes_px, frame.behind)
             asked.append(LockedCorners(terms[good], left.value[good], left.rate[good]))
@@ -167,22 +173,33 @@ class Adjustment:
         used = [frame.taken(which) for frame, which in zip(measured, kept, strict=True)]
         solution = self.solve(unknowns, solution.x, used)
         # The loss halves the say of honest corners at the edge of it; their information counts in full.
-        free, wide = len(solution.x), doubted(unknowns)
+        free, balls = len(solution.x), doubted_shapes(unknowns)
+        wide = with_shapes(doubted(unknowns), balls)
         at = np.concatenate((solution.x, np.zeros(len(wide.names) - free)))
-        parts = [residuals(wide, at, self.weighted(frame)) for frame in used]
+        parts = [self.doubted_part(unknowns, wide, at, frame) for frame in used]
         _, slope, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
-        normal = normal - self.locked(wide, at, used)[1]
-        alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
+        normal = normal - self.locked(wide, at, used, parts)[1]
+        slope = pull_of_doubted(slope, normal, free)
         weighted = [self.weighted(frame) for frame in measured]
-        left = [residuals(wide, at, corners) for corners in weighted]
-        verdict, covariance = judge_model(unknowns, wide, at, measured, weighted, left, alone)
-        root = wide.columns @ root_of(covariance)
+        left = [self.doubted_part(unknowns, wide, at, frame) for frame in measured]
+        verdict, lattices = judge_model(unknowns, wide, at, measured, weighted, left)
+        of_shapes = np.tile(SIZES_MM, len(balls))
+        unit = np.ones(len(at))
+        unit[len(at) - len(of_shapes) :] = 0.0 if verdict.alarms else likely_scale(normal, slope, len(of_shapes))
+        slope, normal = slope * unit, normal * np.outer(unit, unit)
+        alone = np.asarray(np.linalg.inv(normal + np.eye(len(at))), dtype=np.float64)
+        alike = [replace(lattice, rate=lattice.rate * unit) for lattice in lattices]
+        covariance = with_correlation(alone, alike, verdict.correlation)
+        draws = root_of(covariance)
         if len(at) > free:
-            root = np.column_stack((root, wide.columns @ newton_step(wide, at, slope, normal)))
+            draws = np.column_stack((draws, newton_step(wide, at, slope, normal)))
         if any(frame.pupil_px.any() for frame in used):
-            root = np.column_stack((root, wide.columns @ alone @ self.pull_of_pupils(used, parts)))
+            draws = np.column_stack((draws, alone @ (unit * self.pull_of_pupils(used, parts))))
+        root = wide.columns @ draws
+        sizes = (unit[len(at) - len(of_shapes) :] * of_shapes)[:, None]
+        shapes = ShapeRoot(balls, sizes * draws[len(at) - len(of_shapes) :])
         if verdict.cause is not None and verdict.cause.change is not None:
-            root = np.column_stack((root, verdict.cause.change))
+            root, shapes = np.column_stack((root, verdict.cause.change)), shapes.with_column()
         scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
         corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(
@@ -200,7 +217,25 @@ class Adjustment:
             scene,
             verdict,
             (*history, self.step("all together", unknowns, solution.x, measured, kept)),
+            shapes=shapes,
         )
+
+    def doubted_part(
+        self, unknowns: Unknowns, wide: Unknowns, at: NDArray[np.float64], frame: MeasuredFrame
+    ) -> Residuals:
+        """Residuals of a frame with derivatives by what is free, held and doubted, shapes of balls the last."""
+        corners = self.weighted(frame)
+        full = wide.full(at)
+        return shape_parts(unknowns, full, corners, frame.branch_name, residuals(wide, at, corners))
+
+
+def pull_of_doubted(slope: NDArray[np.float64], normal: NDArray[np.float64], free: int) -> NDArray[np.float64]:
+    """Gradient (P,) of what is doubted when the first `free` numbers have followed, which pull no more.
+
+    They lie where corners fit best that weigh less the farther they are off, the gradient counts all in full.
+    """
+    followed = np.linalg.solve(normal[:free, :free] + np.eye(free), slope[:free])
+    return np.concatenate((np.zeros(free), slope[free:] - normal[free:, :free] @ followed))
 
 
 def root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -5,19 +5,26 @@ first order), meets a ray that would meet the sphere at R e, with direction d, a
 
     dt = h / (d . e)            with the normal        e' - (2 / R) (S e' - h e'),        e' there.
 
-Nothing but these two changes at each of the two surfaces; the derivative is the difference of two such traces.
+Nothing but these two changes at each of the two surfaces.  A ray is followed to the plane once, and what a landing
+coordinate s gains by position and direction (f, g) back through the surfaces: with r the ratio of the indices,
+c = d . n, t the cosine behind, n the normal against d, refraction d' = r d - (r c + t) n hands on
+
+    g_d = r g - q (g . n) n,        g_n = -q (g . n) d - (r c + t) g,        q = r + r^2 c / t,
+
+and each surface adds (f + g_n/R across e) . d dt - g_n . (2 / R) (S e - h e) to ds.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tracer.branches import branch_of
 from tracer.camera import Camera
 from tracer.sensitivity import TargetPose
 
 Points = NDArray[np.float64]
-STEP_MM = 1e-3
 SHAPES = tuple(
     np.array(rows, dtype=np.float64)
     for rows in (
@@ -28,67 +35,150 @@ SHAPES = tuple(
         ((0, 0, 0), (0, 0, 1), (0, 1, 0)),
     )
 )  # the five traceless S, of which every other is a sum
+NOTHING = -1
+
+
+def balls_crossed(ways: NDArray[np.str_], names: Sequence[str]) -> NDArray[np.int64]:
+    """Rows (N, K) of the spheres that rays cross whole and in order, filled up with NOTHING.
+
+    Parameters
+    ----------
+    ways : (N,) str
+        Spheres crossed, as text; ways through anything but whole spheres cross NOTHING here.
+    names : sequence of str
+        Of the spheres in the table.
+    """
+    place = {name: number for number, name in enumerate(names)}
+    kinds, which = np.unique(ways, return_inverse=True)
+    rows = [[place.get(event, NOTHING) for event in branch_of(str(way))] for way in kinds]
+    whole = [row if NOTHING not in row else [] for row in rows]
+    table = np.full((len(kinds), max(map(len, whole), default=0)), NOTHING)
+    for number, row in enumerate(whole):
+        table[number, : len(row)] = row
+    return table[which]
+
+
+@dataclass(frozen=True)
+class ShapeRates:
+    """Derivatives of N landing points by the shapes of the balls on their ways, K at most.
+
+    Parameters
+    ----------
+    row : (N, K) int64
+        Balls, as `balls_crossed`.
+    rate : (N, 2, K, 5) float64
+        By the numbers of `SHAPES` of each; 0 where there is none, and where the ray is lost.
+    """
+
+    row: NDArray[np.int64]
+    rate: Points
+
+    def by(self, ball: int) -> tuple[NDArray[np.bool_], Points]:
+        """Which rays (N,) cross a ball, and their derivatives (M, 2, 5) by its shape."""
+        mine = self.row == ball
+        here = mine.any(axis=1)
+        return here, np.asarray((self.rate[here] * mine[here][:, None, :, None]).sum(axis=2))
+
+    def by_each(self, balls: Sequence[int]) -> Points:
+        """Derivatives (N, 2, 5 B) by the shapes of B balls."""
+        dense = np.zeros((len(self.row), 2, len(balls), len(SHAPES)))
+        for place, ball in enumerate(balls):
+            here, rate = self.by(ball)
+            dense[here, :, place] = rate
+        return dense.reshape(len(self.row), 2, len(balls) * len(SHAPES))
 
 
 def shape_rates(
-    camera: Camera, spheres: Points, crossed: Sequence[int], ball: int, pixels: Points, pose: TargetPose
-) -> Points:
-    """Derivatives (N, 2, 5) of landing points by the numbers of `SHAPES` of one ball.
+    camera: Camera, spheres: Points, crossed: NDArray[np.int64], pixels: Points, pose: TargetPose
+) -> ShapeRates:
+    """Follow rays to a plane, and what shapes do to them back.
 
     Parameters
     ----------
     camera : Camera
     spheres : (B, 6) float64
         Sphere table; n is against the room.
-    crossed : sequence of int
-        Rows of the spheres that the rays cross, in order.
-    ball : int
-        Row of the one whose shape changes.
+    crossed : (N, K) int64
+        Rows of the spheres that the rays cross, as `balls_crossed`.
     pixels : (N, 2) float64
     pose : TargetPose
         Of the target.
     """
-    changes = []
-    for shape in SHAPES:
-        ends = [_landed(camera, spheres, crossed, ball, sign * STEP_MM * shape, pixels, pose) for sign in (1, -1)]
-        changes.append((ends[0] - ends[1]) / (2.0 * STEP_MM))
-    return np.stack(changes, axis=2)
-
-
-def _landed(
-    camera: Camera,
-    spheres: Points,
-    crossed: Sequence[int],
-    ball: int,
-    shape_mm: Points,
-    pixels: Points,
-    pose: TargetPose,
-) -> Points:
     way = camera.directions(pixels)
-    at = np.broadcast_to(np.array(camera.position_mm), way.shape)
-    with np.errstate(invalid="ignore"):
-        for number in crossed:
-            row, shape = spheres[number], shape_mm if number == ball else np.zeros((3, 3))
+    at = np.tile(np.array(camera.position_mm), (len(way), 1))
+    rates = np.zeros((len(pixels), 2, crossed.shape[1], len(SHAPES)))
+    surfaces: list[_Surface] = []
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for turn in range(crossed.shape[1]):
+            here = np.flatnonzero(crossed[:, turn] != NOTHING)
+            row = spheres[crossed[here, turn]]
             for entering in (True, False):
-                away = at - row[:3]
-                along = np.sum(away * way, axis=1)
-                root = np.sqrt(along**2 - np.sum(away**2, axis=1) + row[3] ** 2)
-                path = -along - root if entering else -along + root
-                out = (away + path[:, None] * way) / row[3]
-                height = np.sum(out * (out @ shape), axis=1)
-                at = at + (path + height / np.sum(out * way, axis=1))[:, None] * way
-                out = (at - row[:3]) / np.linalg.norm(at - row[:3], axis=1, keepdims=True)
-                turned = out @ shape
-                normal = out - 2.0 / row[3] * (turned - height[:, None] * out)
-                normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-                way = _refracted(way, normal if entering else -normal, 1.0 / row[4] if entering else row[4])
+                surface = _Surface.met(at[here], way[here], row, entering)
+                at[here], way[here] = row[:, :3] + row[:, 3:4] * surface.out, surface.way_behind()
+                surfaces.append(surface)
         origin, axes = np.array(pose.origin_mm), np.array(pose.axes)
-        fall = (at - origin) @ axes[2] / (way @ axes[2])
-        return np.asarray((at - fall[:, None] * way - origin) @ axes[:2].T)
+        fall = -((at - origin) @ axes[2]) / (way @ axes[2])
+        for axis in range(2):
+            by_place = axes[axis] - axes[2] * (way @ axes[axis] / (way @ axes[2]))[:, None]
+            by_way = fall[:, None] * by_place
+            for number in reversed(range(len(surfaces))):
+                turn = number // 2
+                here = np.flatnonzero(crossed[:, turn] != NOTHING)
+                gained, by_place[here], by_way[here] = surfaces[number].back(by_place[here], by_way[here])
+                rates[here, axis, turn] += gained
+    return ShapeRates(crossed, np.nan_to_num(rates, nan=0.0, posinf=0.0, neginf=0.0))
 
 
-def _refracted(way: Points, normal: Points, ratio: float) -> Points:
-    """Snell's law; normals against the ways, ratio of the indices before and after."""
-    across = way - np.sum(way * normal, axis=1, keepdims=True) * normal
-    after = ratio * across
-    return np.asarray(after - np.sqrt(1.0 - np.sum(after**2, axis=1, keepdims=True)) * normal)
+@dataclass(frozen=True)
+class _Surface:
+    """A surface met by M rays: directions (M, 3) before, paths (M,) to it, outward normals (M, 3), radii (M,).
+
+    `ratio` (M,) is that of the indices before and after, `side` 1 where the outward normal is against the rays.
+    """
+
+    way: Points
+    path: Points
+    out: Points
+    radius: Points
+    ratio: Points
+    side: float
+
+    @classmethod
+    def met(cls, at: Points, way: Points, row: Points, entering: bool) -> "_Surface":
+        """Meet spheres (M, 6) from positions and in directions (M, 3)."""
+        away = at - row[:, :3]
+        along = np.sum(away * way, axis=1)
+        root = np.sqrt(along**2 - np.sum(away**2, axis=1) + row[:, 3] ** 2)
+        path = -along - root if entering else -along + root
+        out = (away + path[:, None] * way) / row[:, 3:4]
+        return cls(
+            way, path, out, row[:, 3], 1.0 / row[:, 4] if entering else row[:, 4], 1.0 if entering else -1.0
+        )
+
+    def _angles(self) -> tuple[Points, Points, Points]:
+        """Normals (M, 3) against the rays, cosines (M,) before and behind."""
+        normal = self.side * self.out
+        before = np.sum(self.way * normal, axis=1)
+        return normal, before, np.sqrt(1.0 - self.ratio**2 * (1.0 - before**2))
+
+    def way_behind(self) -> Points:
+        """Directions (M, 3) behind, by Snell's law."""
+        normal, before, behind = self._angles()
+        return np.asarray(self.ratio[:, None] * self.way - (self.ratio * before + behind)[:, None] * normal)
+
+    def back(self, f: Points, g: Points) -> tuple[Points, Points, Points]:
+        """Gain (M, 5) by the shapes, and f, g (M, 3) before, from those behind."""
+        normal, before, behind = self._angles()
+        along = (self.ratio + self.ratio**2 * before / behind) * np.sum(g * normal, axis=1)
+        by_out = -self.side * (along[:, None] * self.way + (self.ratio * before + behind)[:, None] * g)
+        across = by_out - np.sum(by_out * self.out, axis=1)[:, None] * self.out
+        f = f + across / self.radius[:, None]
+        steep = np.sum(f * self.way, axis=1) / np.sum(self.out * self.way, axis=1)
+        gained = []
+        for shape in SHAPES:
+            turned = self.out @ shape
+            height = np.sum(self.out * turned, axis=1)
+            gained.append(steep * height - 2.0 / self.radius * np.sum(across * turned, axis=1))
+        f = f - steep[:, None] * self.out
+        g = self.path[:, None] * f + self.ratio[:, None] * g - along[:, None] * normal
+        return np.stack(gained, axis=1), f, g

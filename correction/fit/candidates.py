@@ -6,7 +6,7 @@ bright.  Corners of one kind lie sqrt(2) squares apart, on a lattice turned by 4
 right up to 0.7 squares of error.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,7 +72,8 @@ def candidates_of(
     bare = np.linalg.norm(rays.point_mm - node, axis=1) < 0.1 * board.square_mm
     wide = np.array(full)
     wide[unknowns.glass].reshape(-1, len(SPHERE))[:, 3] *= WIDER
-    through = landed(unknowns, wide, Corners(height_number, True, everything.pixel, everything.node_mm, 1.0))
+    everything = replace(everything, glass=True)
+    through = landed(unknowns, wide, everything, by_walls=True)
     inside = _behind_balls(unknowns, through, rays) & (saddles.strength > least)
     in_wall = rays.recovered & (rays.key != DIRECT)  # squeezed by the wall of a tube: no ball is there
     chosen = inside | (~bare & ~in_wall & (saddles.strength > least))

@@ -72,8 +72,10 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
     """Write a fit, atomically.
 
     Header: ``names``, ``numbers``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``,
-    ``systematic_px`` (way -> its own error), ``right``, ``verdict`` and ``ways`` (`StoredVerdict`).  Arrays:
+    ``systematic_px`` (way -> its own error), ``shape_balls`` (`ShapeRoot`), ``right``, ``verdict`` and ``ways``
+    (`StoredVerdict`).  Arrays:
     ``values`` (P,), ``covariance`` (P, P) in the units of the names, ``scene_root`` (Q, R) (see `SceneSigma`),
+    ``shape_root`` (5 B, R),
     ``corner_frame``, ``corner_way`` (N,), ``corner_index`` (N, 2), ``corner_px``, ``residual_px``, ``smooth_px``
     (N, 2), ``behind``, ``inlier`` (N,).
     """
@@ -87,6 +89,7 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
         "frames": list(fit.frames),
         "history": [str(step) for step in fit.history],
         "systematic_px": fit.verdict.systematic_px,
+        "shape_balls": list(sigma.shapes.balls),
         "right": found.right,
         "verdict": list(found.sentences),
         "ways": list(found.ways),
@@ -95,6 +98,7 @@ def save_fit(path: Path | str, fit: SceneFit) -> None:
         "values": fit.values,
         "covariance": fit.covariance * np.outer(unit, unit),
         "scene_root": sigma.root,
+        "shape_root": sigma.shapes.root,
         "corner_frame": corners.frame.astype(np.int32),
         "corner_way": found.way.astype(np.int32),
         "corner_index": corners.index.astype(np.int32),

@@ -114,6 +114,7 @@ def _of_numbers(nominal: Scene) -> str:
     )
 
 
+@cache
 def index_sigma(medium: Medium, light: Light | None, wavelength_nm: float) -> float:
     """Standard deviation of a medium's index between light and scene; 0 for a number, which has no dispersion."""
     if isinstance(medium, ConstantMedium):

@@ -3,12 +3,17 @@
 In the search for the whole scene such a sphere has no say: its three or five corners drown among hundreds,
 and saddles that are none (rims, ghosts) outnumber them.  Alone it is found by trying: from every place of a
 raster the sphere is moved by Gauss-Newton steps to where its own candidates lie nearest to corners of their
-kind, and what counts is how many lie on one, to SHARP_PX.  With three coordinates to please them and hundreds of
-tries, two or three do so by chance; the best places are therefore measured, one after the other, until the
-corners themselves are where the place shows them.
+kind, and what counts is how many lie on one, to SHARP_PX.  Places that fall behind on the way are left (successive
+halving): the right one is begun from a dozen neighbours, so that it is never the only one of its kind.  With
+three coordinates to please them and hundreds of tries, two or three do so by chance; the best places are
+therefore measured, one after the other, until the corners themselves are where the place shows them.
+
+First of all comes the place that was believed: where squares fill a ball, most saddles on it are of its rim, and
+the search for the whole scene has taken it away from where its few corners would have been found.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -17,7 +22,7 @@ from numpy.typing import NDArray
 from correction.board import Chessboard
 from correction.fit.candidates import Candidates, distances, paired_residuals
 from correction.fit.measurement import MeasuredFrame
-from correction.fit.solver import Corners, landed
+from correction.fit.solver import LOST, Corners, landed
 from correction.fit.unknowns import Unknowns
 from tracer.branches import branch_of
 from tracer.sensitivity import SPHERE
@@ -25,8 +30,10 @@ from tracer.sensitivity import SPHERE
 FOUND = 0.5  # share of the corners to be seen through a sphere, measured and explained, from which it is not lost
 SHARP_PX = 0.4  # saddles are good to 0.1-0.3 corrected px
 KNEES_PX = (6.0, 6.0, 3.0, 3.0, 1.0, 1.0, 0.5, 0.5)  # of the loss, step by step
+LEFT = (1.0, 0.4, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0)  # share of the places that go on after each step, the cheaper ones
 STRIDE, STRIDE_Z = 0.16, 0.6  # of the raster sideways and along z, in squares
 REACH = 1.6  # of the raster, in sigmas of the prior
+BEYOND = 0.5  # squares that a place may move by while it has the same candidates
 MOST = 7  # steps of the raster each way at most
 SAME_MM = 0.05
 TRIES = 6  # places that are measured
@@ -57,7 +64,7 @@ def likely_places(
     pitch_mm: float,
     number: int,
 ) -> list[NDArray[np.float64]]:
-    """Full vectors (F,) with one sphere where most of its own candidates lie on corners, the best first.
+    """Full vectors (F,) with one sphere where it was believed, then where most of its candidates lie on corners.
 
     Parameters
     ----------
@@ -81,25 +88,53 @@ def likely_places(
     if not alone.names:
         return []
     reach = REACH * alone.sigma
-    wide = np.array(believed)
-    wide[row + 3] += reach.max()
-    own = [frame.take(_crosses(alone, wide, frame, number)) for frame in frames]
     stride = np.array([STRIDE, STRIDE, STRIDE_Z]) * board.square_mm
     raster = [np.linspace(-REACH, REACH, 2 * n + 1) for n in np.clip(np.ceil(reach / stride), 1, MOST).astype(int)]
+    tries: list[_Try] = []
+    for across in product(*raster[:2]):
+        own = _own(alone, np.array([*across, 0.0]), frames, number, BEYOND * board.square_mm)
+        tries += [_Try(np.array([*across, along]), own) for along in raster[2]]
+    for knee, left in zip(KNEES_PX, LEFT, strict=True):
+        tries = [one.step(alone, board, pitch_mm, knee) for one in tries]
+        if left < 1.0:
+            tries = sorted(tries, key=lambda one: one.cost)[: int(np.ceil(left * len(tries)))]
     found: list[tuple[int, float, NDArray[np.float64]]] = []
-    for place in product(*raster):
-        x = np.array(place)
-        for knee in KNEES_PX:
-            x = x + _step(alone, x, own, board, pitch_mm, knee)
-        vector = alone.full(x)
-        found.append((-_on_corners(alone, vector, own, board, pitch_mm), float(x @ x), vector))
+    for one in tries:
+        vector = alone.full(one.x)
+        found.append((-_on_corners(alone, vector, one.own, board, pitch_mm), float(one.x @ one.x), vector))
     found.sort(key=lambda one: one[:2])
-    places: list[NDArray[np.float64]] = []
+    places = [believed]
     for score, _, vector in found:
         apart = [np.linalg.norm((vector - other)[row : row + 2]) for other in places]
-        if score < 0 and min(apart, default=np.inf) > SAME_MM and len(places) < TRIES:
+        if score < 0 and min(apart, default=np.inf) > SAME_MM and len(places) <= TRIES:
             places.append(vector)
     return places
+
+
+@dataclass(frozen=True)
+class _Try:
+    """A place on its way: the free vector (3,), the candidates that may be seen through the sphere there.
+
+    The cost is that of the place before the last step.
+    """
+
+    x: NDArray[np.float64]
+    own: Sequence[Candidates]
+    cost: float = np.inf
+
+    def step(self, unknowns: Unknowns, board: Chessboard, pitch_mm: float, knee: float) -> "_Try":
+        """One Gauss-Newton step on."""
+        move, cost = _step(unknowns, self.x, self.own, board, pitch_mm, knee)
+        return replace(self, x=self.x + move, cost=cost)
+
+
+def _own(
+    unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[Candidates], number: int, beyond_mm: float
+) -> list[Candidates]:
+    """Candidates that are seen through a sphere which stands at x, or by so much beside it."""
+    wide = unknowns.full(x)
+    wide[unknowns.glass.start + number * len(SPHERE) + 3] += beyond_mm
+    return [frame.take(_crosses(unknowns, wide, frame, number)) for frame in frames]
 
 
 def _crosses(unknowns: Unknowns, full: NDArray[np.float64], frame: Candidates, number: int) -> NDArray[np.bool_]:
@@ -127,16 +162,18 @@ def _step(
     board: Chessboard,
     pitch_mm: float,
     knee: float,
-) -> NDArray[np.float64]:
-    """Gauss-Newton step with Cauchy weights; rays that land nowhere have no say."""
-    normal, slope = np.eye(len(x)), x.copy()
+) -> tuple[NDArray[np.float64], float]:
+    """Gauss-Newton step with Cauchy weights, and the cost before it; rays that land nowhere only cost."""
+    normal, slope, cost = np.eye(len(x)), x.copy(), float(x @ x)
     for frame in frames:
         part = paired_residuals(unknowns, x, frame, board, pitch_mm)
         square = (part.value**2).sum(axis=1)
         seen = np.isfinite(square) & ~frame.bare
+        cost += knee**2 * float(np.sum(np.log1p(square[seen] / knee**2)))
+        cost += knee**2 * float(np.log1p(LOST**2 / knee**2)) * int(np.count_nonzero(~seen & ~frame.bare))
         rate = part.rate[seen] / np.sqrt(1.0 + square[seen] / knee**2)[:, None, None]
         value = part.value[seen] / np.sqrt(1.0 + square[seen] / knee**2)[:, None]
         flat = rate.reshape(-1, len(x))
         normal += flat.T @ flat
         slope += flat.T @ value.ravel()
-    return np.asarray(-np.linalg.solve(normal, slope))
+    return np.asarray(-np.linalg.solve(normal, slope)), cost

@@ -1,4 +1,8 @@
-"""Corners measured in frames: from the bare target by search, behind glass from the present scene's prediction."""
+"""Corners measured in frames: from the bare target by search, behind glass from the present scene's prediction.
+
+A bare target seen through a tube is measured again from the prediction: beside the tube's edge a search takes
+corners that the wall has cut or bent for whole ones, and a fit to them ends beside the truth, well within noise.
+"""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,7 +19,6 @@ from correction.fit.smear import UNEVEN, UNSURE, Dispersion, pupil_smear, smear_
 from correction.fit.smear_test import EdgeSpread
 from correction.fit.solver import Corners
 from ground.short_repr import short_repr
-from tracer.branches import text_of
 from tracer.camera import Camera
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
@@ -176,6 +179,21 @@ def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_num
     )
 
 
+def bare_frame_through_walls(
+    frame: TargetFrame, board: Chessboard, scene: Scene, pose: TargetPose, height_number: int
+) -> MeasuredFrame:
+    """Measure the bare target again where a scene without balls shows it, clear of the edges of its walls."""
+    expected = expect(scene, pose, board)
+    fit = measure(frame.image, expected, board)
+    spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px))
+    found = _measured(frame.name, board, expected, fit, spread, height_number)
+    nothing_behind = np.full(len(found), "")
+    corners = replace(found.corners, glass=False)
+    return replace(
+        found, corners=corners, branch_name=nothing_behind, expected={}, lost=LostCorners(), spread=EdgeSpread()
+    )
+
+
 def glass_frame(
     frame: TargetFrame,
     board: Chessboard,
@@ -213,7 +231,7 @@ def glass_frame(
 def _measured(
     name: str, board: Chessboard, expected: Expected, fit: CornerFit, spread: EdgeSpread, height_number: int
 ) -> MeasuredFrame:
-    branch_names = np.array([text_of(names) for names in expected.branches])[expected.branch]
+    branch_names = expected.ways
     names, counts = np.unique(branch_names[branch_names != ""], return_counts=True)
     valid, lost = fit.valid, ~fit.valid & ~np.isin(fit.reason, NOT_ASKED)
     node = board.corner_mm(expected.index[valid])

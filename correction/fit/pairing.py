@@ -25,6 +25,7 @@ INLIER_PX = 1.0
 ENOUGH = 0.9  # share of inliers at which no further start is tried
 TWICE = 0.6  # the same, if two starts have ended at the same scene
 SAME_MM = 0.05
+MANY = 4  # spheres, of which half may have gone astray in two starts that ended alike: they are found later
 RANDOM_STARTS = 64
 
 
@@ -150,7 +151,12 @@ def pair(
 
 
 def _same(unknowns: Unknowns, one: Start, other: Start) -> bool:
-    """Whether two starts ended with the spheres at the same places, seen from the camera."""
-    sideways = [name.endswith((".x", ".y")) for name in unknowns.names]
-    off = np.abs(unknowns.sigma * (one.solution.x - other.solution.x))[sideways]
-    return bool(off.max(initial=0.0) < SAME_MM)
+    """Whether two starts ended with the spheres, or most of many, at the same places seen from the camera."""
+    off = np.abs(unknowns.sigma * (one.solution.x - other.solution.x))
+    apart = {sphere.name: 0.0 for sphere in unknowns.scene.spheres}
+    for name, by in zip(unknowns.names, off.tolist(), strict=True):
+        ball, _, part = name.rpartition(".")
+        if part in ("x", "y") and ball in apart:
+            apart[ball] = max(apart[ball], by)
+    astray = sum(by >= SAME_MM for by in apart.values())
+    return astray <= (len(apart) // 2 if len(apart) >= MANY else 0)

@@ -20,7 +20,7 @@ from correction.board import Chessboard
 from correction.board.corners import LEAST_PX, CornerFit, half_widths_px, refine_corners
 from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
-from tracer.branches import Numbers
+from tracer.branches import Numbers, text_of
 from tracer.camera import Vector3
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
@@ -75,6 +75,11 @@ class Expected:
     def __len__(self) -> int:
         return len(self.index)
 
+    @property
+    def ways(self) -> NDArray[np.str_]:
+        """Spheres crossed (N,), as text."""
+        return np.array([text_of(names) for names in self.branches])[self.branch]
+
     def take(self, chosen: NDArray[np.bool_]) -> "Expected":
         """Return the corners where `chosen`."""
         return replace(
@@ -88,7 +93,7 @@ class Expected:
         )
 
 
-def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
+def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) -> Expected:
     """Predict every corner on every sheet.
 
     Parameters
@@ -98,6 +103,9 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     pose : TargetPose
         Where the target stands.
     board : Chessboard
+    times : int
+        A camera so much coarser says where they are: enough for a forecast, which has no frame; places along rims
+        and folds, less wide than its pixels, are lost.
 
     Raises
     ------
@@ -107,29 +115,30 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard) -> Expected:
     import cv2
 
     seen_from_target = in_target_frame(scene, pose)
-    ray_map = build_ray_map(seen_from_target)
-    grid = _lattice(seen_from_target, board)
+    searched = seen_from_target.with_camera(seen_from_target.camera.coarser(times))
+    ray_map = build_ray_map(searched)
+    grid = _lattice(searched, board)
     found = build_correction_map(
-        seen_from_target,
+        searched,
         ray_map,
         grid,
         layers=LAYERS if scene.spheres else 1,
-        min_magnification=LEAST_SQUARE_PX,
-        max_magnification=LARGEST_SQUARE_PX,
+        min_magnification=LEAST_SQUARE_PX / times,
+        max_magnification=LARGEST_SQUARE_PX / times,
     )
     seen = np.isfinite(found.pixel[..., 0])
     _, rows, columns = np.nonzero(seen)
     middle = (grid.shape[0] - 1) // 2
     index = np.stack((columns - middle, middle - rows), axis=-1)
-    axes = found.jacobian[seen].astype(np.float64).reshape(-1, 2, 2) * np.array([1.0, -1.0])
+    axes = found.jacobian[seen].astype(np.float64).reshape(-1, 2, 2) * np.array([1.0, -1.0]) * times
     branch = np.where(ray_map.recovered, ray_map.branch.astype(np.float64), -1.0)  # a type that OpenCV takes
     kernel = np.ones((3, 3), np.uint8)
     within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
     away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)
-    pixel = found.pixel[seen]
+    pixel = (found.pixel[seen] + 0.5) * times - 0.5
     window = _windows(seen_from_target, pixel, axes, board.square_mm)
-    at = np.rint(pixel).astype(np.int64)
-    rim = away[at[:, 1], at[:, 0]].astype(np.float64)
+    at = np.rint(found.pixel[seen]).astype(np.int64)
+    rim = away[at[:, 1], at[:, 0]].astype(np.float64) * times
     every = Expected(index, pixel, axes, found.branch[seen], rim, window, tuple(found.branches), away > RIM_PX)
     return every.take((window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from correction.fit.errors import FitFailed
 from correction.fit.light import LightDoubt
+from correction.fit.shape_doubt import ShapeRoot
 from correction.fit.unknowns import Unknowns
 from correction.fit.verdict import Verdict
 from ground.short_repr import short_repr
@@ -124,6 +125,8 @@ class SceneFit:
         What happened.
     light : LightDoubt
         What is not known of the light of the target frames.
+    shapes : ShapeRoot
+        What is not known of the shapes of balls taken for spheres, in the draws of `root`.
     """
 
     scene: Scene
@@ -141,6 +144,7 @@ class SceneFit:
     verdict: Verdict
     history: tuple[FitStep, ...] = field(default=())
     light: LightDoubt = field(default_factory=LightDoubt)
+    shapes: ShapeRoot = field(default_factory=ShapeRoot)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 Stages, each starting from the last:
 
-1. camera on the bare target, all heights: the target at z = 0 defines the world;
+1. camera on the bare target, all heights: the target at z = 0 defines the world; with walls that stand there,
+   corners are then measured where the scene shows them, twice;
 2. glass, camera held: saddles paired with lattice corners from several starts (`pairing`), then corners on
    every sheet predicted, measured to sub-pixel and fitted, twice;
 3. everything together, all frames: the estimate and its covariance (`adjustment`).
@@ -27,7 +28,14 @@ from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.light import back_from_light, doubt_of, in_light
 from correction.fit.lost_sphere import likely_places, lost_spheres
-from correction.fit.measurement import FLOOR_PX, MeasuredFrame, TargetFrame, bare_frame, glass_frame
+from correction.fit.measurement import (
+    FLOOR_PX,
+    MeasuredFrame,
+    TargetFrame,
+    bare_frame,
+    bare_frame_through_walls,
+    glass_frame,
+)
 from correction.fit.pairing import pair
 from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
 from correction.fit.result import PRIOR_LIMIT, SHARE_LIMIT, FitStep, SceneFit, check, rms_limit_px
@@ -44,7 +52,9 @@ ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or 
 FOLLOW = 1.0
 DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
 HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
+FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
+THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
 
 
 def _silent(text: str) -> None:
@@ -166,6 +176,8 @@ class _Fit:
             unknowns, solution = self.follow_board(unknowns, solution)
         if len(self.bare_frames) > 1:
             unknowns, solution = self.fit_camera(self.bare_frames[1:])
+        for _ in range(THROUGH_WALLS if self.walls else 0):
+            solution = self.measure_through_walls(unknowns)
         rms = self.bare_rms_px(unknowns, solution.x)
         self.check_camera(rms, _pull(solution), unknowns, solution)
 
@@ -186,6 +198,24 @@ class _Fit:
             self.full = unknowns.full(solution.x)
             self.note(self.fits.step(f"camera on {frame.name}", unknowns, solution.x, self.bare[-1:]))
         return unknowns, solution
+
+    def measure_through_walls(self, unknowns: Unknowns) -> Solution:
+        """Measure the bare target where camera and walls show it, and fit these again."""
+        scene = legal_scene(self.unknowns, self.full)[0].bare()
+        self.bare = [
+            bare_frame_through_walls(
+                frame,
+                self.board,
+                scene,
+                self.unknowns.pose(self.full, number := self.height_number(frame)),
+                number,
+            )
+            for frame in self.bare_frames
+        ]
+        solution = self.fits.solve(unknowns, unknowns.free(self.full), self.bare)
+        self.full = unknowns.full(solution.x)
+        self.note(self.fits.step("camera through walls", unknowns, solution.x, self.bare))
+        return solution
 
     def follow_board(self, unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, Solution]:
         """Turn the nominal bench as the board shows it turned, if that explains the camera."""
@@ -234,7 +264,10 @@ class _Fit:
         candidates = self.candidates(coarse)
         self.pair(coarse, candidates)
         self.fit_glass(unknowns, "pass 1", only_behind=True)
-        for number in self.lost() if self.explained > HOPELESS else ():
+        lost = self.lost()
+        for number in (
+            lost if self.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres) else ()
+        ):
             self.find_lost(unknowns, coarse, candidates, number)
         self.fit_glass(unknowns, "pass 2", only_behind=False)
 

@@ -21,7 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
+from correction.fit.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.result import SceneFit
+from correction.fit.shape_doubt import ShapeRoot
 from correction.fit.unknowns import left_jacobian
 from ground.config import Table
 from ground.errors import MapFileError
@@ -30,10 +32,10 @@ from tracer.branches import name_keys, text_of
 from tracer.errors import StaleMap
 from tracer.harmonics import COUNT, NAMES, turning
 from tracer.scene import Scene, SceneBound
-from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, landings, parameter_names
+from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, parameter_names
 
 KIND = "scene fit"
-BLOCK = 65536  # pixels at a time: some 60 MB of derivatives
+BLOCK, ORDINARY_DRAWS = 65536, 64  # pixels at a time, fewer of beds: some 60 MB of derivatives
 
 
 class FitHeader(Table):
@@ -47,6 +49,7 @@ class FitHeader(Table):
     nominal_hash: Hash
     history: list[str]
     systematic_px: dict[str, Annotated[float, Field(ge=0.0, lt=1e6)]] = Field(default_factory=dict)
+    shape_balls: list[str] = Field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,8 @@ class SceneSigma(SceneBound):
         The same of the plane's pose (`tracer.sensitivity.TARGET`); K = 0: it is the target's, which defines z = 0.
     numbers : tuple of str
         Names of the Q numbers; empty: there are only camera and spheres.
+    shapes : ShapeRoot
+        Of the shapes of balls that the scene takes for spheres.
     """
 
     scene_hash: str
@@ -73,6 +78,7 @@ class SceneSigma(SceneBound):
     systematic_px: dict[str, float] = field(default_factory=dict)
     plane_root: NDArray[np.float64] = field(default_factory=lambda: np.zeros((len(TARGET), 0)))
     numbers: tuple[str, ...] = ()
+    shapes: ShapeRoot = field(default_factory=ShapeRoot)
     noun: ClassVar[str] = "fit"
     cure: ClassVar[str] = "calibrate again"
 
@@ -88,11 +94,12 @@ class SceneSigma(SceneBound):
             step = np.zeros(len(root))
             step[: len(fit.light.step)] = fit.light.step
             root = np.column_stack((root, step))
+        doubt = fit.shapes.with_column() if fit.light.step.size else fit.shapes
         known_as = parameter_names(fit.measured_scene)
         numbers = known_as[: unknowns.glass.stop + len(rows)] + unknowns.full_names[unknowns.all_shapes]
         numbers = numbers if len(rows) or len(shapes) else ()
         known = fit.verdict.systematic_px
-        return cls(fit.measured_scene.content_hash(), root, known, numbers=numbers)
+        return cls(fit.measured_scene.content_hash(), root, known, numbers=numbers, shapes=doubt)
 
     @classmethod
     def load(cls, path: Path | str) -> "SceneSigma":
@@ -109,7 +116,16 @@ class SceneSigma(SceneBound):
             raise MapFileError(f"{path}: does not hold the scene's uncertainty; run the calibration again")
         if said.numbers and len(said.numbers) != len(root):
             raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
-        return cls(said.scene_hash, root, said.systematic_px, numbers=tuple(said.numbers))
+        balls, of_shapes = tuple(said.shape_balls), arrays.get("shape_root", np.zeros((0, root.shape[1])))
+        whole = of_shapes.dtype.str == "<f8" and of_shapes.shape == (len(SHAPES) * len(balls), root.shape[1])
+        if not whole or not np.isfinite(of_shapes).all():
+            raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
+        shapes = ShapeRoot(balls, of_shapes)
+        return cls(said.scene_hash, root, said.systematic_px, numbers=tuple(said.numbers), shapes=shapes)
+
+    def with_draw(self, change: NDArray[np.float64]) -> "SceneSigma":
+        """Return the same with one standard deviation more: a change (Q,) of the scene's numbers."""
+        return replace(self, root=np.column_stack((self.root, change)), shapes=self.shapes.with_column())
 
     def in_light_sheet(self, scene: Scene) -> "SceneSigma":
         """Return the uncertainty of the scene as particles in its light sheet are seen (see `Scene`)."""
@@ -122,7 +138,8 @@ class SceneSigma(SceneBound):
             if name.endswith(f".{NAMES[0]}"):
                 root[at : at + COUNT] = turning(axes) @ root[at : at + COUNT]
         seen = scene.in_light_sheet().content_hash()
-        return replace(self, scene_hash=seen, root=root, plane_root=scene.sheet.pose_root())
+        shapes = self.shapes.turned(axes)
+        return replace(self, scene_hash=seen, root=root, plane_root=scene.sheet.pose_root(), shapes=shapes)
 
     def _vectors(self) -> list[int]:
         """Where three numbers in a row are the parts of one vector."""
@@ -169,22 +186,42 @@ class SceneSigma(SceneBound):
         asked = np.isfinite(pixels).all(axis=1)
         rays = landings(scene, pixels[asked])
         rate = rays.rate[:, :, : -len(TARGET)]
-        parts = [rate @ self._rows(rays.names[: -len(TARGET)]), self._systematic(scene, pixels[asked], rays)]
+        ways = self._ways(scene, pixels[asked], rays)
+        known = rate @ self._rows(rays.names[: -len(TARGET)]) + self._of_shapes(scene, pixels[asked], ways)
+        parts = [known, self._systematic(ways, rays)]
         parts.append(rays.rate[:, :, -len(TARGET) :] @ self.plane_root)
         found = np.full((len(pixels), 2, sum(part.shape[2] for part in parts)), np.nan)
         found[asked] = np.concatenate(parts, axis=2)
         return found
 
-    def _systematic(self, scene: Scene, pixels: NDArray[np.float64], rays: Landings) -> NDArray[np.float64]:
-        """Spread (N, 2, 2 W) [mm] by the W ways' own errors."""
-        if not any(self.systematic_px.values()) or not len(pixels):
-            return np.zeros((len(pixels), 2, 0))
-        out = np.zeros((len(pixels), 2, 2 * len(self.systematic_px)))
+    def _ways(self, scene: Scene, pixels: NDArray[np.float64], rays: Landings) -> NDArray[np.str_]:
+        """Spheres crossed by each ray (N,); empty where nobody asks."""
+        if not (any(self.systematic_px.values()) or self.shapes.balls) or not len(pixels):
+            return np.full(len(pixels), "")
         keys, firsts, which = np.unique(rays.key, return_index=True, return_inverse=True)
         directions = np.ascontiguousarray(scene.camera.directions(pixels[firsts]))
         origins = np.tile(np.array(scene.camera.position_mm), (len(firsts), 1))
         names = name_keys(scene, origins, directions, keys)
-        ways = np.array([text_of(names[int(key)]) for key in keys])[which]
+        return np.array([text_of(names[int(key)]) for key in keys])[which]
+
+    def _of_shapes(
+        self, scene: Scene, pixels: NDArray[np.float64], ways: NDArray[np.str_]
+    ) -> NDArray[np.float64] | float:
+        """Spread (N, 2, P) [mm] by the shapes of balls taken for spheres."""
+        names = [sphere.name for sphere in scene.spheres]
+        if not self.shapes.balls or not names:
+            return 0.0
+        if not set(self.shapes.balls) <= set(names):
+            raise StaleMap("the scene has not the spheres of the fitted one; calibrate again")
+        crossed = balls_crossed(ways, names)
+        rates = shape_rates(scene.camera, scene.sphere_table(), crossed, pixels, TargetPose())
+        return self.shapes.spread(names, rates)
+
+    def _systematic(self, ways: NDArray[np.str_], rays: Landings) -> NDArray[np.float64]:
+        """Spread (N, 2, 2 W) [mm] by the W ways' own errors."""
+        if not any(self.systematic_px.values()) or not len(ways):
+            return np.zeros((len(ways), 2, 0))
+        out = np.zeros((len(ways), 2, 2 * len(self.systematic_px)))
         for number, (way, size) in enumerate(self.systematic_px.items()):
             here = ways == way
             out[here, :, 2 * number : 2 * number + 2] = size * rays.pixel_rate[here]
@@ -197,7 +234,8 @@ class SceneSigma(SceneBound):
     def sigma(self, scene: Scene, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Standard deviation (N, 2) [mm] of the plane points that raw pixels (N, 2) show."""
         out = np.empty((len(pixels), 2))
-        for first in range(0, len(pixels), BLOCK):
-            here = slice(first, first + BLOCK)
+        block = max(1, BLOCK // (1 + self.root.shape[1] // ORDINARY_DRAWS))
+        for first in range(0, len(pixels), block):
+            here = slice(first, first + block)
             out[here] = np.sqrt((self.spread(scene, pixels[here]) ** 2).sum(axis=2))
         return out

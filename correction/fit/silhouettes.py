@@ -36,6 +36,7 @@ SOFT, SHARP = (2.0, 1.0, 0.4), 0.2  # width of the outline, in squares
 WRONG = 0.3  # standard deviation of a label: corners are missed, and found by chance
 NEAR_RIM = 1.5  # squares: corners so near to an outline tell about it
 ENOUGH = 12  # of them that make a rim a ball's own
+OWN = 0.2  # and this share of all along its outline: what else is hidden there others hide, and a gap shows little
 FEWEST = 50  # corners of the lattice that must be seen or hidden
 SURE = 3.0  # sigmas from which a move is more than chance
 SAME = 0.1  # squares: a saddle so near to a corner of its kind is that corner
@@ -182,7 +183,8 @@ def outlines_of(
     move, sigma = np.zeros((count, 3)), np.zeros((count, 3))
     move[moving] = moves.reshape(-1, 3)
     sigma[moving] = np.sqrt(np.diag(covariance)).reshape(-1, 3)
-    own = np.bincount(foremost[near], minlength=count) >= ENOUGH
+    first = np.bincount(foremost[near], minlength=count)
+    own = (first >= ENOUGH) & (first >= OWN * np.count_nonzero(np.abs(inside) < NEAR_RIM * square, axis=0))
     right = float(np.mean((inside.max(axis=1) > 0.0) == hidden))
     return Outlines(tuple(sphere.name for sphere in scene.spheres), move, sigma, own, right)
 

@@ -144,7 +144,8 @@ def smeared_view(
     rate, back = rays.rate[behind], np.linalg.inv(rays.pixel_rate[behind])
     widths = np.array([index_width(sphere.medium) for sphere in scene.spheres])
     by_n = rate[:, :, len(CAMERA) : len(CAMERA) + len(SPHERE) * len(widths)]
-    colours = back @ (by_n.reshape(len(rate), 2, -1, len(SPHERE))[:, :, :, SPHERE.index("n")] @ widths)[:, :, None]
+    by_ball = by_n.reshape(len(rate), 2, len(widths), len(SPHERE))
+    colours = back @ (by_ball[..., SPHERE.index("n")] @ widths)[:, :, None]
     focus_mm = camera.pupil.focus_mm if camera.pupil else float(camera.position_mm[2])
     aside = rate[:, :, :3] @ camera.rotation_matrix[:2].T
     parts = back @ aside - camera.focal_px / focus_mm * np.eye(2)

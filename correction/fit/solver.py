@@ -97,15 +97,19 @@ class Solution:
     steps: int
 
 
-def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners) -> Landings:
-    """Landing points of the corners' pixels on their target; none if there are no such bodies."""
+def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, by_walls: bool = False) -> Landings:
+    """Landing points of the corners' pixels on their target; none if there are no such bodies.
+
+    Derivatives by the numbers of windows and tubes are there where these are free, or asked for.
+    """
+    by_walls = by_walls or bool(unknowns.columns[unknowns.others].any())
     pose, camera = unknowns.pose(full, corners.height_number), unknowns.camera(full)
     try:
         world = unknowns.world(full, corners.glass)
     except SceneError:
         world = unknowns.world(unknowns.start, corners.glass)
-        return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient).nowhere()
-    return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient)
+        return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient, by_walls).nowhere()
+    return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient, by_walls)
 
 
 def free_rates(

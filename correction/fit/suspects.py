@@ -21,12 +21,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.ball_shape import SHAPES, shape_rates
+from correction.fit.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.held import WALL
 from correction.fit.measurement import MeasuredFrame
 from correction.fit.solver import free_rates, landed, pushed_step, touching
 from correction.fit.unknowns import LENS, Unknowns, unit_of
-from tracer.branches import branch_of
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST
 from tracer.sensitivity import TARGET
 
@@ -177,11 +176,8 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
         whitened.append(np.asarray(frame.corners.whiten) @ inverse)
         rates.append(whitened[-1] @ free_rates(every, full, frame.corners, rays))
     yield from _held_numbers(unknowns, full, rates)
-    for number, sphere in enumerate(unknowns.scene.spheres):
-        columns = _shape_columns(unknowns, full, seen, whitened, number)
-        if sphere.medium is not None and columns is not None:
-            say = partial(_not_round, sphere.name)
-            yield _Candidate(sphere.name, np.full(len(SHAPES), SHAPE_MM), columns, say, None)
+    for ball, columns in _shape_columns(unknowns, full, seen, whitened).items():
+        yield _Candidate(ball, np.full(len(SHAPES), SHAPE_MM), columns, partial(_not_round, ball), None)
     first = unknowns.place(0).start
     moved = [
         rate[:, :, first : first + len(TARGET)] * float(frame.corners.height_number == 0 and frame.corners.glass)
@@ -258,24 +254,22 @@ def _bent_columns(unknowns: Unknowns, seen: Evidence, rates: Sequence[NDArray[np
 
 
 def _shape_columns(
-    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, whitened: Columns, number: int
-) -> Columns | None:
-    """Derivatives by a ball's shape, where rays cross whole balls only; None if none does."""
-    names = [sphere.name for sphere in unknowns.scene.spheres]
+    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, whitened: Columns
+) -> dict[str, Columns]:
+    """Derivatives by the shapes of the balls that rays cross whole, by their names."""
+    spheres = unknowns.scene.spheres
+    names = [sphere.name for sphere in spheres]
     camera, table = unknowns.camera(full), unknowns.spheres(full)
-    columns, crosses = [], False
-    for frame, to_sigma in zip(seen.frames, whitened, strict=True):
-        column = np.zeros((len(frame), 2, len(SHAPES)))
-        for way in np.unique(frame.branch_name):
-            events = branch_of(str(way))
-            if set(events) <= set(names) and names[number] in events:
-                here, crosses = frame.branch_name == way, True
-                pose = unknowns.pose(full, frame.corners.height_number)
-                crossed = [names.index(event) for event in events]
-                rate = shape_rates(camera, table, crossed, number, frame.corners.pixel[here], pose)
-                column[here] = to_sigma[here] @ rate
-        columns.append(column)
-    return columns if crosses else None
+    crossed = []
+    for frame in seen.frames:
+        rows = balls_crossed(frame.branch_name, names)
+        pose = unknowns.pose(full, frame.corners.height_number)
+        crossed.append(shape_rates(camera, table, rows, frame.corners.pixel, pose))
+    return {
+        ball: [to_sigma @ one.by_each([number]) for to_sigma, one in zip(whitened, crossed, strict=True)]
+        for number, ball in enumerate(names)
+        if any(np.any(one.row == number) for one in crossed)
+    }
 
 
 def _off(name: str, was: float, value: NDArray[np.float64], sigma: NDArray[np.float64]) -> str:

@@ -22,6 +22,7 @@ arXiv:1812.01537, eq. 145):
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy
@@ -157,7 +158,7 @@ class Unknowns:
 
     def spheres(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the kernels' sphere table (N, 6) of a full vector; overlap is allowed."""
-        table = self.scene.sphere_table()
+        table = self._table.copy()
         table[:, :5] = full[self.glass].reshape(-1, len(SPHERE))
         table[:, 4] /= self.n_around
         return table
@@ -172,8 +173,22 @@ class Unknowns:
         """
         scene = self.scene if glass else self._bare
         spheres = self.spheres(full) if glass else np.zeros((0, SOLID))
-        instead = self.other_bodies.moved(full[self.others])
-        return world_from(spheres, scene.other_tables(instead), scene.rooms(), self.shapes(full) if glass else {})
+        tables = self._tables(glass, full[self.others])
+        return world_from(spheres, tables, scene.rooms(), self.shapes(full) if glass else {})
+
+    def _tables(self, glass: bool, values: NDArray[np.float64]) -> tuple[Any, ...]:
+        """Windows and tubes for the kernels; the last are kept: a search for balls asks thousands of times."""
+        asked = glass, values.tobytes()
+        if asked not in self._kept:
+            scene = self.scene if glass else self._bare
+            tables = scene.other_tables(self.other_bodies.moved(values))
+            self._kept.clear()
+            self._kept[asked] = tables
+        return self._kept[asked]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[bool, bytes], tuple[Any, ...]]:
+        return {}
 
     @cached_property
     def _bare(self) -> Scene:
@@ -209,10 +224,15 @@ class Unknowns:
         )
         return replace(self.scene, camera=self.camera(full), bodies=bodies)
 
-    @property
+    @cached_property
     def n_around(self) -> NDArray[np.float64]:
         """Index of the medium around each sphere (N,)."""
         return np.array([self.scene.n_around(sphere) for sphere in self.scene.spheres])
+
+    @cached_property
+    def _table(self) -> NDArray[np.float64]:
+        """Sphere table (N, 6) of the nominal scene."""
+        return self.scene.sphere_table()
 
     def start_of_glass(self) -> NDArray[np.float64]:
         """Numbers of the nominal spheres (N, 5), n absolute."""

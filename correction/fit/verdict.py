@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.correlation import Correlation, Lattice, correlation_of, with_correlation
+from correction.fit.correlation import Correlation, Lattice, correlation_of
 from correction.fit.hidden import Hidden, hidden_patches
 from correction.fit.measurement import MeasuredFrame
 from correction.fit.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
@@ -155,9 +155,8 @@ def judge_model(
     frames: Sequence[MeasuredFrame],
     weighted: Sequence[Corners],
     parts: Sequence[Residuals],
-    covariance: NDArray[np.float64],
-) -> tuple[Verdict, NDArray[np.float64]]:
-    """Test the model, and enlarge the covariance by what corners have in common.
+) -> tuple[Verdict, list[Lattice]]:
+    """Test the model.
 
     Parameters
     ----------
@@ -169,14 +168,12 @@ def judge_model(
         The fitted free vector, and zeros.
     frames, weighted, parts :
         All measured corners, frame by frame, with the sigmas that the fit used and the residuals that it left.
-    covariance : (P + H, P + H) float64
-        As if corners were independent.
 
     Returns
     -------
     verdict : Verdict
-    covariance : (P + H, P + H) float64
-        Enlarged.
+    lattices : list of Lattice
+        What is left of the corners, by which the covariance is enlarged (`with_correlation`).
     """
     full, free = wide.full(x), len(unknowns.names)
     pitch_mm = grid_of(unknowns.camera(full)).pitch_mm
@@ -207,7 +204,7 @@ def judge_model(
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
     smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
     verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames), colour_smear(views))
-    return verdict, with_correlation(covariance, lattices, correlation)
+    return verdict, lattices
 
 
 def _where(way: str) -> str:

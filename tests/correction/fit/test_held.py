@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from correction.fit import adjustment
+from correction.fit import adjustment, shape_doubt
 from correction.fit.held import ORDINARY, ORDINARY_N, doubted
 from correction.fit.unknowns import unknowns_of
 from correction.fit.weakness import weaknesses
@@ -37,6 +37,8 @@ def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_i
         return float(np.sqrt(np.mean((lab.error_px / lab.sigma_px) ** 2)))
 
     assert largest() < 1.5
+    for module in (adjustment, shape_doubt):  # a shape that is doubted would take the index over
+        monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
     monkeypatch.setattr(adjustment, "doubted", lambda unknowns: unknowns)
     assert largest() > 2.5
 
@@ -54,3 +56,21 @@ def test_a_lab_known_along_one_way_and_not_at_all_along_another_is_judged_as_wel
     lab = drawn_lab(131009, "ball off")
     assert np.isfinite(lab.sigma_px).all()
     assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [302, 306])
+def test_a_ball_out_of_round_by_less_than_is_named_is_in_the_sigma_of_the_map(seed, monkeypatch):
+    """6 um between the radii: the verdict is right, and without doubt of shapes the map was off by 2.5 sigmas."""
+
+    def largest() -> float:
+        lab = drawn_lab(seed, "ellipsoid", size=0.006)
+        assert lab.fit.verdict.is_right
+        return float(np.sqrt(np.mean((lab.error_px / lab.sigma_px) ** 2)))
+
+    doubting = largest()
+    for module in (adjustment, shape_doubt):
+        monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
+    believing = largest()
+    assert believing > 2.3
+    assert doubting < 0.8 * believing

@@ -7,10 +7,11 @@ import pytest
 
 from correction.board import Chessboard
 from correction.correction_map import build_correction_map
-from correction.fit.adjustment import Adjustment
+from correction.fit.adjustment import Adjustment, root_of
 from correction.fit.map_sigma import MapSigma, map_sigma, sigma_at
 from correction.fit.measurement import MeasuredFrame, whitening
 from correction.fit.prediction import expect
+from correction.fit.shape_doubt import ShapeRoot
 from correction.fit.solver import Corners
 from correction.fit.unknowns import Unknowns, unknowns_of
 from ground.errors import MapFileError
@@ -89,8 +90,9 @@ def test_map_sigma_covers_the_recovered_map_and_survives_the_disk(tmp_path):
 
 
 def test_sigma_is_the_spread_of_landing_points_under_the_covariance():
-    """Draw scenes from the covariance, trace them plainly, compare the spread: nothing linearised here."""
+    """Draw scenes of round balls from the covariance, trace them, compare the spread: nothing linearised here."""
     fit = fitted("pair_off_axis", 4)
+    fit = replace(fit, root=fit.unknowns.columns @ root_of(fit.covariance), shapes=ShapeRoot())
     pixels = fit.corners.pixel[fit.corners.behind & fit.corners.inlier][::7]
     predicted = sigma_at(fit, pixels, True)
     rng = np.random.default_rng(0)

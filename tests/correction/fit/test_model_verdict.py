@@ -137,8 +137,10 @@ def test_landing_points_move_with_a_balls_shape_as_optics_of_another_hand_say():
     _, through = shown_mm(Lab(scene.camera, truth), pixels)
     pixels = pixels[through == 7]  # the second ball, then the first
     assert len(pixels) > 50
+    both = shape_rates(scene.camera, table, np.tile(order, (len(pixels), 1)), pixels, TargetPose())
     for ball in range(2):
-        rates = shape_rates(scene.camera, table, order, ball, pixels, TargetPose())
+        here, rates = both.by(ball)
+        assert here.all()
         for number, shape in enumerate(SHAPES):
             ends = []
             for sign in (1.0, -1.0):

@@ -122,9 +122,10 @@ def test_what_one_plane_cannot_tell_is_said_with_the_cure():
     assert any(name.endswith(".z") for name in mixed[0].names)
 
 
+@pytest.mark.slow
 def test_the_same_frames_give_the_same_fit():
     from correction.fit.scene_fit import fit_scene
 
-    made, fit = bench("pair_off_axis", 4), fitted("pair_off_axis", 4)
+    made, fit = bench(*CASES[0]), fitted(*CASES[0])
     again = fit_scene(made.nominal, list(reversed(made.frames)), BOARD)
     assert again.scene.content_hash() == fit.scene.content_hash()

@@ -109,3 +109,19 @@ def test_a_ball_that_is_held_stays():
     believed = told(truth, np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]))
     outlines = outlines_of(believed, truth.camera, np.array([True, False]), corners, hidden, SQUARE_MM)
     assert np.all(outlines.move_mm[1] == 0.0)
+
+
+def test_a_ball_in_the_middle_of_a_heap_has_no_rim_of_its_own() -> None:
+    """Gaps show a little of it, at which others hide as well: it was seen 1 mm beside its place, and followed."""
+    base = at_size(named_scene("two_spheres_500"), 504)
+    ring = [(50.1 * np.cos(k * np.pi / 3.0), 50.1 * np.sin(k * np.pi / 3.0), 25.1) for k in range(6)]
+    top = [(28.95 * np.cos(a), 28.95 * np.sin(a), 66.2) for a in (np.pi / 2.0, 7.0 * np.pi / 6.0, -np.pi / 6.0)]
+    places = [(0.0, 0.0, 25.1), *ring, *top]
+    one = base.spheres[0]
+    heap = base.with_bodies(
+        [replace(one, name=f"b{k}", centre_mm=place, radius_mm=25.0) for k, place in enumerate(places)]
+    )
+    outlines, _ = found(heap, heap, 1)
+    assert not outlines.own_rim[0]
+    assert not outlines.own_rim[7:].any()
+    assert outlines.own_rim[1:7].any()

@@ -67,6 +67,15 @@ def test_the_blur_of_a_stop_is_what_traced_parts_of_it_show():
     np.testing.assert_allclose(found[whole], expected[whole], rtol=0.1, atol=0.01)
 
 
+def test_a_frame_without_a_corner_behind_glass_has_nothing_to_smear():
+    scene = at_size(named_scene("two_spheres_500"), 504)
+    pixel = np.random.default_rng(3).uniform(0.0, 40.0, (20, 2))
+    axes = np.tile(np.array([[20.0, 0.0], [0.0, -20.0]]), (20, 1, 1))
+    spread = EdgeSpread(np.ones((20, 2)), np.zeros((20, 2)))
+    found = smeared_view(scene, scene.camera, np.full(20, ""), axes, spread, landings(scene, pixel))
+    assert not found.way.size
+
+
 def test_glass_that_is_a_number_is_taken_to_spread_colours_as_ordinary_glass_does():
     assert index_width(ConstantMedium(1.5)) == index_width(MEDIA["N-BK7"])
     assert 1e-3 < index_width(MEDIA["N-BK7"]) < 4e-3

@@ -68,6 +68,7 @@ def uneven(scene: Scene, seed: int) -> Scene:
     )
 
 
+@pytest.mark.slow
 def test_every_derivative_by_shapes_agrees_with_differences() -> None:
     """All degrees of one ball, an ellipsoid of the other; both touch, so that they push each other as well."""
     scene = uneven(at_size(named_scene("two_spheres_500"), 700), 4)
