@@ -12,7 +12,7 @@ costs less than its 80 MB.
 import hashlib
 import json
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from correction.correction_map import CorrectionMap, build_correction_map
 from correction.corrector import Corrector
 from correction.dewarp import Dewarp
 from correction.fit.sigma_limit import SigmaLimit
+from correction.grid import PlaneGrid, grid_of
 from correction.in_glass import outside_glass
 from correction.resample.sample import Method
 from ground.errors import GroundError
@@ -62,14 +63,19 @@ def content_key(
     method: Method = "quintic",
     layers: int = 1,
     limit: SigmaLimit | None = None,
+    grid: PlaneGrid | None = None,
 ) -> str:
     """Hex digest (16 characters) of everything that corrected pixels depend on, but for the frame itself."""
     tree: list[Any] = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
     if scene.camera.pupil is not None:
         tree += [scene.camera.pupil.radius_mm, scene.camera.pupil.focus_mm]
     if limit is not None:
-        of_sigma = limit.sigma.root.tobytes() + limit.sigma.plane_root.tobytes()
+        of_sigma = (
+            limit.sigma.root.tobytes() + limit.sigma.plane_root.tobytes() + limit.sigma.shapes.root.tobytes()
+        )
         tree += [limit.limit_px, hashlib.sha256(of_sigma).hexdigest()]
+    if (grid := _other(grid, scene)) is not None:
+        tree.append(asdict(grid))
     text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -81,6 +87,7 @@ def prepare(
     layers: int = 1,
     maps: Path | None = None,
     limit: SigmaLimit | None = None,
+    grid: PlaneGrid | None = None,
 ) -> PreparedCorrection:
     """Make a correction ready.
 
@@ -99,6 +106,9 @@ def prepare(
         put there.
     limit : SigmaLimit, optional
         Nodes of which the map is less sure are left out.
+    grid : PlaneGrid, optional
+        Nodes of the corrected frame; default `grid_of` the camera. That of another scene lets frames of two days,
+        each with a camera of its own fit, be corrected node by node alike.
 
     Raises
     ------
@@ -107,9 +117,9 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    found = outside_glass(through_pupil(_map(scene, layers, maps), scene), scene)
+    found = outside_glass(through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
-    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit))
+    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid))
 
 
 class PreparedCorrections:
@@ -134,29 +144,37 @@ class PreparedCorrections:
         method: Method = "quintic",
         layers: int = 1,
         limit: SigmaLimit | None = None,
+        grid: PlaneGrid | None = None,
     ) -> PreparedCorrection:
         """Return a correction, made now if it is not at hand; what is taken and raised is that of `prepare`."""
-        key = content_key(scene, dewarp, method, layers, limit)
+        key = content_key(scene, dewarp, method, layers, limit, grid)
         if key not in self._latest:
             while len(self._latest) >= self._kept:  # before, so that memory holds no more than `kept` at any time
                 self._latest.popitem(last=False)
-            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps, limit)
+            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps, limit, grid)
         self._latest.move_to_end(key)
         return self._latest[key]
 
 
-def _map(scene: Scene, layers: int, maps: Path | None) -> CorrectionMap:
+def _other(grid: PlaneGrid | None, scene: Scene) -> PlaneGrid | None:
+    """A grid that is not the camera's own; None if it is."""
+    return None if grid is None or grid == grid_of(scene.camera) else grid
+
+
+def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -> CorrectionMap:
     if maps is None:
-        return build_correction_map(scene, build_ray_map(scene), layers=layers)
-    path = maps / f"{scene.content_hash()}{f'_{layers}' if layers > 1 else ''}.map"
+        return build_correction_map(scene, build_ray_map(scene), grid, layers=layers)
+    own = "" if grid is None else "_" + hashlib.sha256(repr(grid).encode()).hexdigest()[:16]
+    path = maps / f"{scene.content_hash()}{f'_{layers}' if layers > 1 else ''}{own}.map"
     if path.exists():
         try:
             stored = CorrectionMap.load(path)
             stored.check(scene)
-            return stored
+            if stored.grid == (grid or grid_of(scene.camera)):
+                return stored
         except (GroundError, TracerError):
             path.unlink()  # damaged or of an older layout: made again below
-    built = build_correction_map(scene, build_ray_map(scene), layers=layers)
+    built = build_correction_map(scene, build_ray_map(scene), grid, layers=layers)
     path.parent.mkdir(parents=True, exist_ok=True)
     built.save(path)
     return built

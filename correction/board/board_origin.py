@@ -119,7 +119,7 @@ def _best_vote(
     board: Chessboard,
 ) -> Placing | None:
     """Most voted placing whose axes point as predicted; a prediction needs no disc to tell the turns apart."""
-    place = {(int(i), int(j)): p for (i, j), p in zip(index, predicted_px, strict=True)}
+    place = {(i, j): p for (i, j), p in zip(index.tolist(), predicted_px, strict=True)}
     for placing, count in votes.most_common(8):
         if count < LEAST_SHARE * len(patch.index):
             return None

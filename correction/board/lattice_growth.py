@@ -78,20 +78,17 @@ def lattice_axes(index: NDArray[np.int64], position: NDArray[np.float64], axes: 
                 axes[n, :, k] = position[n] - position[behind]
 
 
-def _sign(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> int:
-    """Kind of a saddle with unit edges (2, 2, rows) in the frame axes (2, 2, columns); 0 if edges disagree."""
-    one, two = axes[:, 0] / np.hypot(*axes[:, 0]), axes[:, 1] / np.hypot(*axes[:, 1])
-    cosine = np.abs(edges @ np.stack((one, two), axis=1))  # [edge, axis]
-    if not (min(cosine[0, 0], cosine[1, 1]) > COS_EDGE or min(cosine[0, 1], cosine[1, 0]) > COS_EDGE):
-        return 0
-    bright = edges[0] + edges[1]
-    bright = bright / np.hypot(*bright)
+def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Kinds (N,) of saddles with unit edges (N, 2, 2: rows) in axes (N, 2, 2: columns); 0 if edges disagree."""
+    unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    cosine = np.abs(edges @ unit)  # [saddle, edge, axis]
+    straight = np.minimum(cosine[:, 0, 0], cosine[:, 1, 1]) > COS_EDGE
+    crossed = np.minimum(cosine[:, 0, 1], cosine[:, 1, 0]) > COS_EDGE
+    bright = edges[:, 0] + edges[:, 1]
+    both, apart = unit[..., 0] + unit[..., 1], unit[..., 0] - unit[..., 1]
     # The bisector of the axes is compared in length-free form, so sheared squares count as well.
-    return (
-        1
-        if abs(bright @ (one + two)) * np.hypot(*(one - two)) > abs(bright @ (one - two)) * np.hypot(*(one + two))
-        else -1
-    )
+    along, across = (np.abs((bright * way).sum(axis=1)) / np.linalg.norm(way, axis=1) for way in (both, apart))
+    return np.where(straight | crossed, np.where(along > across, 1, -1), 0).astype(np.int8)
 
 
 def _seeds(saddles: Saddles, tree: "scipy.spatial.cKDTree") -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -123,7 +120,7 @@ def _grow(
     saddles: Saddles, tree: "scipy.spatial.cKDTree", seed: int, axes: NDArray[np.float64], free: NDArray[np.bool_]
 ) -> Patch:
     """Grow one patch from a seed; corners taken are no longer free."""
-    sign = _sign(saddles.edges[seed], axes)
+    sign = int(_signs(saddles.edges[seed][None], axes[None])[0])
     found: dict[Index, tuple[int, NDArray[np.float64], int]] = {}
     if sign:
         found[0, 0] = (seed, axes, sign)
@@ -139,17 +136,22 @@ def _grow(
         start = np.array([saddles.position_px[found[at][0]] for at, _ in steps])
         stride = np.array([found[at][1] @ step for at, step in steps])
         distance, nearest = tree.query(start + stride)
-        near = distance < TOLERANCE * np.hypot(*stride.T)
-        for n in np.flatnonzero(near):
+        near = np.flatnonzero(distance < TOLERANCE * np.hypot(*stride.T))
+        if not len(near):
+            break
+        own = np.array([found[steps[n][0]][1] for n in near])
+        for row, n in enumerate(near):
+            di, dj = steps[n][1]
+            own[row, :, 0 if di else 1] = (saddles.position_px[nearest[n]] - start[n]) * (di + dj)
+        signs = _signs(saddles.edges[nearest[near]], own)
+        for row, n in enumerate(near):
             (i, j), (di, dj) = steps[n]
             saddle, key = int(nearest[n]), (i + di, j + dj)
             if not free[saddle] or key in found:
                 continue
-            _, parent_axes, parent_sign = found[i, j]
-            own = parent_axes.copy()
-            own[:, 0 if di else 1] = (saddles.position_px[saddle] - start[n]) * (di + dj)
-            if _sign(saddles.edges[saddle], own) == -parent_sign:
-                found[key] = (saddle, own, -parent_sign)
+            parent_sign = found[i, j][2]
+            if signs[row] == -parent_sign:
+                found[key] = (saddle, own[row], -parent_sign)
                 free[saddle] = False
                 frontier.append(key)
     index = np.array(list(found), dtype=np.int64).reshape(-1, 2)

@@ -22,7 +22,7 @@ from daq.analysis.series.history import History, history
 from daq.analysis.series.image_field import image_field
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.series_folder import Chunks
-from daq.analysis.series.series_mean import scene_of, windows_of
+from daq.analysis.series.series_mean import grid_of_series, scene_of, windows_of
 from tracer.scene import Scene
 
 LINES = 4  # profiles across the flow
@@ -44,7 +44,8 @@ def regions_of_mean(folder: Path, mean: MeanFlow) -> Regions:
     """Regions of the vectors of a mean, rows from the lowest y up, by the map of the series in a folder."""
     scene = scene_of(folder)
     known = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
-    seen = regions_of(known, prepare(scene, maps=folder / "maps").corrector.map, scene)
+    prepared = prepare(scene, maps=folder / "maps", grid=grid_of_series(folder))
+    seen = regions_of(known, prepared.corrector.map, scene)
     return Regions(seen.region[::-1], seen.radius[::-1])
 
 

@@ -15,6 +15,7 @@ from daq.analysis.report.flow import flow_chapters, regions_of_mean
 from daq.analysis.report.page import Link, Page
 from daq.analysis.report.pair import light_sheet_line, scene_chapter
 from daq.analysis.report.run import books_chapter
+from daq.analysis.report.self_check import self_check_chapter
 from daq.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from daq.analysis.series.ensemble_series import EnsembleFlow
 from daq.analysis.series.image_field import image_field
@@ -69,6 +70,7 @@ def write_mean_page(
         ensemble_chapter(page, folder, ensemble)
     left_out_chapter(page, mean)
     if series is not None:
+        self_check_chapter(page, series[0])
         books_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene_of(folder))
     light_sheet_line(page, standing_of(folder))

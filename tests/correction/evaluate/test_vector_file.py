@@ -13,8 +13,8 @@ from correction.piv.vector_field import VectorField, VectorFlag
 GRID = PlaneGrid((-10.0, 5.0), 0.1, (100, 120))
 
 
-@pytest.fixture
-def field():
+def a_field():
+    """Three rows of four vectors, one of them masked."""
     shape = (3, 4)
     values = np.arange(12.0).reshape(shape)
     flags = np.zeros(shape, np.uint8)
@@ -35,6 +35,11 @@ def field():
         step_px=16,
         nan_pixels=0,
     )
+
+
+@pytest.fixture
+def field():
+    return a_field()
 
 
 def test_netcdf_holds_mm_with_y_up(tmp_path, field):
