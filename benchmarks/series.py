@@ -62,7 +62,7 @@ def main() -> None:
     options = parser.parse_args()
     with TemporaryDirectory() as own:
         folder = options.out or Path(own)
-        run = next(folder.glob("*_flow"), None) or _run(folder, options.pairs, options.side)
+        run = next(folder.glob("*_flow"), None) or written_run(folder, options.pairs, options.side)
         for workers in options.workers:
             shutil.rmtree(folder / "series", ignore_errors=True)
             series_input(run, folder / "series", piv_choice())  # the scene; its map is made before the clock runs
@@ -121,7 +121,7 @@ def _one_thread() -> dict[str, str]:
     return os.environ | {"RTPIV_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def _run(folder: Path, pairs: int, side: int) -> Path:
+def written_run(folder: Path, pairs: int, side: int) -> Path:
     """Write a flow run."""
     scene = at_size(named_scene("two_spheres_500"), side)
     step = {"index": 0, "tag": "flow", "first_frame": 0, "frames": 2 * pairs, "view": "glass", "shows": "sheet",

@@ -77,17 +77,17 @@ def sheet_of(given: FlowFrames) -> SheetFound:
     FrameError, RunDamaged
         A frame cannot be read.
     """
+    return find_sheet(given.scene, lambda: read_pairs(given, given.pairs, "looking at particles"))
+
+
+def read_pairs(given: FlowFrames, pairs: Sequence[tuple[Path, Path]], what: str) -> Iterator[Pair]:
+    """Read some of the pairs, float32, with a bar that says for what."""
     shape = given.scene.camera.shape
-
-    def read() -> Iterator[Pair]:
-        for first, second in progress(given.pairs, len(given.pairs), "looking at particles"):
-            yield _frame(first, shape), _frame(second, shape)
-
-    return find_sheet(given.scene, read)
-
-
-def _frame(path: Path, shape: tuple[int, int]) -> Any:  # noqa: ANN401 - float32 (H, W)
-    return np.ascontiguousarray(read_acquired(path, shape), np.float32)
+    for first, second in progress(pairs, len(pairs), what):
+        yield (
+            np.ascontiguousarray(read_acquired(first, shape), np.float32),
+            np.ascontiguousarray(read_acquired(second, shape), np.float32),
+        )
 
 
 def about_sheet(found: SheetFound, frames: Sequence[str]) -> dict[str, Any]:

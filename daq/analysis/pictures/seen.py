@@ -17,16 +17,7 @@ Watched = Callable[[Iterable[tuple[float, float]], int, str], Iterable[tuple[flo
 
 def shown_small(scene: Scene, widest_px: int) -> Scene:
     """Return the scene before a camera of the same view, a whole number of times coarser where it is wider."""
-    camera = scene.camera
-    (cu, cv), (width, height) = camera.principal_px, camera.sensor_px
-    times = max(1, round(width / widest_px))
-    coarse = replace(
-        camera,
-        focal_px=camera.focal_px / times,
-        principal_px=((cu + 0.5) / times - 0.5, (cv + 0.5) / times - 0.5),
-        sensor_px=(max(1, width // times), max(1, height // times)),
-    )
-    return scene.with_camera(coarse)
+    return scene.with_camera(scene.camera.coarser(max(1, round(scene.camera.sensor_px[0] / widest_px))))
 
 
 def seen(

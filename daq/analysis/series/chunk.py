@@ -3,7 +3,9 @@
 `evaluate_chunk` is what a worker runs: a pure function of its job, whoever calls it and however often.
 """
 
+from collections.abc import Callable, Iterator
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from daq.errors import DiskError
 from daq.whole_text import why
 
 
-def evaluate_chunk(job: ChunkJob) -> Marker:
+def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None) -> Marker:
     """Evaluate the pairs of a chunk; write its file, then its marker.
 
     A pair that cannot be evaluated is a row with a reason.
@@ -31,6 +33,8 @@ def evaluate_chunk(job: ChunkJob) -> Marker:
     ----------
     job : ChunkJob
         What to do.
+    each_pair : callable, optional
+        Called when the correction is there, and after each pair: whoever waits sees that somebody is at work.
 
     Raises
     ------
@@ -40,18 +44,31 @@ def evaluate_chunk(job: ChunkJob) -> Marker:
         Frames of one pulse are of several kinds of number.
     """
     prepared = correction_of(job.maps, job.method)
-    frames = zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True)
-    results = [PairResult(pair, _vectors(a, b, prepared, job.method)) for pair, a, b in frames]
+    results = []
+    if each_pair is not None:
+        each_pair()
+    for result in results_of(job, len(job.pairs)):
+        results.append(result)
+        if each_pair is not None:
+            each_pair()
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()}
-    write_chunk(job.path, results, windows_of(prepared, job.method), prepared.corrector.map.grid, about)
+    content = write_chunk(job.path, results, windows_of(prepared, job.method), prepared.corrector.map.grid, about)
     failed = {each.pair.tag: each.found for each in results if isinstance(each.found, str)}
-    return write_marker(job.path, job.key, len(results), failed)
+    return write_marker(job.path, job.key, content, len(results), failed)
+
+
+def results_of(job: ChunkJob, most: int) -> Iterator[PairResult]:
+    """What becomes of the first `most` pairs of a chunk, one after the other; nothing is written."""
+    prepared = correction_of(job.maps, job.method)
+    frames = zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True)
+    for pair, a, b in islice(frames, most):
+        yield PairResult(pair, _vectors(a, b, prepared, job.method))
 
 
 def correction_of(maps: Path, method: Method) -> PreparedCorrection:
     """Correction of a series, made or loaded once by each process; DiskError if its map cannot be kept."""
     try:
-        return _corrections(maps).of(method.scene, method.dewarp, limit=method.limit)
+        return _corrections(maps).of(method.scene, method.dewarp, limit=method.limit, grid=method.grid)
     except OSError as error:
         raise DiskError(f"{maps}: {why(error)}; make room, then give the same command again") from error
 

@@ -131,8 +131,8 @@ class ChunkContent:
 
 def write_chunk(
     path: Path, results: Sequence[PairResult], windows: WindowGrid, grid: PlaneGrid, about: dict[str, Any]
-) -> None:
-    """Write the file of a chunk, atomically.
+) -> bytes:
+    """Write the file of a chunk, atomically, even if others do; return its bytes.
 
     Parameters
     ----------
@@ -194,11 +194,12 @@ def write_chunk(
         content = buffer.getvalue()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as stream:
+        with whole_file(path, among_many=True) as stream:
             stream.write(content)
         sync_folder(path.parent)
     except OSError as error:
         raise DiskError(f"{path}: {why(error)}; make room, then give the same command again") from error
+    return content
 
 
 def read_chunk(content: bytes) -> ChunkContent:

@@ -2,9 +2,15 @@
 
 A frame that is missing or damaged costs its own pair and nothing else: its neighbours are compared with those that
 are there. One whose neighbours are all gone has no background, which costs its own pair again.
+
+While a pair is evaluated the system reads the frames of the next ones into its memory: it is told which. That
+needs no thread, and a worker waits for the disk only where the disk is slower than all workers together.
 """
 
+import os
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
@@ -14,12 +20,14 @@ from correction.background.preparation import POD, SLIDING_MINIMUM
 from correction.background.series_light import without_light
 from correction.background.sliding_minimum import DARK_SHARE, REACH_STEPS, without_sliding_minimum
 from correction.errors import FrameError
-from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.acquired import read_promised
 from daq.analysis.series.light_file import load_light
 from daq.analysis.series.series_plan import ChunkJob, SeriesPair
 from daq.errors import RunDamaged
+from ground.plain_file import open_plain
 
 Frame = NDArray[Any]
+AHEAD = 2  # pairs
 ALONE = (
     f"no frame within {REACH_STEPS} pairs of it can be read, so that its background is not known; evaluate the run"
     " with --prepare mean, minimum or none to keep it"
@@ -37,7 +45,7 @@ def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:
     shape, background = job.method.scene.camera.shape, job.method.preparation.background
     if background != SLIDING_MINIMUM:
         light = None if job.light is None else load_light(job.light)[pulse]
-        for pair in job.pairs:
+        for pair in _announced(job.pairs, pulse):
             frame = _read(pair, pulse, shape)
             if light is not None and not isinstance(frame, str):
                 frame = without_patterns(frame, light) if background == POD else without_light(frame, light)
@@ -58,7 +66,7 @@ def _present(
     pairs: Sequence[SeriesPair], pulse: int, shape: tuple[int, int], why: dict[int, str]
 ) -> Iterator[Frame | None]:
     """Frames that can be read; of the others the reason is put into `why`."""
-    for place, pair in enumerate(pairs):
+    for place, pair in enumerate(_announced(pairs, pulse)):
         frame = _read(pair, pulse, shape)
         if isinstance(frame, str):
             why[place] = frame
@@ -67,8 +75,24 @@ def _present(
             yield frame
 
 
+def _announced(pairs: Sequence[SeriesPair], pulse: int) -> Iterator[SeriesPair]:
+    """Pairs in order; of each the system has heard AHEAD pairs before that its frame will be wanted."""
+    for place, pair in enumerate(pairs):
+        for later in pairs[place + 1 if place == 0 else place + AHEAD : place + 1 + AHEAD]:
+            _announce(later.frames[pulse])
+        yield pair
+
+
+def _announce(path: Path) -> None:
+    """Let the system read a file ahead; where it cannot, or there is none, the reader finds out by itself."""
+    if not hasattr(os, "posix_fadvise"):
+        return
+    with suppress(OSError), open_plain(path) as stream:
+        os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_WILLNEED)
+
+
 def _read(pair: SeriesPair, pulse: int, shape: tuple[int, int]) -> Frame | str:
     try:
-        return read_acquired(pair.frames[pulse], shape)
+        return read_promised(pair.frames[pulse], pair.crc32[pulse], shape)
     except (FrameError, RunDamaged) as error:
         return str(error)

@@ -12,7 +12,7 @@ from correction.background.pod import pod_patterns
 from correction.background.preparation import MINIMUM, POD, SLIDING_MINIMUM, UNSEEDED
 from correction.background.series_light import series_mean, series_minimum
 from correction.errors import FrameError, PairError
-from daq.acquisition.runs.acquired import read_acquired
+from daq.acquisition.runs.acquired import read_promised
 from daq.analysis.series.series_plan import Light, SeriesPair, digest
 from daq.errors import DiskError, RunDamaged
 from daq.terminal import progress_if_long
@@ -22,6 +22,22 @@ from ground.map_file import load_arrays, save_arrays
 
 KIND = "background of a series"
 POD_FRAMES = 100  # of a pulse, spread over the series: patterns need no more
+
+
+def light_of(
+    folder: Path, background: str | None, pairs: Sequence[SeriesPair], unseeded: Sequence[SeriesPair]
+) -> Light | None:
+    """Background file that a series needs, which may not be there yet; None where it needs none.
+
+    Raises
+    ------
+    PairError
+        There is nothing that it could be made from.
+    """
+    used = _used(background, pairs, unseeded)
+    return (
+        None if used is None else Light(folder / "background.npz", digest([background, [p.crc32 for p in used]]))
+    )
 
 
 def make_light(
@@ -56,16 +72,9 @@ def make_light(
     DiskError
         The file cannot be written.
     """
-    if background is None or background == SLIDING_MINIMUM:
+    light, used = light_of(folder, background, pairs, unseeded), _used(background, pairs, unseeded)
+    if light is None or used is None or background is None:
         return None
-    used = list(unseeded if background == UNSEEDED else pairs)
-    if background == UNSEEDED and len(used) < 2:
-        raise PairError(
-            "this run took no pairs without seeding; choose another background, such as sliding-minimum"
-        )
-    if background == POD and len(used) > POD_FRAMES:
-        used = [used[place] for place in np.linspace(0, len(used) - 1, POD_FRAMES).round().astype(int)]
-    light = Light(folder / "background.npz", digest([background, [pair.crc32 for pair in used]]))
     try:
         header, _ = load_arrays(light.path, KIND)
         if header.get("key") == light.key:
@@ -78,6 +87,22 @@ def make_light(
     except OSError as error:
         raise DiskError(f"{light.path}: {why(error)}; make room, then try again") from error
     return light
+
+
+def _used(
+    background: str | None, pairs: Sequence[SeriesPair], unseeded: Sequence[SeriesPair]
+) -> list[SeriesPair] | None:
+    """Pairs whose frames a background is made from; None where none of the whole series is taken off."""
+    if background is None or background == SLIDING_MINIMUM:
+        return None
+    used = list(unseeded if background == UNSEEDED else pairs)
+    if background == UNSEEDED and len(used) < 2:
+        raise PairError(
+            "this run took no pairs without seeding; choose another background, such as sliding-minimum"
+        )
+    if background == POD and len(used) > POD_FRAMES:
+        used = [used[place] for place in np.linspace(0, len(used) - 1, POD_FRAMES).round().astype(int)]
+    return used
 
 
 @lru_cache(maxsize=1)
@@ -96,19 +121,20 @@ def load_light(light: Light) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def _made(background: str, pairs: list[SeriesPair], pulse: int, shape: tuple[int, int]) -> NDArray[Any]:
-    names = [pair.frames[pulse] for pair in pairs]
+    def frame_of(pair: SeriesPair) -> NDArray[Any]:
+        return read_promised(pair.frames[pulse], pair.crc32[pulse], shape)
+
+    def sound(pair: SeriesPair) -> NDArray[Any] | None:
+        """Frame; None if it is missing or damaged, which is said when its own pair is evaluated."""
+        try:
+            return frame_of(pair)
+        except (FrameError, RunDamaged):
+            return None
+
     if background == POD:
-        sound = [name for name in names if _read(name, shape) is not None]
-        return pod_patterns(lambda number: read_acquired(sound[number], shape), len(sound))
-    track = progress_if_long(names, len(names), f"background of pulse {'AB'[pulse]}")
-    frames = (frame for name in track if (frame := _read(name, shape)) is not None)
+        there = [pair for pair in pairs if sound(pair) is not None]
+        return pod_patterns(lambda number: frame_of(there[number]), len(there))
+    track = progress_if_long(pairs, len(pairs), f"background of pulse {'AB'[pulse]}")
+    frames = (frame for pair in track if (frame := sound(pair)) is not None)
     found: NDArray[Any] = series_minimum(frames) if background == MINIMUM else series_mean(frames)
     return found
-
-
-def _read(path: Path, shape: tuple[int, int]) -> NDArray[Any] | None:
-    """Frame; None if it is missing or damaged, which is said when its own pair is evaluated."""
-    try:
-        return read_acquired(path, shape)
-    except (FrameError, RunDamaged):
-        return None

@@ -29,6 +29,8 @@ class Marker:
         Of the job that it was made by, see `ChunkJob.key`.
     sha256 : str
         Of its bytes.
+    size : int
+        How many these are: what is cut short is seen without reading it.
     pairs : int
         Pairs in it.
     failed : dict of str to str
@@ -37,6 +39,7 @@ class Marker:
 
     key: Sha
     sha256: Sha
+    size: Count
     pairs: Count
     failed: dict[str, str]
 
@@ -49,19 +52,29 @@ def marker_path(path: Path) -> Path:
     return path.with_suffix(".json")
 
 
-def write_marker(path: Path, key: str, pairs: int, failed: dict[str, str]) -> Marker:
-    """Mark the chunk's file at `path` as whole; DiskError if that cannot be written."""
-    marker = Marker(key, hashlib.sha256(path.read_bytes()).hexdigest(), pairs, failed)
-    write_json(marker_path(path), asdict(marker))
+def write_marker(path: Path, key: str, content: bytes, pairs: int, failed: dict[str, str]) -> Marker:
+    """Mark the chunk's file at `path`, which holds `content`, as whole; DiskError if that cannot be written."""
+    marker = Marker(key, hashlib.sha256(content).hexdigest(), len(content), pairs, failed)
+    write_json(marker_path(path), asdict(marker), among_many=True)
     return marker
+
+
+def marker_of(path: Path, key: str) -> Marker | None:
+    """Marker of a chunk's file that is of this key and as long as the file; its bytes are not read."""
+    try:
+        marker = _MARKER.validate_json(read_plain(marker_path(path), MARKER_BYTES))
+        size = path.stat().st_size
+    except (OSError, ValidationError):
+        return None
+    return marker if marker.key == key and marker.size == size else None
 
 
 def sound_content(path: Path, key: str) -> tuple[Marker, bytes] | None:
     """Marker and bytes of a chunk's file; None if it is missing, of another key, or not what was written."""
+    marker = marker_of(path, key)
     try:
-        marker = _MARKER.validate_json(read_plain(marker_path(path), MARKER_BYTES))
         content = read_plain(path, CHUNK_BYTES)
-    except (OSError, ValidationError):
+    except OSError:
         return None
-    is_sound = marker.key == key and marker.sha256 == hashlib.sha256(content).hexdigest()
-    return (marker, content) if is_sound else None
+    is_sound = marker is not None and marker.sha256 == hashlib.sha256(content).hexdigest()
+    return (marker, content) if marker is not None and is_sound else None

@@ -91,7 +91,7 @@ def run_series(
         shape = method.scene.camera.shape
         light = make_light(out, method.preparation.background, given.pairs, given.unseeded, shape)
         jobs = jobs_of(out, given.pairs, method, light, chunk)
-        folder.begin(_about(name, given, method, jobs, chunk))
+        folder.begin(about_series(name, given, method, jobs, chunk))
         missing = [job for job in jobs if sound_content(job.path, job.key) is None]
         if missing:
             correction_of(missing[0].maps, method)  # traced once, before any worker asks for it
@@ -120,7 +120,10 @@ def _failures(folder: SeriesFolder, jobs: Sequence[ChunkJob]) -> dict[str, str]:
     return reasons
 
 
-def _about(name: str, given: PairsOfSeries, method: Method, jobs: Sequence[ChunkJob], chunk: int) -> SeriesFile:
+def about_series(
+    name: str, given: PairsOfSeries, method: Method, jobs: Sequence[ChunkJob], chunk: int
+) -> SeriesFile:
+    """What series.json says of the series of a run, cut into chunks of `chunk` pairs."""
     return {
         "run": name,
         "pairs": len(given.pairs),

@@ -33,7 +33,7 @@ except ImportError:  # not on this system
     flock = None  # type: ignore[assignment]
 
 FILE = "series.json"
-_OURS = re.compile(r"(?P<number>[0-9]{5,9})\.(nc|json)(?P<part>\.part)?")
+_OURS = re.compile(r"(?P<number>[0-9]{5,9})\.(nc|json)(\.[0-9a-f]{32})?(?P<part>\.part)?")
 
 
 @with_config(STRICT)

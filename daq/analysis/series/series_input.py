@@ -4,14 +4,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from correction.background.preparation import SLIDING_MINIMUM, Preparation
+from correction.errors import PairError
+from daq.acquisition.frames.source import is_source
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.glass_place import with_glass_at
 from daq.acquisition.runs.pairs import pairs_of
-from daq.acquisition.runs.run_views import scene_file
+from daq.acquisition.runs.run_views import is_run, scene_file
 from daq.analysis.piv_file import PivChoice
 from daq.analysis.series.series_pairs import PairsOfSeries, pairs_of_series
 from daq.analysis.series.series_plan import Method
+from daq.analysis.series.source_pairs import pairs_of_source
 from daq.analysis.tasks import FIT_FILE, sigma_limit
 from daq.errors import DiskError
 from daq.whole_text import copy_whole, why
@@ -59,7 +62,7 @@ def series_input(
     Parameters
     ----------
     run : Path
-        A flow run, or a stream with a group.
+        A flow run, or a stream with a group; or frames of others, see `daq.acquisition.frames.source`.
     out : Path
         Folder of the series.
     choice : PivChoice
@@ -76,18 +79,20 @@ def series_input(
     DiskError
         The folder cannot be written to.
     """
-    given = pairs_of_series(run, pairs_of(run), dt_us)
+    foreign = not is_run(run) and is_source(run)
+    if foreign and scene is None:
+        raise PairError(f"{run}: nobody says what its camera looked through; give --scene")
+    given = None if foreign else pairs_of_series(run, pairs_of(run), dt_us)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
     scene = scene or scene_file(run, out)
     fitted = load_scene(scene)
+    given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us)
     board = board_of([run, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
     dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
-    copy_whole(scene, out / SCENE_FILE)
-    if scene.with_name(FIT_FILE).is_file():
-        copy_whole(scene.with_name(FIT_FILE), out / FIT_FILE)
+    keep_scene(scene, out)
     usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
     standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.bare()
     through = standing.in_light_sheet()
@@ -98,3 +103,12 @@ def series_input(
         limit = replace(limit, sigma=replace(seen, scene_hash=through.content_hash()))
     method = Method(through, dewarp, choice.settings, choice.preparation or usual, limit)
     return SeriesInput(run, out, given, method)
+
+
+def keep_scene(scene: Path, out: Path) -> None:
+    """Copy a scene file, and what its fit is unsure of, into the folder of a series; DiskError if that fails."""
+    copy_whole(scene, out / SCENE_FILE)
+    if scene.with_name(FIT_FILE).is_file():
+        copy_whole(scene.with_name(FIT_FILE), out / FIT_FILE)
+    else:
+        (out / FIT_FILE).unlink(missing_ok=True)  # of another scene

@@ -48,7 +48,7 @@ def mean_of_series(folder: Path) -> MeanFlow:
     if isinstance(sigma, str):
         mean = replace(mean, no_map_sigma=sigma)
     else:
-        prepared = prepare(through, maps=folder / "maps")
+        prepared = prepare(through, maps=folder / "maps", grid=grid_of_series(folder))
         mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(standing_of(folder)))
     said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
     write_mean(folder / FILE, mean, said)
@@ -67,8 +67,20 @@ def standing_of(folder: Path) -> Scene:
 
 
 def grid_of_series(folder: Path) -> PlaneGrid:
-    """Nodes of its corrected frames."""
-    return grid_of(scene_of(folder).camera)
+    """Nodes of its corrected frames; SeriesError if its file does not say."""
+    own = grid_of(scene_of(folder).camera)
+    said = SeriesFolder(folder).about["content"].get("grid")
+    if said is None:
+        return own
+    try:
+        (x_mm, y_mm), (rows, columns) = said["origin_mm"], said["shape"]
+        return PlaneGrid((float(x_mm), float(y_mm)), float(said["pitch_mm"]), (int(rows), int(columns)))
+    except (KeyError, TypeError, ValueError):
+        raise _says_too_little(folder) from None
+
+
+def _says_too_little(folder: Path) -> SeriesError:
+    return SeriesError(f"{folder}: series.json does not say how its pairs were evaluated; evaluate the run again")
 
 
 def windows_of(folder: Path) -> WindowGrid:
@@ -77,7 +89,5 @@ def windows_of(folder: Path) -> WindowGrid:
     try:
         side_px, overlap = int(content["settings"]["windows_px"][-1]), float(content["settings"]["overlap"])
     except (KeyError, IndexError, TypeError, ValueError):
-        raise SeriesError(
-            f"{folder}: series.json does not say how its pairs were evaluated; evaluate the run again"
-        ) from None
+        raise _says_too_little(folder) from None
     return window_grid(grid_of_series(folder).shape, side_px, overlap)

@@ -9,7 +9,7 @@ from daq.acquisition.bench.bench_table import Vector
 from daq.acquisition.runs.glass_place import glass_place_mm
 from daq.acquisition.runs.journal import Entry
 from daq.acquisition.runs.pairs import FramePair, RunPairs
-from daq.acquisition.runs.run_folder import RunFolder, frame_entries
+from daq.acquisition.runs.run_folder import RunFolder
 from daq.analysis.series.series_plan import SeriesPair
 
 FEW_PAIRS = 10  # of a stream, each of which gets a page of its own
@@ -66,7 +66,7 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> P
         The time between the frames is not known, or contradicts the run's; views or exposures are mixed; or there
         is no pair with seeding.
     """
-    entries = {folder_name(entry): entry for entry in frame_entries(RunFolder(run).entries()).values()}
+    entries = {folder_name(entry): entry for entry in found.lines.values()}
     seeded = [pair for pair in found.pairs if not pair.is_background]
     if not seeded:
         raise PairError(f"{run}: holds no pair that was taken with seeding; resume the run first")
@@ -81,12 +81,12 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> P
     unseeded = tuple(made[pair.tag] for pair in found.pairs if pair.is_background)
     glass = views.pop()
     frames = [pair.frames[0] for pair in found.pairs] if glass else []
-    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, glass_place_mm(run, frames))
+    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, glass_place_mm(run, frames, found.lines))
 
 
 def folder_name(entry: Entry) -> str:
     """Name of a frame's file, by which a pair finds its line."""
-    return Path(entry["file"]).name
+    return str(entry["file"]).rpartition("/")[2]
 
 
 def _series_pair(run: Path, pair: FramePair, entries: dict[str, Entry], dt_us: float | None) -> SeriesPair:

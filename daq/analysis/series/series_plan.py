@@ -22,11 +22,12 @@ from correction.background.sliding_minimum import REACH_STEPS
 from correction.dewarp import Dewarp
 from correction.fit.sigma_limit import SigmaLimit
 from correction.flow.merge_tree import chunks_of
+from correction.grid import PlaneGrid
 from correction.piv.settings import PivSettings
 from correction.prepared import content_key
 from tracer.scene import Scene
 
-LAYOUT = 1
+LAYOUT = 2
 CHUNK_PAIRS = 16  # about half a minute of one core at 4 million pixels
 COMPUTES = ("rtpiv", "numpy", "numba", "scipy")
 
@@ -83,6 +84,8 @@ class Method:
         What is done to the frames.
     limit : SigmaLimit, optional
         Nodes of which the map is less sure are left out.
+    grid : PlaneGrid, optional
+        Nodes of the corrected frames, where they are not the camera's own: those of another run.
     """
 
     scene: Scene
@@ -90,6 +93,7 @@ class Method:
     settings: PivSettings
     preparation: Preparation
     limit: SigmaLimit | None = None
+    grid: PlaneGrid | None = None
 
     @cached_property
     def content(self) -> dict[str, Any]:
@@ -97,7 +101,8 @@ class Method:
         return {
             "layout": LAYOUT,
             "versions": {name: version(name) for name in COMPUTES},
-            "correction": content_key(self.scene, self.dewarp, limit=self.limit),
+            "correction": content_key(self.scene, self.dewarp, limit=self.limit, grid=self.grid),
+            **({} if self.grid is None else {"grid": asdict(self.grid)}),
             "settings": asdict(self.settings),
             "preparation": list(self.preparation.steps),
         }

@@ -27,7 +27,7 @@ from daq.analysis.series.image_field import image_field
 from daq.analysis.series.mean_file import write_mean
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.series_folder import SeriesFolder
-from daq.analysis.series.series_mean import FILE, mean_of_series, scene_of, windows_of
+from daq.analysis.series.series_mean import FILE, grid_of_series, mean_of_series, scene_of, windows_of
 from ground.short_repr import short_repr
 
 BESIDE, BEHIND = 1, 2  # values of `source`; 0 where there is no mean
@@ -78,7 +78,8 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     scene = scene_of(behind)
     view = windows_of(behind)
     known = image_field(second.mean_m_s, second.sigma_m_s, second.px_per_m_s, view)
-    region = regions_of(known, prepare(scene, maps=behind / "maps").corrector.map, scene).region[::-1]
+    prepared = prepare(scene, maps=behind / "maps", grid=grid_of_series(behind))
+    region = regions_of(known, prepared.corrector.map, scene).region[::-1]
     joined = joined_mean(first, second, region)
     about: dict[str, Any] = {
         "run": f"{SeriesFolder(beside).about['run']} and {SeriesFolder(behind).about['run']}",

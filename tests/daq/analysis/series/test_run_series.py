@@ -16,13 +16,15 @@ from correction.fit.scene_sigma import SceneSigma
 from correction.fit.sigma_limit import SigmaLimit
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_folder import RunFolder
+from daq.analysis.series import clean_frames as clean
+from daq.analysis.series.chunk import evaluate_chunk
 from daq.analysis.series.marker import marker_path
 from daq.analysis.series.mean_file import write_mean
 from daq.analysis.series.mean_flow import mean_flow
 from daq.analysis.series.run_series import run_series
 from daq.analysis.series.series_folder import Chunks, SeriesFolder
 from daq.analysis.series.series_pairs import is_series
-from daq.analysis.series.series_plan import chunk_path
+from daq.analysis.series.series_plan import chunk_path, jobs_of
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from tests.daq.analysis.series.small_series import (
     DT_US,
@@ -271,9 +273,29 @@ def test_longer_chunks_leave_no_old_ones_behind_and_nothing_else_is_touched(copy
     assert (out / "chunks" / "my notes.txt").read_text() == "mine"
 
 
-def test_other_frames_or_times_are_another_series(run, folder):
-    from daq.analysis.series.series_plan import jobs_of
+def test_a_chunk_is_made_from_the_frames_that_its_key_names_and_from_no_others(run, folder):
+    """Frame and journal may be replaced after the key was made: the vectors would be those of another key."""
+    job = jobs_of(folder / "promised", given_of(run).pairs, method_of(folder), None, 2)[0]
+    stranger = replace(job.pairs[0], crc32=("00000000", job.pairs[0].crc32[1]))
+    marker = evaluate_chunk(replace(job, pairs=(stranger, job.pairs[1])))
+    assert list(marker.failed) == [stranger.tag]
 
+
+@pytest.mark.parametrize("steps", [("sliding-minimum",), ()])
+def test_each_frame_is_announced_once_and_before_its_turn(run, folder, monkeypatch, steps):
+    job = jobs_of(folder / "ahead", given_of(run).pairs, method_of(folder, *steps), None, 8)[0]
+    said = []
+    monkeypatch.setattr(clean, "_announce", lambda path: said.append(("soon", path.name)))
+    monkeypatch.setattr(clean, "_read", lambda pair, *_: said.append(("now", pair.frames[1].name)) or "no frame")
+    assert len(list(clean.clean_frames(job, 1))) == 8
+    read = [name for what, name in said if what == "now"]
+    assert read == [pair.frames[1].name for pair in (*job.pairs, *job.after)][: len(read)]
+    for number, name in enumerate(read[1:], start=1):
+        assert said.count(("soon", name)) == 1
+        assert said.index(("soon", name)) < said.index(("now", read[max(0, number - 2)]))
+
+
+def test_other_frames_or_times_are_another_series(run, folder):
     method, given = method_of(folder, "sliding-minimum"), given_of(run)
     jobs = jobs_of(folder, given.pairs, method, None, 4)
     for changed in (
@@ -405,7 +427,7 @@ except Exception as error:
 @pytest.mark.parametrize(("place", "name"), [("map", "maps"), ("chunk", "00000.nc")])
 def test_a_full_disk_is_one_sentence_and_leaves_no_torn_file(tmp_path, place, name):
     flow_run(tmp_path, 2)
-    command = [sys.executable, "-c", FULL, tmp_path, place]
+    command = [sys.executable, "-B", "-c", FULL, tmp_path, place]  # -B: Python itself keeps half a module
     run = subprocess.run(command, capture_output=True, text=True, check=True)
     assert run.stdout.startswith("DiskError")
     assert f"{name}: file too large" in run.stdout.lower()

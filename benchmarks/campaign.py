@@ -1,0 +1,145 @@
+"""A campaign on this machine: what engines and chunks cost, and whether all of them write the same bytes.
+
+    python -m benchmarks.campaign [--pairs 64] [--side 1008] [--engines local:1 local:2 dask:2 slurm:2]
+                                  [--chunks 16] [-o FOLDER]
+
+A flow run is written once (`benchmarks.series`: particles behind two balls), its map traced and its kernels
+compiled before any clock runs; then a new campaign of it is carried out by every engine with every length of
+chunk.  Said are
+
+    wall_s       from the call to the last chunk, processes started and ended, Dask's workers too
+    processor_s  of all processes that took part
+    pairs_s      of it, spent on chunks by their own books: the arithmetic, with reading and writing
+    idle_pct     of the workers' time in which they had no chunk, in percent: start, hand-out, the end
+    largest_MB   resident memory of the largest process
+    content      hash of all files but provenance: the same for all lines of one length of chunk
+
+`slurm:N` is submitit's local executor, in which every chunk is a process of its own.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.series import written_run
+from correction.prepared import prepare
+from daq.analysis.campaign.books import read_books
+from daq.analysis.campaign.campaign_folder import CampaignFolder
+from daq.analysis.campaign.campaign_plan import ask_for, planned_runs
+from daq.analysis.campaign.dask_workers import DaskWorkers
+from daq.analysis.campaign.engine import Engine, LocalProcesses
+from daq.analysis.campaign.run_campaign import run_campaign
+from daq.analysis.campaign.slurm_arrays import SlurmArrays
+from daq.analysis.piv_file import piv_choice
+from daq.analysis.series.chunk import results_of
+
+PROVENANCE = {"books.jsonl", ".lock", "kernels.zip", "slurm"}
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign", description=__doc__)
+    parser.add_argument("--pairs", type=int, default=64)
+    parser.add_argument("--side", type=int, default=1008)
+    parser.add_argument("--engines", nargs="+", default=["local:1", "local:2"])
+    parser.add_argument("--chunks", type=int, nargs="+", default=[16])
+    parser.add_argument("--once", nargs=3, metavar=("FOLDER", "ENGINE", "CHUNK"), help=argparse.SUPPRESS)
+    parser.add_argument("-o", "--out", type=Path)
+    options = parser.parse_args()
+    if options.once:
+        _once(Path(options.once[0]), options.once[1], int(options.once[2]))
+        return
+    with TemporaryDirectory() as own:
+        folder = options.out or Path(own)
+        run = next(folder.glob("*_flow"), None) or written_run(folder, options.pairs, options.side)
+        _prepare(folder / "warm", run)
+        for chunk in options.chunks:
+            for engine in options.engines:
+                command = [sys.executable, "-m", "benchmarks.campaign", "--once", str(folder), engine, str(chunk)]
+                one = {"RTPIV_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+                said = subprocess.run(command, check=True, stdout=subprocess.PIPE, env=os.environ | one).stdout
+                print(said.decode().strip().splitlines()[-1], flush=True)
+
+
+def _prepare(out: Path, run: Path) -> None:
+    """Trace the map and compile, so that no line has to."""
+    folder = CampaignFolder(out)
+    ask_for(folder, [run], [], piv_choice(), 2)
+    planned = next(planned_runs(folder))
+    prepare(planned.given.method.scene, maps=planned.jobs[0].maps)
+    for _ in results_of(planned.jobs[0], 1):
+        pass
+
+
+def _once(folder: Path, words: str, chunk: int) -> None:
+    """Carry a new campaign out, and say what it took."""
+    kind, _, count = words.partition(":")
+    out = folder / f"{kind}_{count}_{chunk}_{time.time_ns()}"
+    campaign, run = CampaignFolder(out), next(folder.glob("*_flow"))
+    ask_for(campaign, [run], [], piv_choice(), chunk)
+    maps = campaign.series(run.name).path / "maps"
+    maps.mkdir(parents=True)
+    for file in (folder / "warm" / "runs" / run.name / "maps").iterdir():
+        (maps / file.name).hardlink_to(file)
+    for _ in planned_runs(campaign):
+        pass
+    wall_s = time.perf_counter()
+    with _engine(kind, int(count), out) as engine:
+        books = run_campaign(campaign, engine)
+    wall_s = time.perf_counter() - wall_s
+    assert not books.failed, books
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    chunks_s = sum(line["seconds"] for line in read_books(campaign.books))
+    found = {
+        "engine": words,
+        "chunk": chunk,
+        "wall_s": round(wall_s, 2),
+        "processor_s": round(sum(each.ru_utime + each.ru_stime for each in used), 2),
+        "pairs_s": round(chunks_s, 2),
+        "idle_pct": round(100.0 * (1.0 - chunks_s / (int(count) * wall_s)), 1),
+        "largest_MB": round(max(each.ru_maxrss for each in used) / 1024),
+        "content": _content(out)[:12],
+    }
+    print(json.dumps(found))
+
+
+def _engine(kind: str, count: int, out: Path) -> AbstractContextManager[Engine]:
+    """An engine by its name."""
+    if kind == "dask":
+        return _dask(count)
+    here: dict[str, Engine] = {
+        "local": LocalProcesses(count),
+        "slurm": SlurmArrays(out / "slurm", count, cluster="local"),
+    }
+    return nullcontext(here[kind])
+
+
+@contextmanager
+def _dask(count: int) -> Iterator[Engine]:
+    """Worker processes of a cluster on this computer, by TCP."""
+    from distributed import LocalCluster
+
+    where = {"host": "127.0.0.1", "dashboard_address": None, "worker_dashboard_address": None}
+    with LocalCluster(count, threads_per_worker=1, processes=True, protocol="tcp", **where) as cluster:
+        yield DaskWorkers(cluster.scheduler_address)
+
+
+def _content(out: Path) -> str:
+    digest = hashlib.sha256()
+    for file in sorted(out.rglob("*")):
+        if file.is_file() and not PROVENANCE & set(file.parts) and file.parent.name != "maps":
+            digest.update(file.relative_to(out).as_posix().encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+if __name__ == "__main__":
+    main()

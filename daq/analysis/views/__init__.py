@@ -1,0 +1,1 @@
+"""What arrangements of camera and glass would show, before one is built."""
