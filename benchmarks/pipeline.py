@@ -2,18 +2,24 @@
 
     python -m benchmarks.pipeline --seconds 60 --method bilinear -o benchmarks/results
     python -m benchmarks.pipeline --flow --seconds 120      # pairs fired by a timing unit, chunk by chunk
+    python -m benchmarks.pipeline --live --viewer browser   # with somebody who looks: what that costs, and whom
 
 The simulated camera replays two rendered frames (2016 x 2016, Mono12p), so that it costs little; everything behind
 its producer is what real frames pass through.  Printed and stored: the books, latency from frame complete to
-corrected, disk rate, and how many cores each part has used between the first and the last frame.
+corrected, disk rate, and how many cores each part has used between the first and the last frame. A viewer opens
+the page when the first frame has come.
 """
 
 import argparse
 import json
 import os
 import re
+import subprocess
+import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +28,16 @@ from rich.console import Console
 
 from benchmarks.processor_time import ProcessorTime
 from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.plans.plan import load_plan
 from daq.acquisition.runner.progress import Progress
 from daq.acquisition.runner.session import Request, begin, carry_out
+from daq.acquisition.runs.run_folder import RunFolder
+from daq.cli import ONE_THREAD
 from daq.errors import DaqError
 from daq.example_files import examples
+from daq.live.live_page import BYTES_PER_PX, LivePage
+from daq.live.run_shown import RunShown
 from daq.verbs.operator import ScriptOperator
 from sim.bench_table import simulation_of
 from sim.demo.scenes import named_scene
@@ -78,6 +89,33 @@ def write_flow_bench(folder: Path, backend: str) -> Path:
     return folder / "bench.yaml"
 
 
+@contextmanager
+def shown(run: RunFolder, bench: Bench, live: bool) -> Iterator[tuple[LivePage, RunShown] | None]:
+    """A page for the run, if one is wanted; its address is printed."""
+    if not live:
+        yield None
+        return
+    width, height = bench.scene.camera.sensor_px
+    scene, board = bench.scene, bench.table.target.board
+    with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:  # as `rtpiv acquire --live` does
+        print(page.url, flush=True)
+        yield page, RunShown(page, run)
+
+
+class Viewer:
+    """Somebody who opens the page; a process of its own (`benchmarks.viewer`)."""
+
+    def __init__(self, url: str, kind: str) -> None:
+        command = [sys.executable, "-m", "benchmarks.viewer", url, kind]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        self.pid = self._process.pid
+
+    def saw(self) -> dict[str, Any]:
+        """What it saw, when all is over."""
+        said, _ = self._process.communicate(timeout=60.0)
+        return dict(json.loads(said))
+
+
 def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     """Run the stream once; return books, latencies and times."""
     count = round(options.seconds * options.rate_hz)
@@ -94,19 +132,31 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
     request = Request(bench.path, plan.path, simulate=True, **correction)
     run = begin(request, bench, plan, folder / "runs")
     meter: list[ProcessorTime] = []
+    viewers: list[Viewer] = []
+    page: LivePage | None = None
     carried: dict[str, Any] = {}
 
     def watch(progress: Progress) -> None:
         if progress.frames >= 1 and not meter:
-            meter.append(ProcessorTime())
+            if page is not None and options.viewer != "none":
+                viewers.append(Viewer(page.url, options.viewer))
+            named = {} if page is None else {"page's server": page.server_pid}
+            if viewers:
+                named["viewer"] = viewers[0].pid
+            meter.append(ProcessorTime(named))
         if progress.doing == "exposing" and progress.frames == plan.steps[0].frames and "cores" not in carried:
             carried["cores"] = meter[0].report()
 
     try:
-        carry_out(request, bench, plan, run, home=True, watcher=watch, operator=ScriptOperator())
+        with shown(run, bench, options.live) as watched:
+            page, run_shown = watched or (None, None)
+            watching, show = (watch, None) if run_shown is None else (run_shown.watching(watch), run_shown.show)
+            carry_out(request, bench, plan, run, home=True, watcher=watching, operator=ScriptOperator(), show=show)
         carried["ended"] = "finished"
     except DaqError as error:
         carried["ended"] = f"{type(error).__name__}: {error}"
+    if viewers:
+        carried["viewer"] = viewers[0].saw()
     entries = run.entries()
     counts = next(entry for entry in entries if entry["kind"] == "counts")
     frames = [entry for entry in entries if entry["kind"] == "frame"]
@@ -134,6 +184,9 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
 
 def main() -> None:
     """Measure, print, write."""
+    if not ONE_THREAD.items() <= os.environ.items():  # as the command does before anything is loaded
+        command = [sys.executable, "-m", "benchmarks.pipeline", *sys.argv[1:]]
+        os.execve(sys.executable, command, os.environ | ONE_THREAD)
     parser = argparse.ArgumentParser(prog="python -m benchmarks.pipeline", description=__doc__)
     parser.add_argument("-o", "--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--seconds", type=float, default=60.0)
@@ -142,6 +195,8 @@ def main() -> None:
     parser.add_argument("--backend", choices=("harvesters", "aravis"), default="harvesters")
     parser.add_argument("--live-queue", type=int, default=1)
     parser.add_argument("--flow", action="store_true", help="pairs of a flow instead of a free-running stream")
+    parser.add_argument("--live", action="store_true", help="with a page, whose address is printed")
+    parser.add_argument("--viewer", choices=("none", "browser", "socket"), default="none", help="who looks at it")
     parser.add_argument("--no-correct", dest="correct", action="store_false")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

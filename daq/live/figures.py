@@ -10,18 +10,27 @@ without ever looking for a particle, R taken over its value far off, which is th
 number comes from the local maxima that stand out, their contrast from how far: brightness of the particles over
 the noise between them.  The diameter as a map is the map of the focus, and behind a ball that of its depth of
 field.
+
+A chessboard has edges instead. An edge between dark and bright, A apart, that is blurred by a standard deviation s
+is at its steepest A / (sqrt(2 pi) s); differences over two pixels add 1/3 px^2 to its variance. Squares have to be
+some eight times as wide as the blur, or bright and dark do not reach what they are.
 """
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+Rows = list[list[float | None]]  # a map, tile by tile
+T = TypeVar("T")
 TILES = 12  # along the longer side
+LOOKED_AT_PX = 96  # side of what is looked at in the middle of a tile
 NOISE_OF_MAD = 1.4826  # sigma of a normal distribution / median absolute deviation
 STANDS_OUT = 5.0  # noise above the median, from which a maximum is a particle
 FAR_PX = 12  # a shift that no particle reaches over
+STEEPEST, OF_AN_EDGE, LEAST_EDGE_PX = 99.0, 20.0, 0.3  # percentile, noise in bright less dark, pixels themselves
 FEWEST = 6  # maxima in a tile, below which nothing is said of it
 BINS = 64
 
@@ -32,33 +41,63 @@ def saturated_share(pixels: NDArray[Any], white: int) -> float:
     return float((pixels >= white).sum() / max(int(known.sum()), 1))
 
 
+def brightness(pixels: NDArray[Any], white: int) -> float:
+    """What all but the brightest thousandth of the pixels stay below, as a share of white."""
+    some = pixels[::4, ::4]
+    some = some[np.isfinite(some)]
+    return float(np.quantile(some, 0.999)) / white if some.size else 0.0
+
+
 def histogram(pixels: NDArray[Any], white: int) -> list[int]:
-    """Counts in BINS equal bins from 0 to white, of every fourth row."""
-    rows = pixels[::4]
-    counts, _ = np.histogram(rows[np.isfinite(rows)], BINS, (0.0, white + 1.0))
+    """Counts in BINS equal bins up to white, of every sixteenth pixel; one saturated one anywhere is told."""
+    some = pixels[::4, ::4]
+    counts, _ = np.histogram(some[np.isfinite(some)], BINS, (0.0, white + 1.0))
+    counts[-1] = max(counts[-1], np.any(pixels >= white))
     return [int(count) for count in counts]
 
 
-def particle_maps(pixels: NDArray[Any]) -> dict[str, list[list[float | None]]]:
+def particle_maps(pixels: NDArray[Any]) -> dict[str, Rows]:
     """Diameter [px], density [1/px] and contrast of particles in tiles, row by row; None where nobody can tell."""
-    height, width = pixels.shape
-    side = max(16, -(-max(height, width) // TILES))
-    rows = [range(top, min(top + side, height)) for top in range(0, height - side // 2, side)]
-    columns = [range(left, min(left + side, width)) for left in range(0, width - side // 2, side)]
-    tiles = [[_of_tile(pixels[r.start : r.stop, c.start : c.stop]) for c in columns] for r in rows]
+    tiles = _tiles(pixels, _of_tile)
     return {
         name: [[tile[place] for tile in row] for row in tiles]
         for place, name in enumerate(("diameter_px", "density", "contrast"))
     }
 
 
+def edge_map(pixels: NDArray[Any]) -> Rows:
+    """Blur [px] of the edges of a board, standard deviation, in tiles; None where there is no edge."""
+    return _tiles(pixels, _edge_of_tile)
+
+
+def middle_of(rows: Rows) -> float:
+    """Median of a map; NaN of an empty one."""
+    known = [value for row in rows for value in row if value is not None]
+    return float(np.median(known)) if known else math.nan
+
+
+def _tiles(pixels: NDArray[Any], of_tile: Callable[[NDArray[Any]], T]) -> list[list[T]]:
+    """What is found in the middle of each tile."""
+    height, width = pixels.shape
+    side = max(16, -(-max(height, width) // TILES))
+    rows, columns = (_middles(length, side) for length in (height, width))
+    return [[of_tile(pixels[r.start : r.stop, c.start : c.stop]) for c in columns] for r in rows]
+
+
+def _middles(length: int, side: int) -> list[range]:
+    """What is looked at of each tile along one axis."""
+    tiles = [(first, min(first + side, length)) for first in range(0, length - side // 2, side)]
+    spare = [max(0, last - first - LOOKED_AT_PX) // 2 for first, last in tiles]
+    return [range(first + less, last - less) for (first, last), less in zip(tiles, spare, strict=True)]
+
+
 def _of_tile(tile: NDArray[Any]) -> tuple[float | None, float | None, float | None]:
     image: NDArray[Any] = np.asarray(tile, np.float32)
     if not np.isfinite(image).mean() > 0.5:
         return None, None, None
-    middle = float(np.nanmedian(image))
+    middle = float(np.nanmedian(image[::2, ::2]))  # a quarter of the pixels tells it as well
     image = np.where(np.isfinite(image), image, middle) - middle
-    noise = max(NOISE_OF_MAD * float(np.median(np.abs(image))), 1e-6)
+    noise = max(NOISE_OF_MAD * float(np.median(np.abs(image[::2, ::2]))), 1e-6)
     inner = image[1:-1, 1:-1]
     top = inner > STANDS_OUT * noise
     for down in (0, 1, 2):
@@ -77,6 +116,23 @@ def _of_tile(tile: NDArray[Any]) -> tuple[float | None, float | None, float | No
     if not falls[0] > falls[1] > 0.0:
         return None, density, contrast
     return 4.0 * math.sqrt(0.75 / math.log(falls[0] / falls[1])), density, contrast
+
+
+def _edge_of_tile(tile: NDArray[Any]) -> float | None:
+    image: NDArray[Any] = np.asarray(tile, np.float32)
+    if not np.isfinite(image).all():
+        return None
+    dark, bright = np.percentile(image[::2, ::2], (5.0, 95.0))
+    across, down = image[1:-1, 2:] - image[1:-1, :-2], image[2:, 1:-1] - image[:-2, 1:-1]
+    bends = (
+        image[:, 2:] - 2.0 * image[:, 1:-1] + image[:, :-2]
+    )  # across, then down: edges along either leave nothing
+    noise = NOISE_OF_MAD / 6.0 * float(np.median(np.abs(bends[2::2] - 2.0 * bends[1:-1:2] + bends[:-2:2])))
+    steepest = 0.5 * float(np.percentile(np.hypot(across, down), STEEPEST))
+    if bright - dark < OF_AN_EDGE * max(noise, 1e-6) or steepest <= 0.0:
+        return None
+    variance = ((bright - dark) / steepest) ** 2 / (2.0 * math.pi) - 1.0 / 3.0
+    return math.sqrt(max(variance, LEAST_EDGE_PX**2))
 
 
 def _alike(image: NDArray[Any], shift_px: int) -> float:

@@ -12,13 +12,16 @@ from typing import Any, Self
 
 from numpy.typing import NDArray
 
+from correction.board import Chessboard
 from daq.acquisition.pipeline.live_slot import SlotWriter
 from daq.child import child
 from daq.errors import DaqError
+from daq.live.pace import Pace
+from tracer.scene import Scene
+from tracer.scene_file import dump_scene
 
 ENDS_S = 2.0
 BYTES_PER_PX = 12  # of a moment: a frame, and its correction on a plane of up to twice its pixels
-LEAST_S = 0.02  # between two moments: no screen shows more
 
 
 class PageError(DaqError):
@@ -34,6 +37,10 @@ class LivePage:
         Bytes of the pictures of a moment together.
     port : int
         Where it listens on this computer; 0 takes a free one.
+    scene : Scene, optional
+        Whose glass is looked for in the frames; not without it.
+    board : Chessboard, optional
+        What frames of a chessboard show.
 
     Raises
     ------
@@ -41,12 +48,14 @@ class LivePage:
         The extra is not installed, or the port is taken.
     """
 
-    def __init__(self, most_bytes: int, port: int = 0) -> None:
+    def __init__(
+        self, most_bytes: int, port: int = 0, scene: Scene | None = None, board: Chessboard | None = None
+    ) -> None:
         if find_spec("websockets") is None:
             raise PageError("the page needs an extra: pip install 'rtpiv[live]'")
         self._slot = SlotWriter(most_bytes)
         self._token = secrets.token_urlsafe(24)
-        self._shown_s = -LEAST_S
+        self.pace = Pace()
         command, environment = child("daq.live.serve")
         self._server = subprocess.Popen(
             command,
@@ -57,7 +66,10 @@ class LivePage:
             start_new_session=True,
         )
         try:
-            self.port = self._said({"slot": str(self._slot.path), "token": self._token, "port": port})
+            orders = {"slot": str(self._slot.path), "token": self._token, "port": port}
+            if scene is not None and board is not None:
+                orders |= {"scene": dump_scene(scene), "board_mm": [board.square_mm, board.disc_mm]}
+            self.port = self._said(orders)
         except BaseException:
             self.close()
             raise
@@ -82,11 +94,15 @@ class LivePage:
         """Process of the server."""
         return self._server.pid
 
+    @property
+    def is_due(self) -> bool:
+        """Whether a moment would be shown now."""
+        return self.pace.is_due(time.monotonic(), self._slot.is_watched)
+
     def show(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
         """Show a moment, unless the last one is too young for anybody to have seen it."""
-        now_s = time.monotonic()
-        if now_s - self._shown_s >= LEAST_S:
-            self._shown_s = now_s
+        if self.is_due:
+            self.pace.shown(time.monotonic(), self._slot.is_watched)
             self._slot.put(words, pictures)
 
     def close(self) -> None:

@@ -1,22 +1,24 @@
 """Pictures on their way to a browser: cut to what is looked at, and small enough to be sent ten times a second.
 
 Particles do not compress, so pixels are sent raw, 16 bits each; contrast is made where it is looked at.  A picture
-larger than the screen is averaged over blocks, but a block with a saturated pixel stays saturated: what must be
-seen is never averaged away.
+larger than what the viewer has room for is averaged over blocks, but a block with a saturated pixel stays
+saturated: what must be seen is never averaged away.
 """
 
+import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-LARGEST_PX = 1008  # side of what is sent
+LEAST_PX, LARGEST_PX = 64, 1008  # side of what is sent
 SATURATED = 65535  # as sent
 NOTHING = 0  # as sent: nothing is recovered here
-HEAD = struct.Struct("<4sIIIHHf16s")  # magic, number, left, top, width, height, pixels a pixel, name
+HEAD = struct.Struct("<4sIIIHHfHH16s")  # magic, number, left, top, width, height, pixels a pixel, columns, name
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,35 @@ class Part:
         return cls()
 
 
-def sent(name: str, number: int, pixels: NDArray[Any], white: int, part: Part) -> bytes:
+Columns = tuple[float, float]  # shares of a part's width that are seen, from and to
+EVERY: Columns = (0.0, 1.0)
+
+
+def columns_of(asked: object) -> Columns:
+    """Columns that a viewer has asked for; all of them for anything else."""
+    if isinstance(asked, list) and len(asked) == 2 and all(type(share) in (int, float) for share in asked):
+        low, high = (round(min(max(float(share), 0.0), 1.0), 2) for share in asked)
+        return (low, high) if low < high else EVERY
+    return EVERY
+
+
+def room_px(asked: object) -> int:
+    """Side of a picture for which a viewer has room, as it says; the largest for anything else."""
+    return min(max(asked, LEAST_PX), LARGEST_PX) if type(asked) is int else LARGEST_PX
+
+
+def sent(
+    name: str,
+    number: int,
+    pixels: NDArray[Any],
+    white: int,
+    part: Part,
+    room: int = LARGEST_PX,
+    columns: Columns = EVERY,
+) -> bytes:
     """Bytes of one picture: `HEAD` and uint16 pixels, row by row.
+
+    The head has the part's size in blocks, and which of its columns follow.
 
     Parameters
     ----------
@@ -51,42 +80,57 @@ def sent(name: str, number: int, pixels: NDArray[Any], white: int, part: Part) -
         Value of a saturated pixel.
     part : Part
         What is looked at.
+    room : int
+        Side [px] of the picture for which there is room; blocks are whole, so it is met to about a third.
+    columns : (float, float)
+        Share of the part's width that is seen.
     """
     height, width = pixels.shape
     left, top = min(part.left_px, max(width - 1, 0)), min(part.top_px, max(height - 1, 0))
     size = part.size_px or max(height, width)
     cut = pixels[top : top + size, left : left + size]
-    block = max(1, -(-max(cut.shape) // LARGEST_PX))
-    small = _blocks(cut, block)
-    with np.errstate(invalid="ignore"):
-        bright = _brightest(cut, block) >= white
-        known = np.isfinite(small)
-        values = np.clip(np.where(known, small, 0.0) + 1.0, 1.0, SATURATED - 1.0).astype("<u2")
-    values[~known] = NOTHING
-    values[bright] = SATURATED
-    head = HEAD.pack(
-        b"rtp1", number, left, top, values.shape[1], values.shape[0], float(block), name.encode()[:16]
-    )
-    return head + values.tobytes()
+    side = max(cut.shape)
+    block = max(1, round(side / room), -(-side // LARGEST_PX))
+    wide, high = cut.shape[1] // block, cut.shape[0] // block
+    first = min(int(columns[0] * wide), max(wide - 1, 0))
+    cut = cut[:, first * block : max(math.ceil(columns[1] * wide), first + 1) * block]
+    small = _means(cut, block)
+    values: NDArray[np.uint16]
+    if pixels.dtype.kind == "u":
+        values = np.minimum(small, SATURATED - 2) + np.uint16(1)
+        brightest = float(cut.max(initial=0))
+    else:
+        grey = np.fmax(small + np.float32(1.0), np.float32(1.0))  # of a number and NaN the number
+        values = np.minimum(grey, np.float32(SATURATED - 1.0), out=grey).astype("<u2")
+        values[np.isnan(small)] = NOTHING
+        brightest = float(np.fmax.reduce(cut, axis=None, initial=0.0))
+    if brightest >= white:
+        values[_any(cut >= white, block)] = SATURATED
+    follow = first, values.shape[1]
+    head = HEAD.pack(b"rtp2", number, left, top, wide, high, float(block), *follow, name.encode()[:16])
+    return b"".join((head, np.ascontiguousarray(values).data.cast("B")))
 
 
-def _blocks(pixels: NDArray[Any], block: int) -> NDArray[Any]:
-    """Means over blocks; a rest at the right and the bottom is left out."""
+def _means(pixels: NDArray[Any], block: int) -> NDArray[Any]:
+    """Means over blocks, NaN where one of them is; a rest at the right and the bottom is left out."""
     if block == 1:
         return pixels
-    return np.asarray(_in_blocks(pixels, block).mean(axis=(1, 3), dtype=np.float32))
-
-
-def _brightest(pixels: NDArray[Any], block: int) -> NDArray[Any]:
-    return pixels if block == 1 else np.asarray(_in_blocks(pixels, block).max(axis=(1, 3)))
-
-
-def _in_blocks(pixels: NDArray[Any], block: int) -> NDArray[Any]:
     height, width = (side // block for side in pixels.shape)
-    return pixels[: height * block, : width * block].reshape(height, block, width, block)
+    whole = pixels[: height * block, : width * block]  # OpenCV reads rows where they lie
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def white_of(words: Mapping[str, Any], name: str) -> int:
+def _any(marked: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
+    """Blocks with a marked pixel."""
+    height, width = (side // block for side in marked.shape)
+    found = np.zeros((height, width), dtype=np.bool_)
+    for down in range(block):
+        for right in range(block):
+            found |= marked[down : height * block : block, right : width * block : block]
+    return found
+
+
+def white_of(words: Mapping[str, Any]) -> int:
     """Value of a saturated pixel, from the bits that the camera says; corrected pixels have the camera's."""
     bits = words.get("bits")
     return (1 << bits) - 1 if isinstance(bits, int) and 1 <= bits <= 16 else SATURATED

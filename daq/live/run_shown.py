@@ -1,17 +1,27 @@
 """What the page says of a run: its progress in the words of the terminal, with what is wrong marked."""
 
+import math
+import shutil
+import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.pipeline.lanes import Job
+from daq.acquisition.pipeline.job import Job
+from daq.acquisition.plans.steps import CLEAR
 from daq.acquisition.runner.progress import Progress, Watcher
+from daq.acquisition.runs.run_folder import RunFolder
 from daq.live.live_page import LivePage
+from daq.live.scene_lines import LIT
+from daq.timing.states import LaserState
 
 RECENT = 50
 SLOW_MS = 500.0  # from frame to corrected, beyond which nobody adjusts by looking
 MANY_WAIT = 6  # raw frames, of the eight that may
+DISK_S = 2.0  # between two looks at the disk
+LITTLE_S = 600.0  # of frames at this rate, for which it has room
+DARK = (LaserState.SAFE, LaserState.WARM, LaserState.READY)
 
 
 class RunShown:
@@ -21,13 +31,14 @@ class RunShown:
     ----------
     page : LivePage
         Where.
-    name : str
+    folder : RunFolder
         Of the run.
     """
 
-    def __init__(self, page: LivePage, name: str) -> None:
-        self._page, self._name = page, name
+    def __init__(self, page: LivePage, folder: RunFolder) -> None:
+        self._page, self._folder = page, folder
         self._progress = Progress()
+        self._free_bytes, self._looked_s = 0, -math.inf
 
     def watching(self, watcher: Watcher) -> Watcher:
         """Return a watcher that keeps the progress for the page, and tells the other one."""
@@ -38,14 +49,40 @@ class RunShown:
 
         return both
 
-    def show(self, job: Job, corrected: NDArray[np.float32]) -> None:
-        """Show a frame and its correction."""
+    def show(self, job: Job, corrected: NDArray[np.float32] | None) -> None:
+        """Show a frame, and its correction if it has one; costs nothing if none is due."""
+        flow, pace = self._progress.flow, self._page.pace
+        pace.see(time.monotonic(), flow.corrected, len(flow.skipped))
+        if not self._page.is_due:
+            return
         words = words_of(self._progress) | {
-            "run": f"{self._name}: {job.step.tag}",
+            "run": f"{self._folder.path.name}: {job.step.tag}",
             "bits": job.frame.meta.significant_bits,
             "shows": job.step.shows,
+            "view": LIT if job.step.shows_light_sheet else job.step.view,
+            "rims": job.step.on_plane and job.step.view != CLEAR,
+            "pulse": (job.number - job.step.first_frame) % job.step.group,
         }
-        self._page.show(words, {"raw": job.frame.pixels, "corrected": corrected})
+        words["counters"] |= self._disk()
+        if pace.sentence:
+            words["counters"]["shown here"] = [pace.sentence, False]
+        pictures: dict[str, NDArray[Any]] = {"raw": job.frame.pixels}
+        if corrected is not None:
+            pictures["corrected"] = corrected
+        self._page.show(words, pictures)
+
+    def _disk(self) -> dict[str, list[Any]]:
+        """For how long the disk has room, at the rate of the run so far."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s > DISK_S:
+            self._looked_s, self._free_bytes = now_s, shutil.disk_usage(self._folder.path).free
+        rate = self._progress.flow.written_bytes / self._progress.elapsed_s
+        text, little = f"{self._free_bytes / 1e9:.0f} GB", False
+        if rate > 0.0:
+            left_s = self._free_bytes / rate
+            text += f", {left_s / 60.0:.0f} min" if left_s < 36000.0 else f", {left_s / 3600.0:.0f} h"
+            little = left_s < LITTLE_S
+        return {"room on the disk": [text, little]}
 
 
 def words_of(progress: Progress) -> dict[str, Any]:
@@ -65,7 +102,11 @@ def words_of(progress: Progress) -> dict[str, Any]:
         "lost or incomplete": [str(lost), lost > 0],
         "not corrected live": [str(len(flow.skipped)), False],
     }
+    said: dict[str, Any] = {"doing": progress.doing, "counters": counters}
     if flow.vectors is not None:
         counters["vectors"] = [flow.vectors.sentence(), bool(flow.vectors.remark)]
+        said["arrows"] = flow.vectors.arrows
+    if progress.laser is not None:
+        said["laser"] = [progress.laser.value, progress.laser not in DARK]
     counters |= {name: [f"{mm:.3f} mm", False] for name, mm in progress.positions_mm.items()}
-    return {"doing": progress.doing, "counters": counters}
+    return said

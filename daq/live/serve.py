@@ -3,7 +3,9 @@
     slot (another process writes it) --> viewer thread --> WebSocket --> browser --acknowledges--> next moment
 
 One thread a viewer: it sends the last moment, waits until the browser says that it has drawn it, and takes the
-last one again; what came meanwhile is counted and never queued.
+last one again; what came meanwhile is counted and never queued. Pictures are made where the frames lie, as large
+as the viewer has room for; what seldom changes is sent when it has. All of it is of lower priority than the run,
+and none of it happens while nobody looks.
 
 Safety.  Only this computer is listened to.  A page of another site can make a browser here ask for anything, under
 any name that leads here (DNS rebinding), so that what is asked must carry our own address as its Host, and a
@@ -17,11 +19,12 @@ import json
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -29,8 +32,12 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import Server, ServerConnection, serve
 
 from daq.acquisition.pipeline.live_slot import Moment, NoSlotError, SlotReader
-from daq.live.figures import histogram, particle_maps, saturated_share
-from daq.live.picture import Part, sent, white_of
+from daq.acquisition.pipeline.priority import lower_process
+from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
+from daq.live.worth import Worth
+
+if TYPE_CHECKING:
+    from daq.live.watch import Watch
 
 HOST = "127.0.0.1"
 SOCKET = "/frames"
@@ -42,9 +49,43 @@ PAGES = {
 MOST_VIEWERS = 64
 MOST_WORDS = 4096  # bytes of a message from a browser
 TOKEN_S, LOOK_S = 5.0, 0.005  # patience with who has said nothing yet; between two looks into the slot
+OVER_S = 0.2  # between two looks whether the run is over
 FAREWELL_S = 0.5
-FIGURES_S = 0.5  # between two sets of figures: they cost 30 ms
+NAMES = "raw", "corrected"  # of pictures
+SELDOM = "lines", "figures", "arrows"  # words that are sent when they have changed
 POLICY, BUSY = 1008, 1013  # close codes
+
+
+Key = tuple[int, str, Part, int, Columns]
+
+
+@dataclass
+class Wish:
+    """What a viewer wants to see of the next moment."""
+
+    wanted: tuple[str, ...] = NAMES
+    part: Part = field(default_factory=Part)
+    room_px: int = LARGEST_PX
+    columns: dict[str, Columns] = field(default_factory=dict)
+
+    def heard(self, said: dict[str, Any]) -> None:
+        """Take what a browser has said."""
+        self.part, self.room_px = Part.of(said.get("part")), room_px(said.get("room_px"))
+        seen = said.get("columns")
+        seen = seen if isinstance(seen, dict) else {}
+        self.columns = {name: columns_of(seen.get(name)) for name in NAMES}
+        asked = said.get("wanted")
+        if isinstance(asked, list):
+            self.wanted = tuple(name for name in asked[:4] if isinstance(name, str))
+
+
+@dataclass(frozen=True)
+class Ready:
+    """What is sent of a moment: words, and pictures by the place where they are kept for others."""
+
+    number: int
+    words: dict[str, Any]
+    pictures: dict[Key, bytes]
 
 
 @dataclass
@@ -57,17 +98,25 @@ class Page:
         Where the moments are.
     token : str
         What a viewer must know.
+    watches : tuple of Watch
+        What is found out beside.
+    lines : dict
+        View -> what is drawn over its frames.
     """
 
     slot: SlotReader
     token: str
     port: int = 0
+    watches: "tuple[Watch, ...]" = ()
+    lines: dict[str, Any] = field(default_factory=dict)
     viewers: int = 0
+    worth: Worth = field(init=False)
     _lock: threading.Lock = field(default_factory=threading.Lock)
-    _moment: Moment | None = None
-    _pictures: dict[tuple[int, str, Part], bytes] = field(default_factory=dict)
-    _figures: dict[str, Any] = field(default_factory=dict)
-    _figures_s: float = -FIGURES_S
+    _pictures: dict[Key, bytes] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Look at what frames are worth as well."""
+        self.worth = Worth(self.slot)
 
     @property
     def addresses(self) -> tuple[str, str]:
@@ -99,82 +148,81 @@ class Page:
         try:
             if busy:
                 connection.close(BUSY, "too many viewers")
-            elif not self._knows_token(connection):
+                return
+            said = _understood(connection.recv(timeout=TOKEN_S))
+            if not hmac.compare_digest(str(said.get("token", "")).encode(), self.token.encode()):
                 connection.close(POLICY, "open the address that the run has printed")
-            else:
-                self._show_moments(connection)
+                return
+            self._show_moments(connection, said)
         except (ConnectionClosed, TimeoutError):
             pass
         finally:
             with self._lock:
                 self.viewers -= 1
 
-    def _knows_token(self, connection: ServerConnection) -> bool:
-        said = _understood(connection.recv(timeout=TOKEN_S))
-        return hmac.compare_digest(str(said.get("token", "")).encode(), self.token.encode())
-
-    def _show_moments(self, connection: ServerConnection) -> None:
-        seen, missed, part = 0, 0, Part()
-        wanted: tuple[str, ...] = ("raw", "corrected")
-        while True:
-            while (number := self.slot.number) == seen:
-                if self.slot.is_over:
-                    connection.send(json.dumps({"over": True}))
-                    connection.close()
-                    return
-                time.sleep(LOOK_S)
-            moment = self._latest(number)
-            if moment is None or moment.number <= seen:
+    def _show_moments(self, connection: ServerConnection, said: dict[str, Any]) -> None:
+        seen, missed, wish = 0, 0, Wish()
+        wish.heard(said)
+        known: dict[str, Any] = {}
+        while self._has_new(seen):
+            ready = self.slot.taken(lambda moment: self._ready(moment, wish))
+            if ready is None or ready.number <= seen:
                 time.sleep(LOOK_S)
                 continue
-            missed += moment.number - seen - 1 if seen else 0
-            seen = moment.number
-            names = [name for name in moment.pictures if name in wanted]
-            words = moment.words | {"number": seen, "missed": missed, "shown": names} | self._worth(moment)
+            self._keep(ready)
+            missed += ready.number - seen - 1 if seen else 0
+            seen = ready.number
+            words = ready.words | {"missed": missed}
+            for name in SELDOM:
+                if name in words and words[name] == known.get(name):
+                    del words[name]
+            known |= {name: words[name] for name in SELDOM if name in words}
             connection.send(json.dumps(words))
-            for name in names:
-                connection.send(self._picture(moment, name, part))
-            said = _understood(connection.recv())
-            part = Part.of(said.get("part"))
-            asked = said.get("wanted")
-            if isinstance(asked, list):
-                wanted = tuple(name for name in asked[:4] if isinstance(name, str))
+            for picture in ready.pictures.values():
+                connection.send(picture)
+            wish.heard(_understood(connection.recv()))
+        connection.send(json.dumps({"over": True}))
+        connection.close()
 
-    def _latest(self, number: int) -> Moment | None:
-        """The last moment, copied once for all viewers."""
-        with self._lock:
-            if self._moment is None or self._moment.number < number:
-                self._moment = self.slot.latest() or self._moment
-                self._pictures.clear()
-            return self._moment
+    def _has_new(self, seen: int) -> bool:
+        """Wait for a moment that was not seen; False when there will be none."""
+        over_s = 0.0
+        while True:
+            self.slot.ask()
+            if self.slot.number != seen:
+                return True
+            if time.monotonic() >= over_s:
+                if self.slot.is_over:
+                    return False
+                over_s = time.monotonic() + OVER_S
+            time.sleep(LOOK_S)
 
-    def _picture(self, moment: Moment, name: str, part: Part) -> bytes:
-        key = moment.number, name, part
-        with self._lock:
-            found = self._pictures.get(key)
-        if found is None:
-            found = sent(name, moment.number, moment.pictures[name], white_of(moment.words, name), part)
-            with self._lock:
-                if self._moment is moment:
-                    self._pictures[key] = found
-        return found
+    def _ready(self, moment: Moment, wish: Wish) -> Ready:
+        """What a viewer is sent of a moment, made where it lies."""
+        said, white = moment.words, white_of(moment.words)
+        pictures = {}
+        for name in moment.pictures:
+            if name in wish.wanted:
+                how = wish.part, wish.room_px, wish.columns.get(name, EVERY)
+                key = moment.number, name, *how
+                pictures[key] = self._pictures.get(key) or sent(
+                    name, moment.number, moment.pictures[name], white, *how
+                )
+        counters = dict(said.get("counters", {}))
+        for watch in (self.worth, *self.watches):
+            counters |= watch.said
+        shown = {"number": moment.number, "shown": [key[1] for key in pictures], "has": list(moment.pictures)}
+        seldom = {"lines": self.lines.get(said.get("view", ""), {}), "figures": self.worth.figures, "arrows": []}
+        return Ready(moment.number, seldom | said | shown | {"white": white, "counters": counters}, pictures)
 
-    def _worth(self, moment: Moment) -> dict[str, Any]:
-        """Figures, made anew twice a second and sent once each."""
-        raw = moment.pictures.get("raw")
+    def _keep(self, ready: Ready) -> None:
+        """Keep pictures for other viewers, of the last moment only."""
         with self._lock:
-            due = raw is not None and time.monotonic() - self._figures_s >= FIGURES_S
-            if due:
-                self._figures_s = time.monotonic()
-        if due and raw is not None:
-            white = white_of(moment.words, "raw")
-            self._figures = {
-                "white": white,
-                "saturated": saturated_share(raw, white),
-                "histogram": histogram(raw, white),
-                "maps": particle_maps(raw),
-            }
-        return {"figures": self._figures}
+            kept = next(iter(self._pictures), (0,))[0]
+            if kept < ready.number:
+                self._pictures = ready.pictures
+            elif kept == ready.number:
+                self._pictures = self._pictures | ready.pictures
 
 
 def _understood(message: str | bytes) -> dict[str, Any]:
@@ -209,11 +257,31 @@ def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
         page.show, HOST, port, process_request=page.answer, compression=None, max_size=MOST_WORDS, max_queue=4
     )
     page.port = server.socket.getsockname()[1]
+    page.worth.start()
     return server, page
+
+
+def _look_at_scene(page: Page, text: str, board_mm: Sequence[float]) -> None:
+    """Draw what a scene says over its frames, and look whether it is so."""
+    from correction.board import Chessboard
+    from daq.live.scene_lines import scene_lines
+    from daq.live.watches import begin, scene_told
+
+    scene = scene_told(text)
+    if scene is None:
+        return
+    page.lines = scene_lines(scene, whole=False)
+    page.watches = begin(page.slot, scene, Chessboard(*board_mm))
+    while not (page.slot.is_watched and page.slot.number):  # the run has compiled then what folds are found with
+        if page.slot.is_over:
+            return
+        time.sleep(OVER_S)
+    page.lines = scene_lines(scene, whole=True)
 
 
 def main() -> int:
     """Serve until whoever started us is gone: its orders come by our input, which ends with it."""
+    lower_process()
     orders = json.loads(sys.stdin.readline())
     try:
         server, page = opened(Path(orders["slot"]), orders["token"], orders["port"])
@@ -222,6 +290,9 @@ def main() -> int:
         return 3
     print(json.dumps({"port": page.port}), flush=True)
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
+    if orders.get("scene"):
+        told = page, orders["scene"], orders["board_mm"]
+        threading.Thread(target=_look_at_scene, args=told, name="scene", daemon=True).start()
     sys.stdin.read()
     until_s = time.monotonic() + FAREWELL_S
     while page.viewers and time.monotonic() < until_s:  # those who can hear it are told that it is over

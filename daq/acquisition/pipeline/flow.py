@@ -24,6 +24,8 @@ class LiveVectors:
         Measured vectors of those outside the mask, 0 to 1.
     remark : str
         What speaks against them, or why there are none.
+    arrows : tuple of (x, y, u, v)
+        Some of them, spread evenly [px of the corrected image, v down].
     """
 
     number: int
@@ -32,6 +34,7 @@ class LiveVectors:
     largest_px: float = float("nan")
     valid_share: float = 0.0
     remark: str = ""
+    arrows: tuple[tuple[float, float, float, float], ...] = ()
 
     def sentence(self) -> str:
         """The same for a person."""

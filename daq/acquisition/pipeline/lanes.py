@@ -3,6 +3,7 @@
     next_frame -> submit --> raw lane:  checksum, TIFF, fsync, rename, journal
                         `-> live lane: correct  -> store lane: corrected TIFF
                                                `-> vectors of the last pair (`live_pairs`)
+                               `-> whoever looks (`show_lane`)
 
 A frame stays in the camera's shared memory until both lanes are through with it; nobody copies it.
 
@@ -21,21 +22,19 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.flow import Flow
+from daq.acquisition.pipeline.job import Job, SharedJob, Show
 from daq.acquisition.pipeline.live_pairs import LivePairs
 from daq.acquisition.pipeline.live_queue import LiveQueue
 from daq.acquisition.pipeline.priority import lower_priority
-from daq.acquisition.plans.steps import Step
+from daq.acquisition.pipeline.show_lane import ShowLane
 from daq.acquisition.runs.journal import Journal
 from daq.acquisition.runs.raw_frame import checksum, write_raw
 from daq.acquisition.runs.run_folder import RunFolder
@@ -47,47 +46,6 @@ RAW_WRITERS = 2
 RAW_FIRST = 2  # raw frames waiting from which on the live lane gets nothing
 LIVE_QUEUE = 4
 STORE_QUEUE = 4
-
-
-@dataclass(frozen=True)
-class Job:
-    """A frame on its way.
-
-    Parameters
-    ----------
-    step : Step
-        What it belongs to.
-    number : int
-        Its number within the run.
-    frame : Frame
-        The pixels.
-    record : dict
-        Further fields of its journal line.
-    """
-
-    step: Step
-    number: int
-    frame: Frame
-    record: dict[str, Any]
-
-
-Show = Callable[[Job, NDArray[np.float32]], None]  # gets a frame and its correction, and waits for nobody
-
-
-class _Shared:
-    """A job that two lanes hold; the last one to let go gives the memory back."""
-
-    def __init__(self, job: Job, holders: int) -> None:
-        self.job = job
-        self._holders = holders
-        self._lock = threading.Lock()
-
-    def let_go(self) -> None:
-        with self._lock:
-            self._holders -= 1
-            last = self._holders == 0
-        if last:
-            self.job.frame.release()
 
 
 class Pipeline:
@@ -107,7 +65,8 @@ class Pipeline:
     raw_queue : int
         Frames that may wait to be written: it bridges moments in which the disk is busy.
     show : callable, optional
-        Called by the live lane with each frame and its correction.
+        Called with the last frame and its correction, or with None instead of it when the frame is on the disk and
+        is not to be corrected; by a lane that may miss frames.
     """
 
     def __init__(
@@ -123,10 +82,10 @@ class Pipeline:
         self._folder = folder
         self._journal = journal
         self._corrections = corrections
-        self._show_to = show
-        self._raw: queue.Queue[_Shared | None] = queue.Queue(raw_queue)
+        self._show_lane = None if show is None else ShowLane(show)
+        self._raw: queue.Queue[SharedJob | None] = queue.Queue(raw_queue)
         self._store: queue.Queue[tuple[Job, NDArray[np.float32]] | None] = queue.Queue(STORE_QUEUE)
-        self._live: LiveQueue[_Shared] = LiveQueue(live_queue)
+        self._live: LiveQueue[SharedJob] = LiveQueue(live_queue)
         self._error: DaqError | None = None
         self._bug: Exception | None = None
         self._flow_lock = threading.Lock()
@@ -154,8 +113,8 @@ class Pipeline:
         DiskError
             The raw lane has failed, or has not moved for `PATIENCE_S`.
         """
-        is_live = self._corrections is not None and self._corrections.of(job.step) is not None
-        shared = _Shared(job, 2 if is_live else 1)
+        is_live = self._is_live(job)
+        shared = SharedJob(job, 2 if is_live else 1)
         begun_s = time.monotonic()
         try:
             self._put(shared, begun_s)
@@ -192,9 +151,14 @@ class Pipeline:
             thread.join(PATIENCE_S)
         if self._pairs is not None:
             self._pairs.close()
+        if self._show_lane is not None:
+            self._show_lane.close()
         self._let_all_go()
 
-    def _put(self, shared: _Shared, begun_s: float) -> None:
+    def _is_live(self, job: Job) -> bool:
+        return self._corrections is not None and self._corrections.of(job.step) is not None
+
+    def _put(self, shared: SharedJob, begun_s: float) -> None:
         while True:
             self._raise()
             try:
@@ -205,7 +169,7 @@ class Pipeline:
                     text = f"the disk has taken no frame for {PATIENCE_S:g} s; mend it, then resume the run"
                     raise DiskError(text) from None
 
-    def _show(self, shared: _Shared) -> None:
+    def _show(self, shared: SharedJob) -> None:
         step, number = shared.job.step, shared.job.number
         first = number - (number - step.first_frame) % step.group
         has_room = self._raw.qsize() <= RAW_FIRST
@@ -241,6 +205,8 @@ class Pipeline:
         while (shared := self._raw.get()) is not None:
             try:
                 self._write(shared.job)
+                if self._show_lane is not None and not self._is_live(shared.job):
+                    self._show_lane.offer(shared, None)
             finally:
                 shared.let_go()
 
@@ -278,7 +244,7 @@ class Pipeline:
         finally:
             self._store.put(None)
 
-    def _correct(self, shared: _Shared) -> None:
+    def _correct(self, shared: SharedJob) -> None:
         assert self._corrections is not None
         job = shared.job
         begun_s = time.perf_counter()
@@ -289,8 +255,8 @@ class Pipeline:
             self.flow.latency_ms.append((time.monotonic_ns() - job.frame.meta.received_ns) / 1e6)
             self.flow.correct_s += time.perf_counter() - begun_s
             self.flow.corrected += 1
-            if self._show_to is not None:
-                self._show_to(job, corrected)
+            if self._show_lane is not None:
+                self._show_lane.offer(shared, corrected)
         finally:
             shared.let_go()
         if self._pairs is not None:

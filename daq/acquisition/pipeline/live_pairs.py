@@ -3,9 +3,11 @@
 Corrected frames of the live lane are looked at as they come. When both frames of a pair have come, they lie in a
 tray for one pair, from which a thread of low priority takes them; a newer pair takes the place of one that still
 lies there. So nobody waits for vectors: neither the raw lane nor the live one loses a frame to them, and what is
-shown is recent. Windows are 64 px (`correction.piv.live`), at most `MOST_PER_S` pairs a second.
+shown is recent. Windows are 64 px (`correction.piv.live`). At most `MOST_PER_S` pairs a second are measured, for
+`MOST_OF_THE_TIME` at most: on a small or busy computer frames to be corrected come first.
 """
 
+import math
 import threading
 import time
 from dataclasses import dataclass
@@ -16,14 +18,16 @@ from numpy.typing import NDArray
 
 from correction.errors import CorrectionError
 from correction.piv.live import live_vectors
-from correction.piv.vector_field import STATIC_SHARE, VectorFlag
+from correction.piv.vector_field import STATIC_SHARE, VectorField, VectorFlag
 from daq.acquisition.pipeline.flow import Flow, LiveVectors
 from daq.acquisition.pipeline.priority import lower_priority
 from daq.acquisition.plans.steps import Step
 
 MOST_PER_S = 4.0
+MOST_OF_THE_TIME = 0.25
 WARM_PX = 320
 PATIENCE_S = 10.0
+MOST_ARROWS = 400
 Frame = NDArray[np.float32]
 
 
@@ -82,7 +86,7 @@ class LivePairs:
         self._thread.join(PATIENCE_S)
 
     def _work(self) -> None:
-        lower_priority()
+        lower_priority(2)
         while True:
             with self._wake:
                 while self._tray is None and not self._ends:
@@ -95,9 +99,20 @@ class LivePairs:
             self._flow.vectors = _measured(pair)
             self._flow.vectors_live += 1
             del pair
+            took_s = time.monotonic() - begun_s  # longer than it needed, where others need the processor
             with self._wake:
-                left_s = 1.0 / MOST_PER_S - (time.monotonic() - begun_s)
+                left_s = max(1.0 / MOST_PER_S, took_s / MOST_OF_THE_TIME) - took_s
                 self._wake.wait_for(lambda: self._ends, max(left_s, 0.0))
+
+
+def _some(field: VectorField, good: NDArray[np.bool_]) -> tuple[tuple[float, float, float, float], ...]:
+    """Every n-th good vector of every n-th row, so that there are not more than can be looked at."""
+    every = max(1, math.ceil(math.sqrt(good.sum() / MOST_ARROWS)))
+    chosen = np.zeros_like(good)
+    chosen[::every, ::every] = good[::every, ::every]
+    x, y = np.broadcast_arrays(field.x_px[None, :], field.y_px[:, None])
+    columns = (values[chosen].round(1).tolist() for values in (x, y, field.u_px, field.v_px))
+    return tuple(zip(*columns, strict=True))
 
 
 def _measured(pair: _Pair) -> LiveVectors:
@@ -112,6 +127,7 @@ def _measured(pair: _Pair) -> LiveVectors:
             u, v = field.u_px[good], field.v_px[good]
             facts["median_px"] = (float(np.median(u)), float(-np.median(v)))
             facts["largest_px"] = float(np.percentile(np.hypot(u, v), 98))
+            facts["arrows"] = _some(field, good)
         facts["valid_share"] = float(good.sum() / max(asked, 1))
         if field.static_share > STATIC_SHARE:
             facts["remark"] = f"{100 * field.static_share:.0f} % of the light stands still"

@@ -1,11 +1,15 @@
 """The last moment of a run, where another process can look at it: one place in memory that both have mapped.
 
-    writer (live lane)  --moment-->  file of fixed size, two halves  --moment-->  readers, as many as like
+    writer (show lane)  --moment-->  file of fixed size, two halves  --moment-->  readers, as many as like
+                        <--asked---  when somebody has last looked
 
 Whoever measures waits for nobody.  The writer fills the half that was not shown last and then says which one is
-newer; each half has a count that is odd while it is written.  A reader copies a half and takes it only if its
-count was even and the same before and after: else the writer has overtaken it, and it looks again.  What nobody
-looked at is gone; the number of the moment says how many that were.
+newer; each half has a count that is odd while it is written.  A reader makes of a half what it needs, where it
+lies, and keeps that only if the count was even and the same before and after: else the writer has overtaken it,
+and it looks again.  What nobody looked at is gone; the number of the moment says how many that were.
+
+Readers leave the time at which they look, so that a writer whom nobody watches need not copy. It is all that the
+writer ever reads here: whatever a reader does to the file, the writer copies too often or too rarely.
 """
 
 import json
@@ -14,10 +18,10 @@ import os
 import struct
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +30,16 @@ from daq.errors import DaqError
 
 MAGIC = b"rtpivlv1"
 HEAD = struct.Struct("<8sQQQ")  # magic, bytes of a half, moments so far, which half is newest
+ASKED = struct.Struct("<q")  # monotonic clock of whoever looked last [ns]
+HALVES = 64  # bytes before the first half: HEAD, ASKED, nothing
 HALF = struct.Struct("<QII")  # count, bytes of words, number of pictures
 PICTURE = struct.Struct("<16sIIcxxx")  # name, height, width, type
 WORDS_BYTES = 65_536
 MOST_PICTURES = 4
 MOST_BYTES = 1 << 31
 TRIES = 50
+WATCHED_S = 2.0  # after a look somebody is taken to look still
+T = TypeVar("T")
 TYPES: dict[bytes, np.dtype[Any]] = {b"H": np.dtype("<u2"), b"f": np.dtype("<f4")}
 CODES = {dtype: code for code, dtype in TYPES.items()}
 
@@ -70,20 +78,25 @@ class SlotWriter:
 
     def __init__(self, most_bytes: int) -> None:
         half = HALF.size + WORDS_BYTES + MOST_PICTURES * PICTURE.size + most_bytes
-        if HEAD.size + 2 * half > MOST_BYTES:
+        if HALVES + 2 * half > MOST_BYTES:
             raise NoSlotError(
                 f"frames of {most_bytes / 1e6:.0f} MB are too large to be shown live; leave out --live"
             )
         folder = Path("/dev/shm") if Path("/dev/shm").is_dir() else None
         handle, name = tempfile.mkstemp(prefix="rtpiv-live-", dir=folder)  # mode 0600
         try:
-            os.ftruncate(handle, HEAD.size + 2 * half)
-            self._memory = mmap.mmap(handle, HEAD.size + 2 * half)
+            os.ftruncate(handle, HALVES + 2 * half)
+            self._memory = mmap.mmap(handle, HALVES + 2 * half)
         finally:
             os.close(handle)
         self.path = Path(name)
         self._half, self._count = half, 0
         self._memory[: HEAD.size] = HEAD.pack(MAGIC, half, 0, 0)
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody looks."""
+        return _is_watched(self._memory)
 
     def put(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
         """Show a moment; takes the time of a copy, and waits for nobody.
@@ -92,7 +105,7 @@ class SlotWriter:
         """
         self._count += 1
         which = self._count % 2
-        start = HEAD.size + which * self._half
+        start = HALVES + which * self._half
         text = json.dumps(dict(words)).encode()
         text = text if len(text) <= WORDS_BYTES else b"{}"
         shown = [(name, pixels) for name, pixels in pictures.items() if pixels.dtype in CODES][:MOST_PICTURES]
@@ -139,13 +152,13 @@ class SlotReader:
 
     def __init__(self, path: Path) -> None:
         try:
-            with path.open("rb") as stream:
-                self._memory = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            with path.open("r+b") as stream:
+                self._memory = mmap.mmap(stream.fileno(), 0)
         except (OSError, ValueError) as error:
             raise NoSlotError(f"{path}: nothing is shown there ({error})") from None
         self.path = path
         magic, self._half, _, _ = self._head() if len(self._memory) >= HEAD.size else (b"", 0, 0, 0)
-        if magic != MAGIC or HEAD.size + 2 * self._half != len(self._memory):
+        if magic != MAGIC or HALVES + 2 * self._half != len(self._memory):
             raise NoSlotError(f"{path}: this is no place where a run shows its frames")
 
     @property
@@ -158,18 +171,40 @@ class SlotReader:
         """Whether the writer has taken the place down."""
         return not self.path.exists()
 
+    def ask(self) -> None:
+        """Say that somebody looks."""
+        ASKED.pack_into(self._memory, HEAD.size, time.monotonic_ns())
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether somebody looks."""
+        return _is_watched(self._memory)
+
     def latest(self) -> Moment | None:
-        """Return the last moment, copied whole; None before the first, or if the writer overtakes every look."""
+        """Return the last moment, copied whole; None as in `taken`."""
+        return self.taken(_copied)
+
+    def taken(self, take: Callable[[Moment], T]) -> T | None:
+        """Return what is made of the last moment; None before the first, or if the writer overtakes every look.
+
+        Parameters
+        ----------
+        take : callable
+            Gets the moment with pictures that may change while it looks, and must keep nothing of them; what it
+            makes of a moment that changes is thrown away. It may be called again.
+        """
         for _ in range(TRIES):
             _, _, number, which = self._head()
             if number == 0:
                 return None
-            start = HEAD.size + which * self._half
+            start = HALVES + which * self._half
             before, words, count = HALF.unpack_from(self._memory, start)
             if before % 2 == 0 and words <= WORDS_BYTES and count <= MOST_PICTURES:
-                moment = self._copied(start, before // 2, words, count)
-                if moment is not None and HALF.unpack_from(self._memory, start)[0] == before:
-                    return moment
+                moment = self._seen(start, before // 2, words, count)
+                made = None if moment is None else take(moment)
+                del moment
+                if made is not None and HALF.unpack_from(self._memory, start)[0] == before:
+                    return made
             time.sleep(0.001)
         return None
 
@@ -181,8 +216,8 @@ class SlotReader:
         magic, half, number, which = HEAD.unpack_from(self._memory, 0)
         return magic, half, number, which & 1
 
-    def _copied(self, start: int, number: int, words: int, count: int) -> Moment | None:
-        """A moment; None where it cannot be one, because the writer was in it meanwhile."""
+    def _seen(self, start: int, number: int, words: int, count: int) -> Moment | None:
+        """A moment where it lies; None where it cannot be one, because the writer was in it meanwhile."""
         at = start + HALF.size
         text = bytes(self._memory[at : at + words])
         at += WORDS_BYTES
@@ -195,10 +230,21 @@ class SlotReader:
                 return None
             if height and width:
                 pixels = np.frombuffer(self._memory, dtype, height * width, data).reshape(height, width)
-                pictures[name.rstrip(b"\0").decode(errors="replace")] = pixels.copy()
+                pixels.flags.writeable = False
+                pictures[name.rstrip(b"\0").decode(errors="replace")] = pixels
                 data += height * width * dtype.itemsize
         try:
             known = json.loads(text)
         except ValueError:
             return None
         return Moment(number, known, pictures) if isinstance(known, dict) else None
+
+
+def _is_watched(memory: mmap.mmap) -> bool:
+    (asked_ns,) = ASKED.unpack_from(memory, HEAD.size)
+    return 0 <= time.monotonic_ns() - int(asked_ns) < int(WATCHED_S * 1e9)
+
+
+def _copied(moment: Moment) -> Moment:
+    pictures = {name: pixels.copy() for name, pixels in moment.pictures.items()}
+    return Moment(moment.number, moment.words, pictures)

@@ -19,7 +19,8 @@ from typing import Any
 
 from daq.acquisition.bench.opened import OpenBench
 from daq.acquisition.cameras.frame import Frame
-from daq.acquisition.pipeline.lanes import Job, Pipeline
+from daq.acquisition.pipeline.job import Job
+from daq.acquisition.pipeline.lanes import Pipeline
 from daq.acquisition.plans.pulse_order import PulseOrder, pairs_section
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.brightness import BrightnessSign, LightWatch, mean_counts

@@ -84,6 +84,11 @@ class Light:
         self._turn: Iterator[str] = iter(())
         self.exposures: PairExposures | None = None
 
+    @property
+    def state(self) -> LaserState | None:
+        """What is believed of the laser; None before it is asked for."""
+        return None if self._laser is None else self._laser.state
+
     def prepare(self, order: PulseOrder, settings: Mapping[str, Setting], tell: Callable[[str], None]) -> Laser:
         """Bring the laser to where it can be armed with these pulses; nothing is fired.
 

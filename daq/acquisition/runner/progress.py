@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from daq.acquisition.pipeline.flow import Flow
 from daq.acquisition.runs.conservation import Ledger
+from daq.timing.states import LaserState
 
 
 @dataclass
@@ -22,6 +23,8 @@ class Progress:
         Frames of this session, and those that have been taken.
     begun_s : float
         When the session began, on `time.monotonic`.
+    laser : LaserState or None
+        Of the laser that the session uses; None if it has none yet.
     """
 
     steps: int = 0
@@ -35,6 +38,7 @@ class Progress:
     ledger: Ledger = field(default_factory=Ledger)
     waiting: tuple[int, int] = (0, 0)
     flow: Flow = field(default_factory=Flow)
+    laser: LaserState | None = None
 
     @property
     def elapsed_s(self) -> float:

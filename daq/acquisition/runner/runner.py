@@ -14,12 +14,13 @@ A session in which a frame may have been filed under the wrong stop says so in i
 import time
 from collections.abc import Collection, Container, Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq.acquisition.bench.opened import OpenBench, known_positions
 from daq.acquisition.pipeline.catch_up import correct_from_disk, uncorrected
 from daq.acquisition.pipeline.corrections import Corrections
-from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline, Show
+from daq.acquisition.pipeline.job import Show
+from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline
 from daq.acquisition.pipeline.live_pairs import warm_up
 from daq.acquisition.plans.pulse_order import PulseOrder
 from daq.acquisition.plans.steps import Step
@@ -42,6 +43,9 @@ from daq.errors import BadBalance, PlanError, ResumeRefused, RunInterrupted
 from daq.timing.errors import LaserStopped
 from daq.whole_text import sync_folder, write_json
 from stages.errors import DeviceLost, NotInPosition, StageError
+
+if TYPE_CHECKING:
+    from daq.acquisition.runner.aiming import Aiming
 
 
 def discard_unfinished(
@@ -97,6 +101,8 @@ class Runner:
         Finished steps that are to be taken again: a frame of theirs is damaged, see runner.retake.
     operator : Operator, optional
         The person at the bench, whom a laser asks for its word.
+    aiming : Aiming, optional
+        Decides where the next step of an alignment is.
     """
 
     def __init__(
@@ -110,6 +116,7 @@ class Runner:
         again: Collection[int] = (),
         operator: Operator | None = None,
         show: Show | None = None,
+        aiming: "Aiming | None" = None,
     ) -> None:
         self._hardware = hardware
         self._folder = folder
@@ -127,6 +134,7 @@ class Runner:
         self._caught_up = 0
         self.progress = Progress(steps=len(self._steps))
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
+        self._aiming = aiming
         self._operator = operator or NoOperator()
         self._light = Light(hardware, folder, self._operator, self.interrupts)
 
@@ -201,7 +209,10 @@ class Runner:
         try:
             for step in left:
                 self._between_steps(len(self._steps) - step.index)
-                self._step(journal, frames, step, flow)
+                aimed = step if self._aiming is None else self._aiming.before(step)
+                self._step(journal, frames, aimed, flow)
+                if self._aiming is not None:
+                    self._aiming.after(aimed, journal)
         except BaseException as error:
             why, error_text = type(error).__name__, str(error)
             raise
@@ -310,7 +321,7 @@ class Runner:
             raise
 
     def _tell(self, doing: str, ledger: Ledger | None = None) -> None:
-        self.progress.doing = doing
+        self.progress.doing, self.progress.laser = doing, self._light.state
         self.progress.ledger = ledger or self._exposures.books_so_far(self.progress.flow.written)
         self._watcher(self.progress)
 

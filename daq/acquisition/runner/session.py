@@ -17,7 +17,9 @@ from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import Bench, digest
 from daq.acquisition.bench.opened import OpenBench, open_bench
 from daq.acquisition.pipeline.corrections import Corrections
-from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Show
+from daq.acquisition.pipeline.job import Show
+from daq.acquisition.pipeline.lanes import LIVE_QUEUE
+from daq.acquisition.plans.experiments.align import AlignPlan
 from daq.acquisition.plans.plan import Plan, load_plan
 from daq.acquisition.plans.steps import BEHIND_GLASS, Step, frame_count
 from daq.acquisition.runner.light import Operator
@@ -229,6 +231,7 @@ def carry_out(
     again: Collection[int] = (),
     operator: Operator | None = None,
     show: Show | None = None,
+    say: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Open the bench and do what is left of a run; return the contents of done.json.
 
@@ -248,6 +251,8 @@ def carry_out(
         The person at the bench, whom a laser asks for its word.
     show : callable, optional
         Gets each frame that is corrected as it arrives, for a page.
+    say : callable, optional
+        Gets what an alignment sees and moves, a sentence each.
 
     Raises
     ------
@@ -286,7 +291,17 @@ def carry_out(
         if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
             for name in (DONE, MOVED):
                 (folder.path / name).unlink(missing_ok=True)
+        aiming, end = None, None
+        if isinstance(plan.table, AlignPlan):
+            from daq.acquisition.runner.aiming import Aiming, end_in_words  # what finds glass loads slowly
+
+            end = end_in_words
+            aiming = Aiming(hardware, folder, plan.table, say or (lambda sentence: None))
         runner = Runner(
-            hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator, show
+            hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator, show, aiming
         )
-        return runner.run()
+        done = runner.run()
+        if aiming is not None and end is not None and say is not None and aiming.looks:
+            for sentence in end(aiming.wanted()):
+                say(sentence)
+        return done

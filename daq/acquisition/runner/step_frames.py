@@ -19,7 +19,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 from daq.acquisition.bench.opened import OpenBench
-from daq.acquisition.pipeline.lanes import Job, Pipeline
+from daq.acquisition.pipeline.job import Job
+from daq.acquisition.pipeline.lanes import Pipeline
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runner.interrupts import Interrupts

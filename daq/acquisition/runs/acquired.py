@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from correction.errors import FrameError
 from correction.frame_file import read_frame
+from daq.acquisition.frames.source import read_named
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.errors import RunDamaged
@@ -44,12 +45,41 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     run = run_of(path)
     if run is None:
         return _finite(path, read_frame(path, shape))
-    if not path.is_file():
-        raise RunDamaged(f"{path}: is missing; restore it, or take it again with rtpiv resume --retake")
+    _require(path)
     known = _checksums(run, _stamp(run.journal_path))
     if path.name not in known:
         raise RunDamaged(f"{path}: is not in the journal of its run, so nobody vouches for it; leave it out")
     return read_frame(path, shape, known[path.name])
+
+
+def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any]:
+    """Read a frame whose checksum was looked up before; the journal of its run is not asked again.
+
+    Parameters
+    ----------
+    path : Path
+        The frame.
+    crc32 : str
+        Checksum that its pixels must have.
+    shape : (int, int)
+        Rows and columns that it must have.
+
+    Raises
+    ------
+    FrameError
+        Another size, another kind of number.
+    FrameDamaged, RunDamaged
+        It is not what was promised, or missing.
+    """
+    if run_of(path) is None:
+        return read_named(path, shape, crc32)
+    _require(path)
+    return read_frame(path, shape, crc32)
+
+
+def _require(path: Path) -> None:
+    if not path.is_file():
+        raise RunDamaged(f"{path}: is missing; restore it, or take it again with rtpiv resume --retake")
 
 
 def _finite(path: Path, frame: NDArray[Any]) -> NDArray[Any]:

@@ -83,11 +83,24 @@ class _Judge:
         self._folder = folder
         self._frames = frames
         self._lines = lines
+        self._agree: set[tuple[int, int, int]] = set()  # records that many lines share, and the step; by identity
         self._exposed: dict[tuple[str, bool], tuple[float, int]] = {}  # A or B, background: [us], first frame
 
     def pair(self, step: PlannedStep, one: int) -> None:
         """Judge the frames `one` and the next one."""
         two = one + 1
+        first, second = self._frames[one], self._frames[two]
+        records = id(first.get("pair")), id(second.get("pair")), step["index"]
+        if records not in self._agree:
+            self._records(step, one, two)
+            self._agree.add(records)
+        if second["timestamp_ns"] < first["timestamp_ns"]:
+            self._damaged(two, f"was exposed before frame {one} of its pair, by the camera's clock")
+        for number, exposure in ((one, "A"), (two, "B")):
+            self._exposure(number, exposure, step.get("background", False))
+
+    def _records(self, step: PlannedStep, one: int, two: int) -> None:
+        """Judge what both lines say of their pair."""
         for number, exposure in ((one, "A"), (two, "B")):
             record = self._frames[number].get("pair")
             if record is None:
@@ -106,11 +119,6 @@ class _Judge:
                 self._damaged(two, f"says {key} {after.get(key)} and frame {one} of its pair {before.get(key)}")
         if "dt_sigma_us" in before and "dt_measured_us" not in before:
             self._damaged(one, "has a dt_sigma_us and no dt_measured_us that it belongs to")
-        stamps_ns = [self._frames[number]["timestamp_ns"] for number in (one, two)]
-        if stamps_ns[1] < stamps_ns[0]:
-            self._damaged(two, f"was exposed before frame {one} of its pair, by the camera's clock")
-        for number, exposure in ((one, "A"), (two, "B")):
-            self._exposure(number, exposure, step.get("background", False))
 
     def _exposure(self, number: int, exposure: str, is_background: bool) -> None:
         """Background and pairs must be exposed for the same time: what is subtracted is light."""

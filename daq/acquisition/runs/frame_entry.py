@@ -13,6 +13,7 @@ _PLAIN = (
     "sensor_px", "planned_mm", "measured_mm", "true_mm", "pair",
 )  # fmt: skip
 OFTEN = ("planned_mm", "measured_mm", "true_mm", "sensor_px", "pair")  # not in every line
+_IS_PLAIN = frozenset(_PLAIN)  # asked a million times
 _KEYS = ("kind", "file", "crc32", *_PLAIN)
 ALWAYS = len(_KEYS) - len(OFTEN)
 MOST_SHARED = 10_000  # different values that are remembered
@@ -55,7 +56,7 @@ class FrameEntry(Mapping[str, Any]):
             self._more = {key: value for key, value in line.items() if key not in _KEYS}
 
     def __getitem__(self, key: str) -> Any:  # noqa: ANN401
-        if key in _PLAIN:
+        if key in _IS_PLAIN:
             try:
                 return getattr(self, key)
             except AttributeError:

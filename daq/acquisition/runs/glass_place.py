@@ -10,6 +10,7 @@ from pathlib import Path
 
 from correction.errors import PairError
 from daq.acquisition.bench.bench_table import GLASS, BenchTable, Vector
+from daq.acquisition.runs.journal import Entry
 from daq.acquisition.runs.records import CURE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.acquisition.runs.run_views import bench_table
@@ -20,8 +21,17 @@ from tracer.scene import Scene
 DIGITS = 6  # of a millimetre
 
 
-def glass_place_mm(run: Path, frames: Iterable[Path]) -> Vector:
+def glass_place_mm(run: Path, frames: Iterable[Path], lines: Mapping[int, Entry] | None = None) -> Vector:
     """Displacement of the glass from its place in the scene file, as planned for some frames of a run.
+
+    Parameters
+    ----------
+    run : Path
+        The run.
+    frames : iterable of Path
+        Frames of it.
+    lines : mapping, optional
+        Lines of its frames by number, where they have been read.
 
     Raises
     ------
@@ -31,12 +41,16 @@ def glass_place_mm(run: Path, frames: Iterable[Path]) -> Vector:
         The run does not say where the glass was.
     """
     folder = RunFolder(run)
-    lines = {Path(entry["file"]).name: entry for entry in frame_entries(folder.entries()).values()}
+    entries = frame_entries(folder.entries()) if lines is None else lines
+    by_name = {entry["file"].rpartition("/")[2]: entry for entry in entries.values()}
     table = bench_table(folder)
     found: tuple[Vector, str] | None = None
+    places: dict[int, Vector] = {}  # of positions that many lines share
     for frame in frames:
         try:
-            place = glass_off_scene_mm(table, lines[frame.name]["planned_mm"])
+            at_mm = by_name[frame.name]["planned_mm"]
+            place = places.get(id(at_mm)) or glass_off_scene_mm(table, at_mm)
+            places[id(at_mm)] = place
         except KeyError as error:
             raise RunDamaged(f"{run}: frame {frame.name} does not say where {error} was; {CURE}") from None
         found = found or (place, frame.name)

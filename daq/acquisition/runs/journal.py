@@ -6,6 +6,7 @@ Kinds of lines:
     frame     a frame is on the disk under its final name: positions, checksum, both clocks
     step      all frames of a step are on the disk, and the gaps of one that may have some
     arm       a step that keeps what it has goes on behind its last frame, and why
+    look      what the frames of a step of an alignment show
     discard   frames of a step that was cut off; the step is taken again and their files are gone
     miss      axes stood elsewhere than a step had sent them: planned and measured positions; the step has failed
     counts    what became of every triggered frame of this session

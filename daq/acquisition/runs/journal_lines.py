@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, NotRequired
 from pydantic import Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
-from daq.acquisition.runs.records import STRICT, Count, Crc, Positions, Tag, Text, Wide
+from daq.acquisition.runs.records import STRICT, Count, Crc, Positions, Tag, Text, Way, Wide
 
 Entry = Mapping[str, Any]
 
@@ -113,6 +113,21 @@ class ChunkLine(TypedDict):
 
 
 @with_config(STRICT)
+class LookLine(TypedDict):
+    """What the frames of a step of an alignment show, off the places of the scene file."""
+
+    kind: Literal["look"]
+    step: Count
+    tag: Tag
+    utc: Text
+    glass_mm: Way
+    glass_sigma_mm: Way
+    camera_mm: NotRequired[Way]  # where a board says it
+    spheres: dict[Text, Way]  # those that show a rim
+    remarks: list[Text]
+
+
+@with_config(STRICT)
 class MissLine(TypedDict):
     """Axes stood elsewhere than a step had sent them; the step has failed."""
 
@@ -202,6 +217,7 @@ Line = (
     | StepLine
     | ArmLine
     | ChunkLine
+    | LookLine
     | MissLine
     | DiscardLine
     | CountsLine

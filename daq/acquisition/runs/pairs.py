@@ -13,7 +13,7 @@ camera was armed between the two exposures of a pair; time stamps can.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -32,10 +32,14 @@ SWAPPED = 2.0  # times the gap to the next pair, and a pair is none; frames in r
 
 @dataclass(frozen=True)
 class RunPairs:
-    """Pairs of a run in the order of the plan, and the numbers of frames that lost their partner."""
+    """Pairs of a run in the order of the plan, the numbers of frames that lost their partner, and all their lines.
+
+    A journal of a million frames is read once: whoever has the pairs has the lines of their frames, by number.
+    """
 
     pairs: tuple[FramePair, ...]
     alone: tuple[int, ...]
+    lines: Mapping[int, Entry] = field(default_factory=dict)
 
 
 def pairs_of(path: Path) -> RunPairs:
@@ -68,7 +72,7 @@ def pairs_of(path: Path) -> RunPairs:
         pairs += [replace(pair, time_s=times[one]) for one, pair in timed.items()]
     if not pairs:
         raise RunUnsuitable(f"{path}: no pair is complete; resume the run first")
-    return RunPairs(tuple(pairs), tuple(alone))
+    return RunPairs(tuple(pairs), tuple(alone), entries)
 
 
 def _moved(folder: RunFolder, steps: list[PlannedStep], entries: Mapping[int, Entry]) -> Iterator[FramePair]:

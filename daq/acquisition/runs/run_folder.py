@@ -184,7 +184,7 @@ def _against_plan(entry: Entry, steps: Sequence[PlannedStep]) -> str:
         frames = 0 if last is None else last["first_frame"] + last["frames"]
         outside = [number for number in entry["frames"] if number >= frames]
         return f"discards frame {outside[0]}, and the plan has {frames}" if outside else ""
-    if kind not in ("frame", "step", "miss", "arm", "chunk"):
+    if kind not in ("frame", "step", "miss", "arm", "chunk", "look"):
         return ""
     number = entry["step"]
     if number >= len(steps):

@@ -22,10 +22,11 @@ def pixels_of(folder):
     return [path.read_bytes()[-2 * SIDE_PX**2 :] for path in sorted((folder.path / "frames").glob("*.tif"))]
 
 
-def test_a_run_is_the_same_with_a_page(tmp_path):
+@pytest.mark.parametrize("is_corrected", [True, False])
+def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
     bench, plan = load(tmp_path, PLAN, camera=FILES_CAMERA)
     files, folders, seen = write_frames(tmp_path / "frames_in", 40), [], []
-    corrections = Corrections(bench.scene)
+    corrections = Corrections(bench.scene) if is_corrected else None
     for is_shown in (False, True):
         folder = begin(Request(bench.path, plan.path), bench, plan, tmp_path / f"runs{is_shown}")
         folders.append(folder)
@@ -33,8 +34,8 @@ def test_a_run_is_the_same_with_a_page(tmp_path):
             with files_bench(bench, files) as hardware:
                 Runner(hardware, folder, plan.steps, corrections).run()
             continue
-        with LivePage(12 * SIDE_PX**2) as page:
-            shown = RunShown(page, folder.path.name)
+        with LivePage(12 * SIDE_PX**2, scene=bench.scene, board=bench.table.target.board) as page:
+            shown = RunShown(page, folder)
 
             def look():
                 origin, token = page.url.rstrip("/").split("/#")
@@ -58,9 +59,13 @@ def test_a_run_is_the_same_with_a_page(tmp_path):
     frames, over = seen[:-1], seen[-1]
     assert over["over"]
     assert frames[0]["run"].startswith(folders[1].path.name)
-    assert all(words["pictures"] == 2 and words["bits"] == 16 for words in frames)
+    assert all(words["has"] == ["raw", "corrected"][: words["pictures"]] for words in frames)
+    assert any(words["pictures"] == 2 for words in frames) == is_corrected
+    assert all(words["bits"] == 16 for words in frames)
+    assert all(words["view"] == ("glass" if "glass" in words["run"] else "clear") for words in frames)
+    assert frames[-1]["counters"]["room on the disk"][0].endswith(("min", "h"))
     last = frames[-1]
     assert last["missed"] + len(frames) == last["number"] - frames[0]["number"] + 1
-    assert last["number"] <= done["flow"][-1]["corrected_live"]
+    assert last["number"] <= done["frames"]
     assert last["counters"]["frames"][0].endswith("of 24")
     assert last["counters"]["lost or incomplete"] == ["0", False]

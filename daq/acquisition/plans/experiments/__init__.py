@@ -13,6 +13,7 @@ EXPERIMENTS = {
     "shift": "daq.acquisition.plans.experiments.shift:ShiftPlan",
     "stream": "daq.acquisition.plans.experiments.stream:StreamPlan",
     "focus": "daq.acquisition.plans.experiments.focus:FocusPlan",
+    "align": "daq.acquisition.plans.experiments.align:AlignPlan",
     "flow": "daq.acquisition.plans.experiments.flow:FlowPlan",
 }
 

@@ -8,7 +8,8 @@ import pytest
 
 from daq.acquisition.pipeline import live_pairs
 from daq.acquisition.pipeline.flow import Flow, LiveVectors
-from daq.acquisition.pipeline.lanes import Job, Pipeline
+from daq.acquisition.pipeline.job import Job
+from daq.acquisition.pipeline.lanes import Pipeline
 from daq.acquisition.pipeline.live_pairs import LivePairs
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.journal import Journal
@@ -64,6 +65,25 @@ def test_what_is_no_pair_is_not_measured(frames):
     time.sleep(0.2)
     pairs.close()
     assert flow.vectors is None
+
+
+def test_vectors_take_no_more_than_their_share(monkeypatch):
+    def slow(pair):
+        end_s = time.thread_time() + 0.05
+        while time.thread_time() < end_s:
+            pass
+        return LiveVectors(pair.number, 0.0)
+
+    monkeypatch.setattr(live_pairs, "MOST_PER_S", 1000.0)
+    monkeypatch.setattr(live_pairs, "_measured", slow)
+    flow, frame = Flow(), np.zeros((8, 8), np.float32)
+    pairs, begun_s = LivePairs(flow), time.monotonic()
+    for number in range(160):
+        pairs.see(a_step(), number, frame, time.monotonic_ns())
+        time.sleep(0.005)
+    pairs.close()
+    elapsed_s = time.monotonic() - begun_s
+    assert 2 <= flow.vectors_live <= 1.5 + live_pairs.MOST_OF_THE_TIME * elapsed_s / 0.05
 
 
 @pytest.mark.parametrize("bad", [np.zeros((384, 384)), np.full((384, 384), np.nan), np.zeros((10, 10))])

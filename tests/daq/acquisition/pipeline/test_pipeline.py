@@ -10,7 +10,8 @@ import pytest
 from correction.frame_file import read_frame, write_frame
 from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.pipeline.catch_up import correct_from_disk, uncorrected
-from daq.acquisition.pipeline.lanes import Job, Pipeline
+from daq.acquisition.pipeline.job import Job
+from daq.acquisition.pipeline.lanes import Pipeline
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runs.journal import Journal, read_journal
 from daq.acquisition.runs.raw_frame import checksum
@@ -177,3 +178,47 @@ def test_a_bug_in_a_lane_is_not_swallowed(run):
     with pytest.raises(ZeroDivisionError):
         push(pipeline, a_step(), Memory(), period_s=0.01)
     pipeline.close()
+
+
+def test_whoever_is_stuck_while_he_looks_holds_two_frames_and_nobody_up(run):
+    folder, journal = run
+    memory, gate, shown = Memory(), threading.Event(), []
+
+    def show(job, corrected):
+        shown.append((job.number, float(corrected[0, 0])))
+        gate.wait(20.0)
+
+    pipeline = Pipeline(folder, journal, Doubler(), show=show)
+    push(pipeline, a_step(), memory, 0.005)
+    assert pipeline.flow.written == FRAMES
+    end_s = time.monotonic() + 20.0
+    while len(memory.out) > 2 and time.monotonic() < end_s:
+        time.sleep(0.01)
+    assert len(memory.out) == 2
+    gate.set()
+    pipeline.close()
+    assert pipeline.flow.corrected + len(pipeline.flow.skipped) == FRAMES
+    assert not memory.out
+    assert all(twice == 2.0 * number for number, twice in shown)
+    assert shown[0][0] < shown[-1][0]
+
+
+def test_a_page_that_breaks_ends_the_showing_and_not_the_run(run):
+    folder, journal = run
+    memory, shown = Memory(), []
+
+    def show(job, corrected):
+        shown.append(job.number)
+        raise ValueError("mmap closed")
+
+    def go() -> Pipeline:
+        pipeline = Pipeline(folder, journal, Doubler(), show=show)
+        push(pipeline, a_step(), memory, 0.005)
+        pipeline.close()
+        return pipeline
+
+    with pytest.warns(RuntimeWarning, match="shows nothing any more.*mmap closed"):
+        pipeline = go()
+    assert len(shown) == 1
+    assert pipeline.flow.written == FRAMES
+    assert not memory.out

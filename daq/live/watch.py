@@ -1,0 +1,64 @@
+"""What the page's process finds out beside serving: in a thread of low priority, from the last frame shown.
+
+A frame is looked at now and then, whichever is there, while somebody looks at the page. Each watch works for
+`MOST_OF_THE_TIME` at most, so that a slow or busy computer looks less often.
+"""
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from typing import Any
+
+from daq.acquisition.pipeline.live_slot import Moment, SlotReader
+from daq.acquisition.pipeline.priority import lower_priority
+
+MOST_OF_THE_TIME = 0.05
+POLL_S = 0.1
+
+
+class Watch(ABC):
+    """Looks at frames of a slot; `said` are counters for the page, name -> [text, whether it is wrong].
+
+    Parameters
+    ----------
+    slot : SlotReader
+        Where frames are shown.
+    every_s : float
+        Between two looks.
+    """
+
+    def __init__(self, slot: SlotReader, every_s: float) -> None:
+        self.said: dict[str, list[Any]] = {}
+        self._slot, self._every_s, self._seen = slot, every_s, 0
+
+    def start(self) -> None:
+        """Look until the run is over."""
+        threading.Thread(target=self._work, name=type(self).__name__, daemon=True).start()
+
+    def look(self) -> None:
+        """Look at the last moment, if it is a new one with a raw frame."""
+        moment = self._slot.taken(_raw_of)
+        if moment is not None and moment.number != self._seen and "raw" in moment.pictures:
+            self._seen = moment.number
+            self.see(moment)
+
+    @abstractmethod
+    def see(self, moment: Moment) -> None:
+        """Find out what it tells."""
+
+    def _work(self) -> None:
+        lower_priority()
+        next_s = 0.0
+        while not self._slot.is_over:
+            if self._slot.is_watched and time.monotonic() >= next_s:
+                begun_s = time.monotonic()
+                self.look()
+                took_s = time.monotonic() - begun_s  # longer than it needed, where others need the processor
+                next_s = time.monotonic() + max(self._every_s, took_s / MOST_OF_THE_TIME)
+            time.sleep(POLL_S)
+
+
+def _raw_of(moment: Moment) -> Moment:
+    """A moment with its raw frame alone, copied."""
+    pictures = {name: pixels.copy() for name, pixels in moment.pictures.items() if name == "raw"}
+    return Moment(moment.number, moment.words, pictures)
