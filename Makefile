@@ -11,7 +11,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (daq/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow labs fuzz lamps sheets far-starts benchmark bench lint compiled-rays compiled-pairs picture pins clean
+.PHONY: demo test test-slow labs fuzz lamps sheets far-starts benchmark bench lint fast-tests compiled-rays compiled-pairs compiled-beds picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -19,7 +19,7 @@ $(STAMP): requirements.txt pyproject.toml
 	  uv pip install -q --python $(BIN)/python -r requirements.txt && uv pip install -q --python $(BIN)/python --no-deps -e .; \
 	else \
 	  [ -x $(BIN)/python ] || $(PY) -m venv $(VENV); \
-	  $(BIN)/python -m pip install -q --disable-pip-version-check -r requirements.txt && \
+	  $(BIN)/python -m pip install -q --disable-pip-version-check --no-compile -r requirements.txt && \
 	  $(BIN)/python -m pip install -q --disable-pip-version-check --no-deps -e .; \
 	fi
 	@touch $@
@@ -28,8 +28,11 @@ demo: $(STAMP)
 	$(BIN)/rtpiv demo -o demo
 
 test: $(STAMP)
-	@$(MAKE) --no-print-directory -j3 lint compiled-rays compiled-pairs
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	@$(MAKE) --no-print-directory -j3 compiled-rays compiled-pairs compiled-beds
+	@$(MAKE) --no-print-directory -j2 lint fast-tests
+
+fast-tests: $(STAMP)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
@@ -69,12 +72,15 @@ bench: benchmark
 benchmark: $(STAMP)
 	$(BIN)/python -m benchmarks -o benchmarks/results
 
-# What most tests need is compiled beside the linters: tests on two cores would compile it twice.
+# What most tests need is compiled first: tests on two cores would compile it twice.
 compiled-rays: $(STAMP)
 	@$(BIN)/python -c "from tests.system.test_cold_start import fingerprint; fingerprint()"
 
 compiled-pairs: $(STAMP)
 	@$(BIN)/python -c "from tests.system.test_cold_start import compile_pairs; compile_pairs()"
+
+compiled-beds: $(STAMP)
+	@$(BIN)/python -c "from tests.system.test_cold_start import compile_beds; compile_beds()"
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -90,10 +96,11 @@ picture: demo
 	cp demo/fitted/overview.png docs/images/overview.png
 	rm -rf demo/browser
 
-# Resolve the pinned versions anew (needs uv); the file records versions only.
+# Resolve the pinned versions anew (needs uv); the file records versions only. What clusters need is not among them:
+# twenty packages for tests that are skipped without them.
 pins:
 	uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url \
-	  --all-extras --group test --group lint pyproject.toml -o requirements.txt
+	  --extra camera --extra hdf5 --extra live --extra mesh --group test --group lint pyproject.toml -o requirements.txt
 
 clean:
 	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache

@@ -33,6 +33,7 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 PICTURES = "daq.analysis.pictures"
 DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are called by whoever draws rays
     "trace": (f"{PICTURES}.camera_view", f"{PICTURES}.plane", f"{PICTURES}.drawing", "cv2", "ground.compiler"),
+    "compare": (f"{PICTURES}.views",),
     "correct": (f"{PICTURES}.overview", "cv2"),
     "evaluate": ("daq.analysis.report.pair", "daq.analysis.report.page", "ground.compiler"),
     "calibrate": (f"{PICTURES}.calibration", f"{PICTURES}.smooth", "daq.analysis.report.calibration"),

@@ -23,6 +23,7 @@
         +-- BadBalance         the counts of a run contradict each other: a bug, or a camera that cannot count
         +-- FrameDoubt         a frame cannot be given to its trigger; what the run holds may be misfiled
         +-- RunInterrupted     somebody asked for it; the run can be resumed
+        +-- Unfinished         chunks of a campaign are not there; the same command goes on
 
 The command line prints these as one sentence and exits with code 3 (RunUsageError: 2, RunInterrupted: 4).
 """
@@ -114,6 +115,10 @@ class BadBalance(RunError):  # noqa: N818
 
 class FrameDoubt(RunError):  # noqa: N818
     """Nothing tells which trigger a frame belongs to; the run can be looked at, and not be resumed."""
+
+
+class Unfinished(RunError):  # noqa: N818 - says what it is
+    """Chunks of a campaign are missing, failed or being made; the same command goes on."""
 
 
 class RunInterrupted(RunError):  # noqa: N818

@@ -10,8 +10,8 @@ from daq.errors import DiskError
 from ground.whole_file import whole_file
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text: temporary name, fsync, rename, fsync of the folder.
+def write_text(path: Path, text: str, among_many: bool = False) -> None:
+    """Write a text: temporary name, fsync, rename, fsync of the folder; `among_many` as for `whole_file`.
 
     Raises
     ------
@@ -19,16 +19,16 @@ def write_text(path: Path, text: str) -> None:
         It cannot be written.
     """
     try:
-        with whole_file(path) as stream:
+        with whole_file(path, among_many=among_many) as stream:
             stream.write(text.encode())
         sync_folder(path.parent)
     except OSError as error:
         raise DiskError(f"{path}: {why(error)}; make room, then try again") from error
 
 
-def write_json(path: Path, tree: Any) -> None:  # noqa: ANN401 - anything JSON can hold
+def write_json(path: Path, tree: Any, among_many: bool = False) -> None:  # noqa: ANN401 - anything JSON can hold
     """Write plain data as `write_text` does."""
-    write_text(path, json.dumps(tree, indent=1))
+    write_text(path, json.dumps(tree, indent=1), among_many)
 
 
 def copy_whole(source: Path, copy: Path) -> None:

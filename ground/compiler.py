@@ -4,7 +4,9 @@ Numba meets our `Kernel` objects as globals of the functions that it compiles, a
 of it here.
 """
 
+import glob
 import inspect
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -73,6 +75,20 @@ def _load_at_once(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
             return found(signature, target_context)
 
     cache.load_overload = load
+
+
+def files_in_use() -> list[Path]:
+    """Files of the cache that hold what this process has called so far; none of a numba with another cache."""
+    found: set[Path] = set()
+    for module in list(sys.modules.values()):
+        for kernel in list(vars(module).values()):
+            if not isinstance(kernel, Kernel) or kernel._compiled is None or not kernel.compiled.signatures:
+                continue
+            cache = kernel.compiled._cache
+            if folder := getattr(cache, "cache_path", None):  # None: this one is not kept
+                with suppress(AttributeError):
+                    found.update(Path(folder).glob(f"{glob.escape(cache._impl.filename_base)}.*"))
+    return sorted(file for file in found if file.suffix in (".nbi", ".nbc"))
 
 
 @typeof_impl.register(Kernel)

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+from uuid import uuid4
 
 
 @contextmanager
-def whole_file(path: Path, let_go: bool = False) -> Iterator[BinaryIO]:
+def whole_file(path: Path, let_go: bool = False, among_many: bool = False) -> Iterator[BinaryIO]:
     """Open a file for writing that gets its name only when it is complete and on the disk.
 
     Parameters
@@ -19,6 +20,9 @@ def whole_file(path: Path, let_go: bool = False) -> Iterator[BinaryIO]:
     let_go : bool
         Do not keep the contents in the system's memory once they are on the disk.  A stream of frames would fill
         all of it within a minute, and finding ever new memory cost more than the writing.
+    among_many : bool
+        Others may write this file at the same time, on this computer or on another that sees its folder: the
+        temporary name is nobody else's, and whoever is ready last gives the file its contents.
 
     Yields
     ------
@@ -31,7 +35,8 @@ def whole_file(path: Path, let_go: bool = False) -> Iterator[BinaryIO]:
         It cannot be written; `filename` is the final name, and `strerror` says why, also where a library that
         wrote to the stream left both out.
     """
-    temporary = path.with_name(path.name + ".part")
+    own = f".{uuid4().hex}" if among_many else ""
+    temporary = path.with_name(f"{path.name}{own}.part")
     try:
         with temporary.open("wb") as stream:
             yield stream

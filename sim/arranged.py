@@ -4,7 +4,7 @@ What the renderer cannot draw is said before anything runs (`check_views`): foun
 after minutes, it reads like a camera that no longer answers.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,9 +21,12 @@ from tracer.errors import SceneError
 from tracer.scene import Scene
 
 
-def arranged(bench: Bench, scene: Scene, positions_mm: Mapping[str, float]) -> tuple[Scene, Pose]:
+def arranged(
+    bench: Bench, scene: Scene, positions_mm: Mapping[str, float], glass_off_mm: Sequence[float] = (0.0, 0.0, 0.0)
+) -> tuple[Scene, Pose]:
     """Scene and place of the print, from the `scene` that holds where every axis stands at home.
 
+    Glass that was put up beside its place stands off by `glass_off_mm` wherever its axes are.
     What the bench itself carries, such as the window of a furnace, no axis moves.
 
     Raises
@@ -32,6 +35,7 @@ def arranged(bench: Bench, scene: Scene, positions_mm: Mapping[str, float]) -> t
         Bodies or camera cannot stand there.
     """
     offsets = {element: np.zeros(3) for element in ("camera", "glass", "target", "bench")}
+    offsets["glass"] += glass_off_mm
     for name, axis in bench.table.stages.axes.items():
         offsets[axis.carries]["xyz".index(axis.along)] += positions_mm[name] - bench.home_mm[name]
     camera = scene.camera
@@ -39,6 +43,14 @@ def arranged(bench: Bench, scene: Scene, positions_mm: Mapping[str, float]) -> t
     bodies = tuple(body.moved(shifted_by(offsets[body.carried])) for body in scene.bodies)
     moved = replace(scene, camera=replace(camera, position_mm=(x, y, z)), bodies=bodies)
     return moved, Pose().moved(*(float(c) for c in offsets["target"]))
+
+
+def put_up(bench: Bench, glass_off_mm: Sequence[float]) -> dict[str, float]:
+    """Position of every axis at which the scene file truly holds, as far as axes can bring the glass there."""
+    return {
+        name: at_mm - glass_off_mm["xyz".index(axis.along)] if axis.carries == "glass" else at_mm
+        for (name, at_mm), axis in zip(bench.home_mm.items(), bench.table.stages.axes.values(), strict=True)
+    }
 
 
 def sheet_mm(bench: Bench) -> tuple[float, float] | None:
@@ -66,7 +78,7 @@ def check_views(bench: Bench, steps: Iterable[Step]) -> None:
             continue
         looked_at.add(step.positions_mm)
         try:
-            there, pose = arranged(bench, scene, step.targets_mm)
+            there, pose = arranged(bench, scene, step.targets_mm, table.glass_off_mm)
             tables_of(there, pose, table.pupil, sheet_mm(bench))
         except SceneError as error:
             said = f"the simulated bench cannot show step {step.index} ({step.tag})"

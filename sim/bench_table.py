@@ -13,6 +13,9 @@ firmware: {portal: {"23": 0}} # Grbl's $23: home towards the high switches
 prints_truth: true            # optional: a corner of every frame says what it shows; see frame_truth.py
 ring: frames/                 # optional: replay .npy frames instead of rendering
 aperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}    # optional: a pupil, sharp so far ahead of the camera
+blur_px: 0.5                  # of lens and pixel
+uneven_light: 0.03            # brighter to the right and darker to the left by this share
+glass_off_mm: [1.2, -0.8, 0.5]    # how the glass was put up, beside its place in the scene file
 flow: {field: jet}            # what flow runs see; see sim.flow.table
 faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.faults
 """
@@ -70,6 +73,11 @@ class SimulationTable(Table):
     prints_truth: bool = False
     ring: str | None = None
     aperture: ApertureTable | None = None
+    blur_px: Annotated[float, Field(ge=0.0, le=50.0)] = 0.5
+    uneven_light: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    glass_off_mm: Annotated[
+        list[Annotated[float, Field(ge=-100.0, le=100.0)]], Field(min_length=3, max_length=3)
+    ] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     flow: FlowTable = FlowTable()
     faults: FaultsTable = FaultsTable()
 

@@ -69,7 +69,7 @@ class World:
         # More pairs were lit than kept: numbers and time begin well behind them.
         self.lit = LitFlow(exposures_before, LATER_S * exposures_before) if shows == FLOW else None
         self._print = _print_of(bench, table.seed, shows)
-        self._sensor = Sensor()
+        self._sensor = Sensor(blur_px=table.blur_px)
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}
         self._flow_cameras: dict[tuple[float, ...], FlowCamera] = {}
         self._prepared: PreparedPairs | None = None
@@ -128,7 +128,7 @@ class World:
             while len(self._views) >= KEPT_VIEWS:
                 self._views.pop(next(iter(self._views)))
             scene, pattern = self._arranged(true_mm)
-            self._views[key] = render_irradiance(
+            light = render_irradiance(
                 scene,
                 pattern,
                 samples=self._table.samples,
@@ -136,11 +136,13 @@ class World:
                 aperture=self._table.pupil,
                 sheet_mm=sheet_mm(self._bench),
             )
+            across = np.linspace(-1.0, 1.0, light.shape[1], dtype=np.float32)
+            self._views[key] = light * (np.float32(1.0) + np.float32(self._table.uneven_light) * across)
         return self._views[key]
 
     def _arranged(self, true_mm: Mapping[str, float]) -> tuple[Scene, Chessboard | ParticleSheet]:
         """Scene and print at the true places of their carriages."""
-        scene, pose = arranged(self._bench, self.scene, true_mm)
+        scene, pose = arranged(self._bench, self.scene, true_mm, self._table.glass_off_mm)
         if isinstance(self._print, Chessboard):
             return scene, placed(self._print, pose)
         return scene, placed(self._print, pose)

@@ -12,8 +12,10 @@ from pydantic import TypeAdapter, ValidationError
 from daq.errors import RunUsageError
 from daq.starting_files.arrangement import ARRANGEMENTS, centres_mm, most_balls, span_mm
 from stages.config import Name
-from tracer.media import known_media, medium_called
+from tracer.media import ConstantMedium, Medium, known_media, medium_called
 
+NAME = TypeAdapter(Name)
+DENSEST = 4.0  # index
 LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
 LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
 AROUND = 1.1  # of the balls, as seen
@@ -45,7 +47,7 @@ class Lab:
     gap_mm : float
         Between the lowest ball and the plane.
     glass : str
-        What they are made of.
+        What they are made of, or its index.
     support_mm : float
         Diameter of the opaque rods that hold them from below; 0 for none.
     wavelength_nm : float
@@ -77,7 +79,7 @@ class Lab:
     def _problems(self) -> list[str]:
         said = []
         try:
-            TypeAdapter(Name).validate_python(self.name)
+            NAME.validate_python(self.name)
         except ValidationError:
             said.append(f"name {self.name!r}: letters, digits and underscores, first a letter, 32 at most")
         lengths = ("pixel_pitch_um", "lens_mm", "distance_mm", "ball_mm", "wavelength_nm")
@@ -92,13 +94,29 @@ class Lab:
         elif self.balls not in most_balls(self.arrangement):
             counts = ", ".join(map(str, most_balls(self.arrangement)))
             said.append(f"balls: a {self.arrangement} has {counts}, not {self.balls}")
-        if medium_called(self.glass) is None:
-            said.append(f"glass {self.glass!r} is not known; known are {known_media()}")
+        if self._index is None and medium_called(self.glass) is None:
+            said.append(f"glass {self.glass!r} is not known; known are {known_media()}, or its index, 1 to 4")
         if not said and self.lens_mm >= self.distance_mm:
             said.append(f"a lens of {self.lens_mm:g} mm cannot focus on a plane {self.distance_mm:g} mm away")
         if not 300.0 <= self.wavelength_nm <= 2000.0:
             said.append(f"wavelength_nm: should be 300 to 2000, not {self.wavelength_nm:g}")
         return said
+
+    @property
+    def _index(self) -> float | None:
+        """The glass as a number, if it is one that glass can have."""
+        try:
+            index = float(self.glass)
+        except ValueError:
+            return None
+        return index if 1.0 < index <= DENSEST else None
+
+    @property
+    def medium(self) -> Medium:
+        """What the balls are made of."""
+        known = medium_called(self.glass) if self._index is None else ConstantMedium(self._index)
+        assert known is not None  # others are refused
+        return known
 
     @property
     def span_mm(self) -> tuple[float, float]:

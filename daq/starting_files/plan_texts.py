@@ -2,17 +2,26 @@
 
 from daq.starting_files.bench_room import Room
 
+GLASS_HEIGHTS_MM = (0.0, -10.0, -20.0)  # of the board behind the glass; above 0 the glass would be in the way
+
+
+def bare_heights_mm(room: Room) -> tuple[float, ...]:
+    """Heights of the board without the glass."""
+    up = (room.highest_board_mm / 2.0, room.highest_board_mm)
+    return (*GLASS_HEIGHTS_MM, *(height for height in up if height >= 1.0))
+
 
 def target_plan(room: Room) -> str:
     """The target, bare and behind the glass: what a calibration needs."""
-    up = [f"{height:.1f}" for height in (room.highest_board_mm / 2.0, room.highest_board_mm) if height >= 1.0]
-    heights = ", ".join(["0.0", "-10.0", "-20.0", *up])
+    heights, behind = (
+        ", ".join(f"{height:.1f}" for height in each) for each in (bare_heights_mm(room), GLASS_HEIGHTS_MM)
+    )
     return f"""\
 # yaml-language-server: $schema=schemas/plan.schema.json
 # The chessboard, bare and behind the glass, each at several heights: what `rtpiv calibrate` needs.
 experiment: target
 clear: {{z_mm: [{heights}]}}   # without glass; 0 is the plane
-glass: {{z_mm: [0.0, -10.0, -20.0]}}           # through it; above 0 the glass would be in the way
+glass: {{z_mm: [{behind}]}}           # through it; above 0 the glass would be in the way
 frames: 1                  # at each stop; more lower the noise
 settle_s: 0.2              # after arriving
 """

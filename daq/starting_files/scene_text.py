@@ -2,7 +2,7 @@
 
 from daq.starting_files.arrangement import centres_mm, rods_mm
 from daq.starting_files.lab import Lab
-from tracer.media import known_media
+from tracer.media import ConstantMedium, known_media
 
 NAMES = {
     ("row", 1): ("ball",),
@@ -23,10 +23,11 @@ def scene_text(lab: Lab) -> str:
     """Return the file."""
     width, height = lab.sensor_px
     centres = centres_mm(lab.arrangement, lab.balls, lab.ball_mm, lab.gap_mm)
+    glass = f"{{n: {lab.glass}}}" if isinstance(lab.medium, ConstantMedium) else repr(lab.glass)
     wide = max(map(len, ball_names(lab)))
     bodies = [
         f"  - {{name: {name + ',':{wide + 1}} kind: sphere, centre_mm: [{x:.4f}, {y:.4f}, {z:.4f}], "
-        f"radius_mm: {lab.ball_mm / 2.0:.4g}, material: {lab.glass!r}}}"
+        f"radius_mm: {lab.ball_mm / 2.0:.4g}, material: {glass}}}"
         for name, (x, y, z) in zip(ball_names(lab), centres, strict=True)
     ]
     bodies += [

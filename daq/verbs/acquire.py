@@ -26,7 +26,7 @@ from daq.acquisition.runs.displacement import FILE as MOVED
 from daq.acquisition.runs.displacement import Moved, read_displacements
 from daq.acquisition.runs.gaps import gap_sentence
 from daq.acquisition.runs.run_folder import RunFolder
-from daq.errors import BadBalance, FrameDoubt, PlanError, RunUsageError
+from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.terminal import console, error_console
 from daq.verbs.operator import operator_of
 from daq.verbs.output import require_folder
@@ -110,13 +110,7 @@ def acquire(
     if not dry_run:
         require_libraries(loaded.table.camera.backend)
     steps = load_plan(plan, loaded)
-    stage = idle_stage(loaded)
-    if home:
-        said, sentence = forecast_from_home(loaded, stage, steps.steps)
-        screen.print(sentence, soft_wrap=True)
-    else:
-        said = forecast(loaded, stage, steps.steps)
-    print_forecast(screen, loaded, steps, said, with_steps=dry_run)
+    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run)
     if not simulate:
         for warning in confusable(loaded.table.stages):
             error_console().print(warning, soft_wrap=True)
@@ -169,7 +163,10 @@ def run_and_report(
             person = operator_of(operator, request.simulate)
             watchers = watcher if shown is None else shown.watching(watcher)
             show = None if shown is None else shown.show
-            done = carry_out(request, bench, plan, folder, home, watchers, again=again, operator=person, show=show)
+            done = carry_out(
+                request, bench, plan, folder, home, watchers, again=again, operator=person, show=show,
+                say=lambda sentence: screen.print(sentence, soft_wrap=True, highlight=False),
+            )  # fmt: skip
     except (BadBalance, FrameDoubt):
         said = f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed"
         error_console().print(said, soft_wrap=True, highlight=False)
@@ -193,13 +190,26 @@ def _shown(
         return
     from daq.live.live_page import BYTES_PER_PX, LivePage
     from daq.live.run_shown import RunShown
+    from tracer.scene_file import load_scene
 
-    if not request.correct:
-        raise RunUsageError("--live shows frames as they are corrected; leave out --no-correct")
-    width, height = bench.scene.camera.sensor_px
-    with LivePage(BYTES_PER_PX * width * height) as page:
+    scene = bench.scene if request.scene is None else load_scene(request.scene)
+    width, height = scene.camera.sensor_px
+    board = bench.table.target.board
+    with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:
         screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
-        yield RunShown(page, folder.path.name)
+        yield RunShown(page, folder)
+
+
+def forecast_said(screen: Console, bench: Bench, plan: Plan, home: bool, with_steps: bool) -> Forecast:
+    """Work out what a plan will do on an idle bench, and say it."""
+    stage = idle_stage(bench)
+    if home:
+        said, sentence = forecast_from_home(bench, stage, plan.steps)
+        screen.print(sentence, soft_wrap=True)
+    else:
+        said = forecast(bench, stage, plan.steps)
+    print_forecast(screen, bench, plan, said, with_steps)
+    return said
 
 
 def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, with_steps: bool) -> None:

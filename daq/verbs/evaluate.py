@@ -9,6 +9,7 @@ from rich.console import Console
 from correction.errors import PairError
 from correction.fit.sigma_limit import SigmaLimit
 from correction.prepared import PreparedCorrection, PreparedCorrections
+from daq.acquisition.frames.source import is_source
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_views import is_run
 from daq.analysis.evaluation import Evaluation, Route, Task, evaluate_task
@@ -55,7 +56,7 @@ def evaluate(
     ----------
     paths : list of path, or path
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, a stream, or
-        a flow run.
+        a flow run; or frames of others in pairs, see `daq.acquisition.frames.source`.
     out : path
         Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
         ``vectors.vtk``, ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.
@@ -105,8 +106,8 @@ def evaluate(
     paths, out = paths_of(paths), require_folder(out)
     scene, target_clear = path_of(scene), path_of(target_clear)
     choice = piv_choice(**options)
-    run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
-    if run is not None and is_series(run, pairs_of(run)):
+    run = paths[0] if len(paths) == 1 and (is_run(paths[0]) or is_source(paths[0])) else None
+    if run is not None and (not is_run(run) or is_series(run, pairs_of(run))):
         if shift_mm is not None or route != "image" or vtk or tracking:
             raise PairError(
                 "--shift-mm, --route, --tracking and --vtk are for single pairs, and this run is a series; leave"

@@ -19,7 +19,8 @@ from daq.acquisition.plans.steps import BEHIND_GLASS
 from daq.acquisition.runner.exposures import Exposures
 from daq.live.live_page import BYTES_PER_PX, LivePage
 from daq.terminal import console
-from daq.verbs.paths import Named, path_of
+from daq.verbs.paths import Named
+from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
 BATCH = 1000  # frames of one arming
@@ -67,10 +68,13 @@ def live(
     """
     screen, loaded = console(), load_bench(bench)
     height, width = loaded.scene.camera.shape
-    corrector = _corrector(loaded, path_of(scene)) if correct else None
+    believed = loaded.scene if scene is None else load_scene(Path(scene))
+    corrector = _corrector(believed) if correct else None
     seen, begun_s = 0, time.monotonic()
     with ExitStack() as stack:
-        page = stack.enter_context(LivePage(BYTES_PER_PX * height * width, port))
+        page = stack.enter_context(
+            LivePage(BYTES_PER_PX * height * width, port, believed, loaded.table.target.board)
+        )
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
         exposures = Exposures(hardware.camera, hardware.camera_section)
         exposures.set_up()
@@ -80,7 +84,8 @@ def live(
             for frame in _endless(exposures):
                 with frame:
                     corrected = None if corrector is None else corrector(frame.pixels)
-                    page.show(*_moment(loaded, frame, corrected, shows, seen, begun_s))
+                    words, pictures = _moment(loaded, frame, corrected, shows, seen, begun_s)
+                    page.show(words, pictures)
                 seen += 1
                 if for_s is not None and time.monotonic() - begun_s > for_s:
                     break
@@ -91,8 +96,8 @@ def live(
     return seen
 
 
-def _corrector(bench: Bench, scene: Path | None) -> Corrector:
-    corrections = Corrections(bench.scene if scene is None else load_scene(scene))
+def _corrector(scene: Scene) -> Corrector:
+    corrections = Corrections(scene)
     corrections.prepare([BEHIND_GLASS])
     return corrections.corrector(BEHIND_GLASS)
 
@@ -112,6 +117,8 @@ def _moment(
         "run": f"{bench.table.name}: nothing is kept",
         "doing": "axes are not asked: the correction is for the place that the scene file gives them",
         "shows": shows,
+        "view": BEHIND_GLASS,
+        "rims": True,
         "bits": frame.meta.significant_bits,
         "counters": {
             "frames": [str(seen + 1), False],

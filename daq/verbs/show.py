@@ -10,6 +10,8 @@ from rich.table import Table
 
 if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
     from daq.analysis.calibration import Calibration
+    from daq.analysis.campaign.campaign_plan import Forecast
+    from daq.analysis.campaign.status import RunStatus
     from daq.analysis.evaluation import Evaluation
     from daq.analysis.report.tables import Row
     from daq.analysis.series.mean_flow import MeanFlow
@@ -68,6 +70,48 @@ def show_series(screen: Console, books: "SeriesBooks") -> None:
         screen.print(f"{tag} is left out: {why}", style="bold red")
     if len(books.failed) > SHOWN:
         screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
+
+
+def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
+    """Say what a campaign asks for."""
+    table = Table(title="campaign")
+    for number, column in enumerate(
+        ("run", "pairs", "chunks", "done", "core hours left", "GB to read", "GB to write")
+    ):
+        table.add_column(column, justify="right" if number else "left")
+    for each in forecasts:
+        costs = (each.left_s / 3600.0, each.read_bytes * 1e-9, each.write_bytes * 1e-9)
+        counts = (each.pairs, each.chunks, each.done)
+        table.add_row(each.name, *[str(n) for n in counts], *[f"{cost:.2f}" for cost in costs])
+    screen.print(table)
+
+
+def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
+    """Say how a campaign stands."""
+    table = Table(title="campaign")
+    for number, column in enumerate(
+        ("run", "chunks", "done", "running", "failed", "pairs done", "without vectors")
+    ):
+        table.add_column(column, justify="right" if number else "left")
+    for state in states:
+        counts = (state.chunks, state.done, len(state.running), len(state.failed))
+        pairs = f"{state.done_pairs} of {state.pairs}", str(sum(state.without_vectors.values()))
+        table.add_row(state.name, *[str(n) for n in counts], *pairs)
+    screen.print(table)
+    said = [f"{s.name}: {count} pairs: {why}" for s in states for why, count in s.without_vectors.items()]
+    said += [
+        f"{s.name}, chunk {w.chunk}: {w.host or 'somebody'}, process {w.pid}, last pair {w.silent_s:.0f} s ago"
+        for s in states
+        for w in s.running
+    ]
+    for line in said[:SHOWN]:
+        screen.print(line)
+    failed = [f"{state.name}, chunk {n} failed: {why}" for state in states for n, why in state.failed.items()]
+    for line in failed[:SHOWN]:
+        screen.print(line, style="bold red")
+    more = max(0, len(said) - SHOWN) + max(0, len(failed) - SHOWN)
+    if more:
+        screen.print(f"and {more} more; books.jsonl and the markers of the chunks have them")
 
 
 def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) -> None:

@@ -8,6 +8,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,13 @@ def compile_pairs() -> None:
     frames = rng.integers(0, 4096, (2, 400, 400)).astype(np.float32)
     evaluate_pair(frames[0], frames[1], np.ones(frames[0].shape, bool))
     render(at_size(named_scene(SCENES[0]), 64), Print(5.0, 2.0), Sensor(), seed=1)
+
+
+def compile_beds() -> None:
+    """Compile what traces many balls, and opaque ones: other tables than those of `fingerprint`."""
+    scene = at_size(named_scene(SCENES[0]), 64)
+    blocked = scene.with_bodies([replace(scene.bodies[0], medium=None)])
+    build_correction_map(blocked, build_ray_map(blocked))
 
 
 @pytest.mark.slow

@@ -1,16 +1,24 @@
 """`rtpiv calibrate` from a folder of frames to a fitted scene that `rtpiv correct` reads."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from correction.correction_map import build_correction_map
 from correction.fit.map_sigma import MapSigma
+from correction.fit.scene_sigma import SceneSigma
 from correction.frame_file import write_frame
+from correction.grid import grid_of
 from daq.cli import main
 from ground.map_file import load_arrays
+from sim.demo.frames import make_frames
 from tests.correction.fit.benches import SQUARE_MM, bench
+from tracer.ray_map import build_ray_map
 from tracer.scene_file import dump_scene, load_scene
+from tracer.trace import trace
 
 
 def folder_of(name: str, seed: int, path: Path, kinds: tuple[str, ...] = ("clear", "glass")) -> Path:
@@ -86,3 +94,26 @@ def test_a_folder_that_is_no_run_needs_a_scene(tmp_path, capsys):
     folder = folder_of("two_spheres_500", 6, tmp_path)
     assert main(["calibrate", str(folder), "-o", str(tmp_path / "out")]) == 2
     assert "give the nominal one with --scene" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_shapes_of_the_uneven_balls_are_found_from_round_ones(tmp_path):
+    """The example as its file says, but started from spheres: map within 0.02 px rms, and within its sigma."""
+    example = Path(__file__).resolve().parents[3] / "examples" / "uneven_balls.yaml"
+    made = make_frames(load_scene(example), 1008, 5, tmp_path / "frames")
+    nominal = load_scene(tmp_path / "frames" / "scene.yaml")
+    text = dump_scene(nominal.with_bodies([replace(ball, shape_um=()) for ball in nominal.spheres]))
+    free = "fit: {spheres: {out_of_round_um: 10.0, out_of_round_degree: 4}}\n"
+    (tmp_path / "round.yaml").write_text(text + free)
+    words = ["calibrate", str(made.folder), "--scene", str(tmp_path / "round.yaml"), "-o", str(tmp_path / "fit")]
+    assert main([*words, "--no-pictures"]) == 0
+    found, truth, grid = load_scene(tmp_path / "fit" / "scene.yaml"), made.truth, grid_of(made.truth.camera)
+    seen = build_correction_map(truth, build_ray_map(truth))
+    pixels = seen.pixel[0][seen.behind_glass][::37]
+    error_px = (trace(found, pixels).plane_mm - trace(truth, pixels).plane_mm) / grid.pitch_mm
+    sigma_px = SceneSigma.load(tmp_path / "fit" / "fit.npz").sigma(found, pixels) / grid.pitch_mm
+    both = np.isfinite(error_px).all(axis=1) & np.isfinite(sigma_px).all(axis=1)
+    assert both.mean() > 0.98
+    assert np.sqrt(np.mean(error_px[both] ** 2)) < 0.02
+    assert np.sqrt(np.mean((error_px[both] / sigma_px[both]) ** 2)) < 2.0

@@ -1,0 +1,38 @@
+"""The scene of a lab, as its scene file says it."""
+
+from daq.starting_files.arrangement import centres_mm, rods_mm
+from daq.starting_files.lab import Lab
+from daq.starting_files.scene_text import ball_names
+from tracer.bodies import Rod, Sphere
+from tracer.camera import Camera, look_at, thin_lens_distance_mm
+from tracer.media import MEDIA
+from tracer.scene import Scene
+
+
+def scene_of(lab: Lab) -> Scene:
+    """Return the scene that ``scene_text`` describes, without the way through a file.
+
+    Raises
+    ------
+    SceneError
+        It cannot be: a ball that reaches the lens.
+    """
+    width, height = lab.sensor_px
+    pinhole = (0.0, 0.0, lab.distance_mm)
+    camera = Camera(
+        focal_px=thin_lens_distance_mm(lab.lens_mm, lab.distance_mm) / (lab.pixel_pitch_um * 1e-3),
+        principal_px=(0.5 * (width - 1), 0.5 * (height - 1)),
+        sensor_px=(width, height),
+        position_mm=pinhole,
+        rotation=look_at(pinhole, (0.0, 0.0, 0.0)),
+    )
+    centres = centres_mm(lab.arrangement, lab.balls, lab.ball_mm, lab.gap_mm)
+    balls = [
+        Sphere(name, centre, lab.ball_mm / 2.0, lab.medium)
+        for name, centre in zip(ball_names(lab), centres, strict=True)
+    ]
+    rods = [
+        Rod(f"rod{number}", start, end, lab.support_mm / 2.0)
+        for number, (start, end) in enumerate(rods_mm(centres, lab.ball_mm, lab.support_mm), start=1)
+    ]
+    return Scene(camera, (*balls, *rods), lab.wavelength_nm, MEDIA["air"])

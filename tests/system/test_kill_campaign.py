@@ -1,0 +1,219 @@
+"""kill -9 of workers, of the scheduler and of the client of a campaign; given again it ends in the same bytes."""
+
+import importlib.util
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from daq.cli import DEVICE, DONE, main
+from tests.daq.analysis.campaign.small_campaign import content_of, two_runs
+from tests.system.test_kill_series import children_of, ends
+
+ROOT = Path(__file__).resolve().parents[2]
+SMALL = ("--first-window", "32", "--final-window", "16", "--chunk", "2")
+CHUNKS = 12
+HAS_DASK = importlib.util.find_spec("distributed") is not None
+needs_dask = pytest.mark.skipif(not HAS_DASK, reason="distributed: not installed")
+# Where a quota ends a process's files at some size, Python's own would be cut as well, and stay so.
+ENVIRONMENT = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    return [str(run) for run in two_runs(tmp_path_factory.mktemp("runs"), (13, 10))]
+
+
+@pytest.fixture(scope="module")
+def whole(runs, tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole")
+    for words in (("run", *runs, *SMALL, "--workers", "1"), ("merge",)):
+        assert main(["campaign", *words, "-o", str(out)]) == DONE
+    return content_of(out)
+
+
+def begun(out, *words):
+    command = [sys.executable, "-m", "daq.cli", "campaign", *words, "-o", str(out)]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, cwd=ROOT, env=ENVIRONMENT, **pipes)
+
+
+def made(out):
+    return len(list(out.glob("runs/*/chunks/*.json")))
+
+
+def until_made(process, out, count, rng):
+    """Wait until so many chunks are there, and a little longer; False if the process has ended by then."""
+    end = time.monotonic() + 120.0
+    while process.poll() is None and made(out) < count and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(rng.uniform(0.0, 0.3))
+    return process.poll() is None
+
+
+def finished(out, *by):
+    """Give the same command again: it ends by itself, and no lease or half a file is left."""
+    last = begun(out, "run", *by)
+    said = last.communicate(timeout=240)[1]
+    assert last.returncode == DONE, said
+    assert main(["campaign", "merge", "-o", str(out)]) == DONE
+    assert not list((out / "leases").iterdir())
+
+
+def spawned(client):
+    """Worker processes of a client."""
+    return [n for n in children_of(client) if "spawn_main" in Path(f"/proc/{n}/cmdline").read_text()]
+
+
+def killed_client(runs, out, rng):
+    client = begun(out, "run", *runs, *SMALL, "--workers", "2")
+    is_there = until_made(client, out, rng.randrange(CHUNKS), rng)
+    workers = spawned(client.pid) if is_there else []
+    client.kill()
+    client.communicate()
+    assert all(ends(worker) for worker in workers)
+    finished(out, "--workers", rng.choice("12"))
+    return is_there
+
+
+def killed_workers(runs, out, rng):
+    """Half of them, so that the pool breaks: this client opens another one, and ends by itself."""
+    client = begun(out, "run", *runs, *SMALL, "--workers", "2")
+    is_there = until_made(client, out, 1 + rng.randrange(CHUNKS - 2), rng)
+    if is_there:
+        for worker in spawned(client.pid)[:1]:
+            os.kill(worker, signal.SIGKILL)
+    said = client.communicate(timeout=240)[1]
+    assert client.returncode == DONE, said
+    finished(out, "--workers", "1")
+    return is_there
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", [killed_client, killed_workers])
+@pytest.mark.timeout(3600)
+def test_killed_at_random_times_the_bytes_are_the_same(runs, whole, tmp_path, kill):
+    kills = int(os.environ.get("KILLS", "30"))
+    rng, done, number = random.Random(3), 0, 0
+    while done < kills:
+        out = tmp_path / str(number)
+        done += kill(runs, out, rng)
+        assert content_of(out) == whole
+        assert not list(out.rglob("*.part")), list(out.rglob("*.part"))
+        number += 1
+        assert number < 3 * kills
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_one_worker_that_is_killed_is_replaced(runs, whole, tmp_path):
+    rng = random.Random(5)
+    assert killed_workers(runs, tmp_path / "out", rng)
+    assert content_of(tmp_path / "out") == whole
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_full_disk_ends_a_campaign_and_costs_nothing_else(runs, whole, tmp_path):
+    """No file takes more than 8000 bytes, and a chunk of two pairs has 11 000; those of one pair are written."""
+    out = tmp_path / "out"
+    assert main(["campaign", "run", *runs, *SMALL, "--workers", "1", "-o", str(out)]) == DONE
+    for file in out.glob("runs/*/chunks/*"):
+        file.unlink()
+    limit = "import resource, runpy; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000));"
+    words = ("campaign", "run", "-o", str(out), "--workers", "2")
+    command = [sys.executable, "-c", f"{limit} import sys; from daq.cli import main; sys.exit(main({words}))"]
+    full = subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+    assert full.returncode == DEVICE, full.stderr
+    assert "ended early" in full.stdout
+    assert "file too large; make room" in full.stdout.lower()
+    assert "Traceback" not in full.stderr
+    assert not list(out.rglob("*.part"))
+    finished(out, "--workers", "2")
+    assert content_of(out) == whole
+
+
+class Cluster:
+    """A Dask scheduler and workers, each a process of its own that can be killed."""
+
+    def __init__(self, workers, port=0):
+        said = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+        here = ("--host", "127.0.0.1", "--no-dashboard")
+        environment = ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-m", "dask", "scheduler", *here, "--port", str(port)]
+        self.scheduler = subprocess.Popen(command, env=environment, **said)
+        for line in self.scheduler.stderr:
+            if found := re.search(r"Scheduler at:\s+(tcp://127\.0\.0\.1:\d+)", line):
+                self.address = found[1]
+                break
+        self.workers = []
+        for _ in range(workers):
+            command = [
+                sys.executable,
+                "-m",
+                "dask",
+                "worker",
+                self.address,
+                *here,
+                "--nthreads",
+                "1",
+                "--no-nanny",
+            ]
+            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+            self.workers.append(subprocess.Popen(command, env=environment, **quiet))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+        self.scheduler.stderr.close()
+
+
+def killed_dask_worker(runs, out, rng):
+    """One of two: the scheduler gives its chunk to the other, which takes the lease of the dead over."""
+    with Cluster(2) as cluster:
+        client = begun(out, "run", *runs, *SMALL, "--scheduler", cluster.address)
+        is_there = until_made(client, out, 1 + rng.randrange(CHUNKS - 2), rng)
+        cluster.workers[0].kill()
+        cluster.workers[0].wait()
+        said = client.communicate(timeout=240)[1]
+        assert client.returncode == DONE, said
+        finished(out, "--scheduler", cluster.address)
+    return is_there
+
+
+def killed_scheduler(runs, out, rng):
+    """The client says so and ends; with another scheduler, or none, the same command goes on."""
+    with Cluster(2) as cluster:
+        client = begun(out, "run", *runs, *SMALL, "--scheduler", cluster.address)
+        is_there = until_made(client, out, rng.randrange(CHUNKS - 2), rng)
+        cluster.scheduler.kill()
+        said = client.communicate(timeout=240)[1]
+        assert client.returncode != 0 or made(out) == CHUNKS
+        assert "Traceback" not in said, said
+    finished(out, "--workers", "2")
+    return is_there
+
+
+@needs_dask
+@pytest.mark.slow
+@pytest.mark.parametrize("kill", [killed_dask_worker, killed_scheduler])
+@pytest.mark.timeout(7200)
+def test_killed_at_random_times_a_cluster_leads_to_the_same_bytes(runs, whole, tmp_path, kill):
+    kills = int(os.environ.get("KILLS", "30"))
+    rng, done, number = random.Random(7), 0, 0
+    while done < kills:
+        out = tmp_path / str(number)
+        done += kill(runs, out, rng)
+        assert content_of(out) == whole
+        number += 1
+        assert number < 3 * kills
