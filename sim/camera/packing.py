@@ -1,7 +1,7 @@
 """Grey values to camera bytes, written from the format definitions with numpy only.
 
-This is the simulator's own arithmetic: the receiving side unpacks with other code.  Twelve-bit formats are packed
-as one run over all rows, without rounding a row up to whole bytes.
+This is the simulator's own arithmetic: the receiving side unpacks with other code.  Pixels that are
+no whole bytes are packed as one run over all rows, without rounding a row up to whole bytes.
 """
 
 import numpy as np
@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 FORMATS = {
     "Mono8": (0x01080001, 8, 8),
     "Mono10": (0x01100003, 16, 10),
+    "Mono10Packed": (0x010C0004, 12, 10),
+    "Mono10p": (0x010A0046, 10, 10),
     "Mono12": (0x01100005, 16, 12),
     "Mono12Packed": (0x010C0006, 12, 12),
     "Mono12p": (0x010C0047, 12, 12),
+    "Mono14": (0x01100025, 16, 14),
+    "Mono14p": (0x010E0104, 14, 14),
     "Mono16": (0x01100007, 16, 16),
 }
 NAME_OF_CODE = {code: name for name, (code, _, _) in FORMATS.items()}
@@ -50,6 +54,9 @@ def pack(image: NDArray[np.uint16], name: str) -> NDArray[np.uint8]:
         return flat.astype(np.uint8)
     if FORMATS[name][1] == 16:
         return flat.astype("<u2", copy=False).view(np.uint8)
+    if name in ("Mono10p", "Mono14p"):
+        bits = flat[:, None] >> np.arange(FORMATS[name][2], dtype=np.uint16) & np.uint16(1)
+        return np.packbits(bits.astype(np.uint8).reshape(-1), bitorder="little")
     even, odd = flat[0::2], flat[1::2]
     if odd.size < even.size:
         odd = np.append(odd, np.uint16(0))
@@ -58,6 +65,10 @@ def pack(image: NDArray[np.uint16], name: str) -> NDArray[np.uint8]:
         packed[:, 0] = even & 0xFF
         packed[:, 1] = (even >> 8) | ((odd & 0xF) << 4)
         packed[:, 2] = odd >> 4
+    elif name == "Mono10Packed":
+        packed[:, 0] = even >> 2
+        packed[:, 1] = (even & 0x3) | ((odd & 0x3) << 4)
+        packed[:, 2] = odd >> 2
     else:
         packed[:, 0] = even >> 4
         packed[:, 1] = (even & 0xF) | ((odd & 0xF) << 4)

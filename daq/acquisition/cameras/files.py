@@ -16,6 +16,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from daq.acquisition.cameras.camera import CameraInfo, Counters, Setting
+from daq.acquisition.cameras.formats import pixel_format
 from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.cameras.ids import IdTracker
 from daq.errors import BadFrame, CameraLost, CameraSetupError, CameraTimeout, CameraUsageError, SettingRefused
@@ -24,7 +25,7 @@ CHOICES = {
     "TriggerMode": ("Off", "On"),
     "TriggerSource": ("Software",),
     "TriggerSelector": ("FrameStart",),
-    "PixelFormat": ("Mono16", "Mono12", "Mono8"),
+    "PixelFormat": ("Mono16", "Mono14", "Mono12", "Mono10", "Mono8"),
 }
 RANGES = {"ExposureTime": (1.0, 1e7), "AcquisitionFrameRate": (0.01, 1000.0), "Gain": (0.0, 48.0)}
 
@@ -190,7 +191,7 @@ class FilesCamera:
             old.delivered + 1, missing=self._ids.missing(0), ignored_triggers=old.ignored_triggers
         )
         form = str(self._values["PixelFormat"])
-        bits = {"Mono8": 8, "Mono12": 12}.get(form, 16)
+        bits = pixel_format(form).significant_bits
         exposure_us = float(self._values["ExposureTime"])
         meta = FrameMeta(frame_id, sequence, due_ns, time.monotonic_ns(), exposure_us, form, bits)
         return Frame(pixels, meta)

@@ -11,12 +11,17 @@ from daq.errors import BadFrame
 
 @dataclass(frozen=True, slots=True)
 class PixelFormat:
-    """One format: SFNC name, PFNC code, bits a pixel takes on the wire, bits it can use."""
+    """One format: SFNC name, PFNC code, bits a pixel takes on the wire, bits it can use.
+
+    `is_grouped` says that two pixels share three bytes in the order of GigE Vision 1.x; other pixels of less than
+    16 bits follow each other as a stream of bits.
+    """
 
     name: str
     code: int
     wire_bits: int
     significant_bits: int
+    is_grouped: bool = False
 
 
 FORMATS = {
@@ -24,9 +29,13 @@ FORMATS = {
     for entry in (
         PixelFormat("Mono8", 0x01080001, 8, 8),
         PixelFormat("Mono10", 0x01100003, 16, 10),
+        PixelFormat("Mono10p", 0x010A0046, 10, 10),
+        PixelFormat("Mono10Packed", 0x010C0004, 12, 10, is_grouped=True),
         PixelFormat("Mono12", 0x01100005, 16, 12),
         PixelFormat("Mono12p", 0x010C0047, 12, 12),
-        PixelFormat("Mono12Packed", 0x010C0006, 12, 12),
+        PixelFormat("Mono12Packed", 0x010C0006, 12, 12, is_grouped=True),
+        PixelFormat("Mono14", 0x01100025, 16, 14),
+        PixelFormat("Mono14p", 0x010E0104, 14, 14),
         PixelFormat("Mono16", 0x01100007, 16, 16),
     )
 }

@@ -45,7 +45,7 @@ class FrameMeta:
     pixel_format : str
         SFNC name of the format on the wire, e.g. "Mono12p".
     significant_bits : int
-        Bits a pixel can use: 8, 10, 12, 16.
+        Bits a pixel can use: 8, 10, 12, 14, 16.
     positions_mm : mapping of str to float
         Measured axis positions while the frame was taken; empty until the runner adds them.
     status : FrameStatus

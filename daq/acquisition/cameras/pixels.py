@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.cameras.formats import FORMATS, PixelFormat
-from daq.acquisition.cameras.kernels.unpack import unpack_8, unpack_12p, unpack_12packed, unpack_16
+from daq.acquisition.cameras.kernels.unpack import unpack_8, unpack_12p, unpack_16, unpack_packed, unpack_stream
 from daq.errors import BadFrame
 
 MAX_SIDE_PX = 1 << 16
@@ -22,8 +22,8 @@ def warm_up() -> None:
 def row_pitch_bits(form: PixelFormat, width: int, height: int, padding_bytes: int, size_bytes: int) -> int:
     """Distance between the starts of two rows [bit].
 
-    A declared padding means that rows start at bytes.  Without one, an odd 12 bit row may still be rounded up to
-    whole bytes by the camera; only the size of the payload tells, so an exact match decides.
+    A declared padding means that rows start at bytes.  Without one, a row that ends inside a byte may still be
+    rounded up to whole bytes by the camera; only the size of the payload tells, so an exact match decides.
     """
     row_bytes = -(-width * form.wire_bits // 8)
     if padding_bytes or size_bytes == row_bytes * height:
@@ -69,12 +69,15 @@ def unpack(
             f"(room for {out.size} px); check PayloadSize and the pixel format"
         )
     image = out.reshape(-1)[: width * height].reshape(height, width)
-    if form.name == "Mono8":
+    bits = form.significant_bits
+    if form.wire_bits == 8:
         unpack_8(raw, pitch, image)
-    elif form.name == "Mono12p":
+    elif form.wire_bits == 16:
+        unpack_16(raw, pitch, (1 << bits) - 1, image)
+    elif form.is_grouped:
+        unpack_packed(raw, pitch, bits, image)
+    elif bits == 12:
         unpack_12p(raw, pitch, image)
-    elif form.name == "Mono12Packed":
-        unpack_12packed(raw, pitch, image)
     else:
-        unpack_16(raw, pitch, (1 << form.significant_bits) - 1, image)
+        unpack_stream(raw, pitch, bits, image)
     return image

@@ -8,9 +8,14 @@ from sim.camera.packing import FORMATS, pack, payload_bytes, to_format_bits
 
 def bits_by_definition(name, pixels):
     """Bytes of a row of pixels, from the text of the standards, with Python integers only."""
-    if name == "Mono12p":
-        stream = sum(value << (12 * index) for index, value in enumerate(pixels))
-        return stream.to_bytes(-(-len(pixels) * 12 // 8), "little")
+    if name in ("Mono10p", "Mono12p", "Mono14p"):
+        bits = int(name[4:6])
+        stream = sum(value << (bits * index) for index, value in enumerate(pixels))
+        return stream.to_bytes(-(-len(pixels) * bits // 8), "little")
+    if name == "Mono10Packed":
+        pixels, count = [*pixels, 0] if len(pixels) % 2 else pixels, len(pixels)
+        groups = [[a // 4, b % 4 * 16 + a % 4, b // 4] for a, b in zip(pixels[0::2], pixels[1::2], strict=True)]
+        return bytes(byte for group in groups for byte in group)[: -(-count * 12 // 8)]
     if name == "Mono12Packed":
         out = bytearray()
         for first, second in zip(
@@ -34,6 +39,9 @@ def test_bytes_are_those_of_the_standard(name, shape):
 def test_known_bytes():
     assert pack(np.array([[0x123, 0xABC]], np.uint16), "Mono12p").tobytes().hex() == "23c1ab"
     assert pack(np.array([[0x123, 0xABC]], np.uint16), "Mono12Packed").tobytes().hex() == "12c3ab"
+    # Pixels 0x155 and 0x2AA: bits 01 0101 0101 and 10 1010 1010.
+    assert pack(np.array([[0x155, 0x2AA]], np.uint16), "Mono10p").tobytes().hex() == "55a90a"
+    assert pack(np.array([[0x155, 0x2AA]], np.uint16), "Mono10Packed").tobytes().hex() == "5521aa"
 
 
 def test_grey_values_move_to_the_top_of_wider_and_out_of_narrower_formats():

@@ -22,7 +22,8 @@ from sim.camera.faults import FaultPlan
 from tests.daq.acquisition.cameras.rigs import RIGS
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}
-FORMATS = ["Mono8", "Mono10", "Mono12", "Mono12p", "Mono12Packed", "Mono16"]
+FORMATS = ["Mono8", "Mono10", "Mono10p", "Mono10Packed", "Mono12", "Mono12p", "Mono12Packed", "Mono14", "Mono14p",
+           "Mono16"]  # fmt: skip
 WIDTH, HEIGHT = 65, 41
 PLAIN = CameraConfig(width=WIDTH, height=HEIGHT, row_time_us=20.0, first_frame_id=65530)
 
@@ -96,7 +97,8 @@ def test_satisfies_the_protocol_and_says_who_it_is(camera):
 def test_every_pixel_of_every_format(camera, name):
     camera.configure({"PixelFormat": name, "Width": 33, "Height": 21, "OffsetX": 7, "OffsetY": 3, **SOFTWARE})
     camera.arm()
-    shift = {"Mono8": -4, "Mono10": -2, "Mono16": 4}.get(name, 0)
+    bits = next(bits for bits in (8, 10, 12, 14, 16) if name.startswith(f"Mono{bits}"))
+    shift = bits - 12
     first, second = triggered(camera, 2)
     crops = [expected(trigger)[3:24, 7:40].astype(np.uint32) for trigger in range(60)]
     crops = [crop << shift if shift > 0 else crop >> -shift for crop in crops]
@@ -105,7 +107,7 @@ def test_every_pixel_of_every_format(camera, name):
     assert any(np.array_equal(crops[trigger + 1], second.pixels) for trigger in shown)
     for frame in (first, second):
         assert frame.meta.pixel_format == name
-        assert frame.meta.significant_bits == {"Mono8": 8, "Mono10": 10, "Mono16": 16}.get(name, 12)
+        assert frame.meta.significant_bits == bits
 
 
 def test_settings_are_read_back_and_the_node_list_is_whole(camera):
