@@ -29,7 +29,6 @@ from typing import TypeVar
 
 from stages.axis_settings import AxisSettings
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.controller import Controller
 from stages.errors import (
     AxisStalled,
     DeviceError,
@@ -45,6 +44,7 @@ from stages.errors import (
     ProtocolViolation,
     StageUsageError,
 )
+from stages.motion_controller import MotionController
 from stages.profile import Leg, duration_s, legs
 from stages.states import MAY_HOME, MAY_MOVE, MAY_READ, AxisState, Event, after
 from stages.stop_latch import StopLatch
@@ -127,8 +127,8 @@ class Axis:
     ----------
     name : str
         As in the bench file.
-    controller : Controller
-        The connected controller.
+    controller : MotionController
+        What moves it.
     settings : AxisSettings
         Limits, speeds, tolerance.
     clock : Clock
@@ -140,7 +140,7 @@ class Axis:
     def __init__(
         self,
         name: str,
-        controller: Controller,
+        controller: MotionController,
         settings: AxisSettings,
         clock: Clock = SYSTEM_CLOCK,
         turn: Turn | None = None,

@@ -40,21 +40,13 @@ from pydantic import Field, model_validator
 from ground.config import Pair, Table
 from ground.plain_words import NAME_PATTERN
 from stages.axis_settings import AxisSettings
-from stages.drivers import driver_class
+from stages.controller_tables import AnyControllerTable
+from stages.drivers import controller_class
 from stages.errors import StageUsageError
 from stages.profile import Approach
 
 Positive = Annotated[float, Field(gt=0.0, le=1e7)]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
-
-
-class ControllerTable(Table):
-    """A controller: how to talk, and where."""
-
-    driver: str
-    port: Annotated[str, Field(min_length=1)]
-    baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
-    identity: Annotated[str, Field(min_length=1)] | None = None
 
 
 class ApproachTable(Table):
@@ -114,7 +106,7 @@ class AxisTable(Table):
 class StagesTable(Table):
     """All controllers and axes of a bench."""
 
-    controllers: dict[Name, ControllerTable]
+    controllers: dict[Name, AnyControllerTable]
     axes: dict[Name, AxisTable]
     home_order: list[Name]
     move_order: list[Name] | None = None
@@ -140,7 +132,7 @@ class StagesTable(Table):
                     problems.append(f"after_home: {name} {mm:g} mm is outside its limits")
         for name, controller in self.controllers.items():
             try:
-                driver_class(controller.driver)
+                controller_class(controller.driver)
             except StageUsageError as error:
                 problems.append(f"controller {name}: {error}")
         if problems:

@@ -1,14 +1,7 @@
-"""What every controller can do; how it is talked to is said in `stages.link`.
+"""A box that speaks bytes: what all serial drivers share; how it is talked to is said in `stages.link`.
 
-A controller is a box behind one port with one or more channels (motors). It knows mm and steps of its own
-coordinate; offsets, directions, limits and backlash belong to `stages.axis`.
-
-Life of a motion: ``start_move`` or ``start_home`` returns once the controller has taken the command, ``moving``
-is asked until it says False or raises what ended the motion, then ``known_mm`` is read.
-
-A position means something only as long as the controller has not restarted since it was referenced. So every
-position that is believed is read FIRST and vouched for AFTERWARDS: a box that still knows its reference now knew
-it when the position was read. What a box is asked for that (a flag, an error, a mark that a restart wipes out) is
+The calls that axes use are those of `stages.motion_controller`; here they are made of questions and answers on
+one port. What a box is asked for to vouch for its reference (a flag, an error, a mark that a restart wipes out) is
 each driver's `_still_referenced`.
 
 Bytes that move go through the gate of the bench's stop latch (`moves=True`); `stop` may be called from any thread
@@ -19,29 +12,24 @@ import operator
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.errors import NoReply, NotReferenced, ProtocolViolation, StageUsageError, WrongDevice
+from stages.controller_tables import AnyControllerTable, ControllerTable
+from stages.errors import NoReply, ProtocolViolation, StageUsageError, WrongDevice
 from stages.link import QUIET_S, Link
+from stages.motion_controller import Channel, MotionController
 from stages.port import Port
 from stages.stop_latch import StopLatch
-from stages.watchdog import Watchdog
+from stages.watchdog import Watchdog, needs_watchdog
+
+__all__ = ["Channel", "Controller"]
 
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One motor of a controller: its name there, and the scale for controllers that count steps."""
-
-    name: str
-    steps_per_mm: float | None = None
-
-
-class Controller(Link):
-    """Base of all drivers.
+class Controller(Link, MotionController):
+    """Base of all serial drivers.
 
     Parameters
     ----------
@@ -61,7 +49,6 @@ class Controller(Link):
     wakes_within_s: ClassVar[float] = 0.0  # deaf after opening for as long as this, because opening resets it
     counts_steps: ClassVar[bool] = False  # the protocol speaks steps, so every channel needs steps_per_mm
     homes_together: ClassVar[bool] = False  # one command homes every channel
-    senses_stall: ClassVar[bool] = False  # an encoder notices when the motor does not follow
 
     def __init__(
         self,
@@ -70,13 +57,9 @@ class Controller(Link):
         clock: Clock = SYSTEM_CLOCK,
         latch: StopLatch | None = None,
     ) -> None:
-        super().__init__(name, clock)
-        self.latch = latch or StopLatch()
-        self.token = self.latch.count  # of the motion that may send bytes now; set by `stages.axis`
-        self.watchdog: Watchdog | None = None  # set by `stages.stage` where the port outlives the process
-        self.under_way = False  # bytes that can move were sent, and no end of the motion was heard of since
-        self._channels = dict(channels)
-        self._referenced: set[str] = set()
+        Link.__init__(self, name, clock)
+        MotionController.__init__(self, name, channels, clock, latch)
+        self.watchdog: Watchdog | None = None
         self._at_rest: dict[str, Any] = {}  # readings that two answers agreed on since the last motion
         self._stopped = False
         for channel in self._channels.values():
@@ -84,6 +67,19 @@ class Controller(Link):
         self._reset_state()
 
     # ---- life ----------------------------------------------------------------------------------
+
+    def open(self, table: AnyControllerTable) -> str:
+        """Open the port that the bench file names."""
+        assert isinstance(table, ControllerTable)
+        return self.connect(table.port, table.baud)
+
+    def watched_by(self, table: AnyControllerTable, start: Callable[[], Watchdog]) -> None:
+        """Tell the watchdog how the box is stopped, where the port outlives the process."""
+        assert isinstance(table, ControllerTable)
+        if needs_watchdog([table.port]):
+            self.watchdog = start()
+            baud = table.baud or self.default_baud
+            self.watchdog.know(self.name, table.port, baud, self.hold_dtr, self.watchdog_bytes())
 
     def connect(self, url: str, baud: int | None = None) -> str:
         """Open the port and find out who answers; nothing moves.
@@ -143,112 +139,7 @@ class Controller(Link):
                 if self.clock.now_s() >= end_s:
                     raise
 
-    def referenced(self, channel: str) -> bool:
-        """True if the position of a channel meant something when the controller was last asked; asks nothing."""
-        return not self.lost and channel in self._referenced
-
-    def vouch(self, channel: str) -> None:
-        """Ask whether the reference of a channel still holds now.
-
-        Raises
-        ------
-        NotReferenced
-            It does not: the controller has restarted, or lost it otherwise.
-        """
-        with self._lock:
-            if channel in self._referenced and not self._still_referenced(channel):
-                self._forget_references()
-            if channel not in self._referenced:
-                raise NotReferenced(f"{self.name} channel {channel} has lost its reference (a restart?); home it")
-
-    def known_mm(self, channel: str) -> float:
-        """Position of a channel at rest that the controller vouches for now, in its own coordinate.
-
-        Raises
-        ------
-        NotReferenced
-            It does not vouch for it.
-        """
-        with self._lock:
-            position_mm = self.position_mm(channel)
-            self.vouch(channel)
-            return position_mm
-
     # ---- motion --------------------------------------------------------------------------------
-
-    @abstractmethod
-    def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Begin an absolute move; return once the controller has taken it.
-
-        Raises
-        ------
-        MotionStopped
-            A halt or a stop came since the motion was begun, or the controller is held.
-        NotReferenced, LimitHit, AxisStalled
-            The controller has restarted, or an older fault stands; home the channel.
-        OutOfRange, CommandRejected
-            The controller cannot count that far, or refuses the move.
-        StageUsageError
-            Another of its motions has not ended.
-        DeviceLost, NoReply, ProtocolViolation
-            The port is gone, or no answer came that makes sense.
-        """
-
-    @abstractmethod
-    def start_home(self, channel: str) -> None:
-        """Begin to look for the reference of a channel.
-
-        Raises
-        ------
-        MotionStopped
-            A halt or a stop came since the motion was begun.
-        StageUsageError
-            Homing is switched off on the controller, or another of its motions has not ended.
-        CommandRejected, DeviceError
-            The controller refuses, or cannot be brought out of a fault.
-        DeviceLost, NoReply, ProtocolViolation
-            The port is gone, or no answer came that makes sense.
-        """
-
-    @abstractmethod
-    def moving(self, channel: str) -> bool:
-        """Ask once whether a channel moves; raise what ended its motion if that was not the target.
-
-        Raises
-        ------
-        LimitHit, AxisStalled, MotionStopped
-            How the motion ended.
-        NotReferenced
-            The controller has restarted meanwhile; home it.
-        CommandRejected, DeviceError
-            The controller ended the motion for another reason, which the message names.
-        DeviceLost, NoReply, ProtocolViolation
-            The port is gone, or no answer came that makes sense.
-        """
-
-    @abstractmethod
-    def position_mm(self, channel: str) -> float:
-        """Position of a channel at rest, in the controller's own coordinate.
-
-        Raises
-        ------
-        StageUsageError
-            The channel moves; wait until it rests.
-        NotReferenced, DeviceError
-            The controller has restarted, or an alarm came; home it.
-        DeviceLost, NoReply, ProtocolViolation
-            The port is gone, no answer came, or the readings do not agree.
-        """
-
-    @abstractmethod
-    def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Raise if the controller cannot do this speed or acceleration.
-
-        Raises
-        ------
-        StageUsageError
-            It cannot; the message says what it can.
-        """
 
     def stop(self) -> None:
         """Stop every channel now; harmless when nothing moves; does not wait for other threads."""
@@ -270,7 +161,7 @@ class Controller(Link):
 
     def rests(self) -> None:
         """Note that the motion under way is known to have ended."""
-        self.under_way = False
+        super().rests()
         if self.watchdog is not None:
             self.watchdog.rests(self.name)
 
@@ -281,16 +172,9 @@ class Controller(Link):
             self._at_rest.clear()
             self._reset_state()
 
-    def judge_unheard(self, channel: str) -> None:
-        """Look how a motion of `channel` has ended whose end was not heard of, before it is tried again.
-
-        Nothing to do for boxes that can be asked why they rest.
-
-        Raises
-        ------
-        MotionStopped
-            A person may have stopped it.
-        """
+    def homed_with(self, channel: str) -> frozenset[str]:
+        """All channels where one command homes them, or the one."""
+        return frozenset(self._channels) if self.homes_together else frozenset({channel})
 
     # ---- for drivers ---------------------------------------------------------------------------
 
@@ -310,13 +194,9 @@ class Controller(Link):
         """Ask whether the controller was referenced before we came."""
         return False
 
-    @abstractmethod
-    def _still_referenced(self, channel: str) -> bool:
-        """Ask whether the controller has kept the reference that it had: no restart since, no flag against it."""
-
     def _forget_references(self) -> None:
         """Believe nothing of this controller any more; all of its channels restart together."""
-        self._referenced.clear()
+        super()._forget_references()
         self._at_rest.clear()
 
     def _settled(self, key: str, ask: Callable[[], T], same: Callable[[T, T], bool] = operator.eq) -> T:

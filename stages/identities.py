@@ -53,7 +53,7 @@ def confusable(config: StagesTable) -> list[str]:
             others = [other.identity for other_name, other in twins.items() if other_name != name]
             words = table.identity
             tied = words is not None and not any(other and (words in other or other in words) for other in others)
-            if not (tied or table.port.startswith(BY_ID)):
+            if not (tied or table.place.startswith(BY_ID)):
                 loose.append(name)
         if len(twins) > 1 and loose:
             found.append(

@@ -19,13 +19,13 @@ from typing import Protocol, Self
 from stages.axis import Arrival, Axis, Turn
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
-from stages.controller import Channel, Controller
-from stages.drivers import driver_class
+from stages.drivers import controller_class
 from stages.errors import DeviceLost, NotReferenced, StageError, StageUsageError, WrongDevice
 from stages.identities import require_identity
+from stages.motion_controller import Channel, MotionController
 from stages.stop_latch import StopLatch
 from stages.stop_signals import StopSignals
-from stages.watchdog import Watchdog, needs_watchdog
+from stages.watchdog import Watchdog
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +61,12 @@ class Stage:
         self._turn = Turn(judge=self._judge, signals=self._signals)
         self._watchdog: Watchdog | None = None
         self._just_judged: dict[str, float] | None = None
-        self._controllers: dict[str, Controller] = {}
+        self._controllers: dict[str, MotionController] = {}
         self._axes: dict[str, Axis] = {}
         for name, table in config.controllers.items():
             used = [axis.settings() for axis in config.axes.values() if axis.controller == name]
             channels = {axis.channel: Channel(axis.channel, axis.steps_per_mm) for axis in used}
-            self._controllers[name] = driver_class(table.driver)(name, channels, clock, self.latch)
+            self._controllers[name] = controller_class(table.driver)(name, channels, clock, self.latch)
         for name, axis in config.axes.items():
             self._axes[name] = Axis(name, self._controllers[axis.controller], axis.settings(), clock, self._turn)
 
@@ -92,17 +92,13 @@ class Stage:
         """Open (again) the port of one controller; after a loss its axes have to be homed."""
         table = self.config.controllers[controller]
         box = self._controllers[controller]
-        box.connect(table.port, table.baud)
+        box.open(table)
         try:
-            require_identity(controller, table.identity, box.identity, table.port)
+            require_identity(controller, table.identity, box.identity, table.place)
         except WrongDevice:
             box.close()
             raise
-        if needs_watchdog([table.port]):
-            self._watchdog = self._watchdog or Watchdog()
-            stop_bytes = box.watchdog_bytes()
-            self._watchdog.know(controller, table.port, table.baud or box.default_baud, box.hold_dtr, stop_bytes)
-            box.watchdog = self._watchdog
+        box.watched_by(table, self._the_watchdog)
         for axis in self._axes.values():
             if axis.controller is box:
                 settings = axis.settings
@@ -112,6 +108,10 @@ class Stage:
                 }:
                     box.check_motion(settings.channel, speed_mm_s, settings.acceleration_mm_s2)
                 axis.connected()
+
+    def _the_watchdog(self) -> Watchdog:
+        self._watchdog = self._watchdog or Watchdog()
+        return self._watchdog
 
     @property
     def latch(self) -> StopLatch:
@@ -137,7 +137,7 @@ class Stage:
         return self._axes
 
     @property
-    def controllers(self) -> Mapping[str, Controller]:
+    def controllers(self) -> Mapping[str, MotionController]:
         """The controllers by name."""
         return self._controllers
 
@@ -383,10 +383,13 @@ class Stage:
         return [name for name in order if name in set(names)]
 
     def _homes_with(self, name: str) -> list[str]:
-        controller = self._axes[name].controller
-        if not controller.homes_together:
-            return [name]
-        return [other for other, axis in self._axes.items() if axis.controller is controller]
+        axis = self._axes[name]
+        channels = axis.controller.homed_with(axis.settings.channel)
+        return [
+            other
+            for other, one in self._axes.items()
+            if one.controller is axis.controller and one.settings.channel in channels
+        ]
 
     def _positions_mm(self, names: Iterable[str]) -> dict[str, float]:
         """Positions that a move needs, known now: its own axes, and all of them if a guard has to look.

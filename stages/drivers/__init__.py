@@ -8,6 +8,7 @@ import importlib
 
 from stages.controller import Controller
 from stages.errors import StageUsageError
+from stages.motion_controller import MotionController
 
 DRIVERS = {
     "zaber_ascii": "stages.drivers.zaber_ascii:ZaberController",
@@ -17,8 +18,19 @@ DRIVERS = {
 }
 
 
+def controller_class(name: str) -> type[MotionController]:
+    """Class of what a bench file names as `driver`, serial or not.
+
+    Raises
+    ------
+    StageUsageError
+        There is none of that name.
+    """
+    return driver_class(name)
+
+
 def driver_class(name: str) -> type[Controller]:
-    """Class of a driver.
+    """Class of a serial driver.
 
     Raises
     ------
