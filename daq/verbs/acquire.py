@@ -117,7 +117,7 @@ def acquire(
     if said.violations:
         first = said.violations[0]
         raise PlanError(
-            f"{plan}: {len(said.violations)} of its moves are not allowed; "
+            f"{plan}: {len(said.violations)} of its moves or rates are not allowed; "
             f"step {first.step} ({first.tag}): {first.text}"
         )
     if simulate:
@@ -232,6 +232,8 @@ def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, wi
         f"travel in mm: {travel or 'none'}; "
         f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
     )
+    if said.link:
+        screen.print(said.link, soft_wrap=True, highlight=False)
     for violation in said.violations:
         screen.print(f"not allowed: step {violation.step} ({violation.tag}): {violation.text}", style="bold")
 

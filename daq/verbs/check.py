@@ -181,7 +181,10 @@ def _plan_said(path: Path, bench: Bench) -> str:
             for v in said.violations
         ]
         raise PlanError("\n".join(lines))
-    return f"{plan.table.experiment}, {len(plan.steps)} steps, {said.frames} frames, about {said.duration_s:.0f} s"
+    steps = (
+        f"{plan.table.experiment}, {len(plan.steps)} steps, {said.frames} frames, about {said.duration_s:.0f} s"
+    )
+    return f"{steps}; {said.link}" if said.link else steps
 
 
 def _check_runs(runs: Sequence[Path]) -> list[RunCheck]:

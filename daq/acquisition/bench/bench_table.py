@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 from correction.board import Chessboard
 from daq.acquisition.bench.pairs_section import PairsSection
 from daq.acquisition.cameras.camera import Setting
+from daq.acquisition.cameras.link import LinkName
 from ground.config import Document, Table
 from stages.config import AxisTable, Name, Positive, StagesTable
 from stages.keep_out import KeepOutTable
@@ -36,6 +37,7 @@ class CameraSection(Table):
     retakes: Annotated[int, Field(ge=0, le=100)] = 3  # of a software-triggered frame that did not arrive whole
     back_within_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 20.0  # patience with a camera that was lost
     pairs: PairsSection | None = None  # of double-frame cameras
+    link: LinkName | None = None  # the cable, where the camera does not tell its speed
 
 
 class GlassSection(Table):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from daq.acquisition.bench.bench_table import Bench, trigger_is_software
 from daq.acquisition.cameras.camera import Setting
+from daq.acquisition.plans.link_budget import link_excess, link_said
 from daq.acquisition.plans.steps import Step, frame_count, route
 from stages.errors import StageUsageError
 from stages.stage import Stage
@@ -46,6 +47,8 @@ class Forecast:
         Estimate of the files.
     violations : tuple of Violation
         What is not allowed; empty if the plan may be carried out.
+    link : str
+        What the plan needs of the camera's link; "" if it has no rate.
     """
 
     frames: int
@@ -54,6 +57,7 @@ class Forecast:
     raw_bytes: int
     corrected_bytes: int
     violations: tuple[Violation, ...]
+    link: str = ""
 
 
 def forecast(
@@ -85,11 +89,14 @@ def forecast(
                 travel[piece.axis] += abs(piece.end_mm - piece.start_mm)
             duration_s += stage.duration_s(here, move)
             here |= move
+        if said := link_excess(bench, step):
+            violations.append(Violation(step.index, step.tag, said))
         duration_s += step.settle_s + STEP_OVERHEAD_S + _frames_s(bench, step)
     duration_s += max((step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0)
     frames, frame_bytes = frame_count(steps), _frame_bytes(bench)
     on_plane = sum(step.frames for step in steps if step.on_plane)
-    return Forecast(frames, travel, duration_s, frames * frame_bytes, on_plane * frame_bytes, tuple(violations))
+    disk = frames * frame_bytes, on_plane * frame_bytes
+    return Forecast(frames, travel, duration_s, *disk, tuple(violations), link_said(bench, steps))
 
 
 def _frames_s(bench: Bench, step: Step) -> float:

@@ -9,8 +9,6 @@ what a camera tells is counted: one that tells nothing is never refused.
     PayloadSize                 [byte], over DeviceLinkThroughputLimit, or DeviceLinkSpeed, or GevLinkSpeed
     1 / ResultingFrameRate      a frame takes that long at least, whatever limits it
     1 / AcquisitionFrameRate    of a camera that runs by itself: the next frame may be that far away
-
-A link slower than `SLOWEST_BYTES_S` is taken for another unit: some cameras tell megabits under these names.
 """
 
 import math
@@ -18,9 +16,9 @@ from collections.abc import Iterator, Mapping
 
 from daq.acquisition.bench.bench_table import trigger_is_software
 from daq.acquisition.cameras.camera import Setting
+from daq.acquisition.cameras.link import first_of, told_bytes_s
 from daq.errors import RunUsageError
 
-SLOWEST_BYTES_S = 1e6
 EXPOSURES_US = ("ExposureTime", "ExposureTimeAbs")
 READOUTS_US = ("SensorReadoutTime",)
 RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
@@ -63,33 +61,14 @@ def require_patience(timeout_s: float, settings: Mapping[str, Setting]) -> None:
 
 def _parts_s(settings: Mapping[str, Setting]) -> Iterator[tuple[str, float]]:
     for what, names in (("exposure", EXPOSURES_US), ("readout", READOUTS_US)):
-        microseconds = _first(settings, names)
+        microseconds = first_of(settings, names)
         if microseconds:
             yield what, microseconds * 1e-6
-    payload_bytes, bytes_s = _first(settings, ("PayloadSize",)), _link_bytes_s(settings)
+    payload_bytes, bytes_s = first_of(settings, ("PayloadSize",)), told_bytes_s(settings)
     if payload_bytes and bytes_s:
         yield "transfer", payload_bytes / bytes_s
 
 
-def _link_bytes_s(settings: Mapping[str, Setting]) -> float:
-    """What goes over the link in a second; 0 if the camera does not tell."""
-    limited = settings.get("DeviceLinkThroughputLimitMode", "On") == "On"
-    told = _first(settings, ("DeviceLinkThroughputLimit",)) if limited else 0.0
-    told = told or _first(settings, ("DeviceLinkSpeed",))
-    if told < SLOWEST_BYTES_S:
-        told = _first(settings, ("GevLinkSpeed",)) * 1e6 / 8
-    return told if told >= SLOWEST_BYTES_S else 0.0
-
-
 def _period_s(settings: Mapping[str, Setting], names: tuple[str, ...]) -> float:
-    rate_hz = _first(settings, names)
+    rate_hz = first_of(settings, names)
     return 1.0 / rate_hz if rate_hz else 0.0
-
-
-def _first(settings: Mapping[str, Setting], names: tuple[str, ...]) -> float:
-    """First of some settings that is a positive number; 0 if none is."""
-    for name in names:
-        value = settings.get(name)
-        if isinstance(value, int | float) and math.isfinite(value) and value > 0:
-            return float(value)
-    return 0.0

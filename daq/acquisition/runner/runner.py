@@ -22,6 +22,7 @@ from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.pipeline.job import Show
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline
 from daq.acquisition.pipeline.live_pairs import warm_up
+from daq.acquisition.plans.link_budget import require_link
 from daq.acquisition.plans.pulse_order import PulseOrder
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.arrival import go_to, require_arrived, rest
@@ -188,6 +189,7 @@ class Runner:
     def _session(self, journal: Journal, left: list[Step]) -> None:
         settings = self._exposures.set_up() if left else {}
         self._exposures.require_patience(settings)
+        require_link(self._hardware.bench, left, settings)
         count = sum(1 for entry in self._folder.entries() if entry["kind"] == "session")
         write_json(
             self._folder.path / f"camera_{count}.json", {"info": _info(self._hardware), "settings": settings}
