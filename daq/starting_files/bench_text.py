@@ -6,7 +6,7 @@ from daq.starting_files.scene_text import ball_names
 
 HARDWARE = """\
 # To use hardware, edit from top to bottom; look with `rtpiv doctor --bench {file}` and `rtpiv check {file}`:
-#   controllers  driver of each box (zaber_ascii, isel_dnc, pi_gcs2, grbl) and its port, best /dev/serial/by-id/...
+#   controllers  driver (zaber_ascii, isel_dnc, pi_gcs2, grbl, thorlabs_apt) and port, best /dev/serial/by-id/...
 #   axes         which motor (channel) carries what along which direction; steps_per_mm; limits well inside the
 #                switches. An axis that you do not have: take it out here, in home_order, glass and simulation.axes
 #   glass        where it stands out of the picture

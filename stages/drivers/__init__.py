@@ -15,6 +15,7 @@ DRIVERS = {
     "isel_dnc": "stages.drivers.isel_dnc:IselController",
     "pi_gcs2": "stages.drivers.pi_gcs2:PiController",
     "grbl": "stages.drivers.grbl:GrblController",
+    "thorlabs_apt": "stages.drivers.thorlabs_apt:AptController",
 }
 
 

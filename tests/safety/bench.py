@@ -1,4 +1,4 @@
-"""A small bench of all four controllers on which nearly everything is in the way of everything.
+"""A small bench of all five controllers on which nearly everything is in the way of everything.
 
 A ball on the glass stage can be driven into the target, past its edge, and into the lens; the camera can be
 driven onto the ball; the target into the ball. Where the axes stand after homing nothing obstructs anything.
@@ -36,6 +36,7 @@ AXES = {
     "camera_y": _axis("portal", "Y", "camera", "y", -30.0, 30.0, 35.0),
     "glass_x": _axis("glass", "1/1", "glass", "x", -40.0, 40.0, -45.0, steps_per_mm=100.0),
     "glass_z": _axis("glass", "2/1", "glass", "z", -25.0, 40.0, -30.0, steps_per_mm=100.0),
+    "target_x": _axis("side", "bay1", "target", "x", 5.0, 40.0, 0.0, steps_per_mm=100.0),
     "target_z": _axis("target", "1", "target", "z", -20.0, 25.0, -25.0),
 }
 TABLE = StagesTable.model_validate(
@@ -43,9 +44,10 @@ TABLE = StagesTable.model_validate(
         "controllers": {
             "rail": {"driver": "isel_dnc", "port": "a"}, "portal": {"driver": "grbl", "port": "b"},
             "glass": {"driver": "zaber_ascii", "port": "c"}, "target": {"driver": "pi_gcs2", "port": "d"},
+            "side": {"driver": "thorlabs_apt", "port": "e"},
         },
         "axes": AXES,
-        "home_order": ["rail_z", "glass_x", "glass_z", "target_z", "camera_x", "camera_y"],
+        "home_order": ["rail_z", "glass_x", "glass_z", "target_x", "target_z", "camera_x", "camera_y"],
     }
 )  # fmt: skip
 SCREWS = {

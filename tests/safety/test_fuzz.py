@@ -12,12 +12,13 @@ from stages.controller import Controller
 from stages.drivers.grbl import GrblController
 from stages.drivers.isel_dnc import IselController
 from stages.drivers.pi_gcs2 import PiController
+from stages.drivers.thorlabs_apt import AptController
 from stages.drivers.zaber_ascii import ZaberController
 from stages.stop_latch import StopLatch
 from tests.safety.fuzz import Playground, fuzz, shortened
 from tests.safety.sequences import Command, drawn, read, written
 
-DRIVERS = (GrblController, IselController, PiController, ZaberController)
+DRIVERS = (AptController, GrblController, IselController, PiController, ZaberController)
 
 
 def kinds(tally):

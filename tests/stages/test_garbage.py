@@ -6,7 +6,8 @@ import pytest
 
 from sim.emulators.device import Emulator
 from stages.errors import NoReply, ProtocolViolation, WrongDevice
-from stages.protocols import grbl, isel_dnc, pi_gcs2, zaber_ascii
+from stages.protocols import grbl, isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
+from stages.protocols.apt_words import Kind
 
 POSITION = {
     "zaber_ascii": (
@@ -15,6 +16,10 @@ POSITION = {
     ),
     "isel_dnc": (lambda: isel_dnc.PositionStream(3), isel_dnc.Position((1000, -20, 7)).to_bytes()),
     "pi_gcs2": (pi_gcs2.AnswerStream, pi_gcs2.Answer(("1=12.3450000",)).to_bytes()),
+    "thorlabs_apt": (
+        thorlabs_apt.AnswerStream,
+        thorlabs_apt.Value(Kind.MOT_GET_POSCOUNTER, 1, 123_456).to_bytes(),
+    ),
     "grbl": (grbl.AnswerStream, grbl.Status("Idle", (-1.0, 2.5, 3.25), extras=(("FS", "0,0"),)).to_bytes()),
 }
 
@@ -51,7 +56,7 @@ def test_ten_thousand_pieces_of_garbage_per_parser(protocol):
     assert messages > 1000
 
 
-@pytest.mark.parametrize("stream", [m.CommandStream for m in (zaber_ascii, isel_dnc, pi_gcs2, grbl)])
+@pytest.mark.parametrize("stream", [m.CommandStream for m in (zaber_ascii, isel_dnc, pi_gcs2, grbl, thorlabs_apt)])
 def test_emulators_survive_garbage_too(stream):
     rng, stream = random.Random(3), stream()
     for _ in range(2000):

@@ -49,7 +49,7 @@ def worlds(driver):
         yield world, opened
 
 
-@pytest.mark.parametrize("driver_that_tells", ["zaber_ascii", "pi_gcs2"])
+@pytest.mark.parametrize("driver_that_tells", ["zaber_ascii", "pi_gcs2", "thorlabs_apt"])
 def test_swapped_cables_are_refused_and_nothing_moves(driver_that_tells):
     with worlds(driver_that_tells) as (world, opened):
         with opened() as stage:

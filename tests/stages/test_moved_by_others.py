@@ -7,6 +7,9 @@ from stages.errors import StageUsageError
 OTHER_PROGRAM = {
     "zaber_ascii": b"/1 1 set maxspeed 300\n/1 1 move abs 4000\n",
     "pi_gcs2": b"SVO 1 1\nVEL 1 0.4\nMOV 1 30\n",
+    "thorlabs_apt": bytes.fromhex(  # 0.4 mm/s, 10 mm/s2; to 30 mm
+        "13 04 0e 00 a1 01 01 00 00 00 00 00 2c 00 00 00 8c 21 00 00 53 04 06 00 a1 01 01 00 e0 2e 00 00"
+    ),
     "grbl": b"$J=G53G90G21X-90F24\n",
 }  # an isel at work is mute
 

@@ -5,6 +5,7 @@ emulators speak.  Each box takes a motion at once and remembers where it was sen
 """
 
 import re
+import struct
 from contextlib import closing
 
 import pytest
@@ -171,7 +172,54 @@ class Isel(Box):
         return "" if said == "\xfd" else "0"
 
 
-BOXES = {"zaber_ascii": [Zaber], "pi_gcs2": [Pi], "grbl": [Grbl, GrblHal, FluidNc], "isel_dnc": [Isel]}
+class Apt(Box):
+    """A BSC202 as its open clients meet it: the end of a motion told by nobody before each answer, 20 bytes of it.
+
+    Messages are cut by their own header, as the protocol says: six bytes, and data if the receiver has bit 7.
+    """
+
+    def _take(self, data):
+        self.left += data
+        while len(self.left) >= 6:
+            size = 6 + (struct.unpack("<H", self.left[2:4])[0] if self.left[4] & 0x80 else 0)
+            if len(self.left) < size:
+                return
+            raw, self.left = self.left[:size], self.left[size:]
+            self.asked.append(raw)
+            self.say(self.reply(raw).encode("latin-1"))
+
+    def reply(self, said):
+        (kind,), place, data = struct.unpack("<H", said[:2]), said[4] & 0x7F, said[6:]
+        if kind in (0x0413, 0x043A, 0x0445, 0x0453):
+            self.at[place, kind] = data
+        elif kind == 0x0443:
+            self.at[place, 0x0443], self.at[place, 0x0453] = True, struct.pack("<Hi", 1, 0)
+        homed = 0x0400 * self.at.get((place, 0x0443), False)
+        answers = {
+            0x0005: struct.pack("<I8sH4B60sHHH", 40_123_456, b"BSC202\0X", 45, 5, 1, 1, 0, b"Bench\0\1", 1, 0, 2),
+            0x0411: self.at.get((place, 0x0453), struct.pack("<Hi", 1, -77)),
+            0x0414: self.at.get((place, 0x0413), struct.pack("<Hiii", 1, 0, 1, 2)),
+            0x0429: struct.pack("<HI", 1, 0x9020_0100 | homed),
+            0x043B: self.at.get((place, 0x043A), struct.pack("<Hi", 1, 20_480)),
+            0x0441: struct.pack("<HHHii", 1, 2, 1, 21_987_328, 1000),
+            0x0446: self.at.get((place, 0x0445), struct.pack("<Hi", 1, 409_600)),
+        }
+        unasked = struct.pack("<HHBB", 0x0464, 14, 0x81, 0x00) + bytes(14)
+        if kind == 0x0060:
+            return (unasked + struct.pack("<HBBBB", 0x0061, said[2], 1, 0x01, 0x11)).decode("latin-1")
+        if kind not in answers:
+            return ""
+        head = struct.pack("<HHBB", kind + 1, len(answers[kind]), 0x81, place)
+        return (unasked + head + answers[kind]).decode("latin-1")
+
+
+BOXES = {
+    "zaber_ascii": [Zaber],
+    "pi_gcs2": [Pi],
+    "grbl": [Grbl, GrblHal, FluidNc],
+    "isel_dnc": [Isel],
+    "thorlabs_apt": [Apt],
+}
 
 
 @pytest.mark.parametrize(("spoken", "made"), [(name, made) for name, boxes in BOXES.items() for made in boxes])

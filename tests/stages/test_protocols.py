@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from stages.drivers import DRIVERS
 from stages.errors import ProtocolViolation
-from stages.protocols import isel_dnc, pi_gcs2, zaber_ascii
+from stages.protocols import isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
 from stages.protocols.framing import Lines
 
 GRAMMARS = {name: import_module(f"stages.protocols.{name}") for name in DRIVERS}
@@ -73,6 +73,8 @@ def mutants(value):
         return [value + 1, -value, value * 10]
     if isinstance(value, str):
         return [value + "1", value[::-1]]
+    if isinstance(value, bytes):
+        return [value[::-1], bytes([value[0] ^ 1]) + value[1:]]
     if isinstance(value, tuple):
         return [value[::-1], value[1:]]
     return [1]
@@ -152,6 +154,44 @@ def test_pi_values_take_nothing_doubtful(raw):
 def test_pi_numbers_are_plain(text):
     with pytest.raises(ProtocolViolation):
         pi_gcs2.number(text)
+
+
+APT_POSITION = thorlabs_apt.Value(0x0412, 1, 77).to_bytes()
+APT_MOVED = thorlabs_apt.Unasked(0x0464, bytes(14)).to_bytes()
+
+
+@pytest.mark.parametrize(
+    "raw",
+    [
+        APT_POSITION[:5] + b"\x01" + APT_POSITION[6:],  # from a host
+        APT_POSITION[:5] + b"\x00" + APT_POSITION[6:],  # from nobody, and asked for
+        APT_POSITION[:4] + b"\xd0" + APT_POSITION[5:],  # to a box
+        APT_POSITION[:4] + b"\x01" + APT_POSITION[5:],  # without its data
+        APT_POSITION[:2] + b"\x07\x00" + APT_POSITION[4:],  # of another length
+        b"\x53" + APT_POSITION[1:],  # what only a host says
+        b"\x12\x02" + APT_POSITION[2:],  # data where there are none
+    ],
+)
+def test_apt_takes_nothing_that_is_not_exactly_an_answer(raw):
+    stream = thorlabs_apt.AnswerStream()
+    assert [type(answer) for answer in stream.feed(raw)] == [ProtocolViolation]
+    assert stream.rest == b""
+
+
+def test_apt_lets_nobody_tell_the_end_of_a_motion():
+    (answer,) = thorlabs_apt.AnswerStream().feed(APT_MOVED[:5] + b"\x00" + APT_MOVED[6:])
+    assert isinstance(answer, thorlabs_apt.Unasked)
+
+
+@pytest.mark.parametrize("cut", range(0, 103, 7))
+def test_apt_an_identity_is_found_behind_the_rest_of_a_message(cut):
+    (example,) = thorlabs_apt.Info.examples()
+    raw, stream = APT_POSITION[3:] + example.raw + APT_MOVED, thorlabs_apt.IdentityStream(0x50)
+    found = stream.feed(raw[:cut]) + stream.feed(raw[cut:])
+    assert found[0] == example.message
+    assert isinstance(found[1], thorlabs_apt.Unasked)
+    assert stream.rest == b""
+    assert thorlabs_apt.IdentityStream(0x11).feed(raw) == []
 
 
 def test_a_line_without_end_is_dropped():

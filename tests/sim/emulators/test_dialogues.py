@@ -13,6 +13,7 @@ from sim.motion import Mechanics, Motor
 from stages.drivers import DRIVERS
 
 TIMING = ("quantum_composers", "pivlab_synchroniser")
+HEXADECIMAL = ("thorlabs_apt",)  # what has no text is written as its bytes, a message a line
 FOLDER = Path(__file__).parent / "dialogues"
 SCREW = Mechanics(lead_mm=5.0, steps_per_rev=1600, high_switch_mm=200.0, index_mm=100.0, power_up_mm=60.0)
 
@@ -41,9 +42,13 @@ class Replay:
             options["settings"] = {int(number): value for number, value in options["settings"].items()}
         self.device = emulator_class(protocol)(motors, self.clock, **options)
         self.framed = protocol != "isel_dnc"
+        self.is_hexadecimal = protocol in HEXADECIMAL
         self.heard = []
 
     def listen(self):
+        if self.is_hexadecimal:
+            self.heard += [said.data.hex(" ") for said in self.device.said()]
+            return
         data = b"".join(said.data for said in self.device.said()).decode("latin-1")
         if self.framed:
             self.heard += [line.removesuffix("\r") for line in data.split("\n") if line.strip("\r")]
@@ -53,7 +58,7 @@ class Replay:
     def step(self, line):
         verb, _, rest = line.partition(" ")
         if verb == ">":
-            self.device.feed(spoken(rest))
+            self.device.feed(bytes.fromhex(rest) if self.is_hexadecimal else spoken(rest))
             self.clock.sleep_s(0.001)
             self.listen()
         elif verb == "wait":

@@ -1,0 +1,440 @@
+"""Driver for Thorlabs motor boxes with the APT protocol: T-Cubes, K-Cubes, LTS stages, BSC and BBD racks.
+
+A channel is ``1``, ``2``, .. of a unit of its own, or ``bay1``, ``bay2``, .. of a rack. Positions are counts of an
+encoder or microsteps, so every channel needs steps_per_mm (34304 or 34555 counts/mm for MTS stages, 409600
+microsteps/mm for LTS150 and LTS300). Speeds and accelerations go in units of the box's family (`FAMILIES`), which
+its model tells. A model that is not there is refused: a wrong unit means a wrong speed by a factor of fifty.
+
+**Questions.** Nothing answers a command that moves, so a question for the state goes behind each in the same
+write: its answer says that the command was read. No answer carries a number or a checksum, so what counts is
+asked twice, and an answer about anything else than the question puts the link in doubt. What boxes say unasked is
+nobody's answer; automatic state messages that another program has asked for are switched off.
+
+**The end of a motion.** Two looks in a row must find rest, and the position must be the target's. Rest short of it
+is a limit switch, a fault, a refusal, or else a person's stop. A box that has not begun yet is given `BEGINS_S`.
+
+**Restarts.** A box that has restarted is not homed any more. It may be homed again at its own buttons though, or
+by another program with another offset. So homing leaves a mark: the distance of the next relative move, which
+nobody here ever makes, becomes a number made from the settings of the reference run. A restart wipes it out; a
+box that is homed and has the mark is where it says it is, also for the next program.
+
+**Stops.** A servo is stopped at once: its encoder goes on counting. A stepper that is stopped at once loses steps
+that nobody counts, so it is stopped along its ramp. The box's own backlash correction would drive past the target;
+it is switched off before the first move.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, TypeVar
+from zlib import crc32
+
+from stages.clock import SYSTEM_CLOCK, Clock
+from stages.controller import Channel, Controller
+from stages.errors import (
+    AxisStalled,
+    CommandRejected,
+    DeviceError,
+    LimitHit,
+    MotionStopped,
+    NotReferenced,
+    ProtocolViolation,
+    StageUsageError,
+    WrongDevice,
+)
+from stages.link import Stream
+from stages.protocols import apt_words as words
+from stages.protocols import thorlabs_apt as apt
+from stages.protocols.apt_words import Kind
+from stages.stop_latch import StopLatch
+
+SHORT_MM = 0.02  # a motion that ends further from its target was ended by something
+NOISE_MM = 0.001  # a servo at rest flickers by some counts
+BEGINS_S = 0.3  # a box that has taken a command may still seem to rest for as long
+MARKS = range(257, 1024)  # counts: nothing to speak of if somebody should ever make that move
+DOUBT = 256  # the mark of a channel that must not be believed, though there was no restart
+LARGEST = 2**31 - 1
+LARGEST_CHANNEL = 4
+
+SERVO_S, BRUSHLESS_S = 2048 / 6e6, 102.4e-6  # period of the control loop
+
+T = TypeVar("T")
+A = TypeVar("A", bound=apt.Answer)
+
+
+class Family(NamedTuple):
+    """Units of the boxes of one kind: what 1 count/s and 1 count/s2 are on the wire; whether an encoder counts."""
+
+    models: str
+    speed: float
+    acceleration: float
+    has_encoder: bool
+
+
+FAMILIES = (
+    # APT protocol, "Motor scaling"; pylablib 1.4.5 KinesisMotor; thorlabs-apt-device 0.3.8 utils: T = 2048/6e6 s
+    Family(r"[TK]DC\d+", 65536 * SERVO_S, 65536 * SERVO_S**2, True),
+    # the same three: T = 102.4 us
+    Family(r"[TK]BD\d+|BBD[123]0\d", 65536 * BRUSHLESS_S, 65536 * BRUSHLESS_S**2, True),
+    # InstrumentKit, pylablib: microsteps as they are
+    Family(r"TST001|BSC00\d|BSC10\d|MST601", 1.0, 1.0, False),
+    # pylablib; thorlabs-apt-device BSC: 409600 microsteps/mm, 21987328 for 1 mm/s, 4506 for 1 mm/s2
+    Family(r"TST101|KST[12]01|BSC20\d|MST602|LTS(150|300)\w*", 53.68, 1.0 / 90.9, False),
+)
+
+
+class AptController(Controller):
+    """One Thorlabs box."""
+
+    default_baud = 115_200
+    example_channels = ("bay1", "bay2")
+    counts_steps = True
+
+    families: Sequence[Family] = FAMILIES  # a subclass may know more
+
+    def __init__(
+        self,
+        name: str,
+        channels: Mapping[str, Channel],
+        clock: Clock = SYSTEM_CLOCK,
+        latch: StopLatch | None = None,
+    ) -> None:
+        super().__init__(name, channels, clock, latch)
+        self._sent_to: dict[str, int] = {}  # count where the motion of a channel shall end
+        self._rested: set[str] = set()  # seen at rest since their motion began, before our own stop
+        self._marks: dict[str, int] = {}  # left in the channels that are referenced
+
+    _family: Family = FAMILIES[-1]
+    _profile: dict[str, tuple[int, int]]
+    _homing: set[str]
+    _not_begun: dict[str, float]  # time by which the motion of a channel must have begun
+    _complaint: str = ""  # the last error that the box has told unasked
+
+    def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """Begin an absolute move; NotReferenced if the box has restarted, which is then stopped at once."""
+        target = round(target_mm * self._scale(channel))
+        if not -LARGEST <= target <= LARGEST:
+            raise StageUsageError(
+                f"{self.name} channel {channel}: {target_mm:g} mm is more than the box can count"
+            )
+        self._prepare(channel, self._native(channel, speed_mm_s, acceleration_mm_s2))
+        self._begin(channel, apt.Setting(Kind.MOT_MOVE_ABSOLUTE, _ident(channel), target, _place(channel)), target)
+
+    def start_home(self, channel: str) -> None:
+        """Begin to look for the reference, in the way that is set in the box."""
+        self._referenced.discard(channel)
+        self._leave_mark(channel, DOUBT)
+        self._tell(channel, Kind.MOD_SET_CHANENABLESTATE, words.ON)
+        self._homing.add(channel)
+        self._begin(channel, apt.Order(Kind.MOT_MOVE_HOME, _ident(channel), 0, _place(channel)), None)
+
+    def moving(self, channel: str) -> bool:
+        """Ask for the state until two answers say that the channel rests, or one that it moves."""
+        if self._drives(channel, self._repeated(lambda: self._bits(channel))):
+            return True
+        if not self._stopped:
+            self._rested.add(channel)
+        bits = self._agreed(lambda: self._bits(channel))
+        if self._drives(channel, bits):
+            return True
+        arrived = bits & words.HOMED if channel in self._homing else self._is_there(channel)
+        if not arrived and self.clock.now_s() < self._not_begun.get(channel, 0.0):
+            return True
+        was_homing = channel in self._homing
+        self._homing.discard(channel)
+        self._not_begun.pop(channel, None)
+        if self._stopped:
+            raise MotionStopped(f"{self.name} channel {channel} was stopped")
+        if was_homing and not arrived and self._agreed(lambda: self._mark(channel)) != DOUBT:
+            raise NotReferenced(f"{self.name} channel {channel} has restarted while it was homed; home it again")
+        if not arrived:
+            self._raise_why(channel, bits)
+        if was_homing:
+            self._marks[channel] = self._right_mark(channel)
+            self._leave_mark(channel, self._marks[channel])
+            self._referenced.add(channel)
+        return False
+
+    def judge_unheard(self, channel: str) -> None:
+        """MotionStopped if it rested short of its target before our own halt: a person may have stopped it."""
+        if channel in self._rested and not self._is_there(channel):
+            raise MotionStopped(f"{self.name} channel {channel} rests short of its target and did not say why")
+
+    def position_mm(self, channel: str) -> float:
+        """Counts / scale of a channel that rests; StageUsageError if it moves."""
+
+        def ask() -> int:
+            moves = words.MOVES | words.HOMING
+            if self._bits(channel) & moves and self._agreed(lambda: self._bits(channel)) & moves:
+                # at its wheel, or for another program: two readings may agree by chance
+                raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
+            return self._count(channel)
+
+        scale = self._scale(channel)
+        return self._settled(channel, ask, lambda a, b: abs(a - b) <= NOISE_MM * scale) / scale
+
+    def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
+        """StageUsageError if a value does not fit the setting it goes to."""
+        speed, acceleration = self._native(channel, speed_mm_s, acceleration_mm_s2)
+        if not (1 <= speed <= LARGEST and 1 <= acceleration <= LARGEST):
+            per_mm = self._scale(channel)
+            fastest, steepest = (LARGEST / per_mm / unit for unit in self._family[1:3])
+            raise StageUsageError(
+                f"{self.name} channel {channel}: {speed_mm_s:g} mm/s and {acceleration_mm_s2:g} mm/s2 do not fit "
+                f"the box's settings, up to {fastest:.3g} mm/s and {steepest:.3g} mm/s2; is the scale right?"
+            )
+
+    # ---- who answers, and what it has been told ----------------------------------------------------
+
+    def _check_channel(self, channel: Channel) -> None:
+        super()._check_channel(channel)
+        if not re.fullmatch(rf"[1-{LARGEST_CHANNEL}]|bay([1-9]|10)", channel.name):
+            raise StageUsageError(
+                f"{self.name}: channel {channel.name!r} should be 1, 2, .. of a unit, or bay1, bay2, .. of a rack"
+            )
+        if len({name.startswith("bay") for name in self._channels}) > 1:
+            raise StageUsageError(
+                f"{self.name}: a box has either channels or bays, not {', '.join(self._channels)}"
+            )
+
+    def _reset_state(self) -> None:
+        self._profile, self._not_begun = {}, {}
+        self._homing = set()
+        self._complaint = ""
+
+    @property
+    def _is_rack(self) -> bool:
+        return any(name.startswith("bay") for name in self._channels)
+
+    def _identify(self) -> str:
+        """What the box says of itself; everything older stands before it and is skipped."""
+        to = words.RACK if self._is_rack else words.UNIT
+
+        def accept(answer: object) -> apt.Info | None:
+            return answer if isinstance(answer, apt.Info) and answer.sender == to else None
+
+        question = apt.Order(Kind.HW_REQ_INFO, to=to).to_bytes()
+        info = self._converse(question, accept, stream=apt.IdentityStream(to))
+        minor, interim, major = info.firmware
+        return f"Thorlabs {info.model} serial {info.serial} firmware {major}.{interim}.{minor}"
+
+    def _set_up(self) -> None:
+        model = self.identity.split()[1]
+        known = [family for family in self.families if re.fullmatch(family.models, model)]
+        if not known:
+            raise WrongDevice(
+                f"{self.name}: the speed units of a {model} are not known; give those of its "
+                "manual (motor scaling) in the families of a subclass of AptController (docs/add-a-stage.md)"
+            )
+        self._family = known[0]
+        for name in self._channels:
+            self._send(apt.Order(Kind.HW_STOP_UPDATEMSGS, to=_place(name)).to_bytes())
+            if self._is_rack and self._repeated(lambda name=name: self._bay(name)).second != words.ON:  # type: ignore[misc]
+                raise WrongDevice(f"{self.name}: there is no card in {name} of this {model}; check the channel")
+            self._repeated(lambda name=name: self._bits(name))  # type: ignore[misc]  # it answers
+
+    def _bay(self, channel: str) -> apt.Reply:
+        bay = _place(channel) - words.FIRST_BAY
+        question = apt.Order(Kind.RACK_REQ_BAYUSED, bay, 0, words.RACK)
+        return self._ask(
+            question.to_bytes(), apt.Reply, lambda a: a.kind == Kind.RACK_GET_BAYUSED and a.first == bay
+        )
+
+    def _prepare(self, channel: str, profile: tuple[int, int]) -> None:
+        """Set speed and acceleration, see that they are taken, and that the box makes no motions of its own."""
+        if self._profile.get(channel) == profile:
+            return
+        self._profile.pop(channel, None)
+        self._tell(channel, Kind.MOD_SET_CHANENABLESTATE, words.ON)
+        self._set(channel, Kind.MOT_SET_GENMOVEPARAMS, 0)
+        if self._agreed(lambda: self._value(channel, Kind.MOT_REQ_GENMOVEPARAMS)) != 0:
+            raise DeviceError(f"{self.name} channel {channel} keeps its own backlash correction; switch it off")
+        speed, acceleration = profile
+        self._send(apt.SetSpeeds(_ident(channel), 0, acceleration, speed, _place(channel)).to_bytes())
+        taken = self._agreed(lambda: self._speeds(channel))
+        if taken != (speed, acceleration):
+            fastest, steepest = (
+                number / self._scale(channel) / unit for number, unit in zip(taken, self._family[1:3], strict=True)
+            )
+            raise StageUsageError(
+                f"{self.name} channel {channel} has not taken its speed: it goes {fastest:.4g} mm/s with "
+                f"{steepest:.4g} mm/s2 at most; set no more than that in the bench file"
+            )
+        self._profile[channel] = profile
+
+    def _native(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> tuple[int, int]:
+        scale = self._scale(channel)
+        return (
+            round(speed_mm_s * scale * self._family.speed),
+            round(acceleration_mm_s2 * scale * self._family.acceleration),
+        )
+
+    # ---- references ----------------------------------------------------------------------------
+
+    def _still_referenced(self, channel: str) -> bool:
+        def vouches() -> bool:
+            is_homed = self._repeated(lambda: self._bits(channel)) & words.HOMED
+            return bool(is_homed) and self._mark(channel) == self._marks.get(channel)
+
+        return vouches() or self._agreed(vouches)
+
+    def _remembers_reference(self, channel: str) -> bool:
+        self._marks[channel] = self._right_mark(channel)
+        return self._still_referenced(channel)
+
+    def _forget_references(self) -> None:
+        super()._forget_references()
+        self._profile, self._marks = {}, {}
+
+    def _mark(self, channel: str) -> int:
+        return self._repeated(lambda: self._value(channel, Kind.MOT_REQ_MOVERELPARAMS))
+
+    def _right_mark(self, channel: str) -> int:
+        """The number that stands for a reference run as it is set now."""
+        how = self._repeated(lambda: self._homing_settings(channel))
+        return MARKS[crc32(repr((how.direction, how.switch, how.offset)).encode()) % len(MARKS)]
+
+    def _leave_mark(self, channel: str, mark: int) -> None:
+        self._set(channel, Kind.MOT_SET_MOVERELPARAMS, mark)
+        if self._agreed(lambda: self._mark(channel)) != mark:
+            raise DeviceError(
+                f"{self.name} channel {channel} keeps no number for us, so its restarts could not be noticed; "
+                "this box cannot be used"
+            )
+
+    # ---- motions -------------------------------------------------------------------------------
+
+    def _begin(self, channel: str, order: apt.Command, target: int | None) -> None:
+        """Send what moves and a question behind it; the answer to that says that both were read."""
+        self._stopped = False
+        self._complaint = ""
+        self._rested.discard(channel)
+        self._sent_to.pop(channel, None)
+        if target is not None:
+            self._sent_to[channel] = target
+        self._not_begun[channel] = self.clock.now_s() + BEGINS_S
+        bits = self._bits(channel, before=order.to_bytes())
+        if target is not None:
+            self._refuse_restarted(channel, bits)
+
+    def _drives(self, channel: str, bits: int) -> bool:
+        if channel not in self._homing:
+            self._refuse_restarted(channel, bits)
+        if bits & (words.MOVES | words.HOMING):
+            self._not_begun.pop(channel, None)
+            self._rested.discard(channel)
+            return True
+        return False
+
+    def _refuse_restarted(self, channel: str, bits: int) -> None:
+        """A box that is not homed any more counts from somewhere else, and what it drives to is nowhere."""
+        if bits & words.HOMED or channel not in self._referenced:
+            return
+        if not self._agreed(lambda: self._bits(channel)) & words.HOMED:
+            self.stop()
+            self._forget_references()
+            raise NotReferenced(f"{self.name} channel {channel} has restarted; stopped at once, home it")
+
+    def _is_there(self, channel: str) -> bool:
+        if channel not in self._sent_to:
+            return True
+        tolerance = NOISE_MM * self._scale(channel)
+        count = self._agreed(lambda: self._count(channel), lambda a, b: abs(a - b) <= tolerance)
+        return abs(count - self._sent_to[channel]) <= SHORT_MM * self._scale(channel) + 1
+
+    def _raise_why(self, channel: str, bits: int) -> None:
+        """Say what has ended a motion that was to go on."""
+        where = f"{self.name} channel {channel}"
+        faults = [what for bit, what in words.FAULTS.items() if bits & bit]
+        if faults or bits & (words.UPPER_SWITCH | words.LOWER_SWITCH):
+            self._referenced.discard(channel)
+            self._leave_mark(channel, DOUBT)  # nor shall the next program believe it
+        if faults:
+            raise AxisStalled(f"{where} has ended its motion: {'; '.join(faults)}; clear the way and home it")
+        if bits & (words.UPPER_SWITCH | words.LOWER_SWITCH):
+            raise LimitHit(f"{where} ran into a limit switch; home it")
+        if self._complaint:
+            raise CommandRejected(f"{where} refused to move: {self._complaint}", self._complaint)
+        raise MotionStopped(f"{where} has ended its motion before its end: stopped at the box?")
+
+    def _stop_bytes(self) -> Sequence[bytes]:
+        how = words.STOP_AT_ONCE if self._family.has_encoder else words.STOP_SLOWING
+        return [
+            apt.Order(Kind.MOT_MOVE_STOP, _ident(name), how, _place(name)).to_bytes() for name in self._channels
+        ]
+
+    # ---- questions -----------------------------------------------------------------------------
+
+    def _stream(self) -> Stream:
+        return apt.AnswerStream()
+
+    def _unsolicited(self, data: bytes) -> None:
+        """What boxes say unasked is nobody's answer; only whole messages of that kind leave the link in order."""
+        stream = apt.AnswerStream()
+        self._surplus(stream.feed(data), stream.rest)
+
+    def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
+        if rest or not all(self._is_unasked(answer) for answer in answers):
+            self._suspect = True
+
+    def _is_unasked(self, answer: object) -> bool:
+        if not isinstance(answer, apt.Unasked):
+            return False
+        self._complaint = answer.complaint or self._complaint
+        return True
+
+    def _ask(self, question: bytes, kind: type[A], fits: Callable[[A], bool], moves: bool = False) -> A:
+        """Return the answer of a kind; one that does not fit is older than the question, or damaged."""
+
+        def accept(answer: object) -> A | None:
+            if self._is_unasked(answer):
+                return None
+            if isinstance(answer, kind) and fits(answer):
+                return answer
+            raise ProtocolViolation(f"{self.name} answers something else than the question")
+
+        return self._transact(question, accept, moves=moves)
+
+    def _about(self, channel: str, kind: Kind, answer: type[A], before: bytes = b"") -> A:
+        """Ask a channel something, behind a command that moves if there is one."""
+
+        def fits(found: A) -> bool:
+            return (getattr(found, "channel", None), found.sender) == (_ident(channel), _place(channel))
+
+        question = apt.Order(kind, _ident(channel), 0, _place(channel)).to_bytes()
+        return self._ask(before + question, answer, fits, moves=bool(before))
+
+    def _bits(self, channel: str, before: bytes = b"") -> int:
+        return self._about(channel, Kind.MOT_REQ_STATUSBITS, apt.Status, before).bits
+
+    def _count(self, channel: str) -> int:
+        return self._value(channel, Kind.MOT_REQ_POSCOUNTER)
+
+    def _value(self, channel: str, kind: Kind) -> int:
+        answer = self._about(channel, kind, apt.Value)
+        if answer.kind != kind + 1:  # the vendor's answers follow their questions
+            self._suspect = True
+            raise ProtocolViolation(f"{self.name} answers something else than the question", answer.to_bytes())
+        return answer.value
+
+    def _speeds(self, channel: str) -> tuple[int, int]:
+        answer = self._about(channel, Kind.MOT_REQ_VELPARAMS, apt.Speeds)
+        return answer.maximum, answer.acceleration
+
+    def _homing_settings(self, channel: str) -> apt.Homing:
+        return self._about(channel, Kind.MOT_REQ_HOMEPARAMS, apt.Homing)
+
+    def _tell(self, channel: str, kind: Kind, second: int = 0) -> None:
+        self._send(apt.Order(kind, _ident(channel), second, _place(channel)).to_bytes())
+
+    def _set(self, channel: str, kind: Kind, value: int) -> None:
+        self._send(apt.Setting(kind, _ident(channel), value, _place(channel)).to_bytes())
+
+
+def _ident(channel: str) -> int:
+    """Number of a channel where it is addressed: a bay has only one."""
+    return 1 if channel.startswith("bay") else int(channel)
+
+
+def _place(channel: str) -> int:
+    """Address of the unit or card that a channel belongs to."""
+    return words.FIRST_BAY + int(channel.removeprefix("bay")) - 1 if channel.startswith("bay") else words.UNIT
