@@ -147,7 +147,7 @@ class AptController(Controller):
         if was_homing and not arrived and self._agreed(lambda: self._mark(channel)) != DOUBT:
             raise NotReferenced(f"{self.name} channel {channel} has restarted while it was homed; home it again")
         if not arrived:
-            self._raise_why(channel, bits)
+            self._raise_why(channel, bits, was_homing)
         if was_homing:
             self._marks[channel] = self._right_mark(channel)
             self._leave_mark(channel, self._marks[channel])
@@ -341,16 +341,17 @@ class AptController(Controller):
         count = self._agreed(lambda: self._count(channel), lambda a, b: abs(a - b) <= tolerance)
         return abs(count - self._sent_to[channel]) <= SHORT_MM * self._scale(channel) + 1
 
-    def _raise_why(self, channel: str, bits: int) -> None:
-        """Say what has ended a motion that was to go on."""
+    def _raise_why(self, channel: str, bits: int, was_homing: bool) -> None:
+        """Say what has ended a motion that was to go on; reference runs meet switches, so no switch ends them."""
         where = f"{self.name} channel {channel}"
         faults = [what for bit, what in words.FAULTS.items() if bits & bit]
-        if faults or bits & (words.UPPER_SWITCH | words.LOWER_SWITCH):
+        at_switch = bits & (words.UPPER_SWITCH | words.LOWER_SWITCH) and not was_homing
+        if faults or at_switch:
             self._referenced.discard(channel)
             self._leave_mark(channel, DOUBT)  # nor shall the next program believe it
         if faults:
             raise AxisStalled(f"{where} has ended its motion: {'; '.join(faults)}; clear the way and home it")
-        if bits & (words.UPPER_SWITCH | words.LOWER_SWITCH):
+        if at_switch:
             raise LimitHit(f"{where} ran into a limit switch; home it")
         if self._complaint:
             raise CommandRejected(f"{where} refused to move: {self._complaint}", self._complaint)
