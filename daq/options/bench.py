@@ -85,6 +85,8 @@ def bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     )
     live.add_argument("--for-s", type=positive, help="end by itself after this time")
 
+    verbs.add_parser("devices", help="what can be opened from here, and the lines of a bench file that do it")
+
     doctor = verbs.add_parser("doctor", help="what this computer has, and what a bench still lacks")
     doctor.add_argument("--bench", type=Path, help="bench.yaml to check as well")
 

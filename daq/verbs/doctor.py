@@ -1,19 +1,24 @@
 """`rtpiv doctor`: what this computer has, and what a bench still lacks."""
 
-import ctypes.util
 import importlib.util
-import os
 import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 from rich.table import Table
-from serial.tools import list_ports
 
 from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.bench_table import Bench
-from daq.acquisition.cameras import LIBRARIES
+from daq.acquisition.bench.bench_table import CAMERA, Bench, CameraSection
+from daq.acquisition.bench.surroundings import (
+    GENTL_PATH,
+    missing_for,
+    producers,
+    serial_ports,
+    usb_cameras,
+    why_not,
+)
+from daq.acquisition.cameras import BACKENDS
 from daq.acquisition.runs.run_folder import versions
 from daq.example_files import examples
 from daq.terminal import console
@@ -22,7 +27,6 @@ from daq.verbs.paths import Named
 from stages.identities import confusable
 
 PACKAGES = ("rtpiv", "ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
-GENTL_PATH = "GENICAM_GENTL64_PATH"
 
 Finding = tuple[str, bool | None, str]  # what, fine / not fine / just so, words
 
@@ -71,32 +75,22 @@ def _software() -> Iterator[Finding]:
 
 
 def _serial_ports() -> Iterator[Finding]:
-    ports = list_ports.comports()
+    ports = serial_ports()
     if not ports:
         yield "serial ports", None, "none (ptys and network ports are not listed)"
     for port in ports:
-        usable = os.access(port.device, os.R_OK | os.W_OK)
-        cure = "" if usable else "; add the user to the group that owns it (often dialout)"
-        what = (
-            port.description if port.serial_number is None else f"{port.description}, serial {port.serial_number}"
-        )
-        yield f"port {port.device}", usable, f"{what}{cure}"
+        yield f"port {port.path}", port.trouble is None, port.trouble or port.words
 
 
 def _cameras() -> Iterator[Finding]:
-    for name in LIBRARIES["harvesters"]:
-        there = importlib.util.find_spec(name) is not None
-        yield f"library {name}", there, "installed" if there else "install the extra rtpiv[camera]"
-    folders = [Path(part) for part in os.environ.get(GENTL_PATH, "").split(os.pathsep) if part]
-    producers = [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.cti"))]
-    words = ", ".join(map(str, producers)) or f"none in {GENTL_PATH}; a bench file may name one by its path"
+    for backend in BACKENDS:
+        missing = missing_for(backend)
+        yield f"camera backend {backend}", missing is None, missing or "installed"
+    words = ", ".join(map(str, producers())) or f"none in {GENTL_PATH}; a bench file may name one by its path"
     yield "GenTL producers", None, words
-    library = ctypes.util.find_library("aravis-0.8")
-    yield (
-        "libaravis",
-        library is not None,
-        library or "for the aravis backend only: apt-get install libaravis-0.8-0",
-    )
+    for camera in usb_cameras():
+        words = f"{camera.vendor} {camera.model}, serial {camera.serial}"
+        yield "USB3 Vision camera", camera.trouble is None, camera.trouble or words
 
 
 def _disk() -> Iterator[Finding]:
@@ -109,18 +103,30 @@ def _disk() -> Iterator[Finding]:
 def _bench(bench: Bench) -> Iterator[Finding]:
     for name, controller in bench.table.stages.controllers.items():
         yield _port(f"controller {name}", controller.driver, controller.port)
-    for name, device in bench.more.items():
-        if isinstance(device.section, TimingTable):
-            yield _port(f"timing unit {name}", device.section.box, device.section.port)
+    sections = {CAMERA: bench.table.camera} | {name: device.section for name, device in bench.more.items()}
+    for name, section in sections.items():
+        if isinstance(section, TimingTable):
+            yield _port(f"timing unit {name}", section.box, section.port)
+        elif isinstance(section, CameraSection):
+            yield from _camera(name, section)
     for words in confusable(bench.table.stages):
         yield "identity of the boxes", False, words
-    producer = bench.table.camera.options.get("cti")
-    if isinstance(producer, str):
-        yield "camera's producer", Path(producer).is_file(), producer
 
 
 def _port(what: str, driver: str, port: str) -> Finding:
     if "://" in port:
         return what, None, f"{driver} on {port}"
-    there = Path(port).exists() and os.access(port, os.R_OK | os.W_OK)
-    return what, there, f"{driver} on {port}" + ("" if there else ": not there, or no permission")
+    trouble = why_not(Path(port))
+    return what, trouble is None, trouble or f"{driver} on {port}"
+
+
+def _camera(name: str, section: CameraSection) -> Iterator[Finding]:
+    """What its backend lacks, and whether its producer is where the bench file says."""
+    what = "camera" if name == CAMERA else f"camera {name}"
+    missing = missing_for(section.backend)
+    yield what, missing is None, missing or f"by {section.backend}"
+    producer = section.options.get("cti")
+    if isinstance(producer, str):
+        there = Path(producer).is_file()
+        cure = f"there is no {producer}; install the vendor's, or give the path of one in {GENTL_PATH}"
+        yield f"{what}'s producer", there, producer if there else cure

@@ -40,7 +40,7 @@ def test_completion(tmp_path):
 def test_every_verb_is_in_every_script(shell, capsys):
     assert main(["completion", shell]) == DONE
     script = capsys.readouterr().out
-    for verb in ("init", "check", "acquire", "report", "schema", "doctor"):
+    for verb in ("init", "check", "acquire", "report", "schema", "doctor", "devices"):
         assert verb in script
 
 

@@ -23,7 +23,7 @@ WORDS = {
     "correct": ["a.tif", "--scene", "s", "-o", "out"],
     "evaluate": ["a.tif", "b.tif", "--scene", "s", "-o", "out"], "focus": ["run"], "join": ["a", "b"],
     "mean": ["run"], "report": ["run"], "acquire": ["plan"], "resume": ["run"], "check": ["run"], "stage": [],
-    "laser": [], "camera": ["list"], "doctor": [], "init": ["--yes"], "examples": [],
+    "laser": [], "camera": ["list"], "doctor": [], "devices": [], "init": ["--yes"], "examples": [],
     "campaign": ["plan", "run", "--scene", "s", "-o", "out"],
     "sheet": ["run", "--scene", "s", "-o", "out"],
     "compare": ["--lenses-mm", "50", "--distances-mm", "500", "--balls-mm", "40"],

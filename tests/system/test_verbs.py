@@ -76,7 +76,7 @@ def test_doctor_looks_and_opens_nothing(tmp_path, capsys):
     for words in (
         "numpy",
         "package tracer",
-        "libaravis",
+        "camera backend aravis",
         "GenTL producers",
         "controller rail",
         "camera's producer",
