@@ -19,12 +19,14 @@ from ground.config import Table
 from sim.emulators import emulator_class
 from sim.emulators.device import Clock
 from sim.emulators.faults import FaultSchedule
+from sim.emulators.foreign_box import ForeignBox
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
 from sim.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.config import Positive, StagesTable
+from stages.controller_tables import AnyControllerTable, MicroManagerTable, PositionersTable, PositionerTable
 
 
 class ScrewTable(Table):
@@ -149,25 +151,48 @@ class SimulatedStages:
     @contextmanager
     def put_up(self) -> Iterator[StagesTable]:
         """Offer every line under a ``sim://`` address of this process; yield the file with these ports."""
-        addresses = {name: f"{name}-{id(self):x}" for name in self.lines}
-        for name, line in self.lines.items():
-            LINES[addresses[name]] = line
-        try:
-            yield self._with_ports({name: f"sim://{address}" for name, address in addresses.items()})
-        finally:
-            for address in addresses.values():
-                LINES.pop(address)
+        with ExitStack() as stack:
+            yield self._with_ports({name: stack.enter_context(self._named(name)) for name in self.lines})
 
     @contextmanager
     def serve(self) -> Iterator[StagesTable]:
-        """Offer every line as a pseudo-terminal while the block runs; yield the file with these ports."""
+        """Offer every line as a pseudo-terminal while the block runs; yield the file with these ports.
+
+        What a library moves is found in this process alone.
+        """
         with ExitStack() as stack:
-            yield self._with_ports(
-                {name: stack.enter_context(PtyPort(line)).path for name, line in self.lines.items()}
-            )
+            ports = {}
+            for name, line in self.lines.items():
+                if isinstance(line.emulator, ForeignBox):
+                    ports[name] = stack.enter_context(self._named(name))
+                else:
+                    ports[name] = stack.enter_context(PtyPort(line)).path
+            yield self._with_ports(ports)
+
+    @contextmanager
+    def _named(self, name: str) -> Iterator[str]:
+        """An address of this process for a line."""
+        address = f"{name}-{id(self):x}"
+        LINES[address] = self.lines[name]
+        try:
+            yield f"sim://{address}"
+        finally:
+            LINES.pop(address)
 
     def _with_ports(self, ports: Mapping[str, str]) -> StagesTable:
-        controllers = {
-            name: table.model_copy(update={"port": ports[name]}) for name, table in self.config.controllers.items()
-        }
+        controllers = {name: _at(table, ports[name]) for name, table in self.config.controllers.items()}
         return self.config.model_copy(update={"controllers": controllers})
+
+
+def _at(table: AnyControllerTable, port: str) -> AnyControllerTable:
+    """The same controller, behind a simulated line; a library is replaced by one that moves the simulated box."""
+    if isinstance(table, MicroManagerTable):
+        return table.model_copy(update={"core": "sim.emulators.micromanager:SimulatedCore", "adapters": port})
+    if isinstance(table, PositionersTable):
+        one = "sim.emulators.positioners:SimulatedPositioner"
+        objects = {
+            channel: PositionerTable(object=one, arguments={"address": port, "channel": channel})
+            for channel in table.objects
+        }
+        return table.model_copy(update={"objects": objects})
+    return table.model_copy(update={"port": port})

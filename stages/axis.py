@@ -308,6 +308,32 @@ class Axis:
                 raise
             self._happens(Event.FOUND)
 
+    @property
+    def by_hand(self) -> bool:
+        """Whether a person says where the axis stands, because its box cannot look for its reference."""
+        return self.controller.by_hand(self.settings.channel)
+
+    def confirm(self, position_mm: float) -> None:
+        """Take a person's word for where the axis rests now; nothing moves.
+
+        Raises
+        ------
+        OutOfRange
+            Not a finite number, or outside the limits.
+        StageUsageError
+            The axis moves, or its box looks for its reference itself.
+        DeviceLost
+            The controller is gone.
+        """
+        low, high = self.settings.limits_mm
+        if not low <= position_mm <= high:
+            raise OutOfRange(f"{self.name}: {position_mm:g} mm is outside its limits {low:g} to {high:g} mm")
+        with self._turn.taken():
+            self._require(MAY_HOME)
+            box_mm = self.settings.sign * (position_mm - self.settings.offset_mm)
+            self._guarded(lambda: self.controller.confirm(self.settings.channel, box_mm))
+            self._happens(Event.FOUND)
+
     def trust_reference(self) -> None:
         """Accept a reference that a motion of another axis of the same controller has found."""
         self._happens(Event.FOUND)

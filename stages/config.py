@@ -2,7 +2,7 @@
 
     stages:
       controllers:
-        rail: {driver: isel_dnc, port: /dev/ttyUSB0}
+        rail: {driver: isel_dnc, port: /dev/ttyUSB0}   # other ways: stages.controller_tables
         glass: {driver: zaber_ascii, port: /dev/ttyUSB1, identity: serial 70001}   # words the box says of itself
       axes:
         rail_z:
@@ -33,6 +33,7 @@ Embed `StagesTable` in the table of a larger file; `validate` of `ground.config`
 its line.
 """
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -40,7 +41,7 @@ from pydantic import Field, model_validator
 from ground.config import Pair, Table
 from ground.plain_words import NAME_PATTERN
 from stages.axis_settings import AxisSettings
-from stages.controller_tables import AnyControllerTable
+from stages.controller_tables import AnyControllerTable, ForeignTable
 from stages.drivers import controller_class
 from stages.errors import StageUsageError
 from stages.profile import Approach
@@ -135,6 +136,17 @@ class StagesTable(Table):
                 controller_class(controller.driver)
             except StageUsageError as error:
                 problems.append(f"controller {name}: {error}")
+            channels = {str(axis.channel) for axis in self.axes.values() if axis.controller == name}
+            if isinstance(controller, ForeignTable) and (text := controller.problem(channels)):
+                problems.append(f"controller {name}: {text}")
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+    def beside(self, folder: Path) -> "StagesTable":
+        """Return the same with files of controllers found in the folder of the bench file."""
+        found = {
+            name: table.beside(folder) if isinstance(table, ForeignTable) else table
+            for name, table in self.controllers.items()
+        }
+        return self.model_copy(update={"controllers": found})

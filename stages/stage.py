@@ -23,6 +23,7 @@ from stages.drivers import controller_class
 from stages.errors import DeviceLost, NotReferenced, StageError, StageUsageError, WrongDevice
 from stages.identities import require_identity
 from stages.motion_controller import Channel, MotionController
+from stages.states import AxisState
 from stages.stop_latch import StopLatch
 from stages.stop_signals import StopSignals
 from stages.watchdog import Watchdog
@@ -63,6 +64,7 @@ class Stage:
         self._just_judged: dict[str, float] | None = None
         self._controllers: dict[str, MotionController] = {}
         self._axes: dict[str, Axis] = {}
+        self._said_mm: dict[str, float] = {}
         for name, table in config.controllers.items():
             used = [axis.settings() for axis in config.axes.values() if axis.controller == name]
             channels = {axis.channel: Channel(axis.channel, axis.steps_per_mm) for axis in used}
@@ -234,8 +236,31 @@ class Stage:
             finally:
                 self._just_judged = None
 
-    def home(self, names: Iterable[str] | None = None, tell: Callable[[str], None] | None = None) -> None:
+    def confirm(self, name: str, position_mm: float) -> None:
+        """Take a person's word for where an axis that is homed by hand rests now; nothing moves.
+
+        Raises
+        ------
+        StageUsageError
+            There is no such axis, it moves, the place is outside its limits, or its box homes by itself.
+        """
+        self.axis(name).confirm(position_mm)
+        self._said_mm[name] = position_mm
+
+    @property
+    def said_mm(self) -> Mapping[str, float]:
+        """Axes whose reference is a person's word, and where they were said to be."""
+        return {name: mm for name, mm in self._said_mm.items() if self._axes[name].state is AxisState.READY}
+
+    def home(
+        self,
+        names: Iterable[str] | None = None,
+        tell: Callable[[str], None] | None = None,
+        ask: Callable[[str], float] | None = None,
+    ) -> None:
         """Home axes in the configured order; all of them if none are named.
+
+        Axes that are homed by hand keep their reference if they have one; else a person is asked first.
 
         Parameters
         ----------
@@ -243,11 +268,14 @@ class Stage:
             Which.
         tell : callable, optional
             Called with the name of an axis before it begins: a long rail takes its time.
+        ask : callable, optional
+            The person at the bench: returns where an axis stands that cannot look for its reference [mm].
 
         Raises
         ------
         StageUsageError
-            A controller homes several axes with one command and not all of them were named; nothing has moved.
+            An axis is homed by hand and nobody is there to be asked, or a controller homes several axes with one
+            command and not all of them were named; nothing has moved.
         Obstructed
             All axes are homed, and a move of `after_home` must not be made.
         MotionStopped
@@ -264,7 +292,7 @@ class Stage:
         for name in order:
             if missing := set(self._homes_with(name)) - wanted:
                 raise StageUsageError(f"homing {name} also homes {', '.join(sorted(missing))}; name them too")
-        done: set[str] = set()
+        done = self._confirmed(order, ask)
         token = self.latch.begin()
         with self._turn.taken():
             self._refuse_beside_lost_motion()
@@ -285,6 +313,19 @@ class Stage:
                 raise
             if len(done) == len(self._axes):
                 self._leave_home()
+
+    def _confirmed(self, names: Iterable[str], ask: Callable[[str], float] | None) -> set[str]:
+        """Those of some axes that are homed by hand, each with a person's word that still holds."""
+        by_hand = [name for name in names if self._axes[name].by_hand]
+        for name in by_hand:
+            if self._axes[name].state is AxisState.READY:
+                continue
+            if ask is None:
+                raise StageUsageError(
+                    f"{name} is homed by hand: see where it stands and say it; in `rtpiv stage`, confirm {name}=MM"
+                )
+            self.confirm(name, ask(name))
+        return set(by_hand)
 
     def stop(self, why: str = "the bench was stopped on request") -> None:
         """Stop everything now, from any thread, and hold the bench until `clear_stop`.

@@ -63,6 +63,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
 
 
+def _address(table: Any) -> str:
+    """Name of the simulated line that a controller hangs on, whatever way leads to it."""
+    if hasattr(table, "objects"):
+        return str(next(iter(table.objects.values())).arguments.get("address", "")).removeprefix("sim://")
+    return str(getattr(table, "port", None) or getattr(table, "adapters", None)).removeprefix("sim://")
+
+
 class Watch:
     """Collects the witnesses of a test, and tells them of the stops that are theirs."""
 
@@ -75,7 +82,7 @@ class Watch:
         self.witnesses.append(witness)
 
     def opened(self, stage: Stage) -> None:
-        lines = [LINES.get(table.port.removeprefix("sim://")) for table in stage.config.controllers.values()]
+        lines = [LINES.get(_address(table)) for table in stage.config.controllers.values()]
         ours = [
             witness
             for witness in self.witnesses

@@ -24,6 +24,7 @@ from daq.example_files import examples
 from daq.terminal import console
 from daq.timing.timing_table import TimingTable
 from daq.verbs.paths import Named
+from stages.controller_tables import ControllerTable
 from stages.identities import confusable
 
 PACKAGES = ("rtpiv", "ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
@@ -102,7 +103,11 @@ def _disk() -> Iterator[Finding]:
 
 def _bench(bench: Bench) -> Iterator[Finding]:
     for name, controller in bench.table.stages.controllers.items():
-        yield _port(f"controller {name}", controller.driver, controller.port)
+        if isinstance(controller, ControllerTable):
+            yield _port(f"controller {name}", controller.driver, controller.port)
+        else:
+            lacks = controller.beside(bench.path.parent).lacks()
+            yield f"controller {name}", lacks is None, lacks or f"{controller.driver}: {controller.place}"
     sections = {CAMERA: bench.table.camera} | {name: device.section for name, device in bench.more.items()}
     for name, section in sections.items():
         if isinstance(section, TimingTable):

@@ -5,6 +5,7 @@ open.  A script can therefore answer for a simulated laser only, by `--operator 
 who reads the word and types it, at the bench, once a run.
 """
 
+import math
 import sys
 
 from daq.acquisition.runner.light import NoOperator, Operator
@@ -29,6 +30,21 @@ class TerminalOperator:
         error_console().print("\nThe background is done. Open the seeding, then press Enter.", soft_wrap=True)
         _typed()
 
+    def stands_mm(self, axis: str) -> float:
+        """Ask for a number."""
+        error_console().print(
+            f"\n{axis} cannot look for its reference. Read on its scale where it stands, and type that in mm:",
+            soft_wrap=True,
+        )
+        text = _typed()
+        try:
+            mm = float(text)
+        except ValueError:
+            mm = math.nan
+        if not math.isfinite(mm):
+            raise RunUsageError(f"{text!r} is no position; nothing has moved")
+        return mm
+
 
 class ScriptOperator:
     """A script that answers for a simulated laser."""
@@ -39,6 +55,16 @@ class ScriptOperator:
 
     def open_seeding(self) -> None:
         """The simulated seeding is open when the flow is photographed."""
+
+    def stands_mm(self, axis: str) -> float:
+        """A script sees no scale.
+
+        Raises
+        ------
+        RunUsageError
+            Always.
+        """
+        raise RunUsageError(f"{axis} is homed by hand: a person has to read where it stands")
 
 
 def operator_of(name: str | None, simulate: bool) -> Operator:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from daq.acquisition.bench.bench_session import BenchSession
 from daq.errors import DaqError, RunUsageError
 from daq.terminal import console, error_console
+from daq.verbs.operator import TerminalOperator
 from daq.verbs.stage_words import numbers, where_table
 from ground.errors import GroundError
 from stages.errors import StageError
@@ -52,6 +53,7 @@ class Prompt:
             verb.shown.partition(" ")[0]: verb
             for verb in (
                 Verb("home [AXIS ...]", "find the references, all or some, in the configured order", self._home),
+                Verb("confirm AXIS=MM ...", "where axes stand that are homed by hand", self._confirm),
                 Verb("where", "where every axis is", self._where),
                 Verb("move AXIS=MM ...", "go to positions, one axis after the other", self._move),
                 Verb("jog AXIS=MM ...", "go by distances", self._jog),
@@ -165,7 +167,12 @@ class Prompt:
 
     def _home(self, words: list[str]) -> None:
         say = error_console()
-        self._session.home(*words, tell=lambda axis: say.print(f"homing {axis}"))
+        ask = TerminalOperator().stands_mm if self._talks else None
+        self._session.home(*words, tell=lambda axis: say.print(f"homing {axis}"), ask=ask)
+        self._where([])
+
+    def _confirm(self, words: list[str]) -> None:
+        self._session.confirm(**numbers(words))
         self._where([])
 
     def _where(self, words: list[str]) -> None:

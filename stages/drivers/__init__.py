@@ -1,5 +1,6 @@
 """The controllers that can be driven: one line each.
 
+DRIVERS speak bytes on a port; FOREIGN are libraries of others (`stages.foreign`).
 A bench file names a driver by its key here, or an own one as ``package.module:Class``. The class is imported
 only when it is asked for. Contract tests run on every line.
 """
@@ -18,6 +19,11 @@ DRIVERS = {
     "thorlabs_apt": "stages.drivers.thorlabs_apt:AptController",
 }
 
+FOREIGN = {
+    "micromanager": "stages.foreign.micromanager:MicroManager",
+    "positioners": "stages.foreign.positioners:Positioners",
+}
+
 
 def controller_class(name: str) -> type[MotionController]:
     """Class of what a bench file names as `driver`, serial or not.
@@ -27,7 +33,11 @@ def controller_class(name: str) -> type[MotionController]:
     StageUsageError
         There is none of that name.
     """
-    return driver_class(name)
+    if name not in FOREIGN:
+        return driver_class(name)
+    module, _, attribute = FOREIGN[name].partition(":")
+    found: type[MotionController] = getattr(importlib.import_module(module), attribute)
+    return found
 
 
 def driver_class(name: str) -> type[Controller]:

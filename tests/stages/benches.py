@@ -1,4 +1,4 @@
-"""Bench files for tests: two axes on one controller of any driver."""
+"""Bench files for tests: two axes on one controller of any kind."""
 
 from sim.emulators import emulator_class
 from sim.stages import ScrewTable
@@ -9,21 +9,36 @@ LOW_MM, HIGH_MM = 5.0, 120.0
 APPROACH = {"side": "from_below", "distance_mm": 0.3, "speed_mm_s": 1.0}
 
 
-def stages_table(driver: str, **changes) -> StagesTable:
+BOXES = {  # kind of a library -> how a bench file names it, and two channels
+    "micromanager": (
+        {"driver": "micromanager", "homing": "device", "devices": {"XY": {"library": "Sim", "device": "XY"}}},
+        ("XY/x", "XY/y"),
+    ),
+    "positioners": (
+        {"driver": "positioners", "homing": "device", "objects": {n: {"object": "sim:X"} for n in "xy"}},
+        ("x", "y"),
+    ),
+}
+
+
+def stages_table(driver: str, box=None, **changes) -> StagesTable:
     """Two axes, a and b, with the same settings."""
-    cls = driver_class(driver)
     axis = {
         "controller": "box", "carries": "target", "along": "x", "limits_mm": [LOW_MM, HIGH_MM], "speed_mm_s": 20.0,
         "acceleration_mm_s2": 100.0, "approach": APPROACH, "settle_s": 0.1,
     }  # fmt: skip
-    if cls.counts_steps:
-        axis["steps_per_mm"] = 400.0
+    if driver in BOXES:
+        about, channels = BOXES[driver]
+    else:
+        about, channels = {"driver": driver, "port": "nowhere"}, driver_class(driver).example_channels
+        if driver_class(driver).counts_steps:
+            axis["steps_per_mm"] = 400.0
     if emulator_class(driver).zero_at_top:
         axis["offset_mm"] = 130.0
     axis.update(changes)
-    axes = {name: {**axis, "channel": channel} for name, channel in zip("ab", cls.example_channels, strict=True)}
+    axes = {name: {**axis, "channel": channel} for name, channel in zip("ab", channels, strict=True)}
     return StagesTable.model_validate(
-        {"controllers": {"box": {"driver": driver, "port": "nowhere"}}, "axes": axes, "home_order": ["b", "a"]}
+        {"controllers": {"box": about | (box or {})}, "axes": axes, "home_order": ["b", "a"]}
     )
 
 
@@ -41,3 +56,14 @@ def screws(table: StagesTable, **changes) -> dict[str, ScrewTable]:
         }  # fmt: skip
         built[name] = ScrewTable.model_validate(about | changes)
     return built
+
+
+def true_errors_um(bench, targets_mm):
+    """True displacement from a datum minus commanded displacement, as one would measure it with a dial gauge."""
+    bench.stage.move({"a": 40.0})
+    datum_mm = bench.world.true_mm("a")
+    errors = []
+    for target_mm in targets_mm:
+        bench.stage.move({"a": target_mm})
+        errors.append((bench.world.true_mm("a") - datum_mm - (target_mm - 40.0)) * 1000.0)
+    return errors

@@ -11,7 +11,8 @@ from sim.emulators.faults import FaultSchedule
 from sim.emulators.line import Line
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
-from stages.drivers import DRIVERS
+from stages.controller import Controller
+from stages.drivers import DRIVERS, FOREIGN
 from stages.stage import Stage
 from tests.stages.benches import screws, stages_table
 
@@ -49,6 +50,13 @@ class Bench:
     def controller(self):
         return self.stage.controllers["box"]
 
+    @property
+    def sent(self):
+        """How much has been said to the box: bytes, or motions asked of a library."""
+        if isinstance(self.controller, Controller):
+            return sum(len(chunk.data) for chunk in self.controller.port.trace if chunk.sent)
+        return len(self.line.emulator.called)
+
     def again(self) -> Stage:
         """A new program on the same devices."""
         self.stage.close()
@@ -64,10 +72,17 @@ def bench():
     up = ExitStack()
 
     def make(
-        driver: str, faults=(), seed: int = 0, backlash_um: float = 50.0, sim=None, firmware=None, **changes
+        driver: str,
+        faults=(),
+        seed: int = 0,
+        backlash_um: float = 50.0,
+        sim=None,
+        firmware=None,
+        box=None,
+        **changes,
     ) -> Bench:
         clock = HookedClock()
-        table = stages_table(driver, **changes)
+        table = stages_table(driver, box, **changes)
         built = screws(table, backlash_um=backlash_um, **(sim or {}))
         schedule = faults if isinstance(faults, FaultSchedule) else FaultSchedule(faults, seed)
         world = SimulatedStages(table, clock, built, {"box": firmware or {}}, {"box": schedule})
@@ -86,5 +101,8 @@ def bench():
 
 
 def pytest_generate_tests(metafunc):
+    """`driver`: what speaks bytes; `kind`: whatever moves."""
     if "driver" in metafunc.fixturenames:
         metafunc.parametrize("driver", DRIVERS)
+    if "kind" in metafunc.fixturenames:
+        metafunc.parametrize("kind", [*DRIVERS, *FOREIGN])

@@ -15,15 +15,17 @@ from stages.stop_latch import StopLatch
 from tests.stages.benches import screws
 from tests.stages.mixed import paper_bench
 
+pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
+
 
 def moments(first_s, last_s, count):
     return [first_s + (last_s - first_s) * n / (count - 1) for n in range(count)]
 
 
 @pytest.mark.parametrize("after_s", moments(0.0, 3.2, 25))
-def test_nothing_moves_after_a_stop_at_any_moment_of_a_move(bench, driver, after_s):
+def test_nothing_moves_after_a_stop_at_any_moment_of_a_move(bench, kind, after_s):
     """Two axes, two legs each, settling in between; from the other axis' first leg to the end."""
-    made = bench(driver, settle_s=0.5)
+    made = bench(kind, settle_s=0.5)
     made.stage.home()
     made.stage.move({"a": 40.0, "b": 40.0})
     stopped_s = made.clock.now_s() + after_s
@@ -49,9 +51,9 @@ def test_nothing_moves_after_a_stop_at_any_moment_of_a_move(bench, driver, after
     made.stage.move({"a": 30.0, "b": 30.0})
 
 
-def test_a_stop_between_two_moves_is_not_forgotten(bench, driver):
+def test_a_stop_between_two_moves_is_not_forgotten(bench, kind):
     """What a runner does: move after move; the stop falls where nobody moves anything."""
-    made = bench(driver)
+    made = bench(kind)
     made.stage.home()
     made.stage.stop()
     rests_mm = made.world.true_mm("a")
@@ -61,8 +63,8 @@ def test_a_stop_between_two_moves_is_not_forgotten(bench, driver):
     assert made.world.true_mm("a") == rests_mm
 
 
-def test_a_stop_ends_the_retries(bench, driver, mocker):
-    made = bench(driver)
+def test_a_stop_ends_the_retries(bench, kind, mocker):
+    made = bench(kind)
     made.stage.home()
     mocker.patch.object(made.controller, "known_mm", side_effect=lambda channel: 1.0)  # never where it was sent
     begin, begun = made.controller.start_move, []
@@ -79,8 +81,8 @@ def test_a_stop_ends_the_retries(bench, driver, mocker):
     assert len(begun) == 3
 
 
-def test_a_halt_ends_what_has_begun_and_no_more(bench, driver):
-    made = bench(driver)
+def test_a_halt_ends_what_has_begun_and_no_more(bench, kind):
+    made = bench(kind)
     made.stage.home()
     made.clock.at(made.clock.now_s() + 0.5, made.stage.halt)
     with pytest.raises(MotionStopped):

@@ -68,7 +68,12 @@ class BenchSession:
         """Position of every axis at rest [mm]; None where it is not known."""
         return self.stage.where_mm()
 
-    def home(self, *axes: str, tell: Callable[[str], None] | None = None) -> dict[str, float | None]:
+    def home(
+        self,
+        *axes: str,
+        tell: Callable[[str], None] | None = None,
+        ask: Callable[[str], float] | None = None,
+    ) -> dict[str, float | None]:
         """Home some axes, or all of them, in the configured order; return where every axis is then.
 
         Parameters
@@ -77,14 +82,28 @@ class BenchSession:
             Their names; all axes if none, followed by the moves of `after_home`.
         tell : callable, optional
             Called with the name of an axis before it begins.
+        ask : callable, optional
+            Returns where an axis stands that is homed by hand [mm], as a person reads it; see `confirm`.
 
         Raises
         ------
         StageError
             A reference was not found, or a move of `after_home` must not be made.
         """
-        self.stage.home(axes or None, tell)
+        self.stage.home(axes or None, tell, ask)
         return self.where()
+
+    def confirm(self, **at_mm: float) -> None:
+        """Say where axes rest that are homed by hand [mm], as read on their scales; nothing moves.
+
+        Raises
+        ------
+        StageUsageError
+            One moves, is said to be outside its limits, or homes by itself.
+        """
+        _require_numbers(at_mm)
+        for name, mm in at_mm.items():
+            self.stage.confirm(name, mm)
 
     def move(self, **targets_mm: float) -> dict[str, Arrival]:
         """Move axes to positions [mm], one after the other; return how each arrived.

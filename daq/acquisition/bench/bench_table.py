@@ -171,7 +171,7 @@ class Bench:
         """Hex digest (16 characters) of all that the file says, but for ports and boxes, which may be replaced."""
         tree = self.table.model_dump(exclude_unset=True)  # a newer version may know more keys
         for controller in tree["stages"]["controllers"].values():
-            controller.pop("port")
+            controller.pop("port", None)
             controller.pop("identity", None)
         for device in tree.get("devices", {}).values():
             device.pop("port", None)

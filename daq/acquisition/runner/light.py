@@ -40,6 +40,10 @@ class Operator(Protocol):
         """Return when the seeding has been opened; the background is done."""
         ...
 
+    def stands_mm(self, axis: str) -> float:
+        """Return where an axis stands that is homed by hand, as read on its scale [mm]."""
+        ...
+
 
 class NoOperator:
     """Nobody is there."""
@@ -56,6 +60,16 @@ class NoOperator:
 
     def open_seeding(self) -> None:
         """Go on."""
+
+    def stands_mm(self, axis: str) -> float:
+        """Nobody can read it.
+
+        Raises
+        ------
+        RunUsageError
+            Always.
+        """
+        raise RunUsageError(f"{axis} is homed by hand, and nobody is there to say where it stands; use a terminal")
 
 
 class Light:

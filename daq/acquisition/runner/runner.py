@@ -165,6 +165,7 @@ class Runner:
                 versions=versions(),
                 steps_left=len(left),
                 controllers={name: box.identity for name, box in self._hardware.stage.controllers.items()},
+                **self._by_hand(),
             )
             discard_unfinished(self._folder, self._steps, journal, self._again)
             present = frame_entries(self._folder.entries())
@@ -183,6 +184,11 @@ class Runner:
             return done
         finally:
             journal.close()
+
+    def _by_hand(self) -> dict[str, Any]:
+        """Axes whose reference is a person's word."""
+        said_mm = dict(self._hardware.stage.said_mm)
+        return {"said_mm": said_mm} if said_mm else {}
 
     # ---- a session -----------------------------------------------------------------------------
 

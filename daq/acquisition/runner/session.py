@@ -22,7 +22,7 @@ from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.experiments.align import AlignPlan
 from daq.acquisition.plans.plan import Plan, load_plan
 from daq.acquisition.plans.steps import BEHIND_GLASS, Step, frame_count
-from daq.acquisition.runner.light import Operator
+from daq.acquisition.runner.light import NoOperator, Operator
 from daq.acquisition.runner.progress import Progress, Watcher
 from daq.acquisition.runner.retake import steps_to_retake
 from daq.acquisition.runner.runner import Runner
@@ -287,7 +287,12 @@ def carry_out(
                 if watcher is not None:
                     watcher(progress)
 
-            hardware.stage.home(tell=tell)
+            def ask(axis: str) -> float:
+                if hardware.simulation is not None:  # a simulated person reads a simulated scale
+                    return hardware.simulation.true_mm()[axis]
+                return (operator or NoOperator()).stands_mm(axis)
+
+            hardware.stage.home(tell=tell, ask=ask)
         if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
             for name in (DONE, MOVED):
                 (folder.path / name).unlink(missing_ok=True)

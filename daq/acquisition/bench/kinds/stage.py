@@ -19,12 +19,12 @@ class StageKind:
 
     def open(self, section: StagesTable, bench: Bench, clock: Clock) -> AbstractContextManager[Stage]:
         """Connect every controller; leaving stops what moves."""
-        return Stage.open(section, clock, guard_of(bench))
+        return Stage.open(section.beside(bench.path.parent), clock, guard_of(bench))
 
     def places(self, section: StagesTable) -> Iterator[str]:
         """Ports of the controllers."""
         for name, controller in section.controllers.items():
-            yield f"controller {name}: {controller.driver} on {controller.port}"
+            yield f"controller {name}: {controller.driver} on {controller.place}"
 
 
 def guard_of(bench: Bench) -> Guard | None:
