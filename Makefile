@@ -100,7 +100,7 @@ picture: demo
 # twenty packages for tests that are skipped without them.
 pins:
 	uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url \
-	  --extra camera --extra hdf5 --extra live --extra mesh --group test --group lint pyproject.toml -o requirements.txt
+	  --extra camera --extra hdf5 --extra live --extra mesh --extra micromanager --group test --group lint pyproject.toml -o requirements.txt
 
 clean:
 	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache

@@ -46,15 +46,23 @@ class ForeignBox(Emulator):
         Time of the world.
     done_early_s : float
         How long a motion has begun before the box says that it is busy.
+    begins_late_s : float
+        How long it says "done" before a motion that it was sent on begins.
     encoder : bool
         Whether it reads where the motor really is, and not what it was told.
     """
 
     def __init__(
-        self, motors: Mapping[str, Motor], clock: Clock, done_early_s: float = 0.0, encoder: bool = False
+        self,
+        motors: Mapping[str, Motor],
+        clock: Clock,
+        done_early_s: float = 0.0,
+        begins_late_s: float = 0.0,
+        encoder: bool = False,
     ) -> None:
         super().__init__(motors, clock)
-        self._early_s, self._encoder = done_early_s, encoder
+        self._early_s, self._late_s, self._encoder = done_early_s, begins_late_s, encoder
+        self._waiting: list[tuple[float, str, float]] = []  # when a motion begins, of what, to where
         self._channels = {name: _Channel(motor) for name, motor in self.motors.items()}
         for name, motor in self.motors.items():
             motor.listener = self.hear(name)
@@ -75,6 +83,19 @@ class ForeignBox(Emulator):
     def send(self, channel: str, target_mm: float) -> None:
         """Go."""
         self.called.append(("send", channel, target_mm))
+        if self._late_s:
+            self._waiting.append((self.event_s + self._late_s, channel, target_mm))
+            self.act_at(self.event_s + self._late_s)
+        else:
+            self._go(channel, target_mm)
+
+    def _tick(self, now_s: float) -> None:
+        due = [waiting for waiting in self._waiting if waiting[0] <= now_s]
+        self._waiting = [waiting for waiting in self._waiting if waiting[0] > now_s]
+        for _, channel, target_mm in due:
+            self._go(channel, target_mm)
+
+    def _go(self, channel: str, target_mm: float) -> None:
         one = self._channels[channel]
         one.begun_s = self.event_s
         lost = one.motor.steps - one.motor.encoder_steps if self._encoder else 0  # made up by who sees them
@@ -92,7 +113,8 @@ class ForeignBox(Emulator):
             one.go(float("-inf"), SPEED_MM_S)
 
     def stop(self, channel: str) -> None:
-        """Brake."""
+        """Brake, and forget what has not begun."""
+        self._waiting = [waiting for waiting in self._waiting if waiting[1] != channel]
         one = self._channels[channel]
         one.seeks = ""
         one.motor.brake(RAMP_MM_S2 * one.steps_per_mm)
@@ -124,6 +146,7 @@ class ForeignBox(Emulator):
             self.stop(channel)
 
     def _power_up(self) -> None:
+        self._waiting.clear()
         for one in self._channels.values():
             one.zero, one.seeks = one.motor.steps, ""
 

@@ -143,7 +143,7 @@ class Calls:
         with self._changed:
             self._ended = True
             self._changed.notify()
-        self._thread.join(0.0 if self._stuck else self._longest_s)
+        self._thread.join(self._longest_s)
 
     def _await(self, call: _Call[Any]) -> None:
         end_s, hurried = time.monotonic() + self._longest_s, False

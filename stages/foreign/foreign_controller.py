@@ -20,38 +20,27 @@ Calls go through one thread with a deadline (`stages.foreign.calls`). Nothing bu
 """
 
 import math
-import warnings
-from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
 
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.controller_tables import AnyControllerTable, ForeignTable
+from stages.controller_tables import ForeignTable
 from stages.errors import (
     CommandRejected,
     DeviceError,
-    DeviceLost,
     MotionStopped,
     NotReferenced,
     OutOfRange,
-    PortUnavailable,
-    StageError,
     StageUsageError,
-    WrongDevice,
 )
-from stages.foreign.calls import Calls
-from stages.motion_controller import Channel, MotionController
+from stages.foreign.library import ForeignLibrary
+from stages.motion_controller import Channel
 from stages.stop_latch import StopLatch
 
-AGAIN_S = 0.05  # between two readings of a position
-STILL_MM = 0.001  # two readings of a stage at rest differ by less
 THERE_MM = 0.01  # the coarsest tolerance of an axis: nearer than this is there
 SHORT_MM = 0.1  # farther than this from its target a motion has ended otherwise
 GRACE_S = 1.0  # a stage that is "done" elsewhere may still begin, or go on
-
-T = TypeVar("T")
 
 
 @dataclass(slots=True)
@@ -65,10 +54,8 @@ class Motion:
     rests_since_s: float | None = None
 
 
-class ForeignController(MotionController):
+class ForeignController(ForeignLibrary):
     """Base of all controllers that are a library."""
-
-    library: str  # in messages
 
     def __init__(
         self,
@@ -78,78 +65,14 @@ class ForeignController(MotionController):
         latch: StopLatch | None = None,
     ) -> None:
         super().__init__(name, channels, clock, latch)
-        for channel in channels.values():
-            if channel.steps_per_mm is not None:
-                raise StageUsageError(f"{name}: remove steps_per_mm of {channel.name}; say mm_per_unit")
-        self._calls: Calls | None = None
         self._by_hand = False
         self._home_mm = 0.0
-        self._failed = False  # the library has raised where it was only asked: nothing is believed any more
         self._motion: Motion | None = None
         self._rests_mm: dict[str, float] = {}  # where channels came to rest, by the library's own zero
         self._zero_mm: dict[str, float] = dict.fromkeys(channels, 0.0)  # the library's zero, as a person has said
-        self._stopped = False
 
-    # ---- life ----------------------------------------------------------------------------------
-
-    def open(self, table: AnyControllerTable) -> str:
-        """Load the library and the devices; nothing moves."""
-        assert isinstance(table, ForeignTable)
-        with self._lock:
-            self.close()
-            if self._calls is not None and self._calls.alive:
-                raise self._still_in(self._calls)
-            self._forget_references()
-            self._motion, self._stopped, self._failed = None, False, False
-            self._by_hand, self._home_mm = table.homing == "hand", table.home_mm
-            self._calls = Calls(self.name, table.call_s, lambda: self.latch.count != self.token, self._unload)
-            self.token = self.latch.count
-            try:
-                identity = self._loaded(table)
-                if self.identity not in ("", identity):
-                    text = f"{identity!r} answers instead of {self.identity!r}; check the cables"
-                    raise WrongDevice(f"{self.name}: {text}")
-                self._tell_what_a_stop_reaches()
-                for channel in self._channels:
-                    self._reading_mm(channel)
-            except BaseException:
-                self.close()
-                raise
-            self.identity = identity
-            self.under_way = False
-            return identity
-
-    def _loaded(self, table: ForeignTable) -> str:
-        try:
-            return self._ask("to load", partial(self._load, table))
-        except CommandRejected as refused:
-            raise PortUnavailable(f"{refused}; is it switched on, is the cable good?") from refused
-
-    def _tell_what_a_stop_reaches(self) -> None:
-        """Say stop at rest, and tell a person what it cannot reach."""
-        if why := self._ask("to stop", self._halt):
-            warnings.warn(f"{self.name} cannot be stopped by its library ({why})", RuntimeWarning, stacklevel=4)
-        warnings.warn(
-            f"{self.name} is moved by {self.library}: a stop waits for the call in progress, and if this program "
-            "is killed what moves drives on to its target (docs/safety.md)",
-            RuntimeWarning,
-            stacklevel=4,
-        )
-
-    def _still_in(self, calls: Calls) -> DeviceLost:
-        doing = f"was asked {calls.stuck} and has not answered" if calls.stuck else "is being closed"
-        return DeviceLost(f"{self.name}: its library {doing}; end this program and begin anew")
-
-    def close(self) -> None:
-        """Stop and unload; a library that does not come back is left alone."""
-        if self._calls is not None and not self._calls.stuck:
-            self._calls.end()
-        self._forget_references()
-
-    @property
-    def lost(self) -> bool:
-        """True if the library has failed, has not come back from a call, or is not loaded."""
-        return self._calls is None or self._failed or self._calls.ended or bool(self._calls.stuck)
+    def _begin_anew(self, table: ForeignTable) -> None:
+        self._motion, self._by_hand, self._home_mm = None, table.homing == "hand", table.home_mm
 
     # ---- reference -----------------------------------------------------------------------------
 
@@ -301,94 +224,6 @@ class ForeignController(MotionController):
     def check_motion(self, channel: str, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Nothing to check: the stage has the speed that its library was told."""
 
-    def stop(self) -> None:
-        """Stop every channel before anything else; waits for nobody."""
-        self._stopped = True
-        if self._calls is not None:
-            self._calls.next(self._say_stop)
-
     def abandon(self) -> None:
         """Forget a motion whose end was never heard of."""
         self._motion = None
-
-    # ---- talking -------------------------------------------------------------------------------
-
-    def _ask(self, words: str, function: Callable[[], T]) -> T:
-        calls = self._calls
-        if calls is None:
-            raise DeviceLost(f"{self.name} is not open; open it and home its axes")
-        try:
-            return calls.ask(words, function)
-        except StageError:
-            if calls.stuck:
-                self.stop()  # said when it comes back, if it ever does
-            raise
-        except Exception as error:
-            raise CommandRejected(f"{self.name}, {words}: {_sentence(error)}", type(error).__name__) from error
-
-    def _look(self, channel: str) -> tuple[bool, float]:
-        """Whether the stage is busy, and what it reads [mm of the library]."""
-        try:
-            busy, here_mm = self._ask("for a position", lambda: (self._busy(channel), self._read_mm(channel)))
-        except CommandRejected as failed:
-            self._forget_references()  # it may have been off
-            self._failed = True
-            raise DeviceLost(f"{failed}; plug it in, open it again and home its axes") from failed
-        if not math.isfinite(here_mm):
-            self._forget_references()
-            raise DeviceError(f"{self.name} channel {channel} reads {here_mm}; it does not know where it is")
-        return busy, here_mm
-
-    def _at_rest(self, channel: str) -> float | None:
-        """What a stage at rest reads; None if it moves."""
-        busy, first_mm = self._look(channel)
-        if busy:
-            return None
-        self.clock.sleep_s(AGAIN_S)
-        busy, again_mm = self._look(channel)
-        return None if busy or abs(again_mm - first_mm) > STILL_MM else again_mm
-
-    def _reading_mm(self, channel: str) -> float:
-        here_mm = self._at_rest(channel)
-        if here_mm is None:
-            raise StageUsageError(f"{self.name} channel {channel} moves; wait until it rests")
-        return here_mm
-
-    def _say_stop(self) -> None:
-        if why := self._halt():
-            raise DeviceError(f"{self.name} could not be stopped: {why}")
-
-    # ---- for each kind of library; called in its thread alone ----------------------------------
-
-    @abstractmethod
-    def _load(self, table: ForeignTable) -> str:
-        """Load library and devices; return who answers."""
-
-    @abstractmethod
-    def _unload(self) -> None:
-        """Let go of everything."""
-
-    @abstractmethod
-    def _busy(self, channel: str) -> bool:
-        """Whether the library says that the channel moves."""
-
-    @abstractmethod
-    def _read_mm(self, channel: str) -> float:
-        """What it reads."""
-
-    @abstractmethod
-    def _send(self, channel: str, target_mm: float) -> None:
-        """Send a channel somewhere."""
-
-    @abstractmethod
-    def _seek(self, channel: str) -> None:
-        """Begin a reference run."""
-
-    @abstractmethod
-    def _halt(self) -> str:
-        """Stop everything, all channels whatever one of them says; return what went wrong, or ""."""
-
-
-def _sentence(error: BaseException) -> str:
-    """First line of what a library has said."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:300]

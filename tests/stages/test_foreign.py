@@ -80,7 +80,7 @@ def test_a_call_that_never_returns_is_an_error_within_its_deadline(made, hang, c
 def test_what_comes_back_late_is_stopped_and_the_library_left(made, hang):
     until = hang("send")
     with pytest.raises(DeviceLost):
-        made.stage.move({"a": 100.0})
+        made.stage.axis("a").move_to(100.0)  # nobody halts the bench for it
     made.line.emulator.hangs.clear()
     until.set()
     for thread in in_library():
@@ -203,9 +203,9 @@ def test_a_program_whose_library_hangs_goes_on_and_ends():
     assert time.monotonic() - begun_s < 20.0
 
 
-@pytest.mark.parametrize("early_s", [0.1, 0.4])
-def test_done_that_is_said_too_early_is_not_believed(bench, library, early_s):
-    made = bench(library, firmware={"done_early_s": early_s})
+@pytest.mark.parametrize("lie", [{"done_early_s": 0.4}, {"begins_late_s": 0.3}, {"begins_late_s": 0.8}])
+def test_done_that_is_said_too_early_is_not_believed(bench, library, lie):
+    made = bench(library, firmware=lie)
     made.stage.home()
     assert max(map(abs, true_errors_um(made, (60.0, 20.0, 20.3, 110.0)))) <= 10.0
 
@@ -363,3 +363,31 @@ def test_a_stop_that_slips_in_behind_the_look_ends_the_motion(made, mocker):
         made.stage.move({"a": 100.0})
     made.clock.sleep_s(20.0)
     assert made.world.true_mm("a") < 24.0
+
+
+def test_a_stop_before_the_library_is_told_means_that_it_is_not_told(made, mocker):
+    """It falls behind every look of the axis: the last one is in the library's own thread."""
+    vouch, before = made.controller.vouch, list(made.line.emulator.called)
+
+    def stopped_behind(channel):
+        vouch(channel)
+        made.stage.stop()
+
+    mocker.patch.object(made.controller, "vouch", side_effect=stopped_behind)
+    with pytest.raises(MotionStopped):
+        made.stage.axis("a").move_to(100.0)
+    assert made.line.emulator.called == before
+
+
+def test_a_restart_that_a_stop_hides_takes_the_reference_all_the_same(made):
+    """It rests where no way of its has led: what it reads counts from elsewhere."""
+    made.stage.move({"a": 60.0})
+
+    def both():
+        made.line.power_cycle(0.0)
+        made.stage.stop()
+
+    made.clock.at(made.clock.now_s() + 0.5, both)
+    with pytest.raises(MotionStopped):
+        made.stage.move({"a": 110.0})
+    assert made.stage.where_mm()["a"] is None

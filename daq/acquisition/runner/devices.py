@@ -3,8 +3,16 @@
 `bluesky.protocols` are structural: an object with the right methods is a device.  So a laboratory that runs its
 plans on a Bluesky RunEngine can use this bench, and our own runner is checked against that engine (tests/system).
 
-    AxisDevice     Movable, Readable, Locatable, Stoppable, Checkable
+    AxisDevice     Movable, Readable, Locatable, Stoppable, Checkable, with hints
     CameraDevice   Triggerable, Readable, Stageable
+
+    with open_session("bench.yaml", home=True) as bench:
+        axes = axis_devices(bench.stage)
+        engine(scan([], axes["target_z"], -5.0, 5.0, 11))
+
+An engine judges nothing before it moves. Here every ``set`` goes through the one door of the bench: limits,
+keep-out with fresh positions of all axes, the turn, a stop that holds, a laser that bars. What is refused fails
+the plan with the sentence that says why, and nothing has moved.
 """
 
 import threading
@@ -59,6 +67,12 @@ class Work:
                 return
         callback(self)
 
+    def __repr__(self) -> str:
+        """What an engine shows of a status that has failed."""
+        if not self.done:
+            return "under way"
+        return "done" if self._error is None else f"{type(self._error).__name__}: {self._error}"
+
     def _run(self, function: Callable[[], object]) -> None:
         try:
             function()
@@ -69,6 +83,17 @@ class Work:
             callbacks = list(self._callbacks)
         for callback in callbacks:
             callback(self)
+
+
+def axis_devices(stage: Stage) -> "dict[str, AxisDevice]":
+    """Every axis of a stage as a device, by name.
+
+    Parameters
+    ----------
+    stage : Stage
+        Open, homed.
+    """
+    return {name: AxisDevice(stage, name) for name in stage.axes}
 
 
 class AxisDevice:
@@ -87,6 +112,16 @@ class AxisDevice:
     def __init__(self, stage: Stage, name: str) -> None:
         self.name = name
         self._stage = stage
+
+    @property
+    def hints(self) -> dict[str, list[str]]:
+        """What an engine shows of a reading."""
+        return {"fields": [self.name]}
+
+    @property
+    def position(self) -> float:
+        """Measured position [mm]."""
+        return self._stage.axis(self.name).position_mm
 
     def set(self, value: float) -> Work:
         """Move to a position [mm]; limits and keep-out are judged as for every other move.
