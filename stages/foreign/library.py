@@ -10,6 +10,7 @@ import math
 import warnings
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from typing import ClassVar, TypeVar
 
@@ -144,7 +145,8 @@ class ForeignLibrary(MotionController):
             self._forget_references()  # it may have been off
             self._failed = True
             if self.under_way:
-                self.stop()
+                with suppress(DeviceError):
+                    self.stop()
             raise DeviceLost(f"{failed}; plug it in, open it again and home its axes") from failed
         if not math.isfinite(here_mm):
             self._forget_references()

@@ -86,8 +86,8 @@ def run_through(made):
     return True
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_one_fault_anywhere_ends_right_or_in_an_error(bench, driver, kind):
+@pytest.mark.parametrize("fault", KINDS)
+def test_one_fault_anywhere_ends_right_or_in_an_error(bench, driver, fault):
     """Never a wrong position taken for a right one; and nearly always the run goes on by itself.
 
     What is not repeated by itself is a reference run, because nobody asked for two.
@@ -96,14 +96,14 @@ def test_one_fault_anywhere_ends_right_or_in_an_error(bench, driver, kind):
     answers, successes, met = range(1, 70, 5), 0, 0
     for answer in answers:
         made.line.plug_in()
-        made.line.faults = FaultSchedule([Fault(kind, answer, delay_s=0.8)], seed=answer)
+        made.line.faults = FaultSchedule([Fault(fault, answer, delay_s=0.8)], seed=answer)
         successes += run_through(made)
         met += bool(made.line.faults.met)
         if answer < 20:
             assert made.line.faults.met
         made.line.plug_in()
         made.clock.sleep_s(60.0)
-    if kind == "unplug":
+    if fault == "unplug":
         assert successes == len(answers) - met  # there is no answer behind which a dead line goes unnoticed
     else:
         assert successes >= len(answers) - 2
