@@ -13,6 +13,7 @@ from types import ModuleType
 import pytest
 
 from stages.config import StagesTable
+from stages.controller_tables import MicroManagerTable, PositionersTable
 from stages.errors import (
     DeviceError,
     MotionStopped,
@@ -339,3 +340,21 @@ def test_a_configuration_file_of_micro_manager(tmp_path):
     (tmp_path / "glass.cfg").unlink()
     with pytest.raises(PortUnavailable, match="cannot be read"):
         Stage.open(config.beside(tmp_path))
+
+
+def test_what_this_computer_lacks_is_seen_without_loading_anything(tmp_path):
+    def lacks(**changes):
+        about = {
+            "homing": "hand",
+            "devices": {"Z": {"library": "L", "device": "D"}},
+            "core": "json:loads",
+            **changes,
+        }
+        return MicroManagerTable(driver="micromanager", **(known | changes)).lacks()
+
+    assert lacks() is None
+    assert "rtpiv[micromanager]" in lacks(core="not_there_at_all:Core")
+    assert "there is no folder" in lacks(adapters=str(tmp_path / "none"))
+    assert "there is no file" in lacks(devices={}, config="none.cfg")
+    box = {"driver": "positioners", "homing": "hand", "objects": {"x": {"object": "not_there:Axis"}}}
+    assert "not_there:Axis is not installed" in PositionersTable.model_validate(box).lacks()
