@@ -350,7 +350,7 @@ def test_what_this_computer_lacks_is_seen_without_loading_anything(tmp_path):
             "core": "json:loads",
             **changes,
         }
-        return MicroManagerTable(driver="micromanager", **(known | changes)).lacks()
+        return MicroManagerTable(driver="micromanager", **about).lacks()
 
     assert lacks() is None
     assert "rtpiv[micromanager]" in lacks(core="not_there_at_all:Core")
