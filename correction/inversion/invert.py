@@ -29,6 +29,7 @@ from tracer.branches import chain_trip, event_numbers, key_of
 from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import BALL
+from tracer.kernels.sphere import OPAQUE
 from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
 from tracer.ray_map import RayMap
 from tracer.scene import Scene
@@ -88,7 +89,8 @@ class Inversion:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
         height, width = self.grid.shape
         place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
-        lens_free = self.scene.camera.lens.is_ideal
+        lens_free, world = self.scene.camera.lens.is_ideal, self.tables[1]
+        glass_only = not (world.others or world.shapes or world.spheres[:, OPAQUE].any())
         size = np.array(self.size, dtype=np.float64)
         maps: tuple[NDArray[Any], ...] = (
             self.status,
@@ -107,6 +109,7 @@ class Inversion:
                 self.tables,
                 discs,
                 self.lockstep,
+                glass_only,
                 lens_free,
                 self.grid_numbers,
                 size,

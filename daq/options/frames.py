@@ -180,11 +180,15 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     _route_option(report, "compare")
     _piv_options(report)
 
-    export = verbs.add_parser("export", help="vectors for MATLAB, ParaView or Tecplot")
-    export.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="vectors.nc, mean.nc, chunks of a series"
+    export = verbs.add_parser(
+        "export", help="vectors for MATLAB, ParaView or Tecplot; maps of a scene as NetCDF or TIFF"
     )
-    export.add_argument("--to", choices=("matlab", "paraview", "tecplot"), required=True, help="for whom")
+    export.add_argument(
+        "files", type=Path, nargs="+", metavar="FILE", help="vectors.nc, mean.nc, chunks of a series; scene.yaml"
+    )
+    export.add_argument(
+        "--to", choices=("matlab", "paraview", "tecplot", "netcdf", "tiff"), required=True, help="for whom"
+    )
     export.add_argument("-o", "--out", type=Path, default=Path("exported"), help="folder (default: exported)")
 
 

@@ -41,6 +41,7 @@ MAX_STEPS = 25
 SETTLED_PX = 1e-10
 EDGE_PX = 1e-9  # beside the outermost pixel centre and still on it
 FREE, BEHIND_GLASS, BEHIND_BODY = 0, 1, 2
+WITHIN = 3  # `glass_span` is two nodes wider than a silhouette, at most: so far inside it there is no doubt
 X, Y, XA, XB, YB, WANTED_X, WANTED_Y = (k * STEP for k in range(7))  # columns of a block
 
 
@@ -51,6 +52,7 @@ def hide_nodes(
     tables: Tables,
     discs: Array,
     lockstep: bool,
+    glass_only: bool,
     x: Array,
     y: Array,
     spans: Array,
@@ -62,10 +64,17 @@ def hide_nodes(
 
     ``place`` is a camera whose pixels are the nodes: it stands in the pinhole and looks straight down, so that
     a sphere's shadow on a row of nodes is the silhouette that ``tracer.kernels.chain`` knows.  Only nodes in
-    shadows are asked for.  ``discs`` (N, BALL), of which centre and R^2 count, in the order of the sphere table.
+    shadows are asked for, and where all bodies are round and of glass (`glass_only`) only those at the shadows'
+    rims: what is deeper in one is behind glass, whatever else stands there.  ``discs`` (N, BALL), of which centre
+    and R^2 count, in the order of the sphere table.
     """
     camera, world = tables
     width, bodies = x.shape[0], discs.shape[0]
+    walled = world.rooms.home.shape[0] > 0  # behind a wall nothing is seen straight
+    for i in range(width):
+        hidden[i] = BEHIND_GLASS if walled else FREE
+    if walled:
+        return
     place_row(row, True, place, x, y)
     count = 0
     joined = spans[bodies:]
@@ -73,18 +82,20 @@ def hide_nodes(
         low, high = glass_span(x, y, True, place, discs, k)
         if low < high:
             count = insert_span(joined, count, low, high)
+            below = place[EYE_Z] - discs[k, 2]
+            if glass_only and below > 0.0 and below * below > discs[k, 3]:
+                for i in range(low + WITHIN, high - WITHIN):
+                    hidden[i] = BEHIND_GLASS
     if len(world.others) > 0:
         joined[0, 0], joined[0, 1] = 0, width
         count = 1
-    for i in range(width):
-        hidden[i] = FREE
-    if world.rooms.home.shape[0] > 0:  # behind a wall nothing is seen straight
-        for i in range(width):
-            hidden[i] = BEHIND_GLASS
-        return
     for j in range(count):
         low = joined[j, 0]
         while low < joined[j, 1]:
+            while low < joined[j, 1] and hidden[low] != FREE:
+                low += 1
+            if low == joined[j, 1]:
+                break
             high = min(low + LANES, joined[j, 1])
             if lockstep:
                 begin_block(x[low:high], y[low:high], place, rays, trips)
@@ -92,9 +103,11 @@ def hide_nodes(
                 for k in range(bodies):
                     look(k, discs, high - low, rays, trips)
                 for i in range(high - low):
-                    hidden[low + i] = BEHIND_GLASS if trips[PICK + i] >= 0 else FREE
+                    hidden[low + i] = BEHIND_GLASS if trips[PICK + i] >= 0 else hidden[low + i]
             else:
                 for i in range(low, high):
+                    if hidden[i] != FREE:
+                        continue
                     dx, dy = x[i], -y[i]
                     unit = 1.0 / math.sqrt(dx * dx + dy * dy + 1.0)
                     dx, dy, dz = dx * unit, dy * unit, -unit
@@ -112,6 +125,7 @@ def direct_rows(
     tables: Tables,
     discs: Array,
     lockstep: bool,
+    glass_only: bool,
     flat: bool,
     grid: Array,
     size: Array,
@@ -139,7 +153,7 @@ def direct_rows(
     camera = tables[0]
     nan, nan32, none = math.nan, np.float32(math.nan), np.float32(0.0)
     for row in range(first, last):
-        hide_nodes(row, place, tables, discs, lockstep, x, y, spans, rays, trips, hidden)
+        hide_nodes(row, place, tables, discs, lockstep, glass_only, x, y, spans, rays, trips, hidden)
         wy = grid[1] - row * grid[2] - camera[EYE_Y]
         if not flat:
             acquire_row(wy, grid, camera, rays, lens)
