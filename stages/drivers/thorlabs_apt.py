@@ -18,6 +18,10 @@ by another program with another offset. So homing leaves a mark: the distance of
 nobody here ever makes, becomes a number made from the settings of the reference run. A restart wipes it out; a
 box that is homed and has the mark is where it says it is, also for the next program.
 
+**Half a command.** Nothing marks where a message begins, so who dies in the middle of one leaves a box that takes
+the next bytes for the rest of it, maybe of a target. So whoever opens the port, and the watchdog, says stop until
+the longest of our messages must have ended: what has begun by then ends at once.
+
 **Stops.** A servo is stopped at once: its encoder goes on counting. A stepper that is stopped at once loses steps
 that nobody counts, so it is stopped along its ramp. The box's own backlash correction would drive past the target;
 it is switched off before the first move.
@@ -53,6 +57,7 @@ BEGINS_S = 0.3  # a box that has taken a command may still seem to rest for as l
 MARKS = range(257, 1024)  # counts: nothing to speak of if somebody should ever make that move
 DOUBT = 256  # the mark of a channel that must not be believed, though there was no restart
 LARGEST = 2**31 - 1
+LONGEST_BYTES = 20  # of what this driver says: a setting of speeds
 LARGEST_CHANNEL = 4
 
 SERVO_S, BRUSHLESS_S = 2048 / 6e6, 102.4e-6  # period of the control loop
@@ -185,6 +190,11 @@ class AptController(Controller):
 
     # ---- who answers, and what it has been told ----------------------------------------------------
 
+    def _get_to_know(self) -> None:
+        for data in self.watchdog_bytes():
+            self.port.write(data)
+        super()._get_to_know()
+
     def _check_channel(self, channel: Channel) -> None:
         super()._check_channel(channel)
         if not re.fullmatch(rf"[1-{LARGEST_CHANNEL}]|bay([1-9]|10)", channel.name):
@@ -215,7 +225,7 @@ class AptController(Controller):
         question = apt.Order(Kind.HW_REQ_INFO, to=to).to_bytes()
         info = self._converse(question, accept, stream=apt.IdentityStream(to))
         minor, interim, major = info.firmware
-        return f"Thorlabs {info.model} serial {info.serial} firmware {major}.{interim}.{minor}"
+        return f"Thorlabs {info.model.strip()} serial {info.serial} firmware {major}.{interim}.{minor}"
 
     def _set_up(self) -> None:
         model = self.identity.split()[1]
@@ -362,6 +372,11 @@ class AptController(Controller):
         return [
             apt.Order(Kind.MOT_MOVE_STOP, _ident(name), how, _place(name)).to_bytes() for name in self._channels
         ]
+
+    def watchdog_bytes(self) -> Sequence[bytes]:
+        """The stops, behind whatever a program that died may have left unfinished."""
+        times = 2 + LONGEST_BYTES // words.HEADER
+        return [data * times for data in self._stop_bytes()]
 
     # ---- questions -----------------------------------------------------------------------------
 

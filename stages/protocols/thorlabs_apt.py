@@ -47,6 +47,8 @@ from stages.protocols.framing import Example
 
 PROTOCOL = "thorlabs-apt-protocol 29"  # MIT; the functions and parsers of this name
 PUBLISHED = "InstrumentKit tests/test_thorlabs"  # dialogues of its tests
+MANUAL = "Thorlabs, APT Communications Protocol, the sample of this message, as the tests of pnpq quote it"
+RECORDED = "a K10CR1, as the tests of pnpq quote it"
 CLIENTS = "a test of an open KDC101 client"
 NOBODY = 0x00  # sender of some boxes' unasked messages, as thorlabs-apt-device has met them
 LONGEST_COMMAND = 255
@@ -96,6 +98,11 @@ class Setting:
         """Documented messages."""
         return (
             Example(
+                b"\x53\x04\x06\x00\xa2\x01\x01\x00\x40\x0d\x03\x00",
+                cls(Kind.MOT_MOVE_ABSOLUTE, 1, 200_000, 0x22),
+                MANUAL,
+            ),
+            Example(
                 b"\x53\x04\x06\x00\xd0\x01\x01\x00\xfb\x86\x00\x00",
                 cls(Kind.MOT_MOVE_ABSOLUTE, 1, 34555),
                 "two open clients: 1 mm of a Z8 stage",
@@ -131,7 +138,9 @@ class SetSpeeds:
     def examples(cls) -> tuple[Example, ...]:
         """Documented messages."""
         raw = b"\x13\x04\x0e\x00\xa1\x01\x01\x00\x07\x00\x00\x00\x9a\x11\x00\x00\x00\x80\x4f\x01"
+        sample = bytes.fromhex("1304 0E00 A201 0100 00000000 B0350000 CDCCCC00")
         return (
+            Example(sample, cls(1, 0, 0x35B0, 0xCCCCCD, 0x22), MANUAL),
             Example(
                 raw, cls(1, 7, 4506, 21987328, FIRST_BAY), f"{PROTOCOL}, mot_set_velparams: 1 mm/s of a DRV250"
             ),
@@ -293,7 +302,12 @@ class Info:
             + b"\x10\x00\xa1\xa2\xa3\x00" + b"abcdefg".ljust(60, b"\x00") + b"\x2a\x00\x2b\x00\x01\x00"
         )  # fmt: skip
         message = cls(0x04030201, "KDC101", 16, (0xA1, 0xA2, 0xA3), "abcdefg", 42, 43, 1)
-        return (Example(raw, message, f"{PUBLISHED}, init_kdc101"),)
+        sample = bytes.fromhex("0600 5400 8122 89539A05 494F4E3030312000 2C00 02013900") + bytes(60)
+        sample += bytes.fromhex("0100 0300 0100")
+        return (
+            Example(raw, message, f"{PUBLISHED}, init_kdc101"),
+            Example(sample, cls(94_000_009, "ION001 ", 44, (2, 1, 57), "", 1, 3, 1, 0x22), MANUAL),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,6 +349,12 @@ class Unasked:
                 cls(Kind.MOT_MOVE_COMPLETED, moved, False, 0x22),
                 f"{PUBLISHED}, test_apt_mc_move, from the second bay",
             ),
+            Example(
+                bytes.fromhex("6404 0e00 8150 0100 68aaa001 0000 0000 30000080"),
+                cls(Kind.MOT_MOVE_COMPLETED, bytes.fromhex("0100 68aaa001 0000 0000 30000080")),
+                RECORDED,
+            ),
+            Example(b"\x64\x04\x01\x00\x01\x22", cls(Kind.MOT_MOVE_COMPLETED, b"\1\0", True, 0x22), MANUAL),
         )
 
 

@@ -2,10 +2,14 @@
 
 import re
 import struct
+from pathlib import Path
 
 import pytest
 
+from sim.clock import VirtualClock
+from sim.emulators.device import Emulator
 from sim.emulators.line import Line
+from sim.emulators.protocol_sim import LINES
 from stages.controller import Channel
 from stages.drivers.thorlabs_apt import FAMILIES, AptController
 from stages.errors import (
@@ -150,10 +154,11 @@ def test_after_a_limit_switch_the_next_program_believes_nothing(bench):
 def test_a_servo_stops_at_once_and_a_stepper_along_its_ramp(request, make, how):
     made = request.getfixturevalue(make)(*(["thorlabs_apt"] if make == "bench" else []))
     made.stage.home()
-    made.clock.at(made.clock.now_s() + 2.0, made.stage.stop)
+    homed_s = made.clock.now_s()
+    made.clock.at(homed_s + 2.0, made.stage.stop)
     with pytest.raises(MotionStopped):
         made.stage.move({"a": 45.0})
-    stops = [message for _, message in written(made, Kind.MOT_MOVE_STOP)]
+    stops = [message for time_s, message in written(made, Kind.MOT_MOVE_STOP) if time_s > homed_s]
     assert {message.second for message in stops} == {how}
     assert {(message.first, message.to) for message in stops} == (
         {(1, 0x50), (2, 0x50)} if make == "cube" else {(1, 0x21), (1, 0x22)}
@@ -349,6 +354,24 @@ def test_a_wheel_that_is_turned_moves_the_axis_and_the_position_is_known(bench):
     assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)
 
 
+@pytest.mark.parametrize("cut", range(1, 12))
+def test_half_a_command_of_a_program_that_died_moves_nothing(bench, cut):
+    """The box takes the next bytes for the rest of the target, whatever they mean."""
+    made = bench("thorlabs_apt")
+    made.stage.home()
+    made.stage.move({"a": 60.0})
+    stood_mm = made.world.true_mm("a")
+    made.stage.close()
+    made.line.send(apt.Setting(Kind.MOT_MOVE_ABSOLUTE, 1, 16_000, 0x21).to_bytes()[:cut])
+    again = made.again()
+    made.clock.sleep_s(10.0)
+    made.line.receive()
+    assert made.world.true_mm("a") == pytest.approx(stood_mm, abs=0.06)  # its play at most
+    again.home()
+    again.move({"a": 40.0})
+    assert again.where_mm()["a"] == pytest.approx(40.0, abs=0.01)
+
+
 # ---- the wire ------------------------------------------------------------------------------------
 
 
@@ -369,6 +392,46 @@ def test_what_boxes_say_by_themselves_is_nobodys_answer(bench, monkeypatch, cut)
     made.stage.home()
     made.stage.move({"a": 30.0, "b": 70.0})
     assert made.stage.where_mm() == pytest.approx({"a": 30.0, "b": 70.0}, abs=0.01)
+
+
+def published():
+    """Answers of strangers' tests by their question, each with what is said before it."""
+    path = Path(__file__).parents[1] / "sim" / "emulators" / "dialogues" / "thorlabs_apt_published.txt"
+    answers, question = {}, b""
+    for line in path.read_text().splitlines():
+        text = line[2:].replace("{53 zeros}", "00 " * 53)
+        if line.startswith("> "):
+            question = bytes.fromhex(text)
+        elif line.startswith("< "):
+            answers[question] = answers.get(question, b"") + bytes.fromhex(text)
+    return answers
+
+
+class Strangers(Emulator):
+    """Answers as strangers' tests let a box answer."""
+
+    def _take(self, data):
+        for place in range(0, len(data), 6):  # only short messages are sent to it
+            self.say(published().get(data[place : place + 6], b""))
+
+
+def test_the_driver_reads_what_strangers_let_a_box_say():
+    clock = VirtualClock()
+    LINES["strangers"] = Line(Strangers({}, clock), clock)
+    box = AptController("box", {"1": Channel("1", 400.0)}, clock)
+    try:
+        identity = box.connect("sim://strangers")
+        assert identity == "Thorlabs KDC101 serial 67305985 firmware 163.162.161"
+        assert box.position_mm("1") == -50.0
+        how = box._homing_settings("1")
+        assert (how.direction, how.switch, how.speed, how.offset) == (1, 1, 100, 7000)
+        assert box._value("1", Kind.MOT_REQ_GENMOVEPARAMS) == -20_000
+        assert box._speeds("1") == (0xCCCCCD, 0x35B0)
+        assert not box.moving("1")
+        assert not box.referenced("1")  # it is homed, and has no mark of ours
+    finally:
+        box.close()
+        LINES.pop("strangers")
 
 
 def test_automatic_messages_are_switched_off(bench, monkeypatch):

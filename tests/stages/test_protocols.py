@@ -185,7 +185,7 @@ def test_apt_lets_nobody_tell_the_end_of_a_motion():
 
 @pytest.mark.parametrize("cut", range(0, 103, 7))
 def test_apt_an_identity_is_found_behind_the_rest_of_a_message(cut):
-    (example,) = thorlabs_apt.Info.examples()
+    example, *_ = thorlabs_apt.Info.examples()
     raw, stream = APT_POSITION[3:] + example.raw + APT_MOVED, thorlabs_apt.IdentityStream(0x50)
     found = stream.feed(raw[:cut]) + stream.feed(raw[cut:])
     assert found[0] == example.message
