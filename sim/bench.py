@@ -20,7 +20,7 @@ from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
 from sim.arranged import check_views, put_up
-from sim.bench_table import SimulationTable, fault_plan, settings_by_number, simulation_of
+from sim.bench_table import FurtherCameraTable, SimulationTable, fault_plan, settings_by_number, simulation_of
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
@@ -65,6 +65,8 @@ class SimulatedBench:
         speed = 1.0 if shows == FLOW else table.speed
         self.clock: ScaledClock | PacedClock = ScaledClock(speed) if pty else PacedClock()
         self._stack = ExitStack()
+        self._shows = shows
+        self._further_worlds: dict[str, World] = {}
         try:
             options = {
                 name: {"settings": settings_by_number(settings)} for name, settings in table.firmware.items()
@@ -80,13 +82,16 @@ class SimulatedBench:
                 self.clock.is_paced = lambda: any(unit.triggers_camera for unit in self.world.timing)
             folder = Path(tempfile.mkdtemp(prefix="rtpiv-"))
             self._stack.callback(shutil.rmtree, folder, ignore_errors=True)
-            self._wires = Wires(folder)
+            self._wires = Wires(folder)  # all cameras hang on the same
             self._stack.callback(self._wires.close)
             camera = self._camera(bench, table, exposures_before, folder)
             self.sections: dict[str, Table] = {STAGES: _any_box(served), CAMERA: camera}
             for name, device in bench.more.items():
-                self.sections[name] = self._stack.enter_context(self._more(bench, name, device))
-                self._wire(device)
+                if isinstance(device.section, CameraSection):
+                    self.sections[name] = self._further(bench, name, table, stages, exposures_before, folder)
+                else:
+                    self.sections[name] = self._stack.enter_context(self._more(bench, name, device))
+                    self._wire(device)
         except BaseException:
             self._stack.close()
             raise
@@ -115,6 +120,8 @@ class SimulatedBench:
         truths = {"truth.yaml": STOOD + dump_scene(self.world.scene)}
         if self.world.lit is not None:
             truths["flow_truth.yaml"] = self.world.flow_truth()
+        for name, world in self._further_worlds.items():
+            truths[f"truth_{name}.yaml"] = STOOD + dump_scene(world.scene)
         return truths
 
     def close(self) -> None:
@@ -137,11 +144,57 @@ class SimulatedBench:
         if isinstance(device.section, TimingTable):
             connect(self.world.timing[-1], device.section, self.clock, self._wires, self.world.lit)
 
+    def _further(
+        self,
+        bench: Bench,
+        name: str,
+        table: SimulationTable,
+        stages: SimulatedStages,
+        exposures_before: int,
+        folder: Path,
+    ) -> CameraSection:
+        """A further camera: eyes of its own in the same world, the same light, behind the same glass."""
+        beside = bench.seen_by(name)
+        beside = beside.with_scene(replace(bench.scene, camera=beside.scene.camera))
+        own = table.cameras.get(name, FurtherCameraTable())
+        flow = table.flow.model_copy(update={"prepared": None})  # pairs of another view
+        its = table.model_copy(update={"aperture": own.aperture, "ring": None, "faults": own.faults, "flow": flow})
+        world = World(beside, its, stages, self._shows, exposures_before, self.world.lit)
+        width, height = beside.scene.camera.sensor_px
+        config = CameraConfig(
+            width,
+            height,
+            serial=f"{SERIAL}-{name}",
+            row_time_us=its.row_time_us,
+            wires=str(self._wires.path),
+            clock_ppm=own.clock_ppm,
+            faults=fault_plan(own.faults, exposures_before),
+        )
+        own_folder = folder / name
+        own_folder.mkdir()
+        self._further_worlds[name] = world
+        return self._behind_transport(beside, config, world, own_folder)
+
+    def _behind_transport(self, bench: Bench, config: CameraConfig, world: World, folder: Path) -> CameraSection:
+        """Let a camera see a world; return how it is opened."""
+        if config.source == CameraConfig().source:
+            server = FrameServer(world, folder, config.width, config.height)
+            self._stack.callback(server.close)
+            config = replace(config, source="sim.camera.remote:RemoteSource", source_arguments=server.arguments())
+        if bench.table.camera.backend == "aravis":
+            return _section_with(bench, "aravis", address=self._stack.enter_context(device_process(config)))
+        cti = str(write_producer(folder / "bench.cti", [config]))
+        return _section_with(bench, "harvesters", cti=cti, serial=config.serial)
+
     def _camera(self, bench: Bench, table: SimulationTable, exposures_before: int, folder: Path) -> CameraSection:
         width, height = bench.scene.camera.sensor_px
-        faults = fault_plan(table.faults, exposures_before)
         config = CameraConfig(
-            width, height, serial=SERIAL, row_time_us=table.row_time_us, wires=str(self._wires.path), faults=faults
+            width,
+            height,
+            serial=SERIAL,
+            row_time_us=table.row_time_us,
+            wires=str(self._wires.path),
+            faults=fault_plan(table.faults, exposures_before),
         )
         if table.ring is not None:
             ring = bench.path.parent / table.ring
@@ -149,15 +202,7 @@ class SimulatedBench:
                 raise SceneError(f"{bench.path}: simulation.ring: {ring} holds no .npy frames")
             arguments = {"folder": str(ring), "first": exposures_before}
             config = replace(config, source="sim.camera.source:RingSource", source_arguments=arguments)
-        else:
-            server = FrameServer(self.world, folder, width, height)
-            self._stack.callback(server.close)
-            config = replace(config, source="sim.camera.remote:RemoteSource", source_arguments=server.arguments())
-        if bench.table.camera.backend == "aravis":
-            return _section_with(bench, "aravis", address=self._stack.enter_context(device_process(config)))
-        return _section_with(
-            bench, "harvesters", cti=str(write_producer(folder / "bench.cti", [config])), serial=SERIAL
-        )
+        return self._behind_transport(bench, config, self.world, folder)
 
 
 def _any_box(stages: StagesTable) -> StagesTable:

@@ -18,6 +18,7 @@ uneven_light: 0.03            # brighter to the right and darker to the left by 
 glass_off_mm: [1.2, -0.8, 0.5]    # how the glass was put up, beside its place in the scene file
 flow: {field: jet}            # what flow runs see; see sim.flow.table
 faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.faults
+cameras: {behind: {aperture: {...}, faults: {...}, clock_ppm: 20.0}}    # optional, of further cameras
 """
 
 from collections.abc import Mapping
@@ -58,6 +59,14 @@ class ApertureTable(Table):
     focus_mm: Annotated[float, Field(gt=0.0)]
 
 
+class FurtherCameraTable(Table):
+    """What is other of a further camera than of the section `camera`."""
+
+    aperture: ApertureTable | None = None
+    faults: FaultsTable = FaultsTable()
+    clock_ppm: Annotated[float, Field(ge=-1000.0, le=1000.0)] = 0.0
+
+
 class SimulationTable(Table):
     """The `simulation` section of a bench file."""
 
@@ -80,6 +89,7 @@ class SimulationTable(Table):
     ] = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     flow: FlowTable = FlowTable()
     faults: FaultsTable = FaultsTable()
+    cameras: dict[Name, FurtherCameraTable] = Field(default_factory=dict)
 
     @property
     def pupil(self) -> Aperture | None:
@@ -101,6 +111,8 @@ def simulation_of(bench: Bench) -> SimulationTable:
     missing = [name for name in bench.table.stages.axes if name not in table.axes]
     if missing:
         raise SceneError(f"{bench.path}: simulation.axes does not describe {', '.join(missing)}")
+    if strange := sorted(set(table.cameras) - set(bench.cameras)):
+        raise SceneError(f"{bench.path}: simulation.cameras: the bench has no further camera {', '.join(strange)}")
     if table.prints_truth and table.ring is not None:
         raise SceneError(f"{bench.path}: simulation: frames of a ring cannot print their truth; leave one out")
     width, height = bench.scene.camera.sensor_px

@@ -50,6 +50,8 @@ class World:
         What hangs on the target's stage.
     exposures_before : int
         Exposures made before this process began.
+    lit : LitFlow, optional
+        Of the world that another camera sees: both see the same light and the same flow.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class World:
         stages: SimulatedStages,
         shows: str,
         exposures_before: int,
+        lit: LitFlow | None = None,
     ) -> None:
         self.timing: list[SimulatedTiming] = []  # units that have power; who hangs on one listens to it
         self._bench = bench
@@ -67,7 +70,9 @@ class World:
         self._exposures = exposures_before
         self.scene = true_scene(bench, table)
         # More pairs were lit than kept: numbers and time begin well behind them.
-        self.lit = LitFlow(exposures_before, LATER_S * exposures_before) if shows == FLOW else None
+        self.lit = lit
+        if lit is None and shows == FLOW:
+            self.lit = LitFlow(exposures_before, LATER_S * exposures_before)
         self._print = _print_of(bench, table.seed, shows)
         self._sensor = Sensor(blur_px=table.blur_px)
         self._views: dict[tuple[float, ...], NDArray[np.float32]] = {}

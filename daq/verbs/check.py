@@ -12,6 +12,7 @@ from daq.acquisition.plans.plan import load_plan, read_plan
 from daq.acquisition.plans.plan_table import px_per_mm
 from daq.acquisition.plans.way_out import forecast_from_home
 from daq.acquisition.runs.run_check import RunCheck, check_run
+from daq.acquisition.runs.run_folder import CAMERAS, RunFolder
 from daq.acquisition.runs.run_views import is_run
 from daq.analysis.piv_file import piv_choice
 from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
@@ -187,10 +188,19 @@ def _plan_said(path: Path, bench: Bench) -> str:
     return f"{steps}; {said.link}" if said.link else steps
 
 
+def _cameras_of(run: Path) -> list[Path]:
+    """Runs of the further cameras in the folder of a run; what is wrong with its run.json is told with itself."""
+    try:
+        names = RunFolder(run).about.get("cameras", [])
+    except DaqError:
+        return []
+    return [run / CAMERAS / name for name in names]
+
+
 def _check_runs(runs: Sequence[Path]) -> list[RunCheck]:
     screen = console()
     checks = []
-    for path in runs:
+    for path in [inner for run in runs for inner in (run, *_cameras_of(run))]:
         found = check_run(path, progress)
         screen.print(path, soft_wrap=True)  # as all lines here: whoever copies a path wants it in one piece
         for finding in found.findings:

@@ -2,14 +2,15 @@
 
     image | id, length | first chunk | id, length | ... | last chunk | id, length
 
-Source: AIA, GigE Vision specification 1.2, chapter 24.4 (chunk data payload); numbers are big-endian.
+Source: AIA, GigE Vision specification 1.2, chapter 24.4 (chunk data payload); numbers are big-endian, here
+of 8 bytes.
 """
 
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sim.camera.features import CHUNK_BYTES, CHUNK_ID_BASE, CHUNKS, IMAGE_CHUNK_ID
+from sim.camera.features import CHUNK_BYTES, CHUNK_ID_BASE, CHUNKS, FLOAT_CHUNKS, IMAGE_CHUNK_ID
 
 TAG_BYTES = 8
 
@@ -28,17 +29,18 @@ def tail_bytes(count: int) -> int:
     return TAG_BYTES + count * (CHUNK_BYTES + TAG_BYTES) if count else 0
 
 
-def tail(image_bytes: int, chunks: Mapping[str, int]) -> bytes:
+def tail(image_bytes: int, chunks: Mapping[str, float]) -> bytes:
     """Return what follows the image; nothing if there are no chunks."""
     if not chunks:
         return b""
     parts = [struct.pack(">II", IMAGE_CHUNK_ID, image_bytes)]
     for name, value in chunks.items():
-        parts.append(struct.pack(">QII", value, CHUNK_ID_BASE + CHUNKS.index(name), CHUNK_BYTES))
+        kind = "d" if name in FLOAT_CHUNKS else "Q"
+        parts.append(struct.pack(f">{kind}II", value, CHUNK_ID_BASE + CHUNKS.index(name), CHUNK_BYTES))
     return b"".join(parts)
 
 
-def places(image_bytes: int, chunks: Mapping[str, int]) -> list[ChunkPlace]:
+def places(image_bytes: int, chunks: Mapping[str, float]) -> list[ChunkPlace]:
     """Where the image and every chunk lie; empty if there are no chunks."""
     if not chunks:
         return []

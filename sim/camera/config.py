@@ -40,6 +40,10 @@ class CameraConfig:
         Socket of `sim.camera.wires.Wires`, over which pulses come to the input lines; "" where none is wired.
     has_chunks : bool
         Whether frames can carry chunk data.
+    clock_ppm : float
+        By how much the camera's clock is faster than this computer's.
+    celsius : float
+        Temperature that it tells; it does not get warm.
     faults : FaultPlan
         Scheduled faults.
     """
@@ -59,6 +63,8 @@ class CameraConfig:
     stamp_offset_ns: int = 0
     wires: str = ""
     has_chunks: bool = True
+    clock_ppm: float = 0.0
+    celsius: float = 41.5
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def to_json(self) -> str:

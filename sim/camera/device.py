@@ -49,7 +49,7 @@ class SimFrame:
     timestamp_ns: int
     picture: Picture
     is_incomplete: bool
-    chunks: Mapping[str, int] = field(default_factory=dict)  # by name, in the order in which they are sent
+    chunks: Mapping[str, float] = field(default_factory=dict)  # by name, in the order in which they are sent
 
     @property
     def tail(self) -> bytes:
@@ -134,7 +134,11 @@ class SimCamera:
 
     def now_ns(self) -> int:
         """Time on the camera's own clock."""
-        return time.monotonic_ns() - self._power_up_ns
+        return self._on_own_clock_ns(time.monotonic_ns())
+
+    def _on_own_clock_ns(self, host_ns: int) -> int:
+        since_ns = host_ns - self._power_up_ns
+        return since_ns + round(since_ns * self.config.clock_ppm * 1e-6)
 
     def read(self, address: int, length: int) -> bytes:
         """Read registers as a client; CameraGone or BadAddress.
@@ -189,6 +193,7 @@ class SimCamera:
         put("DeviceModelName", MODEL)
         put("DeviceVersion", "1.0")
         put("DeviceSerialNumber", self.config.serial)
+        put("DeviceTemperature", self.config.celsius)
         for axis, size in (("Width", self.config.width), ("Height", self.config.height)):
             put(f"Sensor{axis}", size)
             put(axis, size)
@@ -388,10 +393,10 @@ class SimCamera:
             number,
             frame_id,
             pending.trigger_index,
-            start_ns - self._power_up_ns + self.config.stamp_offset_ns,
+            self._on_own_clock_ns(start_ns) + self.config.stamp_offset_ns,
             self._darkroom.develop(sensor),
             number in faults.incomplete,
-            self._chunk_values(start_ns, pending.of_trigger),
+            self._chunk_values(pending.exposures[0], pending.of_trigger),
         )
         time.sleep(float(faults.late_s.get(str(number), 0.0)))
         sink = self.sink
@@ -409,15 +414,18 @@ class SimCamera:
         ]
         return images[0] if len(images) == 1 else np.vstack(images)
 
-    def _chunk_values(self, start_ns: int, of_trigger: int) -> dict[str, int]:
-        """Chunk data of a frame whose exposure began then."""
+    def _chunk_values(self, exposure: Exposure, of_trigger: int) -> dict[str, float]:
+        """Chunk data of a frame."""
+        start_ns = exposure.start_ns
         with self._wake:
             names = self._chunk_names()
             self._lines.expose(start_ns)
-            values = {
+            values: dict[str, float] = {
                 "LineStatusAll": self._lines.status(start_ns),
                 "CounterValue": self._lines.exposures_since(RESET_LINE, start_ns),
                 "FramesPerTriggerCounter": of_trigger,
+                "Timestamp": self._on_own_clock_ns(start_ns) + self.config.stamp_offset_ns,
+                "ExposureTime": (exposure.end_ns - start_ns) / 1e3,
             }
         return {name: values[name] for name in names}
 

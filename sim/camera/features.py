@@ -22,7 +22,7 @@ class Feature:
     name, category : str
         SFNC name and category.
     kind : str
-        "int", "float", "enum", "bool", "string" or "command"; "chunk" for an integer that comes with frames.
+        "int", "float", "enum", "bool", "string" or "command"; "chunk" for a number that comes with frames.
     default : int, float or str
         Value after power-up; an enumeration's value is an entry's number.
     low, high : float or str
@@ -81,7 +81,10 @@ def _command(name: str, category: str) -> Feature:
     return Feature(name, category, "command")
 
 
-CHUNKS = ("LineStatusAll", "CounterValue", "FramesPerTriggerCounter")  # their ids are CHUNK_ID_BASE and up
+CHUNKS = (  # their ids are CHUNK_ID_BASE and up
+    "LineStatusAll", "CounterValue", "FramesPerTriggerCounter", "Timestamp", "ExposureTime",
+)  # fmt: skip
+FLOAT_CHUNKS = ("ExposureTime",)
 CHUNK_ID_BASE, CHUNK_BYTES = 0xC001, 8
 IMAGE_CHUNK_ID = 0xC000
 CHUNK_FEATURES = (
@@ -101,6 +104,7 @@ FEATURES: tuple[Feature, ...] = (
     _command("DeviceReset", "DeviceControl"),
     _command("TimestampLatch", "DeviceControl"),
     _read_only("TimestampLatchValue", "DeviceControl", 8),
+    Feature("DeviceTemperature", "DeviceControl", "float", 0.0, -100.0, 200.0, access="RO", unit="C", length=8),
     _read_only("SensorWidth", "ImageFormatControl"),
     _read_only("SensorHeight", "ImageFormatControl"),
     _read_only("WidthMax", "ImageFormatControl"),

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from xml.sax.saxutils import escape
 
-from sim.camera.features import CHUNK_BYTES, CHUNK_ID_BASE, CHUNKS, Feature
+from sim.camera.features import CHUNK_BYTES, CHUNK_ID_BASE, CHUNKS, FLOAT_CHUNKS, Feature
 
 _HEADER = (
     '<?xml version="1.0" encoding="utf-8"?>\n'
@@ -40,11 +40,13 @@ def _register(feature: Feature, address: int) -> str:
 
 def _chunk(feature: Feature) -> str:
     """Register within the data that came with the last frame, and the port that finds it by its id."""
-    number = CHUNK_ID_BASE + CHUNKS.index(feature.name.removeprefix("Chunk"))
+    name = feature.name.removeprefix("Chunk")
+    number, is_float = CHUNK_ID_BASE + CHUNKS.index(name), name in FLOAT_CHUNKS
+    kind, sign = ("FloatReg", "") if is_float else ("IntReg", "<Sign>Unsigned</Sign>")
     return (
-        f'<IntReg Name="{feature.name}_Reg"><Address>0x0</Address><Length>{CHUNK_BYTES}</Length>'
+        f'<{kind} Name="{feature.name}_Reg"><Address>0x0</Address><Length>{CHUNK_BYTES}</Length>'
         f"<AccessMode>RO</AccessMode><pPort>{feature.name}_Port</pPort><Cachable>NoCache</Cachable>"
-        "<Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>\n"
+        f"{sign}<Endianess>BigEndian</Endianess></{kind}>\n"
         f'<Port Name="{feature.name}_Port"><ChunkID>{number:08X}</ChunkID></Port>\n'
     )
 
@@ -68,7 +70,8 @@ def _node(feature: Feature) -> str:
         )
         return f'<Enumeration Name="{feature.name}">{locked}{entries}{value}{_selected(feature)}</Enumeration>\n'
     if feature.kind == "chunk":
-        return f'<Integer Name="{feature.name}">{value}</Integer>\n'
+        kind = "Float" if feature.name.removeprefix("Chunk") in FLOAT_CHUNKS else "Integer"
+        return f'<{kind} Name="{feature.name}">{value}</{kind}>\n'
     limits = _limit("Min", feature.low) + _limit("Max", feature.high)
     if feature.kind == "float":
         unit = f"<Unit>{escape(feature.unit)}</Unit>" if feature.unit else ""

@@ -12,7 +12,8 @@
       options: {cti: /opt/vendor/gentl.cti, serial: "1234"}
       settings: {PixelFormat: Mono12p, ExposureTime: 2000.0, TriggerMode: "On", TriggerSource: Software}
       timeout_s: 5.0
-    devices: {...}                       # any more, each with its `kind` and what that needs
+    devices: {...}                       # any more, each with its `kind` and what that needs; a further camera
+                                         # has a `scene` of its own
     target: {square_mm: 2.5, disc_mm: 1.0}
     keep_out: {...}                      # see stages.keep_out; without it nothing but limits is judged
     simulation: {bench: "sim.bench:SimulatedBench", ...}   # what --simulate puts in place of the hardware
@@ -29,7 +30,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from daq.acquisition.bench.bench_table import CAMERA, GLASS, Bench, BenchTable, Device
+from daq.acquisition.bench.bench_table import CAMERA, GLASS, Bench, BenchTable, Device, NamedCameraSection
 from daq.acquisition.bench.kinds import kind_of
 from daq.errors import RunUsageError
 from ground.config import Document, open_document, validate
@@ -71,9 +72,15 @@ def load_bench(path: Path | str) -> Bench:
         for name, section in sections
         if isinstance(name, str) and isinstance(section, dict)
     }
+    found = {name: device for name, device in more.items() if device}
+    scenes = {}
+    for name, device in found.items():
+        if isinstance(device.section, NamedCameraSection) and device.section.scene is not None:
+            scenes[name] = _tried(partial(load_scene, document.path.parent / device.section.scene), wrong)
     if table is None or scene is None or wrong:
         raise ConfigError.joined(wrong)
-    return Bench(document.path.resolve(), document, table, scene, {name: d for name, d in more.items() if d})
+    seen = {name: each for name, each in scenes.items() if each}
+    return Bench(document.path.resolve(), document, table, scene, found, seen)
 
 
 def _parted(table: BenchTable, scene: Scene) -> Iterator[str]:

@@ -13,6 +13,7 @@ from correction.board import Chessboard
 from daq.acquisition.bench.pairs_section import PairsSection
 from daq.acquisition.cameras.camera import Setting
 from daq.acquisition.cameras.link import LinkName
+from daq.errors import PlanError
 from ground.config import Document, Table
 from stages.config import AxisTable, Name, Positive, StagesTable
 from stages.keep_out import KeepOutTable
@@ -23,6 +24,7 @@ STAGES = "stages"  # beside CAMERA a device that every bench has
 ELEMENTS = (CAMERA, GLASS, TARGET)
 DIRECTIONS = "xyz"
 
+ChunkName = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*$", max_length=64)]
 Vector = tuple[float, float, float]
 
 
@@ -33,11 +35,18 @@ class CameraSection(Table):
     options: dict[str, bool | int | float | str] = Field(default_factory=dict)
     settings: dict[str, bool | int | float | str] = Field(default_factory=dict)
     buffers: Annotated[int, Field(ge=2, le=1000)] = 24
+    chunks: Annotated[list[ChunkName], Field(max_length=32)] = Field(default_factory=list)  # kept of every frame
     timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0
     retakes: Annotated[int, Field(ge=0, le=100)] = 3  # of a software-triggered frame that did not arrive whole
     back_within_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 20.0  # patience with a camera that was lost
     pairs: PairsSection | None = None  # of double-frame cameras
     link: LinkName | None = None  # the cable, where the camera does not tell its speed
+
+
+class NamedCameraSection(CameraSection):
+    """A further camera, under `devices`: it sees the same plane and glass, from its place or in its focus."""
+
+    scene: Annotated[str, Field(min_length=1)] | None = None  # a file beside the bench file; None: the bench's
 
 
 class GlassSection(Table):
@@ -143,6 +152,8 @@ class Bench:
         The scene it names.
     more : mapping
         Devices besides stages and camera.
+    scenes : mapping
+        What further cameras see, by their names, where that is another scene than the bench's.
     """
 
     path: Path
@@ -150,6 +161,26 @@ class Bench:
     table: BenchTable
     scene: Scene
     more: Mapping[str, Device] = field(default_factory=dict)
+    scenes: Mapping[str, Scene] = field(default_factory=dict)
+
+    @property
+    def cameras(self) -> dict[str, CameraSection]:
+        """Every camera by name, that of the section `camera` first."""
+        further = {name: d.section for name, d in self.more.items() if isinstance(d.section, CameraSection)}
+        return {CAMERA: self.table.camera, **further}
+
+    def seen_by(self, name: str) -> "Bench":
+        """Return the same bench as one of its cameras sees it: with that one in the section `camera`.
+
+        Raises
+        ------
+        PlanError
+            It has no such camera.
+        """
+        if name not in self.cameras:
+            raise PlanError(f"{self.path}: there is no camera {name!r}; there are {', '.join(self.cameras)}")
+        table = self.table.model_copy(update={"camera": self.cameras[name]})
+        return replace(self, table=table, scene=self.scenes.get(name, self.scene))
 
     @property
     def devices(self) -> dict[str, Device]:

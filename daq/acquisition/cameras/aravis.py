@@ -11,6 +11,7 @@ Discovery would broadcast on all interfaces of the machine, so the device is mad
 """
 
 import ctypes
+import math
 import time
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -35,6 +36,7 @@ from daq.acquisition.cameras.sfnc import (
     count_missed_triggers,
     enable_chunks,
     exposure_us,
+    read_known,
     verify_settings,
 )
 from daq.acquisition.cameras.waiting import PROBE_MIN_S, wait_for_frame
@@ -164,6 +166,12 @@ class AravisCamera:
                 with suppress(AravisError):  # not readable in the present state
                     values[name] = nodes.get(name)
         return values
+
+    def read(self, names: Sequence[str]) -> dict[str, Setting]:
+        """Values of a few features; those that the camera has not are left out."""
+        nodes = self._open_nodes()
+        with self._errors("read"):
+            return read_known(nodes, names)
 
     def arm(self, buffers: int = 24) -> None:
         """Allocate `buffers` frames, twice (raw and unpacked), and start the acquisition.
@@ -368,18 +376,20 @@ class AravisCamera:
         ring, free = self._ring, self._free
         return Frame(pixels, meta, lambda: free.append(slot) if self._ring is ring else None, slot)
 
-    def _chunks_of(self, buffer: int) -> dict[str, int]:
+    def _chunks_of(self, buffer: int) -> dict[str, float]:
         """Chunk data that came with a frame, by SFNC name."""
-        found: dict[str, int] = {}
+        found: dict[str, float] = {}
         if not self._chunks or not call("arv_buffer_has_chunks", buffer):
             return found
         if not self._parser:
             self._parser = call("arv_device_create_chunk_parser", self._device) or 0
+        nodes = self._open_nodes()
         for name in self._chunks:
             with suppress(AravisError):  # not among those of this frame
-                text = f"Chunk{name}".encode()
-                found[name] = int(call("arv_chunk_parser_get_integer_value", self._parser, buffer, text))
-        return found
+                kind = "float" if nodes.is_float(f"Chunk{name}") else "integer"
+                key = f"Chunk{name}".encode()
+                found[name] = call(f"arv_chunk_parser_get_{kind}_value", self._parser, buffer, key)
+        return {name: value for name, value in found.items() if math.isfinite(value)}
 
     def _count(self, ignored: int | None = None) -> Counters:
         resent, packets = self._statistics()

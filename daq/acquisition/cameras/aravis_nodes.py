@@ -60,6 +60,10 @@ class AravisNodes:
             return text.decode("utf-8", "replace") if text else ""
         raise CameraError(f"{name} is a {kind} and has no value")
 
+    def is_float(self, name: str) -> bool:
+        """Whether a feature is a number with a fraction."""
+        return self._kind(name) in FLOATS
+
     def set(self, name: str, value: Setting) -> None:
         """Write a feature; SettingRefused if the camera or its description forbids it."""
         kind, key = self._kind(name), name.encode()

@@ -4,6 +4,7 @@ Nearly every answer is optional in the standard, so each has a default that does
 with a reason.  Frames of several parts or with chunks before the image give no plain size here and are refused.
 """
 
+import math
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -81,7 +82,7 @@ def timestamp_ns(buffer: Any) -> int:  # noqa: ANN401
     return round(ticks * 1e9 / per_s) if ticks and per_s else 0
 
 
-def chunks_of(buffer: Any, nodes: Nodes, names: Iterable[str]) -> dict[str, int]:  # noqa: ANN401
+def chunks_of(buffer: Any, nodes: Nodes, names: Iterable[str]) -> dict[str, float]:  # noqa: ANN401
     """Chunk data that came with a frame, by SFNC name.
 
     The node map keeps the chunks of an earlier buffer where this one has none, so the buffer is asked first.
@@ -90,11 +91,12 @@ def chunks_of(buffer: Any, nodes: Nodes, names: Iterable[str]) -> dict[str, int]
     names = tuple(names)
     if not names or not _has_chunks(buffer):
         return {}
-    found = {}
+    found: dict[str, float] = {}
     for name in names:
         with suppress(genapi.GenericException, gentl.GenericException):  # not among those of this frame
-            found[name] = int(nodes.get(f"Chunk{name}"))
-    return found
+            value = nodes.get(f"Chunk{name}")
+            found[name] = value if isinstance(value, float) else int(value)
+    return {name: value for name, value in found.items() if math.isfinite(value)}
 
 
 def _has_chunks(buffer: Any) -> bool:  # noqa: ANN401

@@ -121,6 +121,10 @@ class Camera(Protocol):
         """Every readable feature with its value, to be saved with the run."""
         ...
 
+    def read(self, names: Sequence[str]) -> dict[str, Setting]:
+        """Values of a few features, also while it is armed; those that the camera has not are left out."""
+        ...
+
     def arm(self, buffers: int = 24) -> None:
         """Allocate `buffers` frames of memory and start the acquisition; counters begin at zero.
 

@@ -73,6 +73,10 @@ class DoubleHeightCamera:
         height = found.get("Height")
         return found | ({"Height": height // 2} if isinstance(height, int) else {})
 
+    def read(self, names: Sequence[str]) -> dict[str, Setting]:
+        """As the camera says."""
+        return self._camera.read(names)
+
     def arm(self, buffers: int = 24) -> None:
         """Start the acquisition."""
         self._halves.clear()

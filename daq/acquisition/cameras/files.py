@@ -87,7 +87,9 @@ class FilesCamera:
         """Take settings that make sense for files; sizes must be those of the files, and they carry no chunks."""
         self._require_open()
         if chunks:
-            raise SettingRefused(f"files carry no chunk {', '.join(chunks)}; nothing tells exposure A from B")
+            raise SettingRefused(
+                f"files carry no chunk {', '.join(chunks)}; nothing tells exposure A from B by them"
+            )
         for name, value in settings.items():
             self._check(name, value)
         self._values.update(settings)
@@ -101,6 +103,11 @@ class FilesCamera:
         """Every setting with its value."""
         self._require_open()
         return dict(self._values)
+
+    def read(self, names: Sequence[str]) -> dict[str, Setting]:
+        """Those of the settings."""
+        self._require_open()
+        return {name: self._values[name] for name in names if name in self._values}
 
     def arm(self, buffers: int = 24) -> None:
         """Start at the first file; `buffers` bounds the triggers that may wait.

@@ -52,7 +52,7 @@ class FrameMeta:
         COMPLETE, or INCOMPLETE where pixels are missing.
     id_told : bool
         Whether the id is the camera's; False if it tells none and the backend counts what arrives.
-    chunks : mapping of str to int
+    chunks : mapping of str to number
         Chunk data that was asked for and came with the frame, by SFNC name, e.g. "LineStatusAll".
     """
 
@@ -66,7 +66,7 @@ class FrameMeta:
     positions_mm: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     status: FrameStatus = FrameStatus.COMPLETE
     id_told: bool = True
-    chunks: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    chunks: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
 
 class Frame:

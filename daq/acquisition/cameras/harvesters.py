@@ -112,6 +112,11 @@ class HarvestersCamera:
         values: dict[str, Setting] = self._call("settings", OPEN_S)
         return values
 
+    def read(self, names: Sequence[str]) -> dict[str, Setting]:
+        """Values of a few features; those that the camera has not are left out."""
+        values: dict[str, Setting] = self._call("read", names=list(names))
+        return values
+
     def arm(self, buffers: int = 24) -> None:
         """Allocate `buffers` frames of shared memory, as many raw ones, and start the acquisition.
 

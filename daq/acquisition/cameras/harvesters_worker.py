@@ -32,6 +32,7 @@ from daq.acquisition.cameras.sfnc import (
     count_missed_triggers,
     enable_chunks,
     exposure_us,
+    read_known,
     verify_settings,
 )
 from daq.acquisition.cameras.wire import Message, pack_error, receive, send
@@ -81,6 +82,7 @@ class Worker:
             "configure": self._configure,
             "verify": lambda: verify_settings(self._nodes, self._configured),
             "settings": self._settings,
+            "read": lambda names: read_known(self._nodes, names),
             "arm": self._arm,
             "clock": self._clock_ns,
             "trigger": self._trigger,

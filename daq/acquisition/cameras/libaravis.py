@@ -79,6 +79,7 @@ PROTOTYPES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_device_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p, _ERROR)),
     "arv_device_create_chunk_parser": (c_void_p, (c_void_p,)),
     "arv_chunk_parser_get_integer_value": (c_int64, (c_void_p, c_void_p, c_char_p, _ERROR)),
+    "arv_chunk_parser_get_float_value": (c_double, (c_void_p, c_void_p, c_char_p, _ERROR)),
     "arv_buffer_has_chunks": (c_int, (c_void_p,)),
     "arv_dom_node_get_node_name": (c_char_p, (c_void_p,)),
     "arv_gc_category_get_features": (c_void_p, (c_void_p,)),

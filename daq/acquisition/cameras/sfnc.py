@@ -126,8 +126,8 @@ def enable_chunks(nodes: Nodes, chunks: Iterable[str]) -> dict[str, Setting]:
     if missing or not nodes.has("ChunkModeActive"):
         names = ", ".join(missing or wanted)
         raise SettingRefused(
-            f"the camera sends no chunk {names}, so nothing would tell exposure A from B; choose another marker "
-            f"(it sends {', '.join(known) or 'none'})"
+            f"the camera sends no chunk {names}, so nothing would tell exposure A from B by it; choose another "
+            f"marker, or leave it out of camera.chunks (it sends {', '.join(known) or 'none'})"
         )
     nodes.set("ChunkModeActive", True)
     for name in wanted:
@@ -159,6 +159,11 @@ def differing(asked: Mapping[str, Setting], got: Mapping[str, Setting], toleranc
         if not same:
             wrong.append(f"{name} = {value} reads {back}")
     return ", ".join(wrong)
+
+
+def read_known(nodes: Nodes, names: Iterable[str]) -> dict[str, Setting]:
+    """Values of the features among these that the camera has now."""
+    return {name: nodes.get(name) for name in names if nodes.has(name)}
 
 
 def exposure_us(nodes: Nodes) -> float:

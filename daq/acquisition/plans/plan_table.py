@@ -71,6 +71,11 @@ class PlanTable(Table):
         """Share of a step's frames that may be lost; 0 takes a step again until it is whole."""
         return 0.0
 
+    @property
+    def further_cameras(self) -> tuple[str, ...]:
+        """Cameras of the bench that take part beside `camera`."""
+        return ()
+
     @abstractmethod
     def poses(self, bench: Bench) -> Iterator[Pose]:
         """Yield what is to be photographed, in order; nothing but arithmetic.

@@ -8,6 +8,8 @@ from daq.errors import PlanError
 from daq.timing.pulses import PairExposures, PulseTiming, Role, schedule_of
 from daq.timing.timing_table import TimingTable
 
+SHARED = ("shape", "dead_us", "start_delay_us", "second_exposure_us")  # of cameras on one trigger line
+
 
 @dataclass(frozen=True, slots=True)
 class PulseOrder:
@@ -121,6 +123,22 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
             f"{device.section.chunk_s:g} s of {order.laser}"
         )
     check_marker(section, float(exposure_us), order.rate_hz)
+
+
+def check_same_trigger(bench: Bench, name: str, order: PulseOrder) -> None:
+    """Refuse a further camera that cannot take the same pairs from the same trigger pulses; PlanError."""
+    beside = bench.seen_by(name)
+    check_pulses(beside, order)
+    first, second = pairs_section(bench), pairs_section(beside)
+    settings, others = bench.table.camera.settings, beside.table.camera.settings
+    exposures = [told.get("ExposureTime", told.get("ExposureTimeAbs")) for told in (settings, others)]
+    apart = [key for key in SHARED if getattr(first, key) != getattr(second, key)]
+    apart += ["ExposureTime"] if exposures[0] != exposures[1] else []
+    if apart:
+        raise PlanError(
+            f"{bench.path}: camera and {name} hang on one trigger line, and pulses are placed into the exposures "
+            f"of both; give them the same {', '.join(apart)}"
+        )
 
 
 def check_marker(section: PairsSection, exposure_us: float, rate_hz: float) -> None:

@@ -6,7 +6,7 @@ Every wait is cut into slices, and before each slice and each trigger the bench'
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from daq.acquisition.bench.bench_table import CameraSection, trigger_is_software
 from daq.acquisition.cameras.camera import Camera, Counters, Setting
@@ -94,11 +94,17 @@ class ArmedCamera:
 
     def set_up(self) -> dict[str, Setting]:
         """Configure the camera; return everything it can tell about its settings."""
-        chunks = () if self.section.pairs is None else self.section.pairs.chunks
+        markers = () if self.section.pairs is None else self.section.pairs.chunks
+        chunks = tuple(dict.fromkeys((*markers, *self.section.chunks)))
         self.camera.configure(self.section.settings, **({"chunks": chunks} if chunks else {}))
         settings = self.settings = self.camera.settings()
         self._format = FrameFormat(settings)
         return settings
+
+    def facts(self, frame: Frame) -> dict[str, Any]:
+        """What the record of a frame says of the chunk data that the bench file wants kept."""
+        chunks = {name: frame.meta.chunks[name] for name in self.section.chunks if name in frame.meta.chunks}
+        return {"chunks": chunks} if chunks else {}
 
     def require_patience(self, settings: Mapping[str, Setting]) -> None:
         """Refuse a timeout that no frame can meet, by what `set_up` returned; RunUsageError says what would do."""

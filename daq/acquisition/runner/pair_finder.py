@@ -114,8 +114,8 @@ class PairFinder(Generic[T]):
         if value is None:
             return None
         if section.told_by == "line_status":
-            return "A" if value >> (section.line or 0) & 1 else "B"
-        return {section.first: "A", section.first + 1: "B"}.get(value)  # type: ignore[return-value]
+            return "A" if int(value) >> (section.line or 0) & 1 else "B"
+        return {section.first: "A", section.first + 1: "B"}.get(int(value))  # type: ignore[return-value]
 
     def _begin(self, held: _Held[T]) -> tuple[T, T] | None:
         if self._is_of_last_pulse(held.meta):

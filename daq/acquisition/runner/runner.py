@@ -11,11 +11,10 @@ that may have gaps keeps every frame instead and goes on behind the last one (ru
 A session in which a frame may have been filed under the wrong stop says so in its lines; its run is never done.
 """
 
-import time
 from collections.abc import Collection, Container, Mapping, Sequence
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
+from daq.acquisition.bench.bench_table import CAMERA
 from daq.acquisition.bench.opened import OpenBench, known_positions
 from daq.acquisition.pipeline.catch_up import correct_from_disk, uncorrected
 from daq.acquisition.pipeline.corrections import Corrections
@@ -23,26 +22,36 @@ from daq.acquisition.pipeline.job import Show
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE, Pipeline
 from daq.acquisition.pipeline.live_pairs import warm_up
 from daq.acquisition.plans.link_budget import require_link
-from daq.acquisition.plans.pulse_order import PulseOrder
+from daq.acquisition.plans.pulse_order import PulseOrder, pairs_section
 from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.arrival import go_to, require_arrived, rest
+from daq.acquisition.runner.camera_watch import camera_facts
+from daq.acquisition.runner.companion import Companion
 from daq.acquisition.runner.exposures import Exposures
+from daq.acquisition.runner.flow_side import FlowSide
 from daq.acquisition.runner.flow_step import FlowStep
 from daq.acquisition.runner.interrupts import Interrupts
 from daq.acquisition.runner.light import Light, NoOperator, Operator
+from daq.acquisition.runner.pair_source import PairSource
 from daq.acquisition.runner.progress import Progress, Watcher
+from daq.acquisition.runner.session_record import (
+    begin_session,
+    done_record,
+    end_session,
+    utc_now,
+    write_camera_file,
+)
 from daq.acquisition.runner.step_frames import StepFrames
 from daq.acquisition.runs.conservation import Ledger
 from daq.acquisition.runs.displacement import displacements, write_displacements
-from daq.acquisition.runs.gaps import Gaps, booked_gaps, numbers_in
+from daq.acquisition.runs.gaps import Gaps
 from daq.acquisition.runs.journal import Journal
-from daq.acquisition.runs.run_folder import RunFolder, frame_entries, remaining, versions
-from daq.acquisition.runs.run_hash import run_hash
+from daq.acquisition.runs.run_folder import RunFolder, frame_entries, remaining
 from daq.acquisition.runs.seal import write_record
-from daq.acquisition.runs.session_books import doubts, total_ledger
+from daq.acquisition.runs.session_books import doubts
 from daq.errors import BadBalance, PlanError, ResumeRefused, RunInterrupted
 from daq.timing.errors import LaserStopped
-from daq.whole_text import sync_folder, write_json
+from daq.whole_text import sync_folder
 from stages.errors import DeviceLost, NotInPosition, StageError
 
 if TYPE_CHECKING:
@@ -104,6 +113,8 @@ class Runner:
         The person at the bench, whom a laser asks for its word.
     aiming : Aiming, optional
         Decides where the next step of an alignment is.
+    companions : sequence of Companion
+        Further cameras, of steps that are lit by pulses.
     """
 
     def __init__(
@@ -118,6 +129,7 @@ class Runner:
         operator: Operator | None = None,
         show: Show | None = None,
         aiming: "Aiming | None" = None,
+        companions: Sequence[Companion] = (),
     ) -> None:
         self._hardware = hardware
         self._folder = folder
@@ -136,6 +148,7 @@ class Runner:
         self.progress = Progress(steps=len(self._steps))
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
         self._aiming = aiming
+        self._companions = companions
         self._operator = operator or NoOperator()
         self._light = Light(hardware, folder, self._operator, self.interrupts)
 
@@ -157,16 +170,7 @@ class Runner:
             if said := doubts(entries):
                 raise ResumeRefused(f"{self._folder.path}: {said[0]}; begin a new run")
             left = remaining(self._steps, entries, self._again)
-            journal.append(
-                "session",
-                sync=True,
-                utc=_utc(),
-                monotonic_ns=time.monotonic_ns(),
-                versions=versions(),
-                steps_left=len(left),
-                controllers={name: box.identity for name, box in self._hardware.stage.controllers.items()},
-                **self._by_hand(),
-            )
+            begin_session(journal, self._hardware, len(left))
             discard_unfinished(self._folder, self._steps, journal, self._again)
             present = frame_entries(self._folder.entries())
             self.progress.planned = sum(number not in present for step in left for number in step.numbers)
@@ -179,16 +183,16 @@ class Runner:
             self._catch_up()
             if moved := displacements(self._hardware.bench, self._steps, self._folder.entries()):
                 write_displacements(self._folder, moved)
-            done = self._done()
+            for companion in self._companions:
+                self._tell(f"correcting what was skipped of {companion.name}")
+                companion.complete(self._steps)
+            done = done_record(self._folder, self._steps, self._caught_up)
             write_record(self._folder.path / "done.json", done)
             return done
         finally:
             journal.close()
-
-    def _by_hand(self) -> dict[str, Any]:
-        """Axes whose reference is a person's word."""
-        said_mm = dict(self._hardware.stage.said_mm)
-        return {"said_mm": said_mm} if said_mm else {}
+            for companion in self._companions:
+                companion.close()
 
     # ---- a session -----------------------------------------------------------------------------
 
@@ -196,10 +200,7 @@ class Runner:
         settings = self._exposures.set_up() if left else {}
         self._exposures.require_patience(settings)
         require_link(self._hardware.bench, left, settings)
-        count = sum(1 for entry in self._folder.entries() if entry["kind"] == "session")
-        write_json(
-            self._folder.path / f"camera_{count}.json", {"info": _info(self._hardware), "settings": settings}
-        )
+        write_camera_file(self._folder, self._hardware, settings)
         raw_queue = max(1, self._hardware.camera_section.buffers // 2)
         pipeline = Pipeline(self._folder, journal, self._corrections, self._live_queue, raw_queue, self._show)
         self.progress.flow = pipeline.flow
@@ -207,18 +208,15 @@ class Runner:
             self._folder, journal, pipeline, self._exposures, self._hardware, self.interrupts, self.progress,
             self._tell,
         )  # fmt: skip
-        flow: FlowStep | None = None
-        if any(step.pulses is not None for step in left):
-            flow = FlowStep(
-                self._folder, journal, pipeline, self._exposures, self._hardware, self.interrupts, self.progress,
-                self._tell, self._light,
-            )  # fmt: skip
         why, error_text = "finished", ""
         try:
+            flow = self._flow_step(journal, pipeline, left)
+            self._note_camera(journal)
             for step in left:
                 self._between_steps(len(self._steps) - step.index)
                 aimed = step if self._aiming is None else self._aiming.before(step)
                 self._step(journal, frames, aimed, flow)
+                self._note_camera(journal)
                 if self._aiming is not None:
                     self._aiming.after(aimed, journal)
         except BaseException as error:
@@ -229,17 +227,28 @@ class Runner:
                 self._light.off()
                 self._exposures.end()
             finally:
-                pipeline.close()
-                ledger = self._exposures.conclude(pipeline.flow.written)
-                doubt = "; ".join(self._exposures.doubts)
-                about: dict[str, Any] = {"doubt": doubt} if doubt else {}
-                if doubt and why == "finished":
-                    why, error_text = BadBalance.__name__, doubt
-                journal.append("counts", books=ledger.to_dict(), flow=pipeline.flow.summary(), **about)
-                journal.append("end", sync=True, utc=_utc(), why=why, error=error_text, **about)
+                doubts_beside = [companion.end(why, error_text) for companion in self._companions]
+                ledger, doubt = end_session(journal, self._exposures, pipeline, why, error_text)
+                doubt = "; ".join(filter(None, [doubt, *doubts_beside]))
                 self._tell("closing", ledger)
         if doubt:
             raise BadBalance(f"{doubt}; look at {self._folder.journal_path}, and begin a new run")
+
+    def _flow_step(self, journal: Journal, pipeline: Pipeline, left: Sequence[Step]) -> FlowStep | None:
+        """Who takes steps that are lit by pulses, with every camera set up; None if there are none."""
+        if not any(step.pulses is not None for step in left):
+            return None
+        source = PairSource(CAMERA, self._exposures, pairs_section(self._hardware.bench))
+        beside = [companion.begin(left) for companion in self._companions]
+        sides = [FlowSide(self._folder, journal, pipeline, source), *beside]
+        return FlowStep(sides, self.interrupts, self.progress, self._tell, self._light)
+
+    def _note_camera(self, journal: Journal) -> None:
+        """Have on the record what the camera tells of its clock and its temperature."""
+        if facts := camera_facts(self._hardware.camera):
+            journal.append("camera", **facts)
+        for companion in self._companions:
+            companion.note_camera()
 
     def _write_doubt(self, said: str) -> None:
         """Have a doubt on the disk before anything else happens; a kill may follow."""
@@ -277,7 +286,9 @@ class Runner:
         if gaps is None:
             raise RunInterrupted(f"ended on request within step {step.index} ({step.tag}), which keeps its frames")
         record |= {"gaps": gaps} if gaps else {}
-        journal.append("step", sync=True, step=step.index, tag=step.tag, utc=_utc(), **record)
+        for companion in self._companions:
+            companion.finish_step(step, record)
+        journal.append("step", sync=True, step=step.index, tag=step.tag, utc=utc_now(), **record)
         sync_folder(self._folder.path / "frames")
 
     def _see_to_seeding(self, step: Step, pulses: PulseOrder) -> None:
@@ -325,7 +336,7 @@ class Runner:
         except NotInPosition:
             self._rests_at_mm = {}
             about = {"planned_mm": record["planned_mm"], "measured_mm": dict(measured_mm)}
-            journal.append("miss", sync=True, step=step.index, tag=step.tag, utc=_utc(), **about)
+            journal.append("miss", sync=True, step=step.index, tag=step.tag, utc=utc_now(), **about)
             raise
 
     def _tell(self, doing: str, ledger: Ledger | None = None) -> None:
@@ -344,43 +355,3 @@ class Runner:
             self._tell(f"correcting what was skipped, {self._caught_up} of {len(left)}")
             correct_from_disk(self._folder, self._corrections, step, number)
         self._corrections.write_masks(self._folder.path / "corrected")
-
-    def _done(self) -> dict[str, Any]:
-        entries = self._folder.entries()
-        total, sessions = total_ledger(entries)
-        present = frame_entries(entries)
-        absent = self._folder.absent(entries)
-        gaps = booked_gaps(entries)
-        never_came = {number for found in gaps.values() for number in numbers_in(found)}
-        if absent or {number for step in self._steps for number in step.numbers} - never_came != set(present):
-            raise BadBalance(f"{len(present)} frames in the journal, {len(absent)} of them without a file")
-        if said := doubts(entries):
-            raise BadBalance(f"{said[0]}; begin a new run")
-        about = [{"step": i, "tag": self._steps[i].tag, "gaps": found} for i, found in sorted(gaps.items())]
-        flows = [entry["flow"] for entry in entries if entry["kind"] == "counts"]
-        return {
-            "utc": _utc(),
-            "steps": len(self._steps),
-            "frames": len(present),
-            "conservation": total.to_dict(),
-            "sessions": sessions,
-            "corrected_after_the_run": self._caught_up,
-            **({"gaps": about} if about else {}),
-            "flow": flows,
-            "sha256": run_hash(self._folder.path, {line["file"]: line["crc32"] for line in present.values()}),
-        }
-
-
-def _info(hardware: OpenBench) -> dict[str, str]:
-    info = hardware.camera.info
-    return {
-        "backend": info.backend,
-        "vendor": info.vendor,
-        "model": info.model,
-        "serial": info.serial,
-        "address": info.address,
-    }
-
-
-def _utc() -> str:
-    return datetime.now(UTC).isoformat(timespec="milliseconds")

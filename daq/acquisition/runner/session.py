@@ -8,7 +8,7 @@ what moves depends on the bench's scene only through keep-out and scale, so both
 import shutil
 from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.experiments.align import AlignPlan
 from daq.acquisition.plans.plan import Plan, load_plan
 from daq.acquisition.plans.steps import BEHIND_GLASS, Step, frame_count
+from daq.acquisition.runner.companion import Companion
 from daq.acquisition.runner.light import NoOperator, Operator
 from daq.acquisition.runner.progress import Progress, Watcher
 from daq.acquisition.runner.retake import steps_to_retake
@@ -94,12 +95,14 @@ def hashes(request: Request, bench: Bench, plan: Plan) -> dict[str, str | None]:
     """What must not change between the sessions of a run."""
     corrected = load_scene(request.scene) if request.scene is not None else bench.scene
     sheet = corrected.sheet
+    beside = [(name, bench.seen_by(name).scene.content_hash()) for name in plan.table.further_cameras]
     return {
         "plan": plan.content_hash(),
         "bench": bench.content_hash(),
         "scene": bench.scene.content_hash(),
         "scene for the correction": corrected.content_hash() if request.correct else None,
         "light sheet": digest(asdict(sheet)) if request.correct and sheet is not None else None,
+        **({"further cameras": digest(beside)} if beside else {}),
     }
 
 
@@ -122,9 +125,19 @@ def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable
 
 
 def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder:
-    """Make the folder of a new run."""
+    """Make the folder of a new run, and in it those of its further cameras."""
+    beside = list(plan.table.further_cameras)
+    about = _about(request, bench, plan)
+    folder = RunFolder.create(parent, plan.name, {**about, **({"cameras": beside} if beside else {})})
+    for name in beside:
+        folder.create_camera(name, _about(_for_companion(request), bench.seen_by(name), plan))
+    return folder
+
+
+def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
+    """What run.json says of a camera's run."""
     board = bench.table.target.board
-    about = {
+    return {
         "name": plan.name,
         "request": request.to_dict(),
         "hashes": hashes(request, bench, plan),
@@ -139,7 +152,11 @@ def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder
                    "group": s.group, **_pulses_of(s)}
                   for s in plan.steps],
     }  # fmt: skip
-    return RunFolder.create(parent, plan.name, about)
+
+
+def _for_companion(request: Request) -> Request:
+    """What is asked of a further camera: its scene is that of the bench file alone, and it has no dewarp."""
+    return replace(request, scene=None, target_clear=None)
 
 
 def _pulses_of(step: Step) -> dict[str, Any]:
@@ -260,8 +277,10 @@ def carry_out(
         Other controllers answer than those that the run began with; nothing has moved.
     """
     left = remaining(plan.steps, folder.entries(), again)
-    height, width = bench.scene.camera.shape
-    check_disk(folder.path, 2 * width * height * frame_count(left) * (2 if request.correct else 1))
+    beside = folder.cameras()
+    shapes = [bench.scene.camera.shape, *(bench.seen_by(name).scene.camera.shape for name in beside)]
+    pixels = sum(height * width for height, width in shapes)
+    check_disk(folder.path, 2 * pixels * frame_count(left) * (2 if request.correct else 1))
     corrections = make_corrections(request, bench, folder.path.parent / MAPS, left)
     if corrections is not None:
         corrections.prepare(step.view for step in left if step.on_plane)
@@ -293,6 +312,14 @@ def carry_out(
                 return (operator or NoOperator()).stands_mm(axis)
 
             hardware.stage.home(tell=tell, ask=ask)
+        asked = _for_companion(request)
+        companions = [
+            Companion(
+                name, hardware, its, make_corrections(asked, bench.seen_by(name), folder.path.parent / MAPS, left),
+                request.live_queue,
+            )
+            for name, its in beside.items()
+        ]  # fmt: skip
         if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
             for name in (DONE, MOVED):
                 (folder.path / name).unlink(missing_ok=True)
@@ -303,8 +330,9 @@ def carry_out(
             end = end_in_words
             aiming = Aiming(hardware, folder, plan.table, say or (lambda sentence: None))
         runner = Runner(
-            hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator, show, aiming
-        )
+            hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator, show, aiming,
+            companions,
+        )  # fmt: skip
         done = runner.run()
         if aiming is not None and end is not None and say is not None and aiming.looks:
             for sentence in end(aiming.wanted()):

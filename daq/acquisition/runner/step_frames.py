@@ -145,7 +145,9 @@ class StepFrames:
         with closing(self._exposures.frames(step.frames, begin, may_lose)) as frames:
             for place, frame in frames:
                 placed = frame.with_positions_mm(record["measured_mm"])
-                self._pipeline.submit(Job(step, step.first_frame + place, placed, dict(record)))
+                self._pipeline.submit(
+                    Job(step, step.first_frame + place, placed, {**record, **self._exposures.facts(frame)})
+                )
                 self._progress.frames += 1
                 self._progress.waiting = self._pipeline.waiting
                 self._tell("exposing")

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from daq.acquisition.runs.journal import Entry
 
 DARK, HALF = "without light", "of pairs with one light"
+ELSEWHERE = "of pairs that another camera has not"
 SURPLUS, LEFT = "more than wanted", "left when the chunk ended"
 _AT_THE_ENDS = (
     "where lamps run all the time the camera takes some pairs before the first light of a chunk and after the "

@@ -63,6 +63,7 @@ class FrameLine(TypedDict):
     measured_mm: Positions
     true_mm: NotRequired[Positions]
     pair: NotRequired[PairRecord]  # of a flow run
+    chunks: NotRequired[dict[Text, Wide | float]]  # what the camera sent with the frame, by SFNC name
 
 
 Gap = Annotated[list[Count], Field(min_length=2, max_length=2)]  # first and last frame that never came
@@ -80,6 +81,17 @@ class StepLine(TypedDict):
     measured_mm: Positions
     true_mm: NotRequired[Positions]
     gaps: NotRequired[list[Gap]]
+
+
+@with_config(STRICT)
+class CameraLine(TypedDict):
+    """What the camera told of itself when a session or a step had begun or ended; see runs.clock_map."""
+
+    kind: Literal["camera"]
+    utc: Text
+    monotonic_ns: Annotated[list[Wide], Field(min_length=2, max_length=2)]  # right before and behind the question
+    camera_ns: NotRequired[Wide]  # its own clock between the two, the one of `timestamp_ns`
+    celsius: NotRequired[float]
 
 
 @with_config(STRICT)
@@ -215,6 +227,7 @@ Line = (
     SessionLine
     | FrameLine
     | StepLine
+    | CameraLine
     | ArmLine
     | ChunkLine
     | LookLine

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq.acquisition.runs.clock_map import clock_maps
 from daq.acquisition.runs.displacement import read_displacements
 from daq.acquisition.runs.done_file import DoneFile, read_done
 from daq.acquisition.runs.frame_check import FrameFault, Track, frame_faults, named, untracked
@@ -88,6 +89,7 @@ def check_run(path: Path, track: Track = untracked) -> RunCheck:
         _frames(len(present), faults),
         _unknown(folder, about, entries),
         _books(entries, len(present)),
+        *_clock(entries),
         *_end(folder, about, entries),
     ]
     return RunCheck(path, folder.is_done, len(present), tuple(faults), tuple(findings))
@@ -112,6 +114,16 @@ def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
     sessions = sum(entry["kind"] == "session" for entry in entries)
     rest = "" if is_done else "; not finished, rtpiv resume goes on"
     return Finding("journal", True, f"{len(finished)} of {total} steps in {sessions} sessions{rest}")
+
+
+def _clock(entries: list[Entry]) -> Iterator[Finding]:
+    """What is known of the camera's clock and temperature, where it told them."""
+    maps = clock_maps(entries)
+    celsius = [entry["celsius"] for entry in entries if entry["kind"] == "camera" and "celsius" in entry]
+    said = [f"clock {found.sentence}" for found in maps]
+    said += [f"{min(celsius):.1f} to {max(celsius):.1f} C"] if celsius else []
+    if said:
+        yield Finding("camera", True, "; ".join(said))
 
 
 def _frames(count: int, faults: list[FrameFault]) -> Finding:

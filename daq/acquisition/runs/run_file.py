@@ -22,6 +22,9 @@ LAYOUTS = (1, 2)
 SEALED_FROM = 2
 
 
+CameraName = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]{0,63}$")]  # it becomes a folder
+
+
 @with_config(ConfigDict(extra="forbid", strict=True))
 class AskedFor(TypedDict):
     """The request, see runner.session; the files of bench and plan are read again from here."""
@@ -80,6 +83,9 @@ class RunFile(TypedDict):
     square_mm: Annotated[float, Field(gt=0.0, le=1e6)]
     disc_mm: NotRequired[Annotated[float, Field(gt=0.0, le=1e6)]]  # older runs do not say it
     steps: Annotated[list[PlannedStep], AfterValidator(_in_order)]
+    cameras: NotRequired[
+        Annotated[list[CameraName], Field(min_length=1, max_length=8)]
+    ]  # further ones: cameras/NAME
 
 
 RUN_FILE: TypeAdapter[RunFile] = TypeAdapter(RunFile)

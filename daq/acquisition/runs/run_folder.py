@@ -7,6 +7,7 @@
         corrected/      000123.tif, mask.tif; can be made again from the frames at any time
         camera_1.json   every setting the camera could tell, per session
         done.json       last: counts, latencies, the hash of the run; a run without it is not finished
+        cameras/NAME/   a run folder like this one for each further camera, with the same steps and frame numbers
 
 Nothing that is read back is trusted: records carry seals and are checked against types (runs.records), frames
 carry checksums, and what they name must be of the plan and lie inside the folder.
@@ -33,6 +34,7 @@ from daq.whole_text import sync_folder
 if TYPE_CHECKING:
     from daq.acquisition.plans.steps import Step
 
+CAMERAS = "cameras"
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 
 
@@ -86,6 +88,23 @@ class RunFolder:
         write_record(path / FILE, {"layout": LAYOUT, **about})
         sync_folder(parent)
         return cls(path)
+
+    def create_camera(self, name: str, about: Mapping[str, Any]) -> "RunFolder":
+        """Make the folder of a further camera of this run; DiskError if that cannot be."""
+        path = self.path / CAMERAS / name
+        try:
+            for inner in ("frames", "corrected"):
+                (path / inner).mkdir(parents=True)
+        except OSError as error:
+            raise DiskError(f"{path}: {error.strerror}; choose another folder with -o") from error
+        write_record(path / FILE, {"layout": LAYOUT, **about})
+        sync_folder(path.parent)
+        return RunFolder(path)
+
+    def cameras(self) -> "dict[str, RunFolder]":
+        """Folders of the further cameras of this run, by name; RunUnsuitable or RunDamaged as for `open`."""
+        names = self.about.get("cameras", ())
+        return {name: RunFolder.open(self.inside(f"{CAMERAS}/{name}")) for name in names}
 
     @classmethod
     def open(cls, path: Path) -> "RunFolder":

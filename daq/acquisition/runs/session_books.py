@@ -22,7 +22,7 @@ def total_ledger(entries: Sequence[Entry]) -> tuple[Ledger, list[dict[str, Any]]
     starts = [index for index, entry in enumerate(entries) if entry["kind"] == "session"]
     total, sessions = Ledger(), []
     for first, last in pairwise([*starts, len(entries)]):
-        lines = entries[first + 1 : last]
+        lines = [line for line in entries[first + 1 : last] if line["kind"] != "camera"]  # these count nothing
         books = next((Ledger.from_dict(line["books"]) for line in lines if line["kind"] == "counts"), None)
         end = next((line for line in lines if line["kind"] == "end"), None)
         was_killed = books is None

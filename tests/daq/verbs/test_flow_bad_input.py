@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from daq.acquisition.runner.flow_step import FlowStep
+from daq.acquisition.runner.flow_side import FlowSide
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.cli import USAGE, main
 from daq.errors import ResumeRefused
@@ -51,10 +51,10 @@ def test_what_makes_no_sense_fires_nothing(tmp_path, monkeypatch, capsys, what):
     (range(2, 8), "its pairs were exposed for 100 us .frame 2. and the camera is at 90 us now"),
 ])  # fmt: skip
 def test_a_run_does_not_go_on_with_another_exposure(tmp_path, numbers, words):
-    step = FlowStep.__new__(FlowStep)
-    step._folder = RunFolder.open(flow(tmp_path, numbers=numbers))
-    step._exposures = SimpleNamespace(settings={"ExposureTime": 90.0})
+    folder, exposures = RunFolder.open(flow(tmp_path, numbers=numbers)), SimpleNamespace(settings={})
+    side = FlowSide(folder, None, None, SimpleNamespace(exposures=exposures))
+    exposures.settings["ExposureTime"] = 90.0
     with pytest.raises(ResumeRefused, match=words):
-        step._require_same_exposure()
-    step._exposures.settings["ExposureTime"] = 100.0
-    step._require_same_exposure()
+        side.require_same_exposure()
+    exposures.settings["ExposureTime"] = 100.0
+    side.require_same_exposure()

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from daq.acquisition.bench.bench_table import Bench, CameraSection
+from daq.acquisition.bench.bench_table import Bench, CameraSection, NamedCameraSection
 from daq.acquisition.cameras import make_camera
 from daq.acquisition.cameras.camera import Camera
 from daq.acquisition.cameras.double_height import DoubleHeightCamera
@@ -11,10 +11,10 @@ from stages.clock import Clock
 
 
 class CameraKind:
-    """The section `camera`."""
+    """The section `camera`, and every further camera under `devices`."""
 
-    section = CameraSection
-    simulator = None  # the world has eyes in one place
+    section = NamedCameraSection
+    simulator = None  # its eyes are the world's
 
     @contextmanager
     def open(self, section: CameraSection, bench: Bench, clock: Clock) -> Iterator[Camera]:

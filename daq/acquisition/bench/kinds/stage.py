@@ -1,6 +1,6 @@
 """The stage: every axis of every controller, guarded by keep-out."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import cast
 
@@ -8,7 +8,8 @@ from daq.acquisition.bench.bench_table import Bench
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
 from stages.keep_out import Carrier, Element, KeepOut
-from stages.stage import Guard, Stage
+from stages.stage import Guard, Piece, Stage
+from tracer.scene import Scene
 
 
 class StageKind:
@@ -37,12 +38,30 @@ def guard_of(bench: Bench) -> Guard | None:
     """
     if bench.table.keep_out is None:
         return None
+    if bench.scenes:
+        return _Guards([_guard(bench, scene) for scene in (bench.scene, *bench.scenes.values())])
+    return _guard(bench, bench.scene)
+
+
+class _Guards:
+    """Several cameras ride on the same axes, each with its own lens: what is too close for one is."""
+
+    def __init__(self, guards: Sequence[Guard]) -> None:
+        self._guards = guards
+
+    def check(self, way: Sequence[Piece]) -> None:
+        for guard in self._guards:
+            guard.check(way)
+
+
+def _guard(bench: Bench, scene: Scene) -> Guard:
+    assert bench.table.keep_out is not None
     home = bench.home_mm
     carriers = {
         name: Carrier(cast("Element", axis.carries), axis.along, home[name])
         for name, axis in bench.table.stages.axes.items()
     }
-    return KeepOut(bench.scene, carriers, bench.table.keep_out)
+    return KeepOut(scene, carriers, bench.table.keep_out)
 
 
 def idle_stage(bench: Bench) -> Stage:

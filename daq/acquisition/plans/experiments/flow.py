@@ -6,6 +6,7 @@
     pairs: 1000
     dt_us: 80.0                 # between the two pulses of a pair
     rate_hz: 10.0               # pairs a second
+    cameras: [behind]           # further cameras of the bench that take the same pairs (plans.experiments.flow)
     chunk: 100                  # pairs fired in one go, at most 10 s: so many follow a computer that dies
     warm_up_s: 600.0            # at least; the laser's own time counts as well
     background: {pairs: 50}     # a short step before the seeding is opened
@@ -26,9 +27,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from daq.acquisition.bench.bench_table import Bench
+from daq.acquisition.bench.bench_table import CAMERA, Bench
 from daq.acquisition.plans.plan_table import PlanTable, Pose, View
-from daq.acquisition.plans.pulse_order import PulseOrder, check_pulses
+from daq.acquisition.plans.pulse_order import PulseOrder, check_pulses, check_same_trigger
 from ground.config import Table
 from stages.config import Name, Positive
 
@@ -48,6 +49,7 @@ class FlowPlan(PlanTable):
     experiment: Literal["flow"]
     view: View
     laser: Name
+    cameras: Annotated[list[Name], Field(max_length=8)] = Field(default_factory=list)
     pairs: Annotated[int, Field(ge=1, le=MOST_PAIRS)]
     dt_us: Positive
     rate_hz: Positive
@@ -66,6 +68,8 @@ class FlowPlan(PlanTable):
             raise ValueError("a flow is planned in pairs; say pairs instead of frames")
         if self.dt_sigma_us is not None and self.dt_measured_us is None:
             raise ValueError("dt_sigma_us belongs to a dt_measured_us; say both or none")
+        if len(set(self.cameras)) < len(self.cameras) or CAMERA in self.cameras:
+            raise ValueError(f"cameras names a camera twice; {CAMERA} itself always takes part")
         return self
 
     @property
@@ -77,6 +81,11 @@ class FlowPlan(PlanTable):
     def frames_together(self) -> int:
         """Two to a pair."""
         return 2
+
+    @property
+    def further_cameras(self) -> tuple[str, ...]:
+        """As the plan says."""
+        return tuple(self.cameras)
 
     @property
     def order(self) -> PulseOrder:
@@ -91,6 +100,8 @@ class FlowPlan(PlanTable):
         """Yield the background if there is one, then the flow."""
         order, target_mm, glass_mm = self.order, (0.0, 0.0, self.target_z_mm), (0.0, 0.0, self.glass_z_mm)
         check_pulses(bench, order)
+        for name in self.cameras:
+            check_same_trigger(bench, name, order)
         if self.background is not None:
             before = replace(order, is_background=True)
             tag, frames = f"background_{self.view}", 2 * self.background.pairs

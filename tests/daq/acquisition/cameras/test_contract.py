@@ -123,6 +123,31 @@ def test_settings_are_read_back_and_the_node_list_is_whole(camera):
     camera.configure({"Gain": 0.0, "Width": WIDTH, "Height": HEIGHT})
 
 
+def test_every_kind_of_chunk_comes_with_its_own_frame(camera):
+    chunks = ("Timestamp", "ExposureTime", "LineStatusAll", "CounterValue", "FramesPerTriggerCounter")
+    camera.configure({"PixelFormat": "Mono12p", "ExposureTime": 321.5, **SOFTWARE}, chunks=chunks)
+    camera.arm()
+    first, second = (frame.meta for frame in triggered(camera, 2))
+    assert set(first.chunks) == set(second.chunks) == set(chunks)
+    for meta in (first, second):
+        assert meta.chunks["Timestamp"] == meta.timestamp_ns
+        assert isinstance(meta.chunks["Timestamp"], int)  # as a float it would lose its last digits in a month
+        assert meta.chunks["ExposureTime"] == pytest.approx(321.5)
+        assert meta.chunks["FramesPerTriggerCounter"] == 1
+    assert second.chunks["Timestamp"] > first.chunks["Timestamp"]
+    assert second.chunks["CounterValue"] == first.chunks["CounterValue"] + 1
+    camera.disarm()
+    with pytest.raises(SettingRefused, match=r"sends no chunk Gain, .*camera\.chunks"):
+        camera.configure({}, chunks=("Gain",))
+
+
+def test_a_few_features_are_read_also_while_it_is_armed(camera):
+    camera.configure({"ExposureTime": 250.0, **SOFTWARE})
+    camera.arm()
+    found = camera.read(["DeviceTemperature", "ExposureTime", "NoSuchThing"])
+    assert found == {"DeviceTemperature": pytest.approx(41.5), "ExposureTime": pytest.approx(250.0)}
+
+
 @pytest.mark.parametrize(
     "bad",
     [{"Width": 100_000}, {"Width": -1}, {"PixelFormat": "BayerRG8"}, {"Exposure": 1.0}, {"ExposureTime": 0.0},

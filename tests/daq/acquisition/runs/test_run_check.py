@@ -29,7 +29,7 @@ def test_a_whole_run_is_sound(whole_run, capsys):
     assert found.is_sound, found.findings
     assert (found.is_done, found.frames, found.faults) == (True, 8, ())
     assert {finding.part for finding in found.findings} == {
-        "run.json", "journal", "frames", "other files", "books", "hash", "displacements"
+        "run.json", "journal", "frames", "other files", "books", "camera", "hash", "displacements"
     }  # fmt: skip
     assert main(["check", str(whole_run.path)]) == DONE
     shown = capsys.readouterr().out
