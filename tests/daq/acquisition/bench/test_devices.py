@@ -9,6 +9,7 @@ from daq.acquisition.bench.kinds import KINDS, kind_of
 from daq.acquisition.bench.opened import open_bench
 from ground.config import Table
 from ground.errors import ConfigError
+from tests.daq.acquisition.cameras.rigs import need_harvesters
 from tests.daq.small_bench import write_bench
 
 HERE = __name__
@@ -122,11 +123,21 @@ def test_lines_are_those_of_the_bench_file(tmp_path, said):
     assert "volt: high" in path.read_text().splitlines()[line - 1]
 
 
-def test_a_second_camera_is_only_data_and_cannot_be_simulated_yet(tmp_path):
-    bench = load_bench(bench_with(tmp_path, "  second: {kind: camera, backend: files, options: {folder: f}}\n"))
+def test_a_second_camera_is_another_one_and_sees_its_own_scene(tmp_path):
+    need_harvesters()
+    text = "  second: {kind: camera, scene: other.yaml, backend: files, options: {folder: f}}\n"
+    path = bench_with(tmp_path, text)
+    scene = (path.parent / "scene.yaml").read_text()
+    (path.parent / "other.yaml").write_text(scene.replace("sensor_px: [96, 96]", "sensor_px: [64, 48]"))
+    bench = load_bench(path)
     assert bench.devices["second"].section.backend == "files"
-    with pytest.raises(ConfigError, match="no more devices of kind 'camera'"), open_bench(bench, True):
-        pass
+    assert bench.seen_by("second").scene.camera.sensor_px == (64, 48)
+    assert bench.seen_by("camera").content_hash() == bench.content_hash()
+    with open_bench(bench, True, only={"camera", "second"}) as hardware:
+        first, second = (hardware.devices[name] for name in ("camera", "second"))
+        assert (first.info.serial, second.info.serial) == ("SIM-BENCH", "SIM-BENCH-second")
+        sides = [[camera.settings()[side] for side in ("Width", "Height")] for camera in (first, second)]
+        assert sides == [[96, 96], [64, 48]]
 
 
 def test_its_port_may_be_replaced_and_nothing_else(tmp_path, said):
