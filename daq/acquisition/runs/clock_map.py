@@ -103,7 +103,7 @@ def _goes_on(last: Reading, reading: Reading) -> bool:
     """Whether as much time went by on both clocks, as far as the answers and two bad crystals leave it open."""
     ours_ns, its_ns = (reading[0] + reading[2] - last[0] - last[2]) / 2, reading[1] - last[1]
     open_ns = (reading[2] - reading[0] + last[2] - last[0]) / 2 + APART_PPM * 1e-6 * abs(ours_ns)
-    return its_ns >= 0 and abs(ours_ns - its_ns) <= open_ns
+    return abs(ours_ns - its_ns) <= open_ns
 
 
 def _fitted(stretch: list[Reading]) -> ClockMap:
