@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from rich.table import Table
@@ -80,6 +81,9 @@ def _drivers() -> Table:
     for column in ("kind", "by", "", "needs"):
         table.add_column(column, overflow="fold")
     table.add_row("stage", f"driver: {', '.join(DRIVERS)}", "ok", "")
+    lacks = None if find_spec("pymmcore") is not None else "install the extra rtpiv[micromanager]"
+    table.add_row("stage", "driver: micromanager", _word(lacks), lacks or "")
+    table.add_row("stage", "driver: positioners", "ok", "your own objects with set, stop and position")
     for backend in BACKENDS:
         missing = missing_for(backend)
         table.add_row("camera", f"backend: {backend}", _word(missing), missing or "")

@@ -23,10 +23,6 @@ class SimulatedCore:
         """Hang on a box."""
         self._wire = Wire(paths[0])
 
-    def getVersionInfo(self) -> str:  # noqa: N802
-        """Who it is."""
-        return "simulated core"
-
     def getAPIVersionInfo(self) -> str:  # noqa: N802
         """For messages."""
         return "simulated"

@@ -49,17 +49,15 @@ class MicroManager(ForeignController):
         self._mm_per_unit, self._sent = table.mm_per_unit, {}
         if table.adapters is not None:
             core.setDeviceAdapterSearchPaths([table.adapters])
-        version = str(core.getVersionInfo())
+        parts = []
         if table.config is not None:
-            said = f"{version}, {_load_file(core, Path(table.config))}"
+            parts.append(_load_file(core, Path(table.config)))
         else:
             _load_devices(core, table.devices)
-            said = version
-        parts = []
         for label in dict.fromkeys(_parted(channel)[0] for channel in self._channels):
             pair = {(label, "x"), (label, "y")} & {_parted(channel) for channel in self._channels}
             parts.append(self._described(label, XY_STAGE if pair else STAGE))
-        return ", ".join([said, *parts])
+        return ", ".join(parts)
 
     def _described(self, label: str, wanted: int) -> str:
         if label not in self._core.getLoadedDevices():

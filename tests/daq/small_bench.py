@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
+import yaml
 
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.kinds.stage import guard_of
@@ -49,6 +50,24 @@ def load(folder, plan=SHIFT, name="plan", **changes):
     bench = load_bench(write_bench(folder, **changes))
     (folder / f"{name}.yaml").write_text(plan)
     return bench, load_plan(folder / f"{name}.yaml", bench)
+
+
+GLASS_CHANNELS = {"glass_x": "XY/x", "glass_y": "XY/y", "glass_z": "Z"}
+SIMULATED_GLASS = {"devices": {label: {"library": "Simulated", "device": "Stage"} for label in ("XY", "Z")}}
+
+
+def with_glass(path, glass, **simulation):
+    """Let Micro-Manager move the glass of a bench file; a person says where it stands."""
+    tree = yaml.safe_load(path.read_text())
+    tree["stages"]["controllers"]["glass"] = {"driver": "micromanager", "homing": "hand", **glass}
+    for name, channel in GLASS_CHANNELS.items():
+        axis = tree["stages"]["axes"][name]
+        axis["channel"] = channel
+        del axis["steps_per_mm"]
+    tree["glass"]["retract_mm"]["glass_z"] = 25.0
+    tree["simulation"].update(simulation)
+    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    return path
 
 
 FILES_CAMERA = """camera:

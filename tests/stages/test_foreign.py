@@ -195,9 +195,27 @@ print("alive", flush=True)
 """
 
 
-def test_a_program_whose_library_hangs_goes_on_and_ends():
+MICRO_MANAGER = PROGRAM.replace(
+    'box = dict(driver="positioners", homing="hand", call_s=0.3, objects={"x": {"object": "hangs:Hangs"}})',
+    """
+import pymmcore, mm_test_adapters
+class Hangs(pymmcore.CMMCore):
+    def setPosition(self, label, um):
+        self.sleep(1e6)
+box = dict(driver="micromanager", homing="hand", call_s=0.3, core="hangs:Hangs",
+           adapters=mm_test_adapters.device_adapter_path(),
+           devices={"x": {"library": "DemoCamera", "device": "DStage"}})
+""",
+)
+
+
+@pytest.mark.parametrize("program", [PROGRAM, MICRO_MANAGER], ids=["an object", "Micro-Manager"])
+def test_a_program_whose_library_hangs_goes_on_and_ends(program):
+    if program is MICRO_MANAGER:
+        pytest.importorskip("pymmcore")
+        pytest.importorskip("mm_test_adapters")
     begun_s = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
     assert done.stdout.split() == ["DeviceLost", "alive"]
     assert done.returncode == 0, done.stderr
     assert time.monotonic() - begun_s < 20.0

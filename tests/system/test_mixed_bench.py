@@ -8,34 +8,19 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-import yaml
 
 from daq.acquisition.bench.bench_table import STAGES
 from daq.cli import DONE, main
 from sim.bench import SimulatedBench
-from tests.daq.small_bench import SHIFT, write_bench
+from tests.daq.small_bench import GLASS_CHANNELS, SHIFT, SIMULATED_GLASS, with_glass, write_bench
 from tests.system.test_campaign import acquire, check_books, check_displacements
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 pytestmark = pytest.mark.filterwarnings("ignore:.* is moved by:RuntimeWarning")
 
-CHANNELS = {"glass_x": "XY/x", "glass_y": "XY/y", "glass_z": "Z"}
 UNIT_MM = 0.1  # DemoCamera's Z goes 300 units either way
 SHIFTED_MM = {"glass_x": 0.0, "glass_y": -7.0, "glass_z": 0.5}  # where the glass truly is when the core reads 0
 CORE = "tests_demo_core:Core"
-
-
-def with_glass(path, glass, **simulation):
-    """Let Micro-Manager move the glass of the example bench; a person says where it stands."""
-    tree = yaml.safe_load(path.read_text())
-    tree["stages"]["controllers"]["glass"] = {"driver": "micromanager", "homing": "hand", **glass}
-    for name, channel in CHANNELS.items():
-        axis = tree["stages"]["axes"][name]
-        axis["channel"] = channel
-        del axis["steps_per_mm"]
-    tree["glass"]["retract_mm"]["glass_z"] = 25.0
-    tree["simulation"].update(simulation)
-    path.write_text(yaml.safe_dump(tree, sort_keys=False))
 
 
 def from_plan_to_report(folder):
@@ -43,7 +28,7 @@ def from_plan_to_report(folder):
     check_books(run, 8)
     assert len(check_displacements(run, 10.0)) == 4
     said = [entry["said_mm"] for entry in run.entries() if entry["kind"] == "session"]
-    assert [set(one) for one in said] == [set(CHANNELS)]  # the run tells whose reference is a person's word
+    assert [set(one) for one in said] == [set(GLASS_CHANNELS)]  # the run tells whose reference is a person's word
     assert "homing: hand" in json.loads((run.path / "run.json").read_text())["bench"]
     assert main(["report", str(run.path)]) == DONE
     assert (run.path / "report" / "report.html").stat().st_size > 10_000
@@ -52,8 +37,7 @@ def from_plan_to_report(folder):
 
 @pytest.mark.slow
 def test_glass_by_a_simulated_core(tmp_path):
-    device = {"library": "Simulated", "device": "Stage"}
-    with_glass(write_bench(tmp_path), {"devices": {"XY": device, "Z": device}})
+    with_glass(write_bench(tmp_path), SIMULATED_GLASS)
     from_plan_to_report(tmp_path)
 
 
@@ -66,7 +50,7 @@ class DemoBench(SimulatedBench):
         stages = self.sections[STAGES]
         self.sections[STAGES] = stages.model_copy(update={"controllers": {**stages.controllers, **theirs}})
         by_screws = self.world._stages.true_mm
-        self.world._stages.true_mm = lambda axis: by_screws(axis) if axis not in CHANNELS else glass_mm(axis)
+        self.world._stages.true_mm = lambda axis: by_screws(axis) if axis not in GLASS_CHANNELS else glass_mm(axis)
 
 
 def glass_mm(axis):
@@ -106,5 +90,5 @@ def test_glass_by_the_real_core(tmp_path, monkeypatch):
     steps = [entry for entry in run.entries() if entry["kind"] == "step"]
     assert {round(entry["true_mm"]["glass_y"]) for entry in steps} == {0, -130}  # it was driven out and back
     for entry in steps:
-        for name in CHANNELS:
+        for name in GLASS_CHANNELS:
             assert np.isclose(entry["true_mm"][name], entry["measured_mm"][name], atol=2e-6)

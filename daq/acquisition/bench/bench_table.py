@@ -203,6 +203,7 @@ class Bench:
         tree = self.table.model_dump(exclude_unset=True)  # a newer version may know more keys
         for controller in tree["stages"]["controllers"].values():
             controller.pop("port", None)
+            controller.pop("adapters", None)
             controller.pop("identity", None)
         for device in tree.get("devices", {}).values():
             device.pop("port", None)

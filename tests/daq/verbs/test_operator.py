@@ -43,3 +43,19 @@ def test_a_script_answers_for_a_simulated_laser_only():
     assert isinstance(operator_of("me", simulate=True), ScriptOperator)
     with pytest.raises(RunUsageError, match="simulated laser only"):
         operator_of("me", simulate=False)
+
+
+def test_a_person_reads_where_a_stage_stands(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", Terminal(" -12.5 \nnan\nabout 3\n"))
+    person = TerminalOperator()
+    assert person.stands_mm("glass_x") == -12.5
+    assert "glass_x cannot look for its reference" in capsys.readouterr().err
+    for _ in range(2):
+        with pytest.raises(RunUsageError, match="is no position"):
+            person.stands_mm("glass_x")
+
+
+@pytest.mark.parametrize("nobody", [NoOperator(), ScriptOperator()])
+def test_who_sees_no_scale_says_nothing_of_it(nobody):
+    with pytest.raises(RunUsageError, match="glass_x is homed by hand"):
+        nobody.stands_mm("glass_x")
