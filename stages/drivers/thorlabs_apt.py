@@ -79,10 +79,11 @@ FAMILIES = (
     # APT protocol, "Motor scaling"; pylablib 1.4.5 KinesisMotor; thorlabs-apt-device 0.3.8 utils: T = 2048/6e6 s
     Family(r"[TK]DC\d+", 65536 * SERVO_S, 65536 * SERVO_S**2, True),
     # the same three: T = 102.4 us
-    Family(r"[TK]BD\d+|BBD[123]0\d", 65536 * BRUSHLESS_S, 65536 * BRUSHLESS_S**2, True),
+    Family(r"[TK]BD\d+|BBD[12]0\d", 65536 * BRUSHLESS_S, 65536 * BRUSHLESS_S**2, True),
     # InstrumentKit, pylablib: microsteps as they are
     Family(r"TST001|BSC00\d|BSC10\d|MST601", 1.0, 1.0, False),
-    # pylablib; thorlabs-apt-device BSC: 409600 microsteps/mm, 21987328 for 1 mm/s, 4506 for 1 mm/s2
+    # pylablib; thorlabs-apt-device BSC: 409600 microsteps/mm, 21987328 for 1 mm/s, 4506 for 1 mm/s2; for LTS also
+    # pyAPT and thorpy (github.com/freespace/pyAPT/pull/8, UniNE-CHYN/thorpy/pull/2), tried on an LTS300
     Family(r"TST101|KST[12]01|BSC20\d|MST602|LTS(150|300)\w*", 53.68, 1.0 / 90.9, False),
 )
 
@@ -365,7 +366,7 @@ class AptController(Controller):
             raise LimitHit(f"{where} ran into a limit switch; home it")
         if self._complaint:
             raise CommandRejected(f"{where} refused to move: {self._complaint}", self._complaint)
-        raise MotionStopped(f"{where} has ended its motion before its end: stopped at the box?")
+        raise MotionStopped(f"{where} has ended its motion before its end: stopped, or switched off, at the box?")
 
     def _stop_bytes(self) -> Sequence[bytes]:
         how = words.STOP_AT_ONCE if self._family.has_encoder else words.STOP_SLOWING

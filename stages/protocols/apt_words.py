@@ -92,7 +92,7 @@ LENGTHS_OF_ANSWERS: dict[int, tuple[int | None, ...]] = {
     Kind.MOT_MOVE_HOMED: (SHORT,),
     Kind.MOT_MOVE_COMPLETED: (SHORT, 14),
     Kind.MOT_MOVE_STOPPED: (SHORT, 14),
-    Kind.MOT_GET_STATUSUPDATE: (14, 28),  # 28 as an open KST201 client reads it
+    Kind.MOT_GET_STATUSUPDATE: (14, 28),  # 28 from BSC201, KST201 and K10CR2, as their open clients have met it
     Kind.MOT_GET_DCSTATUSUPDATE: (14,),
 }
 UNASKED = (
