@@ -24,6 +24,7 @@ from daq.timing.drivers import DRIVERS as TIMING_UNITS
 from stages.drivers import DRIVERS
 
 ADDRESS = "192.168.10.8"  # of an example
+PRODUCER = "/the/vendors/producer.cti"
 NOBODY = "YOURS"  # a driver that there is not: `rtpiv check` names those there are
 
 
@@ -109,10 +110,11 @@ def _lines(ports: list[SerialPort], cameras: list[UsbCamera], ways: list[Path]) 
         yield f"    box_1: {{driver: {NOBODY}, port: /dev/serial/by-id/...}}  # one of {', '.join(DRIVERS)}"
     yield "# a timing unit hangs on such a port too: docs/laser.md"
     yield "camera:"
-    if ways:
+    if ways or cameras:
+        way = str(ways[0]) if ways else PRODUCER
         serial = cameras[0].serial if cameras else "..."
         yield "  backend: harvesters"
-        yield f"  options: {{cti: {_quoted(str(ways[0]))}, serial: {_quoted(serial, always=True)}}}"
+        yield f"  options: {{cti: {_quoted(way)}, serial: {_quoted(serial, always=True)}}}"
         yield from (f"  # or cti: {_quoted(str(way))}" for way in ways[1:])
         yield from (f"  # or serial: {_quoted(camera.serial, always=True)}" for camera in cameras[1:])
     else:

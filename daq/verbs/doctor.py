@@ -12,6 +12,7 @@ from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import CAMERA, Bench, CameraSection
 from daq.acquisition.bench.surroundings import (
     GENTL_PATH,
+    INSTALLED,
     missing_for,
     producers,
     serial_ports,
@@ -87,7 +88,10 @@ def _cameras() -> Iterator[Finding]:
     for backend in BACKENDS:
         missing = missing_for(backend)
         yield f"camera backend {backend}", missing is None, missing or "installed"
-    words = ", ".join(map(str, producers())) or f"none in {GENTL_PATH}; a bench file may name one by its path"
+    words = (
+        ", ".join(map(str, producers()))
+        or f"none in {GENTL_PATH} or below {INSTALLED}; a bench file may name one by its path"
+    )
     yield "GenTL producers", None, words
     for camera in usb_cameras():
         words = f"{camera.vendor} {camera.model}, serial {camera.serial}"

@@ -18,6 +18,8 @@ from daq.acquisition.cameras import LIBRARIES
 BY_ID = Path("/dev/serial/by-id")
 USB = Path("/sys/bus/usb/devices")
 GENTL_PATH = "GENICAM_GENTL64_PATH"
+INSTALLED = Path("/opt")  # where vendors' packages put theirs, whether or not this shell was told
+DEEPEST = 5  # folders below it
 USB3_VISION = ("ef", "05", "00")  # class, subclass and protocol of the control interface (USB3 Vision 1.0, 2.1)
 TELLING = {  # what a plug says of itself, and the driver of what is behind it
     "0403:faf0": "thorlabs_apt",  # FTDI with Thorlabs' own product id
@@ -97,10 +99,12 @@ def usb_cameras(root: Path = USB) -> list[UsbCamera]:
     return list(found.values())
 
 
-def producers() -> list[Path]:
-    """GenTL producers in the folders that vendors' installers name."""
+def producers(installed: Path = INSTALLED) -> list[Path]:
+    """GenTL producers in the folders that vendors' installers name, and below the usual one."""
     folders = [Path(part) for part in os.environ.get(GENTL_PATH, "").split(os.pathsep) if part]
-    return [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.cti"))]
+    named = [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.cti"))]
+    below = [path for depth in range(DEEPEST) for path in sorted(installed.glob("*/" * depth + "*.cti"))]
+    return list(dict.fromkeys(named + below))
 
 
 def missing_for(backend: str) -> str | None:

@@ -43,6 +43,7 @@ def surrounded(tmp_path, monkeypatch):
                 for name, text in texts.items():
                     (folder / name).write_text(f"{text}\n", encoding="utf-8")
         monkeypatch.setattr(surroundings.usb_cameras, "__defaults__", (tmp_path / "usb",))
+        monkeypatch.setattr(surroundings.producers, "__defaults__", (tmp_path / "opt",))
         for name in cti:
             (tmp_path / "gentl").mkdir(exist_ok=True)
             (tmp_path / "gentl" / name).touch()
@@ -95,6 +96,21 @@ def test_who_pastes_a_driver_that_nobody_chose_is_told_which_there_are(surrounde
     assert main(["check", str(path)]) == USAGE
     said = capsys.readouterr().err
     assert all(name in said for name in DRIVERS)
+
+
+def test_a_producer_that_this_shell_was_not_told_of_is_found_and_each_once(surrounded, tmp_path, monkeypatch):
+    surrounded()
+    for place in ("Maker/lib/gentl/a.cti", "b.cti", "far/1/2/3/4/too_far.cti"):
+        (tmp_path / "opt" / place).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "opt" / place).touch()
+    monkeypatch.setenv(surroundings.GENTL_PATH, str(tmp_path / "opt" / "Maker/lib/gentl"))
+    assert [path.name for path in devices().producers] == ["a.cti", "b.cti"]
+
+
+def test_a_camera_on_usb_is_not_offered_by_an_address(surrounded):
+    surrounded(usb=[(("ef", "05", "00"), CAMERA)])
+    camera = yaml.safe_load(devices().lines)["camera"]
+    assert (camera["backend"], camera["options"]["serial"]) == ("harvesters", "0042")
 
 
 def test_nothing_plugged_in_still_shows_how(surrounded):
