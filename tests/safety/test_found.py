@@ -31,6 +31,12 @@ FOUND = {
         ',[["move",{"glass_x":2.1}],[["glass","answer",6,["unplug"]]]],[["plug","glass"],[]]'
         ',[["home",["target_z"]],[]]]'
     ),
+    "a wheel touched so late that the axis brakes into the switch": (
+        '[[["home",null],[["side","seconds",0.14,["person"]]]],[["home",["camera_x","camera_y"]],[]]]'
+    ),
+    "half a target of a killed program that the next one's words complete": (
+        '[[["move",{"camera_y":-15.052}],[]],[["move",{"target_x":12.71}],[["side","byte",108,["kill"]]]]]'
+    ),
 }
 
 
