@@ -22,6 +22,7 @@ from ground.errors import ConfigError, Problem
 from sim.arranged import check_views, put_up
 from sim.bench_table import FurtherCameraTable, SimulationTable, fault_plan, settings_by_number, simulation_of
 from sim.camera.config import CameraConfig
+from sim.camera.core import CONFIG, SimCore
 from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
 from sim.camera.remote import FrameServer
@@ -181,6 +182,11 @@ class SimulatedBench:
             server = FrameServer(world, folder, config.width, config.height)
             self._stack.callback(server.close)
             config = replace(config, source="sim.camera.remote:RemoteSource", source_arguments=server.arguments())
+        if bench.table.camera.backend == "micromanager":
+            (folder / CONFIG).write_text(config.to_json())
+            core = f"{SimCore.__module__}:{SimCore.__name__}"
+            options = {"library": "SimCamera", "device": "Sim", "adapters": str(folder), "core": core}
+            return _section_with(bench, "micromanager", **options)
         if bench.table.camera.backend == "aravis":
             return _section_with(bench, "aravis", address=self._stack.enter_context(device_process(config)))
         cti = str(write_producer(folder / "bench.cti", [config]))

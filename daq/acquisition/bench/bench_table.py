@@ -42,6 +42,15 @@ class CameraSection(Table):
     pairs: PairsSection | None = None  # of double-frame cameras
     link: LinkName | None = None  # the cable, where the camera does not tell its speed
 
+    @model_validator(mode="after")
+    def _tells_what_it_is_asked(self) -> "CameraSection":
+        if self.backend == "micromanager" and (self.pairs is not None or self.chunks):
+            raise ValueError(
+                "a camera by Micro-Manager tells no time of an exposure, so no pair of light pulses is sure: "
+                "leave pairs and chunks out and use it for frames at rest, or open it by harvesters or aravis"
+            )
+        return self
+
 
 class NamedCameraSection(CameraSection):
     """A further camera, under `devices`: it sees the same plane and glass, from its place or in its focus."""

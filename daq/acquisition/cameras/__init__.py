@@ -1,8 +1,8 @@
 """Camera backends: one file each, one line here.
 
-A bench file names a backend (`harvesters`, `aravis`, `files`) or, for a camera outside this project, a dotted
-"package.module:Class".  A backend is imported only when it is asked for, so nobody needs libraries for cameras
-that stand elsewhere.
+A bench file names a backend (`harvesters`, `aravis`, `micromanager`, `files`) or, for a camera outside this
+project, a dotted "package.module:Class".  A backend is imported only when it is asked for, so nobody needs
+libraries for cameras that stand elsewhere.
 """
 
 from importlib import import_module
@@ -15,6 +15,7 @@ from daq.errors import CameraSetupError
 BACKENDS = {
     "harvesters": "daq.acquisition.cameras.harvesters:HarvestersCamera",
     "aravis": "daq.acquisition.cameras.aravis:AravisCamera",
+    "micromanager": "daq.acquisition.cameras.micromanager:MicroManagerCamera",
     "files": "daq.acquisition.cameras.files:FilesCamera",
 }
 LIBRARIES = {"harvesters": ("harvesters", "genicam")}  # of the extra rtpiv[camera]
