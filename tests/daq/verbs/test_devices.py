@@ -88,6 +88,22 @@ def test_what_is_plugged_in_is_found_and_its_lines_are_taken(surrounded, tmp_pat
     assert lines["camera"] == {"backend": "harvesters", "options": options}
 
 
+@pytest.mark.parametrize(
+    ("says", "driver"),
+    [
+        ({"vid": 0x0403, "pid": 0xFAF0}, "thorlabs_apt"),
+        ({"product": "Kinesis by THORLABS"}, "thorlabs_apt"),
+        ({"vid": 0x1A72, "pid": 0x1007}, "pi_gcs2"),
+        ({"manufacturer": "Zaber Technologies"}, "zaber_ascii"),
+        ({"vid": 0x0403, "pid": 0x6001, "product": "FT232R USB UART"}, None),
+        ({}, None),
+    ],
+)
+def test_a_plug_that_tells_its_maker_gets_its_driver_and_no_other(surrounded, says, driver):
+    surrounded(plugs=[plug("/dev/ttyUSB0", **says)])
+    assert [port.driver for port in devices().ports] == [driver]
+
+
 def test_who_pastes_a_driver_that_nobody_chose_is_told_which_there_are(surrounded, tmp_path, capsys):
     surrounded(plugs=[plug("/dev/ttyS0")])
     pasted = yaml.safe_load(devices().lines)["stages"]["controllers"]["box_1"]["driver"]
