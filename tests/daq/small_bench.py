@@ -70,6 +70,18 @@ def with_glass(path, glass, **simulation):
     return path
 
 
+def with_thorlabs_target(path):
+    """Let a Thorlabs rack move the target of a bench file."""
+    tree = yaml.safe_load(path.read_text())
+    tree["stages"]["controllers"]["target"]["driver"] = "thorlabs_apt"
+    for bay, name in enumerate(("target_x", "target_y", "target_z"), 1):
+        screw = tree["simulation"]["axes"][name]
+        steps_per_mm = screw["steps_per_rev"] / screw["lead_mm"]
+        tree["stages"]["axes"][name].update(channel=f"bay{bay}", steps_per_mm=steps_per_mm)
+    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    return path
+
+
 FILES_CAMERA = """camera:
   backend: files
   options: {folder: frames_in}

@@ -1,5 +1,7 @@
-"""A bench of several worlds, from plan to report: a Grbl portal, an isel rail, PI target stages, and glass that
-Micro-Manager moves: once its simulated core in a world with screws, once the real core with its DemoCamera.
+"""A bench of several worlds, from plan to report.
+
+A Grbl portal, an isel rail, a target on a Thorlabs rack or on PI stages, and glass that Micro-Manager moves: once its
+simulated core in a world with screws, once the real core with its DemoCamera.
 """
 
 import json
@@ -12,7 +14,14 @@ import pytest
 from daq.acquisition.bench.bench_table import STAGES
 from daq.cli import DONE, main
 from sim.bench import SimulatedBench
-from tests.daq.small_bench import GLASS_CHANNELS, SHIFT, SIMULATED_GLASS, with_glass, write_bench
+from tests.daq.small_bench import (
+    GLASS_CHANNELS,
+    SHIFT,
+    SIMULATED_GLASS,
+    with_glass,
+    with_thorlabs_target,
+    write_bench,
+)
 from tests.system.test_campaign import acquire, check_books, check_displacements
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
@@ -37,7 +46,7 @@ def from_plan_to_report(folder):
 
 @pytest.mark.slow
 def test_glass_by_a_simulated_core(tmp_path):
-    with_glass(write_bench(tmp_path), SIMULATED_GLASS)
+    with_glass(with_thorlabs_target(write_bench(tmp_path)), SIMULATED_GLASS)
     from_plan_to_report(tmp_path)
 
 

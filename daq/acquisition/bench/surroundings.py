@@ -102,7 +102,7 @@ def usb_cameras(root: Path = USB) -> list[UsbCamera]:
 def producers(installed: Path = INSTALLED) -> list[Path]:
     """GenTL producers in the folders that vendors' installers name, and below the usual one."""
     folders = [Path(part) for part in os.environ.get(GENTL_PATH, "").split(os.pathsep) if part]
-    named = [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.cti"))]
+    named = [path for folder in folders for path in sorted(folder.glob("*.cti"))]
     below = [path for depth in range(DEEPEST) for path in sorted(installed.glob("*/" * depth + "*.cti"))]
     return list(dict.fromkeys(named + below))
 
