@@ -1,7 +1,7 @@
 """A bench of several worlds, from plan to report.
 
-A Grbl portal, an isel rail, a target on a Thorlabs rack or on PI stages, and glass that Micro-Manager moves: once its
-simulated core in a world with screws, once the real core with its DemoCamera.
+A Grbl portal, an isel rail, a target on a Thorlabs rack or on PI stages, and glass that Micro-Manager moves: once
+its simulated core in a world with screws, once the real core with its DemoCamera.
 """
 
 import json
