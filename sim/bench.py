@@ -61,6 +61,11 @@ class SimulatedBench:
 
     def __init__(self, bench: Bench, shows: str = "chessboard", exposures_before: int = 0) -> None:
         table = simulation_of(bench)
+        for name, section in bench.cameras.items():
+            if section.scene_shows == "sensor":
+                place = ("camera",) if name == CAMERA else ("devices", name)
+                text = f"{name}: the simulated world shows images, so its scene has to; say scene_shows: image"
+                raise ConfigError(bench.path, [Problem(bench.document.line((*place, "scene_shows")), text)])
         pty = table.transport == "pty"
         # a flow is seen in real time: cameras live on the wall's clock
         speed = 1.0 if shows == FLOW else table.speed

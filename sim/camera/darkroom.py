@@ -49,11 +49,18 @@ class Darkroom:
         left, top = registers.integer("OffsetX"), registers.integer("OffsetY")
         name = self._delivers or registers.entry("PixelFormat")
         gain = 10 ** (registers.number("Gain") / 20)
-        key = (id(sensor), name, left, top, width, height, gain)
+        across, down = (
+            (registers.integer(f"Binning{axis}"), registers.integer(f"Decimation{axis}"))
+            for axis in ("Horizontal", "Vertical")
+        )
+        turned = (registers.integer("ReverseX"), registers.integer("ReverseY"))
+        key = (id(sensor), name, left, top, width, height, gain, across, down, turned)
         known = self._known.get(key)
         if known is not None and known[0] is sensor:
             return known[1]
-        image = sensor[top : top + height, left : left + width]
+        whole = sensor[:: -1 if turned[1] else 1, :: -1 if turned[0] else 1]
+        whole = _binned(whole, down[0], across[0])[:: down[1], :: across[1]]
+        image = whole[top : top + height, left : left + width]
         if gain != 1.0:
             white = (1 << self._bits) - 1
             image = np.minimum(np.rint(image * gain), white).astype(np.uint16)
@@ -62,3 +69,15 @@ class Darkroom:
         if not sensor.flags.writeable and len(self._known) < CACHED_PICTURES:
             self._known[key] = (sensor, picture)
         return picture
+
+
+def _binned(sensor: NDArray[np.uint16], down: int, across: int) -> NDArray[np.uint16]:
+    """Means of blocks of pixels, rounded down; rows and columns that fill no block are not sent."""
+    if down == across == 1:
+        return sensor
+    rows, columns = sensor.shape[0] // down, sensor.shape[1] // across
+    total = np.zeros((rows, columns), np.uint32)
+    for row in range(down):
+        for column in range(across):
+            total += sensor[row : rows * down : down, column : columns * across : across]
+    return (total // (down * across)).astype(np.uint16)

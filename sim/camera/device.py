@@ -201,10 +201,15 @@ class SimCamera:
 
     def _update_derived(self) -> None:
         registers = self.registers
-        for size, offset, sensor in (
-            ("Width", "OffsetX", self.config.width),
-            ("Height", "OffsetY", self.config.height * (2 if self._is_stacked else 1)),
+        for size, offset, axis, pixels in (
+            ("Width", "OffsetX", "Horizontal", self.config.width),
+            ("Height", "OffsetY", "Vertical", self.config.height * (2 if self._is_stacked else 1)),
         ):
+            binned = pixels // registers.integer(f"Binning{axis}")
+            sensor = binned // registers.integer(f"Decimation{axis}")
+            if registers.integer(size) + registers.integer(offset) > sensor:  # what does not fit any more
+                registers.put(offset, 0)
+                registers.put(size, min(registers.integer(size), sensor))
             registers.put(f"{size}Max", sensor - registers.integer(offset))
             registers.put(f"{offset}Max", sensor - registers.integer(size))
         size_bytes = payload_bytes(

@@ -111,6 +111,13 @@ FEATURES: tuple[Feature, ...] = (
     _read_only("HeightMax", "ImageFormatControl"),
     _read_only("OffsetXMax", "ImageFormatControl"),
     _read_only("OffsetYMax", "ImageFormatControl"),
+    Feature("ReverseX", "ImageFormatControl", "bool", 0, 0, 1, locked=True),
+    Feature("ReverseY", "ImageFormatControl", "bool", 0, 0, 1, locked=True),
+    *(
+        Feature(f"{name}{axis}", "ImageFormatControl", "int", 1, 1, 4, locked=True)
+        for name in ("Binning", "Decimation")
+        for axis in ("Horizontal", "Vertical")
+    ),
     Feature("Width", "ImageFormatControl", "int", low=8, high="WidthMax", locked=True),
     Feature("Height", "ImageFormatControl", "int", low=1, high="HeightMax", locked=True),
     Feature("OffsetX", "ImageFormatControl", "int", low=0, high="OffsetXMax", locked=True),

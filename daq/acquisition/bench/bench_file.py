@@ -24,15 +24,25 @@ function of the axis positions.
 """
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from daq.acquisition.bench.bench_table import CAMERA, GLASS, Bench, BenchTable, Device, NamedCameraSection
+from daq.acquisition.bench.bench_table import (
+    CAMERA,
+    GLASS,
+    Bench,
+    BenchTable,
+    CameraSection,
+    Device,
+    NamedCameraSection,
+)
 from daq.acquisition.bench.kinds import kind_of
-from daq.errors import RunUsageError
+from daq.acquisition.bench.read_out import image_of
+from daq.errors import RunUsageError, SettingRefused
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError, Problem
 from tracer.bodies import CONTACT_TOL_MM
@@ -73,14 +83,34 @@ def load_bench(path: Path | str) -> Bench:
         if isinstance(name, str) and isinstance(section, dict)
     }
     found = {name: device for name, device in more.items() if device}
-    scenes = {}
+    seen: dict[str, Scene] = {}
     for name, device in found.items():
-        if isinstance(device.section, NamedCameraSection) and device.section.scene is not None:
-            scenes[name] = _tried(partial(load_scene, document.path.parent / device.section.scene), wrong)
+        section = device.section
+        if not isinstance(section, NamedCameraSection):
+            continue
+        if section.scene is not None or section.scene_shows == "sensor":
+            file = None if section.scene is None else document.path.parent / section.scene
+            own = scene if file is None else _tried(partial(load_scene, file), wrong)
+            own = None if own is None else _sent(document, ("devices", name), section, own, wrong)
+            seen |= {} if own is None else {name: own}
+    if table is not None and scene is not None:
+        scene = _sent(document, ("camera",), table.camera, scene, wrong)
     if table is None or scene is None or wrong:
         raise ConfigError.joined(wrong)
-    seen = {name: each for name, each in scenes.items() if each}
     return Bench(document.path.resolve(), document, table, scene, found, seen)
+
+
+def _sent(
+    document: Document, place: tuple[str, ...], section: CameraSection, scene: Scene, wrong: list[ConfigError]
+) -> Scene | None:
+    """The scene as the image shows it that a camera sends."""
+    if section.scene_shows == "image":
+        return scene
+    try:
+        return replace(scene, camera=image_of(scene.camera, section.settings))
+    except SettingRefused as error:
+        wrong.append(ConfigError(document.path, [Problem(document.line((*place, "settings")), str(error))]))
+        return None
 
 
 def _parted(table: BenchTable, scene: Scene) -> Iterator[str]:

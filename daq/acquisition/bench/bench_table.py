@@ -5,15 +5,16 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from correction.board import Chessboard
 from daq.acquisition.bench.pairs_section import PairsSection
+from daq.acquisition.bench.read_out import require_squares
 from daq.acquisition.cameras.camera import Setting
 from daq.acquisition.cameras.link import LinkName
-from daq.errors import PlanError
+from daq.errors import PlanError, SettingRefused
 from ground.config import Document, Table
 from stages.config import AxisTable, Name, Positive, StagesTable
 from stages.keep_out import KeepOutTable
@@ -40,10 +41,15 @@ class CameraSection(Table):
     retakes: Annotated[int, Field(ge=0, le=100)] = 3  # of a software-triggered frame that did not arrive whole
     back_within_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 20.0  # patience with a camera that was lost
     pairs: PairsSection | None = None  # of double-frame cameras
+    scene_shows: Literal["image", "sensor"] = "image"  # which of the two its file says
     link: LinkName | None = None  # the cable, where the camera does not tell its speed
 
     @model_validator(mode="after")
     def _tells_what_it_is_asked(self) -> "CameraSection":
+        try:
+            require_squares(self.settings)
+        except SettingRefused as error:
+            raise ValueError(str(error)) from None
         if self.backend == "micromanager" and (self.pairs is not None or self.chunks):
             raise ValueError(
                 "a camera by Micro-Manager tells no time of an exposure, so no pair of light pulses is sure: "

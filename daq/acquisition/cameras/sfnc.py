@@ -17,6 +17,12 @@ FLOAT_TOLERANCE = 0.1  # cameras round floats to their clock; further off than t
 OLD_NAMES = {"ExposureTime": "ExposureTimeAbs", "AcquisitionFrameRate": "AcquisitionFrameRateAbs"}
 ORDER = (
     "PixelFormat",
+    "ReverseX",
+    "ReverseY",
+    "BinningHorizontal",
+    "BinningVertical",
+    "DecimationHorizontal",
+    "DecimationVertical",
     "Width",
     "Height",
     "OffsetX",

@@ -110,6 +110,44 @@ def test_every_pixel_of_every_format(camera, name):
         assert frame.meta.significant_bits == bits
 
 
+WHOLE = {"BinningHorizontal": 1, "BinningVertical": 1, "DecimationHorizontal": 1, "DecimationVertical": 1,
+         "ReverseX": False, "ReverseY": False, "Width": WIDTH, "Height": HEIGHT}  # fmt: skip
+
+
+@pytest.mark.parametrize("settings", [
+    {"ReverseX": True, "ReverseY": True},
+    {"BinningHorizontal": 2, "BinningVertical": 2, "Width": 32, "Height": 20},
+    {"DecimationHorizontal": 3, "DecimationVertical": 2, "Width": 21, "Height": 20},
+    {"Height": 4, "Width": 8, "OffsetX": 3, "OffsetY": 1, "BinningHorizontal": 2, "BinningVertical": 2,
+     "DecimationHorizontal": 2, "DecimationVertical": 2, "ReverseX": True},
+])  # fmt: skip
+def test_binning_decimation_and_reversal_come_before_the_region(camera, settings):
+    camera.configure({"PixelFormat": "Mono12", **WHOLE, **settings, **SOFTWARE})
+    camera.arm()
+    (frame,) = triggered(camera, 1)
+    left, top = settings.get("OffsetX", 0), settings.get("OffsetY", 0)
+    across, down = settings.get("BinningHorizontal", 1), settings.get("BinningVertical", 1)
+    right, lower = settings.get("DecimationHorizontal", 1), settings.get("DecimationVertical", 1)
+
+    def shown(trigger):
+        sensor = expected(trigger)
+        sensor = sensor[:, ::-1] if settings.get("ReverseX") else sensor
+        sensor = sensor[::-1] if settings.get("ReverseY") else sensor
+        rows, columns = range(frame.pixels.shape[0]), range(frame.pixels.shape[1])
+        image = [
+            [
+                sensor[(row + top) * lower * down :, (column + left) * right * across :][:down, :across].mean()
+                for column in columns
+            ]
+            for row in rows
+        ]
+        return np.floor(image)
+
+    camera.disarm()
+    camera.configure(WHOLE)
+    assert any(np.array_equal(shown(trigger), frame.pixels) for trigger in range(70))
+
+
 def test_settings_are_read_back_and_the_node_list_is_whole(camera):
     asked = {"ExposureTime": 321.0, "Gain": 6.0, "AcquisitionFrameRate": 25.0, "PixelFormat": "Mono12p"}
     back = camera.configure({**asked, "Width": 40, "Height": 20, "OffsetX": 10, "OffsetY": 5, **SOFTWARE})
