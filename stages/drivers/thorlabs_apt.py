@@ -2,13 +2,12 @@
 
 A channel is ``1``, ``2``, .. of a unit of its own, or ``bay1``, ``bay2``, .. of a rack. Positions are counts of an
 encoder or microsteps, so every channel needs steps_per_mm (34304 or 34555 counts/mm for MTS stages, 409600
-microsteps/mm for LTS150 and LTS300). Speeds and accelerations go in units of the box's family (`FAMILIES`), which
-its model tells. A model that is not there is refused: a wrong unit means a wrong speed by a factor of fifty.
+microsteps/mm for LTS150 and LTS300). Speeds and accelerations go in units of the box's family (`apt_families`),
+which its model tells. A model that is not there is refused: a wrong unit means a wrong speed by a factor of fifty.
 
-**Questions.** Nothing answers a command that moves, so a question for the state goes behind each in the same
-write: its answer says that the command was read. No answer carries a number or a checksum, so what counts is
-asked twice, and an answer about anything else than the question puts the link in doubt. What boxes say unasked is
-nobody's answer; automatic state messages that another program has asked for are switched off.
+**Commands.** Nothing answers a command that moves, so a question for the state goes behind each in the same write:
+its answer says that the command was read. Automatic state messages that another program has asked for are
+switched off. How it is asked and what is believed of the answers: `stages.drivers.apt_questions`.
 
 **The end of a motion.** Two looks in a row must find rest, and the position must be the target's. Rest short of it
 is a limit switch, a fault, a refusal, or else a person's stop. A box that has not begun yet is given `BEGINS_S`.
@@ -28,12 +27,13 @@ it is switched off before the first move.
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple, TypeVar
+from collections.abc import Mapping, Sequence
 from zlib import crc32
 
 from stages.clock import SYSTEM_CLOCK, Clock
-from stages.controller import Channel, Controller
+from stages.controller import Channel
+from stages.drivers.apt_families import FAMILIES, Family
+from stages.drivers.apt_questions import AptQuestions, ident_of, place_of
 from stages.errors import (
     AxisStalled,
     CommandRejected,
@@ -41,11 +41,9 @@ from stages.errors import (
     LimitHit,
     MotionStopped,
     NotReferenced,
-    ProtocolViolation,
     StageUsageError,
     WrongDevice,
 )
-from stages.link import Stream
 from stages.protocols import apt_words as words
 from stages.protocols import thorlabs_apt as apt
 from stages.protocols.apt_words import Kind
@@ -58,37 +56,9 @@ MARKS = range(257, 1024)  # counts: nothing to speak of if somebody should ever 
 DOUBT = 256  # the mark of a channel that must not be believed, though there was no restart
 LARGEST = 2**31 - 1
 LONGEST_BYTES = 20  # of what this driver says: a setting of speeds
-LARGEST_CHANNEL = 4
-
-SERVO_S, BRUSHLESS_S = 2048 / 6e6, 102.4e-6  # period of the control loop
-
-T = TypeVar("T")
-A = TypeVar("A", bound=apt.Answer)
 
 
-class Family(NamedTuple):
-    """Units of the boxes of one kind: what 1 count/s and 1 count/s2 are on the wire; whether an encoder counts."""
-
-    models: str
-    speed: float
-    acceleration: float
-    has_encoder: bool
-
-
-FAMILIES = (
-    # APT protocol, "Motor scaling"; pylablib 1.4.5 KinesisMotor; thorlabs-apt-device 0.3.8 utils: T = 2048/6e6 s
-    Family(r"[TK]DC\d+", 65536 * SERVO_S, 65536 * SERVO_S**2, True),
-    # the same three: T = 102.4 us
-    Family(r"[TK]BD\d+|BBD[12]0\d", 65536 * BRUSHLESS_S, 65536 * BRUSHLESS_S**2, True),
-    # InstrumentKit, pylablib: microsteps as they are
-    Family(r"TST001|BSC00\d|BSC10\d|MST601", 1.0, 1.0, False),
-    # pylablib; thorlabs-apt-device BSC: 409600 microsteps/mm, 21987328 for 1 mm/s, 4506 for 1 mm/s2; for LTS also
-    # pyAPT and thorpy (github.com/freespace/pyAPT/pull/8, UniNE-CHYN/thorpy/pull/2), tried on an LTS300
-    Family(r"TST101|KST[12]01|BSC20\d|MST602|LTS(150|300)\w*", 53.68, 1.0 / 90.9, False),
-)
-
-
-class AptController(Controller):
+class AptController(AptQuestions):
     """One Thorlabs box."""
 
     default_baud = 115_200
@@ -96,6 +66,11 @@ class AptController(Controller):
     counts_steps = True
 
     families: Sequence[Family] = FAMILIES  # a subclass may know more
+
+    _family: Family = FAMILIES[-1]
+    _profile: dict[str, tuple[int, int]]
+    _homing: set[str]
+    _not_begun: dict[str, float]  # time by which the motion of a channel must have begun
 
     def __init__(
         self,
@@ -109,12 +84,6 @@ class AptController(Controller):
         self._rested: set[str] = set()  # seen at rest since their motion began, before our own stop
         self._marks: dict[str, int] = {}  # left in the channels that are referenced
 
-    _family: Family = FAMILIES[-1]
-    _profile: dict[str, tuple[int, int]]
-    _homing: set[str]
-    _not_begun: dict[str, float]  # time by which the motion of a channel must have begun
-    _complaint: str = ""  # the last error that the box has told unasked
-
     def start_move(self, channel: str, target_mm: float, speed_mm_s: float, acceleration_mm_s2: float) -> None:
         """Begin an absolute move; NotReferenced if the box has restarted, which is then stopped at once."""
         target = round(target_mm * self._scale(channel))
@@ -123,7 +92,9 @@ class AptController(Controller):
                 f"{self.name} channel {channel}: {target_mm:g} mm is more than the box can count"
             )
         self._prepare(channel, self._native(channel, speed_mm_s, acceleration_mm_s2))
-        self._begin(channel, apt.Setting(Kind.MOT_MOVE_ABSOLUTE, _ident(channel), target, _place(channel)), target)
+        self._begin(
+            channel, apt.Setting(Kind.MOT_MOVE_ABSOLUTE, ident_of(channel), target, place_of(channel)), target
+        )
 
     def start_home(self, channel: str) -> None:
         """Begin to look for the reference, in the way that is set in the box."""
@@ -131,7 +102,7 @@ class AptController(Controller):
         self._leave_mark(channel, DOUBT)
         self._tell(channel, Kind.MOD_SET_CHANENABLESTATE, words.ON)
         self._homing.add(channel)
-        self._begin(channel, apt.Order(Kind.MOT_MOVE_HOME, _ident(channel), 0, _place(channel)), None)
+        self._begin(channel, apt.Order(Kind.MOT_MOVE_HOME, ident_of(channel), 0, place_of(channel)), None)
 
     def moving(self, channel: str) -> bool:
         """Ask for the state until two answers say that the channel rests, or one that it moves."""
@@ -196,37 +167,10 @@ class AptController(Controller):
             self.port.write(data)
         super()._get_to_know()
 
-    def _check_channel(self, channel: Channel) -> None:
-        super()._check_channel(channel)
-        if not re.fullmatch(rf"[1-{LARGEST_CHANNEL}]|bay([1-9]|10)", channel.name):
-            raise StageUsageError(
-                f"{self.name}: channel {channel.name!r} should be 1, 2, .. of a unit, or bay1, bay2, .. of a rack"
-            )
-        if len({name.startswith("bay") for name in self._channels}) > 1:
-            raise StageUsageError(
-                f"{self.name}: a box has either channels or bays, not {', '.join(self._channels)}"
-            )
-
     def _reset_state(self) -> None:
         self._profile, self._not_begun = {}, {}
         self._homing = set()
         self._complaint = ""
-
-    @property
-    def _is_rack(self) -> bool:
-        return any(name.startswith("bay") for name in self._channels)
-
-    def _identify(self) -> str:
-        """What the box says of itself; everything older stands before it and is skipped."""
-        to = words.RACK if self._is_rack else words.UNIT
-
-        def accept(answer: object) -> apt.Info | None:
-            return answer if isinstance(answer, apt.Info) and answer.sender == to else None
-
-        question = apt.Order(Kind.HW_REQ_INFO, to=to).to_bytes()
-        info = self._converse(question, accept, stream=apt.IdentityStream(to))
-        minor, interim, major = info.firmware
-        return f"Thorlabs {info.model.strip()} serial {info.serial} firmware {major}.{interim}.{minor}"
 
     def _set_up(self) -> None:
         model = self.identity.split()[1]
@@ -238,13 +182,13 @@ class AptController(Controller):
             )
         self._family = known[0]
         for name in self._channels:
-            self._send(apt.Order(Kind.HW_STOP_UPDATEMSGS, to=_place(name)).to_bytes())
+            self._send(apt.Order(Kind.HW_STOP_UPDATEMSGS, to=place_of(name)).to_bytes())
             if self._is_rack and self._repeated(lambda name=name: self._bay(name)).second != words.ON:  # type: ignore[misc]
                 raise WrongDevice(f"{self.name}: there is no card in {name} of this {model}; check the channel")
             self._repeated(lambda name=name: self._bits(name))  # type: ignore[misc]  # it answers
 
     def _bay(self, channel: str) -> apt.Reply:
-        bay = _place(channel) - words.FIRST_BAY
+        bay = place_of(channel) - words.FIRST_BAY
         question = apt.Order(Kind.RACK_REQ_BAYUSED, bay, 0, words.RACK)
         return self._ask(
             question.to_bytes(), apt.Reply, lambda a: a.kind == Kind.RACK_GET_BAYUSED and a.first == bay
@@ -260,7 +204,7 @@ class AptController(Controller):
         if self._agreed(lambda: self._value(channel, Kind.MOT_REQ_GENMOVEPARAMS)) != 0:
             raise DeviceError(f"{self.name} channel {channel} keeps its own backlash correction; switch it off")
         speed, acceleration = profile
-        self._send(apt.SetSpeeds(_ident(channel), 0, acceleration, speed, _place(channel)).to_bytes())
+        self._send(apt.SetSpeeds(ident_of(channel), 0, acceleration, speed, place_of(channel)).to_bytes())
         taken = self._agreed(lambda: self._speeds(channel))
         if taken != (speed, acceleration):
             fastest, steepest = (
@@ -371,87 +315,11 @@ class AptController(Controller):
     def _stop_bytes(self) -> Sequence[bytes]:
         how = words.STOP_AT_ONCE if self._family.has_encoder else words.STOP_SLOWING
         return [
-            apt.Order(Kind.MOT_MOVE_STOP, _ident(name), how, _place(name)).to_bytes() for name in self._channels
+            apt.Order(Kind.MOT_MOVE_STOP, ident_of(name), how, place_of(name)).to_bytes()
+            for name in self._channels
         ]
 
     def watchdog_bytes(self) -> Sequence[bytes]:
         """The stops, behind whatever a program that died may have left unfinished."""
         times = 2 + LONGEST_BYTES // words.HEADER
         return [data * times for data in self._stop_bytes()]
-
-    # ---- questions -----------------------------------------------------------------------------
-
-    def _stream(self) -> Stream:
-        return apt.AnswerStream()
-
-    def _unsolicited(self, data: bytes) -> None:
-        """What boxes say unasked is nobody's answer; only whole messages of that kind leave the link in order."""
-        stream = apt.AnswerStream()
-        self._surplus(stream.feed(data), stream.rest)
-
-    def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
-        if rest or not all(self._is_unasked(answer) for answer in answers):
-            self._suspect = True
-
-    def _is_unasked(self, answer: object) -> bool:
-        if not isinstance(answer, apt.Unasked):
-            return False
-        self._complaint = answer.complaint or self._complaint
-        return True
-
-    def _ask(self, question: bytes, kind: type[A], fits: Callable[[A], bool], moves: bool = False) -> A:
-        """Return the answer of a kind; one that does not fit is older than the question, or damaged."""
-
-        def accept(answer: object) -> A | None:
-            if self._is_unasked(answer):
-                return None
-            if isinstance(answer, kind) and fits(answer):
-                return answer
-            raise ProtocolViolation(f"{self.name} answers something else than the question")
-
-        return self._transact(question, accept, moves=moves)
-
-    def _about(self, channel: str, kind: Kind, answer: type[A], before: bytes = b"") -> A:
-        """Ask a channel something, behind a command that moves if there is one."""
-
-        def fits(found: A) -> bool:
-            return (getattr(found, "channel", None), found.sender) == (_ident(channel), _place(channel))
-
-        question = apt.Order(kind, _ident(channel), 0, _place(channel)).to_bytes()
-        return self._ask(before + question, answer, fits, moves=bool(before))
-
-    def _bits(self, channel: str, before: bytes = b"") -> int:
-        return self._about(channel, Kind.MOT_REQ_STATUSBITS, apt.Status, before).bits
-
-    def _count(self, channel: str) -> int:
-        return self._value(channel, Kind.MOT_REQ_POSCOUNTER)
-
-    def _value(self, channel: str, kind: Kind) -> int:
-        answer = self._about(channel, kind, apt.Value)
-        if answer.kind != kind + 1:  # the vendor's answers follow their questions
-            self._suspect = True
-            raise ProtocolViolation(f"{self.name} answers something else than the question", answer.to_bytes())
-        return answer.value
-
-    def _speeds(self, channel: str) -> tuple[int, int]:
-        answer = self._about(channel, Kind.MOT_REQ_VELPARAMS, apt.Speeds)
-        return answer.maximum, answer.acceleration
-
-    def _homing_settings(self, channel: str) -> apt.Homing:
-        return self._about(channel, Kind.MOT_REQ_HOMEPARAMS, apt.Homing)
-
-    def _tell(self, channel: str, kind: Kind, second: int = 0) -> None:
-        self._send(apt.Order(kind, _ident(channel), second, _place(channel)).to_bytes())
-
-    def _set(self, channel: str, kind: Kind, value: int) -> None:
-        self._send(apt.Setting(kind, _ident(channel), value, _place(channel)).to_bytes())
-
-
-def _ident(channel: str) -> int:
-    """Number of a channel where it is addressed: a bay has only one."""
-    return 1 if channel.startswith("bay") else int(channel)
-
-
-def _place(channel: str) -> int:
-    """Address of the unit or card that a channel belongs to."""
-    return words.FIRST_BAY + int(channel.removeprefix("bay")) - 1 if channel.startswith("bay") else words.UNIT

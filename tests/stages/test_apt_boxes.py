@@ -11,7 +11,8 @@ from sim.emulators.device import Emulator
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from stages.controller import Channel
-from stages.drivers.thorlabs_apt import FAMILIES, AptController
+from stages.drivers.apt_families import FAMILIES
+from stages.drivers.thorlabs_apt import AptController
 from stages.errors import (
     AxisStalled,
     LimitHit,

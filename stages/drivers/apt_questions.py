@@ -1,0 +1,130 @@
+"""Questions to a Thorlabs box, and which answers are believed.
+
+An answer carries no number and no checksum. It counts if it is of the kind that was asked for, about the channel
+and from the place that was asked; any other is older than the question, or damaged, and puts the link in doubt.
+What boxes say unasked may stand before, between and behind answers and is nobody's; an error told like that is
+kept, because it may be why a motion does not begin.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from stages.controller import Channel, Controller
+from stages.errors import ProtocolViolation, StageUsageError
+from stages.link import Stream
+from stages.protocols import apt_words as words
+from stages.protocols import thorlabs_apt as apt
+from stages.protocols.apt_words import Kind
+
+LARGEST_CHANNEL = 4
+
+A = TypeVar("A", bound=apt.Answer)
+
+
+class AptQuestions(Controller):
+    """A Thorlabs box as far as it is asked and told."""
+
+    _complaint: str = ""  # the last error that the box has told unasked
+
+    def _check_channel(self, channel: Channel) -> None:
+        super()._check_channel(channel)
+        if not re.fullmatch(rf"[1-{LARGEST_CHANNEL}]|bay([1-9]|10)", channel.name):
+            raise StageUsageError(
+                f"{self.name}: channel {channel.name!r} should be 1, 2, .. of a unit, or bay1, bay2, .. of a rack"
+            )
+        if len({name.startswith("bay") for name in self._channels}) > 1:
+            raise StageUsageError(
+                f"{self.name}: a box has either channels or bays, not {', '.join(self._channels)}"
+            )
+
+    @property
+    def _is_rack(self) -> bool:
+        return any(name.startswith("bay") for name in self._channels)
+
+    def _identify(self) -> str:
+        """What the box says of itself; everything older stands before it and is skipped."""
+        to = words.RACK if self._is_rack else words.UNIT
+
+        def accept(answer: object) -> apt.Info | None:
+            return answer if isinstance(answer, apt.Info) and answer.sender == to else None
+
+        question = apt.Order(Kind.HW_REQ_INFO, to=to).to_bytes()
+        info = self._converse(question, accept, stream=apt.IdentityStream(to))
+        minor, interim, major = info.firmware
+        return f"Thorlabs {info.model.strip()} serial {info.serial} firmware {major}.{interim}.{minor}"
+
+    def _stream(self) -> Stream:
+        return apt.AnswerStream()
+
+    def _unsolicited(self, data: bytes) -> None:
+        """What boxes say unasked is nobody's answer; only whole messages of that kind leave the link in order."""
+        stream = apt.AnswerStream()
+        self._surplus(stream.feed(data), stream.rest)
+
+    def _surplus(self, answers: Sequence[object], rest: bytes) -> None:
+        if rest or not all(self._is_unasked(answer) for answer in answers):
+            self._suspect = True
+
+    def _is_unasked(self, answer: object) -> bool:
+        if not isinstance(answer, apt.Unasked):
+            return False
+        self._complaint = answer.complaint or self._complaint
+        return True
+
+    def _ask(self, question: bytes, kind: type[A], fits: Callable[[A], bool], moves: bool = False) -> A:
+        """Return the answer of a kind; one that does not fit is older than the question, or damaged."""
+
+        def accept(answer: object) -> A | None:
+            if self._is_unasked(answer):
+                return None
+            if isinstance(answer, kind) and fits(answer):
+                return answer
+            raise ProtocolViolation(f"{self.name} answers something else than the question")
+
+        return self._transact(question, accept, moves=moves)
+
+    def _about(self, channel: str, kind: Kind, answer: type[A], before: bytes = b"") -> A:
+        """Ask a channel something, behind a command that moves if there is one."""
+
+        def fits(found: A) -> bool:
+            return (getattr(found, "channel", None), found.sender) == (ident_of(channel), place_of(channel))
+
+        question = apt.Order(kind, ident_of(channel), 0, place_of(channel)).to_bytes()
+        return self._ask(before + question, answer, fits, moves=bool(before))
+
+    def _bits(self, channel: str, before: bytes = b"") -> int:
+        return self._about(channel, Kind.MOT_REQ_STATUSBITS, apt.Status, before).bits
+
+    def _count(self, channel: str) -> int:
+        return self._value(channel, Kind.MOT_REQ_POSCOUNTER)
+
+    def _value(self, channel: str, kind: Kind) -> int:
+        answer = self._about(channel, kind, apt.Value)
+        if answer.kind != kind + 1:  # the vendor's answers follow their questions
+            self._suspect = True
+            raise ProtocolViolation(f"{self.name} answers something else than the question", answer.to_bytes())
+        return answer.value
+
+    def _speeds(self, channel: str) -> tuple[int, int]:
+        answer = self._about(channel, Kind.MOT_REQ_VELPARAMS, apt.Speeds)
+        return answer.maximum, answer.acceleration
+
+    def _homing_settings(self, channel: str) -> apt.Homing:
+        return self._about(channel, Kind.MOT_REQ_HOMEPARAMS, apt.Homing)
+
+    def _tell(self, channel: str, kind: Kind, second: int = 0) -> None:
+        self._send(apt.Order(kind, ident_of(channel), second, place_of(channel)).to_bytes())
+
+    def _set(self, channel: str, kind: Kind, value: int) -> None:
+        self._send(apt.Setting(kind, ident_of(channel), value, place_of(channel)).to_bytes())
+
+
+def ident_of(channel: str) -> int:
+    """Number of a channel where it is addressed: a bay has only one."""
+    return 1 if channel.startswith("bay") else int(channel)
+
+
+def place_of(channel: str) -> int:
+    """Address of the unit or card that a channel belongs to."""
+    return words.FIRST_BAY + int(channel.removeprefix("bay")) - 1 if channel.startswith("bay") else words.UNIT
