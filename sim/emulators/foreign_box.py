@@ -72,8 +72,10 @@ class ForeignBox(Emulator):
     def position_mm(self, channel: str) -> float:
         """What the counter says."""
         one = self._channels[channel]
-        read = one.motor.encoder_steps if self._encoder else one.motor.steps
-        return (read - one.zero) / one.steps_per_mm
+        return (self._read(one) - one.zero) / one.steps_per_mm
+
+    def _read(self, one: _Channel) -> int:
+        return one.motor.encoder_steps if self._encoder else one.motor.steps
 
     def busy(self, channel: str) -> bool:
         """What the box says: not always the truth."""
@@ -127,7 +129,7 @@ class ForeignBox(Emulator):
             self._off_the_switch(one)
         elif name == "low" and one.seeks == "up" and upwards:
             one.motor.halt()
-            one.seeks, one.zero = "", one.motor.steps
+            one.seeks, one.zero = "", self._read(one)
         elif (name == "low" and not upwards) or (name == "high" and upwards):
             one.motor.halt()
 
@@ -148,7 +150,7 @@ class ForeignBox(Emulator):
     def _power_up(self) -> None:
         self._waiting.clear()
         for one in self._channels.values():
-            one.zero, one.seeks = one.motor.steps, ""
+            one.zero, one.seeks = self._read(one), ""
 
     def _take(self, data: bytes) -> None:
         """There are no bytes."""

@@ -155,7 +155,6 @@ class Calls:
                     if call.done.is_set():
                         return
                     self._stuck = (self._present or call).words
-                    self._waiting.clear()
                 raise self._lost()
 
     def _lost(self) -> DeviceLost:

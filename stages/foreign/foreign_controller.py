@@ -179,22 +179,26 @@ class ForeignController(ForeignLibrary):
         return True
 
     def _has_found(self, motion: Motion, here_mm: float) -> bool:
-        is_there = abs(here_mm - self._home_mm) <= SHORT_MM
-        if not (motion.seen_to_move and is_there) and not self._waited(motion):
+        reads_mm = {motion.channel: here_mm}
+        for channel in self.homed_with(motion.channel) - {motion.channel}:
+            reads_mm[channel] = self._reading_mm(channel)
+        off_mm = max(abs(mm - self._home_mm) for mm in reads_mm.values())
+        if not (motion.seen_to_move and off_mm <= SHORT_MM) and not self._waited(motion):
             return False
         self._motion = None
+        where = f"{self.name} channel {' and '.join(reads_mm)}"
         if not motion.seen_to_move:
             raise DeviceError(
-                f"{self.name} channel {motion.channel} was told to home and has not moved; if its library cannot "
-                "home it, say homing: hand"
+                f"{where} was told to home and has not moved; if its library cannot home it, say homing: hand"
             )
-        if not is_there:
+        if off_mm > SHORT_MM:
+            read = " and ".join(f"{mm:.3f}" for mm in reads_mm.values())
             raise MotionStopped(
-                f"{self.name} channel {motion.channel} reads {here_mm:.3f} mm after its reference run and not "
-                f"{self._home_mm:g}: stopped at its box? Otherwise correct home_mm"
+                f"{where} reads {read} mm after its reference run and not {self._home_mm:g}: stopped at its box? "
+                "Otherwise correct home_mm"
             )
-        for channel in self.homed_with(motion.channel) & set(self._channels):
-            self._zero_mm[channel], self._rests_mm[channel] = 0.0, self._reading_mm(channel)
+        for channel, mm in reads_mm.items():
+            self._zero_mm[channel], self._rests_mm[channel] = 0.0, mm
             self._referenced.add(channel)
         return True
 

@@ -70,6 +70,16 @@ def with_glass(path, glass, **simulation):
     return path
 
 
+def with_grbl_rail(path):
+    """Let the Grbl board of the portal move the rail too; it counts from the upper switches."""
+    tree = yaml.safe_load(path.read_text())
+    del tree["stages"]["controllers"]["rail"], tree["stages"]["axes"]["rail_z"]["steps_per_mm"]
+    tree["stages"]["axes"]["rail_z"].update(controller="portal", channel="Z", offset_mm=1750.0)
+    tree["simulation"]["axes"]["rail_z"].update(travel_mm=1960.0, origin="high switch", power_up_mm=1900.0)
+    path.write_text(yaml.safe_dump(tree, sort_keys=False))
+    return path
+
+
 def with_thorlabs_target(path):
     """Let a Thorlabs rack move the target of a bench file."""
     tree = yaml.safe_load(path.read_text())

@@ -409,3 +409,44 @@ def test_a_restart_that_a_stop_hides_takes_the_reference_all_the_same(made):
     with pytest.raises(MotionStopped):
         made.stage.move({"a": 110.0})
     assert made.stage.where_mm()["a"] is None
+
+
+@pytest.mark.parametrize("held", ["XY/x", "XY/y"])
+def test_a_pair_of_which_one_has_not_come_home_is_not_homed(bench, mocker, held):
+    """Somebody holds the other axis: it reads something else than at its reference."""
+    made = bench("micromanager")
+    made.stage.home()
+    made.stage.move({"a": 40.0, "b": 30.0})
+    box, seek = made.line.emulator, made.line.emulator.seek
+    mocker.patch.object(box, "seek", side_effect=lambda channel: channel != held and seek(channel))
+    with pytest.raises(MotionStopped, match="after its reference run"):
+        made.stage.home()
+    assert made.stage.where_mm() == {"a": None, "b": None}
+
+
+def test_a_question_that_fails_in_motion_stops_what_moves(made, mocker):
+    """The adapter raises once, and the box has never been away; nobody else halts the bench."""
+    box, busy = made.line.emulator, made.line.emulator.busy
+    failures = [RuntimeError("timeout")]
+
+    def busy_or_not(channel):
+        if failures and box.motors[channel].running:
+            raise failures.pop()
+        return busy(channel)
+
+    mocker.patch.object(box, "busy", side_effect=busy_or_not)
+    with pytest.raises(DeviceLost, match="timeout"):
+        made.stage.axis("a").move_to(110.0)
+    made.clock.sleep_s(20.0)
+    assert made.world.true_mm("a") < 40.0
+
+
+def test_a_stage_that_pauses_on_its_way_has_its_time_anew(bench, library):
+    """It rests twice for 0.7 s: before it begins, and half way."""
+    made = bench(library, firmware={"begins_late_s": 0.7})
+    made.stage.home()
+    box, channel, begun_s = made.line.emulator, made.table.axes["a"].channel, made.clock.now_s()
+    made.clock.at(begun_s + 1.2, lambda: box.stop(channel))
+    made.clock.at(begun_s + 2.0, lambda: box._go(channel, 50.0))
+    made.stage.move({"a": 50.0})
+    assert made.world.true_mm("a") == pytest.approx(50.0, abs=0.1)

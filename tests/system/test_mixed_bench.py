@@ -1,7 +1,7 @@
 """A bench of several worlds, from plan to report.
 
-A Grbl portal, an isel rail, a target on a Thorlabs rack or on PI stages, and glass that Micro-Manager moves: once
-its simulated core in a world with screws, once the real core with its DemoCamera.
+A rail and a portal on Grbl, a target on a Thorlabs rack, and glass that Micro-Manager moves: once its simulated core
+in a world with screws, once the real core with its DemoCamera.
 """
 
 import json
@@ -19,6 +19,7 @@ from tests.daq.small_bench import (
     SHIFT,
     SIMULATED_GLASS,
     with_glass,
+    with_grbl_rail,
     with_thorlabs_target,
     write_bench,
 )
@@ -46,7 +47,7 @@ def from_plan_to_report(folder):
 
 @pytest.mark.slow
 def test_glass_by_a_simulated_core(tmp_path):
-    with_glass(with_thorlabs_target(write_bench(tmp_path)), SIMULATED_GLASS)
+    with_glass(with_grbl_rail(with_thorlabs_target(write_bench(tmp_path))), SIMULATED_GLASS)
     from_plan_to_report(tmp_path)
 
 
@@ -94,7 +95,8 @@ def test_glass_by_the_real_core(tmp_path, monkeypatch):
         },
     }
     bench = f"{__name__}:DemoBench"
-    with_glass(write_bench(tmp_path), glass, bench=bench, transport="pty", speed=20.0)
+    path = with_grbl_rail(with_thorlabs_target(write_bench(tmp_path)))
+    with_glass(path, glass, bench=bench, transport="pty", speed=10.0)
     run = from_plan_to_report(tmp_path)
     steps = [entry for entry in run.entries() if entry["kind"] == "step"]
     assert {round(entry["true_mm"]["glass_y"]) for entry in steps} == {0, -130}  # it was driven out and back
