@@ -1,7 +1,7 @@
 """A bench of several worlds, from plan to report.
 
-A rail and a portal on Grbl, a target on a Thorlabs rack, and glass that Micro-Manager moves: once its simulated core
-in a world with screws, once the real core with its DemoCamera.
+A rail and a portal on Grbl, a target on a Thorlabs rack, and glass that Micro-Manager moves: once its simulated
+core in a world with screws, once the real core with its DemoCamera.
 """
 
 import json
