@@ -71,7 +71,7 @@ def bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     _bench_options(laser)
 
     camera = verbs.add_parser("camera", help="list cameras, or take a frame")
-    camera.add_argument("action", choices=("list", "snap"))
+    camera.add_argument("action", choices=("list", "snap", "test"))
     _bench_options(camera)
     camera.add_argument("-o", "--out", type=Path, default=Path("snap.tif"), help="file (default: snap.tif)")
 

@@ -1,4 +1,4 @@
-"""`rtpiv camera`: list cameras, or take a frame to look at."""
+"""`rtpiv camera`: say which camera there is, take a frame to look at, or try its trigger out."""
 
 from pathlib import Path
 
@@ -8,7 +8,9 @@ from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import CAMERA
 from daq.acquisition.bench.opened import open_bench
 from daq.acquisition.runner.exposures import Exposures
+from daq.acquisition.runner.trigger_trial import Found, try_trigger
 from daq.acquisition.runs.raw_frame import checksum, write_raw
+from daq.errors import CameraError
 from daq.terminal import console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named
@@ -17,12 +19,13 @@ from daq.verbs.paths import Named
 def camera(
     action: str, bench: Named = "bench.yaml", simulate: bool = False, out: Named = "snap.tif"
 ) -> Path | None:
-    """Say which camera the bench has, or take a frame with its settings.
+    """Say which camera the bench has, take a frame with its settings, or try its trigger out.
 
     Parameters
     ----------
-    action : {"list", "snap"}
-        What to do.
+    action : {"list", "snap", "test"}
+        What to do; `test` takes a few frames by the trigger that the bench file sets up, with the laser off, and
+        says whether they arrive and are exposed as long as was set.
     bench : path
         bench.yaml.
     simulate : bool
@@ -38,7 +41,7 @@ def camera(
     Raises
     ------
     CameraError
-        The camera is not there, or gives no frame.
+        The camera is not there, gives no frame, or its trigger does not do what was set up.
     """
     screen = console()
     out = Path(out)
@@ -47,6 +50,9 @@ def camera(
     with open_bench(load_bench(bench), simulate, only={CAMERA}) as hardware:
         info = hardware.camera.info
         screen.print(f"{info.vendor} {info.model}, serial {info.serial}, {info.backend} at {info.address}")
+        if action == "test":
+            _say(try_trigger(hardware.camera, hardware.camera_section))
+            return None
         exposures = Exposures(hardware.camera, hardware.camera_section)
         settings = exposures.set_up()
         if action == "list":
@@ -68,3 +74,13 @@ def camera(
         f"1 % / median / 99 %: {low:.0f} / {middle:.0f} / {high:.0f} of {white}, saturated {saturated:.3f} %"
     )
     return out
+
+
+def _say(found: list[Found]) -> None:
+    """Show what was found; CameraError if something is wrong."""
+    words = {True: "ok ", False: "BAD", None: "?  "}
+    for each in found:
+        console().print(f"  {each.what:<10} {words[each.is_right]}  {each.said}", soft_wrap=True, highlight=False)
+    wrong = [each.what for each in found if each.is_right is False]
+    if wrong:
+        raise CameraError(f"the camera's {' and '.join(wrong)} is not as the bench file sets it up; see above")

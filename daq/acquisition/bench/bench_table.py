@@ -14,6 +14,7 @@ from daq.acquisition.bench.pairs_section import PairsSection
 from daq.acquisition.bench.read_out import require_squares
 from daq.acquisition.cameras.camera import Setting
 from daq.acquisition.cameras.link import LinkName
+from daq.acquisition.cameras.trigger_presets import Preset, needs_line, settings_of
 from daq.errors import PlanError, SettingRefused
 from ground.config import Document, Table
 from stages.config import AxisTable, Name, Positive, StagesTable
@@ -29,12 +30,26 @@ ChunkName = Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*$", max_length=6
 Vector = tuple[float, float, float]
 
 
+class TriggerSection(Table):
+    """How frames are asked for, by the name of a preset."""
+
+    preset: Preset
+    line: Annotated[str, Field(min_length=1, max_length=64)] | None = None  # the input, such as Line1
+
+    @model_validator(mode="after")
+    def _has_its_line(self) -> "TriggerSection":
+        if needs_line(self.preset) != (self.line is not None):
+            raise ValueError(f"preset {self.preset} {'needs' if self.line is None else 'has no'} line")
+        return self
+
+
 class CameraSection(Table):
     """Which camera, and how it is set."""
 
     backend: str
     options: dict[str, bool | int | float | str] = Field(default_factory=dict)
     settings: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    trigger: TriggerSection | None = None  # its settings join those above
     buffers: Annotated[int, Field(ge=2, le=1000)] = 24
     chunks: Annotated[list[ChunkName], Field(max_length=32)] = Field(default_factory=list)  # kept of every frame
     timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0
@@ -46,6 +61,13 @@ class CameraSection(Table):
 
     @model_validator(mode="after")
     def _tells_what_it_is_asked(self) -> "CameraSection":
+        if self.trigger is not None:
+            preset = settings_of(self.trigger.preset, self.trigger.line)
+            twice = sorted(name for name, value in preset.items() if self.settings.get(name, value) != value)
+            if twice:
+                names = ", ".join(twice)
+                raise ValueError(f"settings and the preset {self.trigger.preset} disagree about {names}")
+            self.settings.update(preset)
         try:
             require_squares(self.settings)
         except SettingRefused as error:
