@@ -19,6 +19,7 @@ from correction.grid import PlaneGrid
 from correction.inversion.kernels.bed_sheets import Sensor, Small, StartScratch, solve_small_sheets
 from correction.inversion.kernels.direct import direct_rows
 from correction.inversion.kernels.inverse import join_weights
+from correction.inversion.kernels.lonely import Ways
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS
 from correction.inversion.kernels.starts import LANES, MEASURES
 from correction.inversion.kernels.views import NodeScratch, solve_nodes
@@ -130,25 +131,33 @@ class Inversion:
 
     def glass(self) -> None:
         """Cut the sensor into sheets and solve each that is worth it."""
-        sheets = Sheets(self.ray_map, self.grid, self.tables, self.longest_mm)
+        sensor = self.ray_map, self.grid, self.tables, self.longest_mm
         if self.in_blocks and fits_bed_behind(self.scene) and not self.few:
-            self._solve_many(sheets)
+            ways = self._ways()
+            self._solve_many(Sheets(*sensor, ways), ways)
             return
+        sheets = Sheets(*sensor)
         for sheet in sheets:
             self._solve_one(sheet, sheets)
+
+    def _ways(self) -> Ways:
+        """Spheres of every branch."""
+        every = [self._sequence(number) for number in range(len(self.ray_map.branches))]
+        begin = np.cumsum([0, *map(len, every)], dtype=np.int64)
+        return Ways(begin, np.array([event for way in every for event in way], np.int64), self.windows)
 
     def _solve_one(self, sheet: Sheet, sheets: Sheets) -> None:
         """Solve a sheet on all cores."""
         enough = np.float32(1.0 / (1.0 + sheet.events) if self.skip else np.inf)
         self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
 
-    def _solve_many(self, sheets: Sheets) -> None:
+    def _solve_many(self, sheets: Sheets, ways: Ways) -> None:
         """Solve the sheets of a bed: small ones in one call, each large one by itself."""
         every, balls = sheets.ordered(), Balls(self.scene.sphere_table())
-        used, of_sheet = np.unique(every.branch, return_inverse=True)
-        ways = [np.array(self._sequence(number), np.int64) for number in used.tolist()]
-        sizes = np.array([len(way) for way in ways], np.int64)[of_sheet]
-        events = np.concatenate([ways[k] for k in of_sheet.tolist()]) if len(of_sheet) else np.empty(0, np.int64)
+        sizes = np.diff(ways.begin)[every.branch]
+        ends = np.cumsum(sizes)
+        inside = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - sizes, sizes)
+        events = ways.events[np.repeat(ways.begin[every.branch], sizes) + inside]
         place = np.empty(len(balls.order), np.int64)
         place[balls.order] = np.arange(len(balls.order))
         begin = np.concatenate(([0], np.cumsum(sizes)))

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.inversion.kernels.inverse import Tables
+from correction.inversion.kernels.lonely import NO_WAYS, Ways
+from correction.inversion.kernels.newton import NEWTON_NUMBERS
 from correction.inversion.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
 from correction.inversion.kernels.starts import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
 from ground.rows import run_rows
@@ -60,9 +62,13 @@ class Sheets:
         Camera and bodies as kernels take them.
     longest_mm : float
         Largest singular value of d plane / d pixel of a pixel that is worth a start.
+    ways : Ways
+        Spheres of each branch, where there are only spheres behind windows.
     """
 
-    def __init__(self, ray_map: RayMap, grid: PlaneGrid, tables: Tables, longest_mm: float) -> None:
+    def __init__(
+        self, ray_map: RayMap, grid: PlaneGrid, tables: Tables, longest_mm: float, ways: Ways = NO_WAYS
+    ) -> None:
         height, width = ray_map.status.shape
         self.tables, self.grid_numbers = tables, np.array([*grid.origin_mm, grid.pitch_mm])
         self.plane, self.branch = ray_map.plane_mm.reshape(height, 2 * width), ray_map.branch
@@ -75,8 +81,8 @@ class Sheets:
         counts, box = np.empty(height, np.int64), np.array(grid.shape[::-1]) - 1.0
 
         def flag(first: int, last: int) -> None:
-            numbers = self.grid_numbers, box, longest_mm
-            flag_rows(tables, *numbers, first, last, self.plane, self.branch, ray_map.status, self.flags, counts)
+            sensor = self.plane, self.branch, ray_map.status, ways, np.empty(NEWTON_NUMBERS)
+            flag_rows(tables, self.grid_numbers, box, longest_mm, first, last, *sensor, self.flags, counts)
 
         run_rows(flag, height)
         self.begin = np.concatenate(([0], np.cumsum(counts)))

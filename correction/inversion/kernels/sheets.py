@@ -22,6 +22,7 @@ import math
 import numpy as np
 
 from correction.inversion.kernels.inverse import Tables, stretch
+from correction.inversion.kernels.lonely import Ways, slopes_along
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED
@@ -99,13 +100,18 @@ def flag_rows(
     plane: Array,
     branch: Array,
     status: Array,
+    ways: Ways,
+    block: Array,
     flags: Array,
     counts: Array,
 ) -> None:
     """Flags (H, W) uint8 of rows first..last-1 and the number of runs in each, counts (H,) int64.
 
-    ``plane`` (H, 2 W) holds x and y in turn.  The outermost columns stay without flags.
+    ``plane`` (H, 2 W) holds x and y in turn.  The outermost columns stay without flags.  ``block``
+    (NEWTON_NUMBERS,) is scratch.
     """
+    ways = Ways(unowned(ways.begin), unowned(ways.events), unowned(ways.windows))
+    known, block, camera, spheres = ways.begin.shape[0] > 0, unowned(block), tables[0], tables[1].spheres
     plane, branch, status, flags = unowned(plane), unowned(branch), unowned(status), unowned(flags)
     height, width = branch.shape
     x0, y0, per_mm = grid[0], grid[1], 1.0 / grid[2]
@@ -137,7 +143,13 @@ def flag_rows(
         if lonely != 0:
             for i in range(begin, end):
                 if flags[row, i] == LONELY:
-                    s, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(float(i), float(row), *tables)
+                    s, x, y = float(RECOVERED), plane[row, 2 * i], plane[row, 2 * i + 1]
+                    if known:
+                        xu, xv, yu, yv = slopes_along(
+                            float(i), float(row), branch[row, i], ways, camera, spheres, block
+                        )
+                    else:
+                        s, x, y, xu, xv, yu, yv, _, _, _ = march_pixel_tangents(float(i), float(row), *tables)
                     c, r = (x - x0) * per_mm, (y0 - y) * per_mm
                     own = flags_of(c, r, xu, xv, yu, yv, per_mm, longest, box)
                     flags[row, i] = own if s == RECOVERED else 0
