@@ -183,6 +183,7 @@ class Inversion:
             progress[1] = sheets.stamp
             solve_small_sheets(
                 self.tables,
+                ways,
                 self.grid_numbers,
                 self.windows,
                 balls.balls,

@@ -70,7 +70,7 @@ class Sheets:
         self, ray_map: RayMap, grid: PlaneGrid, tables: Tables, longest_mm: float, ways: Ways = NO_WAYS
     ) -> None:
         height, width = ray_map.status.shape
-        self.tables, self.grid_numbers = tables, np.array([*grid.origin_mm, grid.pitch_mm])
+        self.tables, self.ways, self.grid_numbers = tables, ways, np.array([*grid.origin_mm, grid.pitch_mm])
         self.plane, self.branch = ray_map.plane_mm.reshape(height, 2 * width), ray_map.branch
         self.events = lengths_of(ray_map.branches)
         self.flags, self.taken, self.stamp = np.empty((height, width), np.uint8), np.zeros(grid.shape, np.uint8), 0
@@ -125,7 +125,7 @@ class Sheets:
             self.taken[...], self.stamp = 0, 0
         self.stamp += 1
         cursor = np.zeros(3, np.int64)
-        scratch = np.empty(LANES, np.int64), np.empty(MEASURES)
+        scratch = np.empty(LANES, np.int64), np.empty(MEASURES), np.empty(NEWTON_NUMBERS)
         tiles: list[Starts] = []
         edges: list[Starts] = []
         while cursor[0] < DONE:
@@ -136,6 +136,7 @@ class Sheets:
                 self.flags,
                 sheet.runs,
                 self.tables,
+                self.ways,
                 self.grid_numbers,
                 weight,
                 enough,

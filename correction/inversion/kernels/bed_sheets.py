@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from correction.inversion.kernels.inverse import Tables, unowned_tables
+from correction.inversion.kernels.lonely import Ways, unowned_ways
 from correction.inversion.kernels.newton import CONVERGED, GROUP, U, V, solve_block, solve_patiently
 from correction.inversion.kernels.starts import DONE, scatter_sheet
 from correction.inversion.kernels.views import ANOTHER, begin_group, judge_trips, keep_group, put_off
@@ -143,7 +144,7 @@ def verify_in_bundle(
 
 @kernel
 def solve_small_sheets(
-    tables: Tables, grid: Array, windows: Array, table: Array, bed: Bed, every: bool, sheets: Small,
+    tables: Tables, ways: Ways, grid: Array, windows: Array, table: Array, bed: Bed, every: bool, sheets: Small,
     sensor: Sensor, progress: Array, limits: Array, start: StartScratch, bundle: Bundle, passed: Array,
     block: Array, state: Array, trips: Array, maps: tuple[Array, ...],
 ) -> None:  # fmt: skip
@@ -154,6 +155,7 @@ def solve_small_sheets(
     Others as `solve_nodes` and `scatter_sheet` take them.
     """
     tables, bed, bundle = unowned_tables(tables), unowned_bed(bed), unowned_bundle(bundle)
+    ways = unowned_ways(ways)
     camera, spheres, windows, passed = tables[0], tables[1].spheres, unowned(windows), unowned(passed)
     starts, nodes = unowned(start.starts), unowned(start.nodes)
     block, state, trips, table = unowned(block), unowned(state), unowned(trips), unowned(table)
@@ -167,8 +169,8 @@ def solve_small_sheets(
         start.cursor[:] = 0
         tiled, found = scatter_sheet(
             sensor.plane, sensor.branch, sensor.flags, sheets.runs[sheets.first[s] : sheets.first[s + 1]],
-            tables, grid, weight[weight.shape[0] - 1], sheets.enough[s], progress[1], sensor.taken, start.cursor,
-            start.listed, start.measured, starts, nodes,
+            tables, ways, grid, weight[weight.shape[0] - 1], sheets.enough[s], progress[1], sensor.taken,
+            start.cursor, start.listed, start.measured, block, starts, nodes,
         )  # fmt: skip
         if start.cursor[0] < DONE:
             return

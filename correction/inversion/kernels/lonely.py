@@ -29,7 +29,7 @@ from correction.inversion.kernels.newton import (
 )
 from correction.inversion.kernels.newton import U as PIXEL_U
 from correction.inversion.kernels.newton import V as PIXEL_V
-from ground.jit import Array, kernel
+from ground.jit import Array, kernel, kernel_inlined, unowned
 
 
 class Ways(NamedTuple):
@@ -49,6 +49,12 @@ class Ways(NamedTuple):
 
 
 NO_WAYS = Ways(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 10)))
+
+
+@kernel_inlined
+def unowned_ways(ways: Ways) -> Ways:
+    """Arrays that no reference counter knows."""
+    return Ways(unowned(ways.begin), unowned(ways.events), unowned(ways.windows))
 
 
 @kernel

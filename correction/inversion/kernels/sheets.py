@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from correction.inversion.kernels.inverse import Tables, stretch
-from correction.inversion.kernels.lonely import Ways, slopes_along
+from correction.inversion.kernels.lonely import Ways, slopes_along, unowned_ways
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED
@@ -110,7 +110,7 @@ def flag_rows(
     ``plane`` (H, 2 W) holds x and y in turn.  The outermost columns stay without flags.  ``block``
     (NEWTON_NUMBERS,) is scratch.
     """
-    ways = Ways(unowned(ways.begin), unowned(ways.events), unowned(ways.windows))
+    ways = unowned_ways(ways)
     known, block, camera, spheres = ways.begin.shape[0] > 0, unowned(block), tables[0], tables[1].spheres
     plane, branch, status, flags = unowned(plane), unowned(branch), unowned(status), unowned(flags)
     height, width = branch.shape

@@ -18,6 +18,7 @@ the Jacobian before it to be good enough after it: |J^-1 dJ| <= 2 step max |J^-1
 import numpy as np
 
 from correction.inversion.kernels.inverse import TOLERANCE_PX, Tables, inverse_2x2, unowned_tables
+from correction.inversion.kernels.lonely import Ways, slopes_along, unowned_ways
 from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
 from correction.resample.kernels.bspline import INDEX
 from ground.jit import Array, kernel, kernel_inlined, unowned
@@ -85,13 +86,19 @@ def measure_pixels(
 
 
 @kernel
-def ask_lonely(line: int, count: int, listed: Array, tables: Tables, m: Array) -> None:
+def ask_lonely(
+    line: int, count: int, listed: Array, tables: Tables, branch: Array, ways: Ways, block: Array, m: Array
+) -> None:
     """Derivatives of the measured pixels that have no neighbours, as traced."""
     for k in range(count):
         if m[XU + k] * m[XV + k] * m[YU + k] * m[YV + k] * 0.0 != 0.0:
-            _, _, _, m[XU + k], m[XV + k], m[YU + k], m[YV + k], _, _, _ = march_pixel_tangents(
-                float(listed[k]), float(line), *tables
-            )
+            u, v = float(listed[k]), float(line)
+            if ways.begin.shape[0] > 0:
+                m[XU + k], m[XV + k], m[YU + k], m[YV + k] = slopes_along(
+                    u, v, branch[line, listed[k]], ways, tables[0], tables[1].spheres, block
+                )
+            else:
+                _, _, _, m[XU + k], m[XV + k], m[YU + k], m[YV + k], _, _, _ = march_pixel_tangents(u, v, *tables)
             for column in (XUU, XUV, XVV, YUU, YUV, YVV):
                 m[column + k] = 0.0
 
@@ -171,6 +178,7 @@ def scatter_sheet(
     flags: Array,
     runs: Array,
     tables: Tables,
+    ways: Ways,
     grid: Array,
     weight: Array,
     enough: np.float32,
@@ -179,6 +187,7 @@ def scatter_sheet(
     cursor: Array,
     listed: Array,
     measured: Array,
+    block: Array,
     starts: Array,
     nodes: Array,
 ) -> tuple[int, int]:
@@ -193,11 +202,11 @@ def scatter_sheet(
     ``nodes`` (N, 2) int32 receives rows and columns of the nodes, ``starts`` (N, 4) their start u, v, its squared
     distance from the pixel and how small a Newton step must be to be the last; both hold what one pixel gives
     beyond ENOUGH_NODES.  ``cursor`` (3,) int64 is where to begin and then where to go on: TILING, EDGES or DONE,
-    run, column.  Scratch: ``listed`` (LANES,) int64, ``measured`` (MEASURES,).
+    run, column.  Scratch: ``listed`` (LANES,) int64, ``measured`` (MEASURES,), ``block`` (NEWTON_NUMBERS,).
     """
     plane, branch, flags, runs = unowned(plane), unowned(branch), unowned(flags), unowned(runs)
     weight, taken, starts, nodes = unowned(weight), unowned(taken), unowned(starts), unowned(nodes)
-    tables = unowned_tables(tables)
+    tables, ways, block = unowned_tables(tables), unowned_ways(ways), unowned(block)
     grid, listed, measured = unowned(grid), unowned(listed), unowned(measured)
     tiled = found = 0
     for sweep in range(cursor[0], DONE):
@@ -212,7 +221,7 @@ def scatter_sheet(
                     count += (flag == NEAR) if sweep == TILING else (flag != 0)
                     i += 1
                 if measure_pixels(line, count, sweep == TILING, listed, flags, plane, branch, grid, measured) != 0:
-                    ask_lonely(line, count, listed, tables, measured)
+                    ask_lonely(line, count, listed, tables, branch, ways, block, measured)
                 invert_measures(count, 1.0 / grid[2], taken.shape[1] - 1.0, taken.shape[0] - 1.0, measured)
                 given, found = give_starts(
                     line,

@@ -13,7 +13,10 @@ function connect() {
   const token = location.hash.slice(1);
   socket = new WebSocket(`ws://${location.host}/frames`);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => socket.send(JSON.stringify({ token, ...wishes() }));
+  socket.onopen = () => {
+    socket.send(JSON.stringify({ token, ...wishes() }));
+    say(at("state"), "waiting for the first frame ...");
+  };
   socket.onmessage = (event) => (typeof event.data === "string" ? told(JSON.parse(event.data)) : taken(event.data));
   socket.onclose = (event) => say(at("state"), words.over ? "the run is over" : event.reason || "the run is gone");
 }

@@ -20,7 +20,11 @@ def bits(made: CorrectionMap) -> list[bytes]:
 
 def one_by_one(where: Scene, ray_map: RayMap, layers: int, monkeypatch: pytest.MonkeyPatch) -> CorrectionMap:
     with monkeypatch.context() as patched:
-        patched.setattr(invert, "fits_bed_behind", lambda scene: False)
+        patched.setattr(
+            invert.Inversion,
+            "_solve_many",
+            lambda self, sheets, ways: [self._solve_one(sheet, sheets) for sheet in sheets],
+        )
         return build_correction_map(where, ray_map, layers=layers)
 
 
