@@ -25,7 +25,8 @@ A = TypeVar("A", bound=apt.Answer)
 class AptQuestions(Controller):
     """A Thorlabs box as far as it is asked and told."""
 
-    _complaint: str = ""  # the last error that the box has told unasked
+    _complaint: str  # the last error that the box has told unasked
+    _told_homed: set[str]  # channels whose reference run has been told to have ended
 
     def _check_channel(self, channel: Channel) -> None:
         super()._check_channel(channel)
@@ -70,6 +71,8 @@ class AptQuestions(Controller):
         if not isinstance(answer, apt.Unasked):
             return False
         self._complaint = answer.complaint or self._complaint
+        if answer.kind == Kind.MOT_MOVE_HOMED:
+            self._told_homed |= {name for name in self._channels if _tells_of(answer, name)}
         return True
 
     def _ask(self, question: bytes, kind: type[A], fits: Callable[[A], bool], moves: bool = False) -> A:
@@ -118,6 +121,11 @@ class AptQuestions(Controller):
 
     def _set(self, channel: str, kind: Kind, value: int) -> None:
         self._send(apt.Setting(kind, ident_of(channel), value, place_of(channel)).to_bytes())
+
+
+def _tells_of(answer: apt.Unasked, channel: str) -> bool:
+    """Whether a short message is about a channel; some boxes do not say who they are."""
+    return answer.data[0] == ident_of(channel) and answer.sender in (place_of(channel), apt.NOBODY)
 
 
 def ident_of(channel: str) -> int:

@@ -10,7 +10,8 @@ its answer says that the command was read. Automatic state messages that another
 switched off. How it is asked and what is believed of the answers: `stages.drivers.apt_questions`.
 
 **The end of a motion.** Two looks in a row must find rest, and the position must be the target's. Rest short of it
-is a limit switch, a fault, a refusal, or else a person's stop. A box that has not begun yet is given `BEGINS_S`.
+is a limit switch, a fault, a refusal, or else a person's stop. A box that has not begun yet is given `BEGINS_S`;
+a reference run of which nothing was seen, neither motion nor end, was none, whatever flag an older one has left.
 
 **Restarts.** A box that has restarted is not homed any more. It may be homed again at its own buttons though, or
 by another program with another offset. So homing leaves a mark: the distance of the next relative move, which
@@ -113,16 +114,19 @@ class AptController(AptQuestions):
         bits = self._agreed(lambda: self._bits(channel))
         if self._drives(channel, bits):
             return True
-        arrived = bits & words.HOMED if channel in self._homing else self._is_there(channel)
+        was_homing = channel in self._homing
+        has_begun = channel not in self._not_begun or channel in self._told_homed
+        arrived = bits & words.HOMED and has_begun if was_homing else self._is_there(channel)
         if not arrived and self.clock.now_s() < self._not_begun.get(channel, 0.0):
             return True
-        was_homing = channel in self._homing
         self._homing.discard(channel)
         self._not_begun.pop(channel, None)
         if self._stopped:
             raise MotionStopped(f"{self.name} channel {channel} was stopped")
         if was_homing and not arrived and self._agreed(lambda: self._mark(channel)) != DOUBT:
             raise NotReferenced(f"{self.name} channel {channel} has restarted while it was homed; home it again")
+        if was_homing and bits & words.HOMED and not has_begun:  # from an older run: who knows with what offset
+            raise DeviceError(f"{self.name} channel {channel} did not begin its reference run; home it again")
         if not arrived:
             self._raise_why(channel, bits, was_homing)
         if was_homing:
@@ -169,7 +173,7 @@ class AptController(AptQuestions):
 
     def _reset_state(self) -> None:
         self._profile, self._not_begun = {}, {}
-        self._homing = set()
+        self._homing, self._told_homed = set(), set()
         self._complaint = ""
 
     def _set_up(self) -> None:
@@ -262,6 +266,7 @@ class AptController(AptQuestions):
         """Send what moves and a question behind it; the answer to that says that both were read."""
         self._stopped = False
         self._complaint = ""
+        self._told_homed.discard(channel)
         self._rested.discard(channel)
         self._sent_to.pop(channel, None)
         if target is not None:

@@ -334,6 +334,38 @@ def test_a_box_that_keeps_no_mark_cannot_be_homed(bench, monkeypatch):
     assert made.world.true_mm("a") == pytest.approx(made.world.motors["a"].mechanics.power_up_mm, abs=0.03)
 
 
+def test_a_box_that_keeps_its_flag_while_it_homes_and_begins_late_is_waited_for(bench, monkeypatch):
+    made = bench("thorlabs_apt")
+    made.stage.home()
+    made.stage.move({"a": 60.0})
+    channel = made.line.emulator.channel("bay1")
+    home = channel.home
+    monkeypatch.setattr(
+        type(channel),
+        "home",
+        lambda one: made.clock.at(made.clock.now_s() + 0.15, home) if one is channel else None,
+    )
+    monkeypatch.setattr(
+        type(channel), "is_homed", property(lambda one: True, lambda one, homed: None), raising=False
+    )
+    made.stage.home(["a"])
+    assert made.world.motors["a"].carriage_mm == pytest.approx(0.0, abs=0.06)
+
+
+def test_a_reference_run_that_never_began_is_none(bench, monkeypatch):
+    """Homed from before, with an offset that somebody has changed since."""
+    made = bench("thorlabs_apt")
+    made.stage.home()
+    made.stage.move({"a": 60.0})
+    channel = made.line.emulator.channel("bay1")
+    channel.homing = (*channel.homing[:3], 4000)
+    monkeypatch.setattr(type(channel), "home", lambda one: None)
+    with pytest.raises(StageError, match="did not begin its reference run"):
+        made.stage.home(["a"])
+    assert made.stage.where_mm()["a"] is None
+    assert made.again().axis("a").state is AxisState.UNREFERENCED
+
+
 def test_an_offset_after_the_switch_is_where_the_box_counts_from(bench):
     made = bench("thorlabs_apt", firmware={"home_offset": 1200})  # 3 mm
     made.stage.home()

@@ -194,6 +194,7 @@ class Apt(Box):
             self.at[place, kind] = data
         elif kind == 0x0443:
             self.at[place, 0x0443], self.at[place, 0x0453] = True, struct.pack("<Hi", 1, 0)
+            return struct.pack("<HBBBB", 0x0444, 1, 0, 0x01, 0x00).decode("latin-1")
         homed = 0x0400 * self.at.get((place, 0x0443), False)
         answers = {
             0x0005: struct.pack("<I8sH4B60sHHH", 40_123_456, b"BSC202\0X", 45, 5, 1, 1, 0, b"Bench\0\1", 1, 0, 2),
