@@ -1,4 +1,4 @@
-"""GigE Vision cameras through libaravis, opened by address and never by discovery.
+"""GigE Vision cameras by address and USB3 Vision cameras by id, through libaravis, and never by a broadcast.
 
 libaravis receives packets, asks for lost ones again and fills our buffers from a thread of its own, outside
 Python.  Frames are unpacked into shared memory in the caller's thread when it asks for the next one.
@@ -7,7 +7,9 @@ libaravis counts underruns by packets: every packet of a frame that found no buf
 were is told by the ids that are skipped, or where none is (before the first frame, behind the last one) by the
 number of packets that a frame has.
 
-Discovery would broadcast on all interfaces of the machine, so the device is made from the two addresses alone.
+Discovery would broadcast on all interfaces of the machine, so a network's device is made from the two addresses
+alone.  For a USB3 camera only the bus is looked at: libaravis' part for networks is switched off first.  An id
+that begins with Fake is libaravis' own camera in this process, for trying things out.
 """
 
 import ctypes
@@ -21,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.acquisition.cameras.aravis_nodes import AravisNodes
-from daq.acquisition.cameras.aravis_stream import open_stream
+from daq.acquisition.cameras.aravis_stream import open_plain_stream, open_stream
 from daq.acquisition.cameras.camera import CameraInfo, Counters, Setting
 from daq.acquisition.cameras.camera_clock import CameraClock
 from daq.acquisition.cameras.formats import pixel_format
@@ -45,11 +47,13 @@ from daq.errors import (
     CameraBusy,
     CameraError,
     CameraLost,
+    CameraSetupError,
     CameraTimeout,
     CameraUsageError,
     FrameIncomplete,
 )
 
+FAKE = "Fake"
 OPEN_PROBE_S = 1.0
 POLL_S = 0.1
 DRAIN_US = 1000
@@ -63,14 +67,22 @@ class AravisCamera:
 
     Parameters
     ----------
-    address : str
-        IPv4 address of the camera.
+    address : str, optional
+        IPv4 address of a GigE Vision camera.
     packet_bytes : int, optional
         Stream packet size; default is the largest that a test packet gets through with.
+    device_id : str, optional
+        Instead of an address: a USB3 Vision camera as libaravis calls it, such as "FLIR-1E10-12345678".
     """
 
-    def __init__(self, address: str, packet_bytes: int | None = None) -> None:
-        self._address = address
+    def __init__(
+        self, address: str | None = None, packet_bytes: int | None = None, device_id: str | None = None
+    ) -> None:
+        if (address is None) == (device_id is None):
+            raise CameraSetupError("a camera by Aravis needs an `address` (GigE Vision) or a `device_id` (USB3)")
+        self._device_id, self._is_network = device_id, address is not None
+        self._id_bits = 64 if device_id is not None and not device_id.startswith(FAKE) else 16
+        self._address = address or f"device {device_id}"
         self._packet_bytes = packet_bytes
         self._device = 0
         self._stream = 0
@@ -114,6 +126,17 @@ class AravisCamera:
         if self._device:
             raise CameraUsageError("the camera is open already; close it first")
         functions()
+        if self._is_network:
+            self._open_at_address()
+        else:
+            self._open_by_id(str(self._device_id))
+        try:
+            self._prepare()
+        except CameraError:
+            self.close()
+            raise
+
+    def _open_at_address(self) -> None:
         if is_controlled(self._address, OPEN_PROBE_S):
             raise CameraBusy(f"another process controls the camera at {self._address}; close it there first")
         ours, theirs = (
@@ -130,11 +153,17 @@ class AravisCamera:
         if not call("arv_gv_device_is_controller", self._device):
             self.close()
             raise CameraBusy(f"another process controls the camera at {self._address}; close it there first")
+
+    def _open_by_id(self, device_id: str) -> None:
+        call("arv_disable_interface", b"GigEVision")  # its list is made by a broadcast
+        if device_id.startswith(FAKE):
+            call("arv_enable_interface", FAKE.encode())
         try:
-            self._prepare()
-        except CameraError:
-            self.close()
-            raise
+            self._device = call("arv_open_device", device_id.encode()) or 0
+        except AravisError as error:
+            raise CameraLost(f"camera {device_id}: {error}; is it plugged in, and free?") from error
+        if not self._device:
+            raise CameraSetupError(f"there is no camera {device_id} on USB; arv-tool-0.8 lists their ids")
 
     def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """Set SFNC features in a safe order; returns what the camera reads back.
@@ -188,18 +217,18 @@ class AravisCamera:
             if not 0 < size <= MAX_PAYLOAD_BYTES or not 0 < pixels <= MAX_PAYLOAD_BYTES:
                 raise BadFrame(f"the camera announces frames of {size} bytes and {pixels} px")
             self._exposure_us = exposure_us(nodes)
-            self._packets_per_frame = _packets_per_frame(nodes, size)
+            self._packets_per_frame = _packets_per_frame(nodes, size) if self._is_network else 1
             self._counts_triggers = count_missed_triggers(nodes)
             self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
             ring = FrameRing(buffers, pixels)
             self._memory = [np.empty(size, np.uint8) for _ in range(buffers)]
             ready = [call("arv_buffer_new", size, memory.ctypes.data) for memory in self._memory]
-            self._stream = open_stream(self._device)
+            self._stream = (open_stream if self._is_network else open_plain_stream)(self._device)
         for buffer in ready:  # at once: a frame that was under way may come from now on
             call("arv_stream_push_buffer", self._stream, buffer)
         self._ring = ring
         self._free = deque(range(buffers))
-        self._ids = IdTracker(16)
+        self._ids = IdTracker(self._id_bits)
         self._delivered = self._incomplete = self._unused = 0
         self._underrun_in_gaps = self._underrun_before = self._underrun_packets = 0
         self._last = Counters(ignored_triggers=0 if self._counts_triggers else None)
@@ -298,7 +327,9 @@ class AravisCamera:
         call("arv_device_set_access_check_policy", self._device, CHECK_ENABLED)
         nodes = AravisNodes(self._device)
         with self._errors("open"):
-            if self._packet_bytes is None:
+            if not self._is_network:
+                pass
+            elif self._packet_bytes is None:
                 call("arv_gv_device_auto_packet_size", self._device)
             else:
                 call("arv_gv_device_set_packet_size", self._device, self._packet_bytes)
@@ -405,7 +436,9 @@ class AravisCamera:
         completed, failed, underrun = ctypes.c_uint64(), ctypes.c_uint64(), ctypes.c_uint64()
         addresses = (ctypes.byref(number) for number in (completed, failed, underrun))
         call("arv_stream_get_statistics", self._stream, *addresses)
-        resent = int(call("arv_stream_get_info_uint64_by_name", self._stream, b"n_resent_packets"))
+        resent = 0
+        if self._is_network:
+            resent = int(call("arv_stream_get_info_uint64_by_name", self._stream, b"n_resent_packets"))
         return resent, underrun.value
 
     def _ignored(self, nodes: AravisNodes) -> int:
@@ -413,7 +446,12 @@ class AravisCamera:
 
     def _probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers and still knows that it is controlled."""
-        if not is_controlled(self._address, timeout_s):
+        if not self._is_network:
+            try:
+                AravisNodes(self._device).get("Width")
+            except AravisError as error:
+                raise CameraLost(f"the camera does not answer ({error}); check cable and power") from error
+        elif not is_controlled(self._address, timeout_s):
             raise CameraLost(
                 f"the camera at {self._address} was restarted: it no longer knows who controls it; open it again"
             )

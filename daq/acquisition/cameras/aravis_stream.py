@@ -34,3 +34,8 @@ def open_stream(device: int) -> int:
         return int(call("arv_device_create_stream", device, None, None))
     finally:
         call("arv_gv_device_set_stream_options", device, NO_OPTION)
+
+
+def open_plain_stream(device: int) -> int:
+    """Address of a new ArvStream of a device that sends no packets over a network."""
+    return int(call("arv_device_create_stream", device, None, None))

@@ -54,6 +54,9 @@ class AravisError(CameraError):
 
 # name: (result, arguments); a last argument of _ERROR is filled in by `call`
 PROTOTYPES: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "arv_enable_interface": (None, (c_char_p,)),
+    "arv_disable_interface": (None, (c_char_p,)),
+    "arv_open_device": (c_void_p, (c_char_p, _ERROR)),
     "arv_gv_device_new": (c_void_p, (c_void_p, c_void_p, _ERROR)),
     "arv_gv_device_is_controller": (c_int, (c_void_p,)),
     "arv_gv_device_auto_packet_size": (c_uint, (c_void_p, _ERROR)),

@@ -14,7 +14,7 @@ from daq.acquisition.cameras.camera import Camera
 from daq.errors import CameraError
 
 QUESTIONS = 5
-TEMPERATURES = ("DeviceTemperature", "TemperatureAbs")  # SFNC 2, and an older name
+TEMPERATURES = ("DeviceTemperature", "TemperatureAbs", "CCDTemperature")  # SFNC 2, an older name, adapters
 
 
 def camera_facts(camera: Camera) -> dict[str, Any]:

@@ -31,5 +31,7 @@ class CameraKind:
     def places(self, section: CameraSection) -> Iterator[str]:
         """Producer or address."""
         options = section.options
-        where = f"GenTL producer {options['cti']}" if "cti" in options else f"GigE Vision at {options['address']}"
-        yield f"camera: {where}"
+        named = (("cti", "GenTL producer"), ("address", "GigE Vision at"), ("device_id", "USB3 Vision"))
+        where = [f"{words} {options[key]}" for key, words in named if key in options]
+        where += [f"{section.backend} {' '.join(str(value) for value in options.values())}"]
+        yield f"camera: {where[0]}"

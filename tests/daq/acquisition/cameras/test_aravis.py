@@ -12,7 +12,7 @@ import pytest
 
 from daq.acquisition.cameras.aravis import AravisCamera
 from daq.acquisition.cameras.gvcp_probe import read_register
-from daq.errors import CameraLost
+from daq.errors import CameraLost, CameraSetupError, SettingRefused
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
 from sim.camera.gige import GigeDevice
@@ -186,3 +186,46 @@ def test_strangers_on_the_same_interface_do_not_spoil_a_stream(device):
         crowd.kill()
         crowd.communicate()
         camera.close()
+
+
+@pytest.fixture
+def fake():
+    """The camera that libaravis has in this process, opened as one on USB is."""
+    need_aravis()
+    camera = AravisCamera(device_id="Fake_1")
+    camera.open()
+    yield camera
+    camera.close()
+
+
+def test_a_camera_by_its_id_is_set_up_and_sends_frames(fake):
+    assert (fake.info.vendor, fake.info.address) == ("Aravis", "device Fake_1")
+    back = fake.configure({"Width": 96, "Height": 32, "PixelFormat": "Mono8", "AcquisitionFrameRate": 100.0})
+    assert back["Width"] == 96
+    fake.arm(8)
+    sequence, ids = [], []
+    for _ in range(150):  # its ids begin shortly before 65535, which is followed by 1
+        with fake.next_frame(3.0) as frame:
+            sequence.append(frame.meta.sequence)
+            ids.append(frame.meta.frame_id)
+            assert frame.pixels.shape == (32, 96)
+            steps = np.diff(frame.pixels[0].astype(int))
+            assert set(steps) <= {1, -254, -255}  # its ramp
+    assert max(ids) == 65535
+    assert min(ids) < 10
+    assert sequence == sorted(sequence)
+    fake.verify()
+    fake.probe(0.5)
+    counts = fake.disarm()
+    assert (counts.incomplete, counts.resent, counts.delivered) == (0, 0, 150)
+    assert counts.missing <= counts.underrun + sequence[-1] - 149
+    with pytest.raises(SettingRefused):
+        fake.configure({"PixelFormat": "BayerRG8p"})
+
+
+def test_an_id_that_nobody_has_and_two_names_for_one_camera_are_refused(fake):
+    with pytest.raises(CameraLost, match=r"Nobody-1.* plugged in"):
+        AravisCamera(device_id="Nobody-1").open()
+    for options in ({}, {"address": "127.0.0.1", "device_id": "Fake_1"}):
+        with pytest.raises(CameraSetupError, match=r"`address`.*`device_id`"):
+            AravisCamera(**options)
