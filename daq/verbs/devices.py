@@ -4,7 +4,6 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
 from rich.table import Table
@@ -82,7 +81,7 @@ def _drivers() -> Table:
     for column in ("kind", "by", "", "needs"):
         table.add_column(column, overflow="fold")
     table.add_row("stage", f"driver: {', '.join(DRIVERS)}", "ok", "")
-    lacks = None if find_spec("pymmcore") is not None else "install the extra rtpiv[micromanager]"
+    lacks = missing_for("micromanager")  # the same core as of cameras
     table.add_row("stage", "driver: micromanager", _word(lacks), lacks or "")
     table.add_row("stage", "driver: positioners", "ok", "your own objects with set, stop and position")
     for backend in BACKENDS:
@@ -117,6 +116,7 @@ def _lines(ports: list[SerialPort], cameras: list[UsbCamera], ways: list[Path]) 
         yield f"  options: {{cti: {_quoted(way)}, serial: {_quoted(serial, always=True)}}}"
         yield from (f"  # or cti: {_quoted(str(way))}" for way in ways[1:])
         yield from (f"  # or serial: {_quoted(camera.serial, always=True)}" for camera in cameras[1:])
+        yield "  # USB3 also by backend aravis, options {device_id: ...}; arv-tool-0.8 lists the ids"
     else:
         yield "  backend: aravis"
         yield f"  options: {{address: {ADDRESS}}}  # of the camera; or backend harvesters with the vendor's cti"

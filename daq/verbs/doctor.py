@@ -132,8 +132,12 @@ def _port(what: str, driver: str, port: str) -> Finding:
 def _camera(name: str, section: CameraSection) -> Iterator[Finding]:
     """What its backend lacks, and whether its producer is where the bench file says."""
     what = "camera" if name == CAMERA else f"camera {name}"
-    missing = missing_for(section.backend)
+    missing = None if "core" in section.options else missing_for(section.backend)
     yield what, missing is None, missing or f"by {section.backend}"
+    adapters = section.options.get("adapters")
+    if isinstance(adapters, str):
+        there = Path(adapters).is_dir()
+        yield f"{what}'s adapters", there, adapters if there else f"there is no folder {adapters}"
     producer = section.options.get("cti")
     if isinstance(producer, str):
         there = Path(producer).is_file()

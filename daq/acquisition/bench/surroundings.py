@@ -21,6 +21,7 @@ GENTL_PATH = "GENICAM_GENTL64_PATH"
 INSTALLED = Path("/opt")  # where vendors' packages put theirs, whether or not this shell was told
 DEEPEST = 5  # folders below it
 USB3_VISION = ("ef", "05", "00")  # class, subclass and protocol of the control interface (USB3 Vision 1.0, 2.1)
+NEEDS = {"harvesters": (LIBRARIES["harvesters"], "camera"), "micromanager": (("pymmcore",), "micromanager")}
 TELLING = {  # what a plug says of itself, and the driver of what is behind it
     "0403:faf0": "thorlabs_apt",  # FTDI with Thorlabs' own product id
     "thorlabs": "thorlabs_apt",
@@ -109,9 +110,10 @@ def producers(installed: Path = INSTALLED) -> list[Path]:
 
 def missing_for(backend: str) -> str | None:
     """What a camera backend lacks on this computer, with the cure; None if nothing, or if nobody can know."""
-    absent = [name for name in LIBRARIES.get(backend, ()) if find_spec(name) is None]
+    libraries, extra = NEEDS.get(backend, ((), ""))
+    absent = [name for name in libraries if find_spec(name) is None]
     if absent:
-        return f"{' and '.join(absent)} not installed; install the extra rtpiv[camera]"
+        return f"{' and '.join(absent)} not installed; install the extra rtpiv[{extra}]"
     if backend == "aravis" and ctypes.util.find_library("aravis-0.8") is None:
         return "libaravis is not installed; apt-get install libaravis-0.8-0"
     return None

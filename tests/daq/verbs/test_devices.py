@@ -180,6 +180,7 @@ def test_the_doctor_tells_per_device_what_it_lacks(surrounded, tmp_path, monkeyp
     path = write_bench(tmp_path)
     text = path.read_text()
     second = "  second: {kind: camera, backend: harvesters, options: {cti: /opt/gone.cti}}\n"
+    second += "  third: {kind: camera, backend: micromanager, options: {adapters: /opt/gone, core: mine:Core}}\n"
     path.write_text(f"{text}devices:\n{second}" if "devices:" not in text else text)
     monkeypatch.setattr(surroundings, "find_spec", lambda name: None)
     found = {what: (fine, words) for what, fine, words in doctor(path)}
@@ -191,6 +192,8 @@ def test_the_doctor_tells_per_device_what_it_lacks(surrounded, tmp_path, monkeyp
     assert "rtpiv[camera]" in found["camera second"][1]
     assert found["camera second's producer"][0] is False
     assert "/opt/gone.cti" in found["camera second's producer"][1]
+    assert found["camera third"] == (True, "by micromanager")  # a core of somebody's own
+    assert found["camera third's adapters"] == (False, "there is no folder /opt/gone")
 
 
 def test_a_backend_without_its_library_is_said(surrounded, monkeypatch):
@@ -199,4 +202,9 @@ def test_a_backend_without_its_library_is_said(surrounded, monkeypatch):
     found = {what: (fine, words) for what, fine, words in doctor()}
     assert found["camera backend aravis"][0] is False
     assert "libaravis" in found["camera backend aravis"][1]
+    monkeypatch.setattr(surroundings, "find_spec", lambda name: None)
+    found = {what: (fine, words) for what, fine, words in doctor()}
+    for backend, extra in (("harvesters", "rtpiv[camera]"), ("micromanager", "rtpiv[micromanager]")):
+        assert found[f"camera backend {backend}"][0] is False
+        assert extra in found[f"camera backend {backend}"][1]
     assert found["camera backend files"] == (True, "installed")
