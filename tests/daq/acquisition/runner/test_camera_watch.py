@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import pytest
 
+from daq.acquisition.bench.bench_table import CameraSection
 from daq.acquisition.cameras.files import FilesCamera
 from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.runner.camera_watch import camera_facts
+from daq.acquisition.runner.exposures import Exposures
 from daq.acquisition.runner.runner import Runner
 from daq.acquisition.runner.session import Request, begin
 from daq.acquisition.runs.clock_map import clock_maps
@@ -65,8 +67,17 @@ def test_temperature_clock_and_chunks_are_on_the_record(tmp_path):
 
 
 def test_who_asks_for_no_chunks_finds_none_in_the_record(tmp_path):
-    folder = run(tmp_path, FILES_CAMERA, TellingCamera)
-    assert not any("chunks" in entry for entry in frame_entries(folder.entries()).values())
+    camera = TellingCamera(write_frames(tmp_path / "in", 1))
+    camera.open()
+    camera.configure({"TriggerMode": "On"})
+    camera.arm()
+    camera.trigger()
+    frame = camera.next_frame(1.0)
+    kept = {
+        wanted: CameraSection(backend="files", chunks=list(wanted)) for wanted in ((), ("Gain", "NoSuchThing"))
+    }
+    found = [Exposures(camera, section).facts(frame) for section in kept.values()]
+    assert found == [{}, {"chunks": {"Gain": 3.0}}]
 
 
 class Gone(FilesCamera):
