@@ -88,7 +88,7 @@ class MicroManagerCamera:
         self._info: CameraInfo | None = None
         self._values: dict[str, Setting] = {}  # what the core does not hold
         self._configured: dict[str, Setting] = {}
-        self._is_armed = self._waits = False
+        self._is_armed = False
         self._ids = IdTracker()
         self._triggers, self._counters = 0, Counters()
 
@@ -164,7 +164,7 @@ class MicroManagerCamera:
         self._require_open()
         if self._is_armed:
             raise CameraUsageError("the camera is armed already; disarm it first")
-        self._ids, self._counters, self._triggers, self._waits = IdTracker(), Counters(), 0, False
+        self._ids, self._counters, self._triggers = IdTracker(), Counters(), 0
 
         def prepare() -> None:
             width, height = int(self._core.getImageWidth()), int(self._core.getImageHeight())
@@ -196,7 +196,6 @@ class MicroManagerCamera:
             self._core.startSequenceAcquisition(1, 0.0, True)
 
         self._triggers += 1
-        self._waits = True
         self._ask("to expose", begin)
         return None
 
@@ -295,7 +294,6 @@ class MicroManagerCamera:
             self._counters = self._counted(unused=1)
             raise BadFrame(f"an image is {pixels.shape} {pixels.dtype}; a frame is grey of 8 or 16 bit")
         exposure_us = 1e3 * float(self._ask("for its exposure", lambda: self._core.getExposure()))
-        self._waits = False
         self._counters = self._counted(delivered=1)
         meta = FrameMeta(frame_id, sequence, 0, received_ns, exposure_us, form.name, form.significant_bits)
         return Frame(np.ascontiguousarray(pixels, dtype=np.uint16), meta)
@@ -311,7 +309,8 @@ class MicroManagerCamera:
         try:
             return self._calls.ask(words, function)
         except DeviceLost as error:
-            raise CameraLost(str(error)) from error
+            said = f"was asked {self._calls.stuck} and has not answered" if self._calls.stuck else "is closed"
+            raise CameraLost(f"the adapter of {self._device} {said}; end this program and begin anew") from error
         except CameraError:
             raise
         except Exception as error:  # whatever an adapter says
