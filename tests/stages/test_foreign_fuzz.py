@@ -45,9 +45,8 @@ class Player:
     def recover(self):
         self.made.line.plug_in()
         self.made.line.emulator.hangs.clear()
-        for thread in [one for one in threading.enumerate() if one.name == "library of box"]:
-            if self.made.controller.lost:
-                thread.join(2.0)
+        if self.made.controller._calls.stuck:  # until the library has come back and been left
+            self.made.controller._calls._thread.join(2.0)
         self.made.clock.sleep_s(2.0)
         try:
             self.made.stage.connect("box")
@@ -74,7 +73,7 @@ class Player:
         self.attempt(self.made.stage.home)
 
     def stop(self):
-        self.soon(self.draw.choice((self.made.stage.stop, self.made.stage.halt)))
+        self.soon(self.draw.choice((self.made.stage.stop_quietly, self.made.stage.halt_quietly)))
         self.move()
 
     def person(self):
