@@ -21,7 +21,7 @@ from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.chunk import Chunk
 from daq.acquisition.runner.flow_side import FlowSide
 from daq.acquisition.runner.interrupts import Interrupts
-from daq.acquisition.runner.light import Light
+from daq.acquisition.runner.light import Light, require_buffers, require_rate
 from daq.acquisition.runner.pair_source import Pair
 from daq.acquisition.runner.progress import Progress
 from daq.acquisition.runner.together import together
@@ -93,6 +93,10 @@ class FlowStep:
             side.require_same_exposure()
             side.source.begin_step()
         laser = self._light.prepare(order, self._sides[0].source.exposures.settings, self._tell)
+        for side in self._sides[1:]:
+            exposures = side.source.exposures
+            require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
+            require_buffers(laser, order, exposures.section.buffers, side.source.name)
         spare, barren, fired, lost, edges = 0, 0, 0, 0, 0
         while place < step.frames:
             if self._interrupts.wanted:

@@ -11,8 +11,10 @@ from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.pairs_section import PairsSection
 from daq.acquisition.cameras.frame import FrameMeta
 from daq.acquisition.plans.plan import load_plan
+from daq.acquisition.plans.pulse_order import PulseOrder
 from daq.acquisition.runner import flow_side, together
 from daq.acquisition.runner.chunk import Chunk
+from daq.acquisition.runner.flow_step import FlowStep
 from daq.acquisition.runner.pair_source import PairSource
 from daq.acquisition.runner.shot import Shot
 from daq.acquisition.runs.chunk_books import ELSEWHERE
@@ -218,6 +220,30 @@ def test_a_camera_that_is_not_there_is_named(tmp_path):
     plan.write_text(plan.read_text().replace("[above]", "[behind, behind]"))
     with pytest.raises(ConfigError, match="names a camera twice"):
         load_plan(plan, load_bench(bench))
+
+
+@pytest.mark.parametrize(("buffers", "rate_hz", "words"), [
+    (20, 100.0, "set buffers of behind to 48 .it is 20."),
+    (48, 30.0, "50 frames/s, and the camera can take 30"),
+])  # fmt: skip
+def test_what_the_second_camera_cannot_hold_or_take_is_refused_before_anything_is_fired(buffers, rate_hz, words):
+    """Lamps that run all the time have it see ten pairs before the first light."""
+    laser = SimpleNamespace(box=SimpleNamespace(camera_triggers=lambda pairs: pairs + 10), most_pairs=100)
+    light = SimpleNamespace(prepare=lambda order, settings, tell: laser)
+    exposures = SimpleNamespace(
+        settings={"ResultingFrameRate": rate_hz}, section=SimpleNamespace(buffers=buffers), verify=lambda: None
+    )
+    sides = [
+        SimpleNamespace(
+            whole_pairs=lambda step: 4, chunks_so_far=lambda step: 0, cut_to=lambda step, place: None,
+            require_same_exposure=lambda: None,
+            source=SimpleNamespace(name=name, section=SECTION, exposures=exposures, begin_step=lambda: None),
+        )
+        for name in ("camera", "behind")
+    ]  # fmt: skip
+    step = SimpleNamespace(pulses=PulseOrder("laser", 100.0, 25.0, 10), frames=8)
+    with pytest.raises(RunUsageError, match=words):
+        FlowStep(sides, SimpleNamespace(wanted=False), None, print, light).take(step, {})
 
 
 def source_of(camera, arm, clock):
