@@ -115,6 +115,7 @@ def run(bench, library, seed):
     player.play(STEPS)
     made.clock.hooks.clear()
     assert not made.world.witness.judge()
+    made.stage.close()
     return player
 
 
@@ -127,4 +128,4 @@ def test_nothing_passes_a_limit_moves_after_a_stop_or_is_told_falsely(bench, lib
 @pytest.mark.slow
 @pytest.mark.parametrize("library", FOREIGN)
 def test_many_sequences(bench, library):
-    assert sum(run(bench, library, seed).lost for seed in range(100, 500)) > 100
+    assert sum(run(bench, library, seed).lost for seed in range(100, 300)) > 50
