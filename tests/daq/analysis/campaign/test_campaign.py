@@ -25,6 +25,7 @@ from daq.analysis.series.marker import marker_path
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_mean import mean_of_series
 from daq.analysis.series.series_plan import chunk_path
+from daq.analysis.series.split_focus import join_series
 from daq.errors import RunUnsuitable, Unfinished
 from ground.errors import ConfigError
 from tests.daq.analysis.campaign.small_campaign import Threads, content_of, planned, two_runs
@@ -198,6 +199,19 @@ def test_days_with_cameras_of_their_own_fits_meet_on_one_grid(runs, tmp_path):
     assert faster == pytest.approx(501.0 / 500.0, abs=5e-4)
     alone = planned(tmp_path / "alone", runs[:1], scenes=scenes[:1], chunk=8)
     assert alone.series("one").about["keys"] == folder.series("one").about["keys"]  # the first keeps its own grid
+
+
+@pytest.mark.slow
+def test_runs_focused_apart_are_joined_out_of_their_campaign(runs, tmp_path):
+    scene = tmp_path / "scene.yaml"
+    ball = "{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: {n: 1.01}}"
+    scene.write_text(SCENE.replace("bodies: []", f"bodies: [{ball}]"))
+    folder = planned(tmp_path / "out", runs, scenes=[scene], chunk=8)
+    run_campaign(folder, Threads())
+    joined = join_series(folder.series("one").path, folder.series("two").path, tmp_path / "joined")
+    assert {1, 2} <= set(np.unique(joined.source))
+    behind = mean_of_series(folder.series("two").path).mean_m_s
+    np.testing.assert_array_equal(joined.mean.mean_m_s[joined.source == 2], behind[joined.source == 2])
 
 
 def test_the_forecast_counts_what_is_left(copy):
