@@ -28,8 +28,8 @@ demo: $(STAMP)
 	$(BIN)/rtpiv demo -o demo
 
 test: $(STAMP)
-	@$(MAKE) --no-print-directory -j3 compiled-rays compiled-pairs compiled-beds
-	@$(MAKE) --no-print-directory -j2 lint fast-tests
+	@$(MAKE) --no-print-directory -j4 compiled-rays compiled-pairs compiled-beds lint
+	@$(MAKE) --no-print-directory fast-tests
 
 fast-tests: $(STAMP)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder

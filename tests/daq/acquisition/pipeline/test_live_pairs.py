@@ -79,7 +79,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
     flow, frame = Flow(), np.zeros((8, 8), np.float32)
     pairs, begun_s, elapsed_s = LivePairs(flow), time.monotonic(), 0.0
     number = 0
-    while elapsed_s < 0.8 or (flow.vectors_live < 2 and elapsed_s < 30.0):  # of low priority: others may hold it up
+    while elapsed_s < 0.8 or (flow.vectors_live < 2 and elapsed_s < 30.0):  # others may hold up a low priority
         pairs.see(a_step(), number, frame, time.monotonic_ns())
         time.sleep(0.005)
         number, elapsed_s = number + 1, time.monotonic() - begun_s
