@@ -42,9 +42,11 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 # The files that take longest begin: they are handed out in order (--no-loadscope-reorder), and the last are short.
+# Those that compile what another file asks for as well begin long before it: two processes would compile it twice.
 LONG = (
     "test_correction_map.py",
-    "test_walls.py",
+    "tracer/test_walls.py",
+    "test_bed_sheets.py",
     "test_report.py",
     "test_board_search.py",
     "test_any_byte.py",
@@ -60,7 +62,12 @@ LONG = (
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Long files first, all else in its order."""
-    items.sort(key=lambda item: LONG.index(item.path.name) if item.path.name in LONG else len(LONG))
+    items.sort(key=_turn)
+
+
+def _turn(item: pytest.Item) -> int:
+    path = item.path.as_posix()
+    return next((turn for turn, name in enumerate(LONG) if path.endswith(f"/{name}")), len(LONG))
 
 
 def _address(table: Any) -> str:

@@ -101,13 +101,19 @@ def lab(tmp_path_factory):
     return place
 
 
-@pytest.mark.parametrize("limit", [0, 5000])
+TRACE, CORRECT = ["trace", "scene.yaml"], ["correct", "a.tif", "--scene", "scene.yaml"]
+EVALUATE = ["evaluate", "a.tif", "b.tif", "--scene", "scene.yaml"]
+
+
 @pytest.mark.parametrize(
-    "words",
+    ("words", "limit"),
     [
-        ["trace", "scene.yaml"],
-        ["correct", "a.tif", "--scene", "scene.yaml"],
-        ["evaluate", "a.tif", "b.tif", "--scene", "scene.yaml"],
+        (TRACE, 5000),
+        (CORRECT, 0),
+        (EVALUATE, 5000),
+        pytest.param(TRACE, 0, marks=pytest.mark.slow),
+        pytest.param(CORRECT, 5000, marks=pytest.mark.slow),
+        pytest.param(EVALUATE, 0, marks=pytest.mark.slow),
     ],
 )
 def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(lab, tmp_path, words, limit):

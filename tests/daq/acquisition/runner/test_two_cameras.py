@@ -81,7 +81,8 @@ def books(path):
     return [entry for entry in RunFolder.open(path).entries() if entry["kind"] == "chunk"]
 
 
-@pytest.mark.parametrize("backend", ["harvesters", pytest.param("aravis", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["harvesters", "aravis"])
 def test_what_either_loses_is_lost_for_both(tmp_path, capsys, backend):
     if backend == "aravis":
         need_aravis()
