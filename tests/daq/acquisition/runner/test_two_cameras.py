@@ -81,8 +81,7 @@ def books(path):
     return [entry for entry in RunFolder.open(path).entries() if entry["kind"] == "chunk"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("backend", ["harvesters", "aravis"])
+@pytest.mark.parametrize("backend", ["harvesters", pytest.param("aravis", marks=pytest.mark.slow)])
 def test_what_either_loses_is_lost_for_both(tmp_path, capsys, backend):
     if backend == "aravis":
         need_aravis()
