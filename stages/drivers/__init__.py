@@ -51,7 +51,8 @@ def driver_class(name: str) -> type[Controller]:
     dotted = DRIVERS.get(name, name)
     module, colon, attribute = dotted.partition(":")
     if not colon:
-        raise StageUsageError(f"driver {name!r} is unknown; known are {', '.join(DRIVERS)}, or give module:Class")
+        known = ", ".join([*DRIVERS, *FOREIGN])
+        raise StageUsageError(f"driver {name!r} is unknown; known are {known}, or give module:Class")
     try:
         found = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError) as error:
