@@ -7,7 +7,7 @@ import pytest
 
 from correction.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
-from tracer import branches, cells
+from tracer import beds, cells
 from tracer.bodies import Rod
 from tracer.cells import NO_CELLS, sort_into_cells
 from tracer.kernels.bed import next_in_bed
@@ -114,7 +114,7 @@ def test_more_branches_than_short_numbers(monkeypatch: pytest.MonkeyPatch, tmp_p
     where = bed("cubic")
     short = build_ray_map(where)
     first = build_correction_map(where, short)
-    monkeypatch.setattr(branches, "SHORT_NUMBERS", 4)
+    monkeypatch.setattr(beds, "SHORT_NUMBERS", 4)
     long = build_ray_map(where, short)
     assert long.branch.dtype == np.uint32
     assert np.array_equal(long.branch, build_ray_map(where).branch)

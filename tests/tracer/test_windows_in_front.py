@@ -101,7 +101,7 @@ def test_a_window_that_leans_far() -> None:
     wide = camera_at((150.0, 0.0, 300.0), (40.0, 0.0, 0.0), 250.0, (160, 90))
     statuses = check(Scene(wide, (leaning, ball)))
     assert statuses[0] > 1000
-    stone = Sphere("stone", (-30.0, 0.0, 12.0), 10.0)
+    stone = Sphere("stone", (-30.0, 0.0, 12.0), 10.0, None)
     statuses = check(Scene(wide, (leaning, ball, stone)), few=False)  # not in bundles, after all
     assert statuses[0] > 1000
 
