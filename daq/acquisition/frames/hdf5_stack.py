@@ -75,7 +75,7 @@ def is_image(place: Path) -> bool:
 
 
 def read_image(place: Path, shape: tuple[int, int] | None, crc32: str | None) -> NDArray[Any]:
-    """Read one image of a stack; raises as `daq.acquisition.frames.source.read_named`."""
+    """Read one image of a stack; raises as `daq.acquisition.frames.named_frame.read_named`."""
     found = _IMAGE.fullmatch(str(place))
     assert found is not None
     number = int(found[3])

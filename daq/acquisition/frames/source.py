@@ -1,6 +1,6 @@
 """Where other people's frames lie, behind one small door: how many pairs there are, and the name of each frame.
 
-A name is a path that can be read by itself, in any process (`read_named`):
+A name is a path that can be read by itself, in any process (`named_frame`):
 
     B00012_a.tif             a file
     stack.tif@25             a page of a TIFF, 1 first
@@ -12,13 +12,9 @@ A kind of source is one file with a class that has what `FrameSource` asks for, 
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from correction.errors import FrameError, PairError
-from correction.frame_file import checksum, read_frame
+from correction.errors import PairError
 
 KINDS = (  # the first that takes a name
     "daq.acquisition.frames.numbered_files:NumberedFiles",
@@ -76,45 +72,6 @@ def source_of(path: Path) -> FrameSource:
                 raise PairError(f"{path}: holds no pair of frames")
             return found
     raise PairError(f"{path}: is neither a run nor frames in pairs; see docs/campaigns.md for what can be read")
-
-
-def read_named(place: Path, shape: tuple[int, int] | None = None, crc32: str | None = None) -> NDArray[Any]:
-    """Read a frame by its name.
-
-    Parameters
-    ----------
-    place : Path
-        As a source names it, or a frame of a run.
-    shape : (int, int), optional
-        Rows and columns that it must have.
-    crc32 : str, optional
-        Checksum of its pixels that is known from elsewhere.
-
-    Returns
-    -------
-    ndarray (H, W) of uint8, uint16 or finite float32
-
-    Raises
-    ------
-    FrameError
-        Missing, another size, another kind of number, NaN.
-    FrameDamaged
-        It is not what its checksum was made from.
-    """
-    from daq.acquisition.frames.hdf5_stack import is_image, read_image
-
-    frame = read_image(place, shape, crc32) if is_image(place) else read_frame(place, shape, crc32)
-    if frame.dtype.kind == "f" and not np.isfinite(frame).all():
-        raise FrameError(f"{place}: holds values that are not finite; give frames as acquired")
-    return frame
-
-
-def checksum_of(place: Path, shape: tuple[int, int]) -> str:
-    """Checksum of a frame's pixels, "" if it cannot be read: its pair is then left out by name."""
-    try:
-        return checksum(read_named(place, shape))
-    except FrameError:
-        return ""
 
 
 def _kind(place: str) -> type[FrameSource]:

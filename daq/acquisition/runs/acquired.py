@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from correction.errors import FrameError
 from correction.frame_file import read_frame
-from daq.acquisition.frames.source import read_named
+from daq.acquisition.frames.named_frame import read_named
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
 from daq.errors import RunDamaged

@@ -9,7 +9,8 @@ import json
 from pathlib import Path
 
 from correction.errors import PairError
-from daq.acquisition.frames.source import FrameSource, checksum_of, source_of
+from daq.acquisition.frames.named_frame import checksum_of
+from daq.acquisition.frames.source import FrameSource, source_of
 from daq.analysis.series.series_pairs import PairsOfSeries
 from daq.analysis.series.series_plan import SeriesPair
 from daq.terminal import progress_if_long

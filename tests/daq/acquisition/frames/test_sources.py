@@ -9,7 +9,8 @@ import tifffile
 
 from correction.errors import FrameDamaged, FrameError, PairError
 from correction.frame_file import checksum
-from daq.acquisition.frames.source import KINDS, is_source, read_named, source_of
+from daq.acquisition.frames.named_frame import read_named
+from daq.acquisition.frames.source import KINDS, is_source, source_of
 
 h5py = pytest.importorskip("h5py")
 PAIRS, SHAPE = 3, (6, 8)
