@@ -1,0 +1,288 @@
+"""What Thorlabs boxes say, asked or not; each message with examples that others have published."""
+
+from dataclasses import dataclass
+
+from stages.protocols.apt_bytes import (
+    long_message,
+    number_bytes,
+    padded,
+    short_message,
+    signed,
+    signed_bytes,
+    text_of,
+    unsigned,
+)
+from stages.protocols.apt_commands import MANUAL, PROTOCOL, PUBLISHED, speed_bytes
+from stages.protocols.apt_words import (
+    ENABLED,
+    HEADER,
+    HOMED,
+    HOST,
+    LOWER_SWITCH,
+    OFF,
+    ON,
+    RACK,
+    UNASKED,
+    UNIT,
+    VALUES,
+    WITH_DATA,
+    Kind,
+)
+from stages.protocols.framing import Example
+
+RECORDED = "a K10CR1, as the tests of pnpq quote it"
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """A short answer of a box."""
+
+    kind: int
+    first: int
+    second: int
+    sender: int = UNIT
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return short_message(self.kind, self.first, self.second, HOST, self.sender)
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented messages."""
+        return (
+            Example(
+                b"\x12\x02\x01\x02\x01\x50",
+                cls(Kind.MOD_GET_CHANENABLESTATE, 1, OFF),
+                f"{PUBLISHED}, test_apt_mc_enabled, with the addresses of a real box",
+            ),
+            Example(
+                b"\x61\x00\x02\x01\x01\x11",
+                cls(Kind.RACK_GET_BAYUSED, 2, ON, RACK),
+                f"{PROTOCOL}, rack_get_bayused",
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A number that a box tells of a channel."""
+
+    kind: int
+    channel: int
+    value: int
+    sender: int = UNIT
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return long_message(self.kind, number_bytes(self.channel, 2) + signed_bytes(self.value), HOST, self.sender)
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented messages."""
+        return (
+            Example(
+                b"\x12\x04\x06\x00\x81\x50\x01\x00\xe0\xb1\xff\xff",
+                cls(Kind.MOT_GET_POSCOUNTER, 1, -20000),
+                f"{PUBLISHED}, test_apt_mc_position, with the addresses of a real box",
+            ),
+            Example(
+                b"\x47\x04\x06\x00\x81\x22\x01\x00\x00\x01\x00\x00",
+                cls(Kind.MOT_GET_MOVERELPARAMS, 1, 256, 0x22),
+                f"{PROTOCOL}, mot_get_moverelparams",
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Speeds:
+    """Speeds and acceleration that are in force."""
+
+    channel: int
+    minimum: int
+    acceleration: int
+    maximum: int
+    sender: int = UNIT
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        return long_message(
+            Kind.MOT_GET_VELPARAMS,
+            speed_bytes(self.channel, self.minimum, self.acceleration, self.maximum),
+            HOST,
+            self.sender,
+        )
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented messages."""
+        raw = b"\x15\x04\x0e\x00\x81\x50\x01\x00\x07\x00\x00\x00\x06\x01\x00\x00\x87\xb5\x0b\x00"
+        return (Example(raw, cls(1, 7, 262, 767367), f"{PROTOCOL}, mot_get_velparams: 1 mm/s of an MTS50"),)
+
+
+@dataclass(frozen=True, slots=True)
+class Homing:
+    """How a channel looks for its reference: direction (1 up, 2 down), switch (1 lower, 4 upper)."""
+
+    channel: int
+    direction: int
+    switch: int
+    speed: int
+    offset: int
+    sender: int = UNIT
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        head = (self.channel, self.direction, self.switch)
+        data = b"".join(number_bytes(number, 2) for number in head)
+        data += signed_bytes(self.speed) + signed_bytes(self.offset)
+        return long_message(Kind.MOT_GET_HOMEPARAMS, data, HOST, self.sender)
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented messages."""
+        raw = b"\x42\x04\x0e\x00\x81\x50\x01\x00\x02\x00\x01\x00\x87\xb5\x0b\x00\x38\xff\xff\xff"
+        return (Example(raw, cls(1, 2, 1, 767367, -200), f"{PROTOCOL}, mot_get_homeparams"),)
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What a channel does: see the masks of this module."""
+
+    channel: int
+    bits: int
+    sender: int = UNIT
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        data = number_bytes(self.channel, 2) + number_bytes(self.bits, 4)
+        return long_message(Kind.MOT_GET_STATUSBITS, data, HOST, self.sender)
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented messages."""
+        raw = b"\x2a\x04\x06\x00\x81\x50\x01\x00\x02\x05\x00\x80"
+        return (Example(raw, cls(1, ENABLED | HOMED | 0x0100 | LOWER_SWITCH), f"{PROTOCOL}, mot_get_statusbits"),)
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """What a box says of itself."""
+
+    serial: int
+    model: str
+    hardware_type: int
+    firmware: tuple[int, ...]
+    notes: str
+    hardware_version: int
+    modification: int
+    channels: int
+    sender: int = UNIT
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        minor, interim, major = self.firmware
+        data = (
+            number_bytes(self.serial, 4) + padded(self.model, 8) + number_bytes(self.hardware_type, 2)
+            + bytes((minor, interim, major, 0)) + padded(self.notes, 60)
+            + number_bytes(self.hardware_version, 2) + number_bytes(self.modification, 2)
+            + number_bytes(self.channels, 2)
+        )  # fmt: skip
+        return long_message(Kind.HW_GET_INFO, data, HOST, self.sender)
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented messages."""
+        raw = (
+            b"\x06\x00\x54\x00\x81\x50" + b"\x01\x02\x03\x04" + b"KDC101\x00\x00"
+            + b"\x10\x00\xa1\xa2\xa3\x00" + b"abcdefg".ljust(60, b"\x00") + b"\x2a\x00\x2b\x00\x01\x00"
+        )  # fmt: skip
+        message = cls(0x04030201, "KDC101", 16, (0xA1, 0xA2, 0xA3), "abcdefg", 42, 43, 1)
+        sample = bytes.fromhex("0600 5400 8122 89539A05 494F4E3030312000 2C00 02013900") + bytes(60)
+        sample += bytes.fromhex("0100 0300 0100")
+        return (
+            Example(raw, message, f"{PUBLISHED}, init_kdc101"),
+            Example(sample, cls(94_000_009, "ION001 ", 44, (2, 1, 57), "", 1, 3, 1, 0x22), MANUAL),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Unasked:
+    """What a box says without having been asked; `data` are the two bytes of a short message, or what follows."""
+
+    kind: int
+    data: bytes
+    is_short: bool = False
+    sender: int = UNIT
+
+    def to_bytes(self) -> bytes:
+        """Bytes as they go over the wire."""
+        data = bytes(self.data)
+        if self.is_short:
+            return short_message(self.kind, data[0], data[1], HOST, self.sender)
+        return long_message(self.kind, data, HOST, self.sender)
+
+    @property
+    def complaint(self) -> str:
+        """The words of an error, or nothing."""
+        if self.kind == Kind.HW_RICHRESPONSE:
+            code, words = int.from_bytes(self.data[2:4], "little"), self.data[4:].split(b"\0")[0]
+            return f"{words.decode('latin-1').strip() or 'an error'} ({code})"
+        return "an error" if self.kind == Kind.HW_RESPONSE else ""
+
+    @classmethod
+    def examples(cls) -> tuple[Example, ...]:
+        """Documented messages."""
+        moved = b"\x01\x00\xe8\x03\x00\x00\xcd\x00\x00\x00\x00\x00\x00\x00"
+        return (
+            Example(
+                b"\x44\x04\x01\x00\x01\x50",
+                cls(Kind.MOT_MOVE_HOMED, b"\x01\x00", True),
+                f"{PUBLISHED}, test_apt_mc_go_home, with the addresses of a real box",
+            ),
+            Example(
+                b"\x64\x04\x0e\x00\x81\x22" + moved,
+                cls(Kind.MOT_MOVE_COMPLETED, moved, False, 0x22),
+                f"{PUBLISHED}, test_apt_mc_move, from the second bay",
+            ),
+            Example(
+                bytes.fromhex("6404 0e00 8150 0100 68aaa001 0000 0000 30000080"),
+                cls(Kind.MOT_MOVE_COMPLETED, bytes.fromhex("0100 68aaa001 0000 0000 30000080")),
+                RECORDED,
+            ),
+            Example(b"\x64\x04\x01\x00\x01\x22", cls(Kind.MOT_MOVE_COMPLETED, b"\1\0", True, 0x22), MANUAL),
+        )
+
+
+ANSWERS = (Reply, Value, Speeds, Homing, Status, Info, Unasked)
+Answer = Reply | Value | Speeds | Homing | Status | Info | Unasked
+
+
+def parse_answer(raw: bytes) -> Answer:
+    """Read one whole message of a box.
+
+    Raises
+    ------
+    ProtocolViolation
+        Its data cannot be what it says.
+    """
+    kind, sender, data = unsigned(raw[:2]), raw[5], raw[HEADER:]
+    is_short = not raw[4] & WITH_DATA
+    if kind in UNASKED:
+        return Unasked(kind, raw[2:4] if is_short else data, is_short, sender)
+    if is_short:
+        return Reply(kind, raw[2], raw[3], sender)
+    if kind == Kind.HW_GET_INFO:
+        return Info(
+            unsigned(data[:4]), text_of(data[4:12]), unsigned(data[12:14]), tuple(data[14:17]),
+            text_of(data[18:78]), unsigned(data[78:80]), unsigned(data[80:82]), unsigned(data[82:84]), sender,
+        )  # fmt: skip
+    channel = unsigned(data[:2])
+    if kind in VALUES:
+        return Value(kind, channel, signed(data[2:6]), sender)
+    if kind == Kind.MOT_GET_STATUSBITS:
+        return Status(channel, unsigned(data[2:6]), sender)
+    if kind == Kind.MOT_GET_VELPARAMS:
+        return Speeds(channel, signed(data[2:6]), signed(data[6:10]), signed(data[10:14]), sender)
+    return Homing(
+        channel, unsigned(data[2:4]), unsigned(data[4:6]), signed(data[6:10]), signed(data[10:14]), sender
+    )
