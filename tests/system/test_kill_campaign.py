@@ -78,7 +78,7 @@ def killed_client(runs, out, rng):
     client.kill()
     client.communicate()
     assert all(ends(worker) for worker in workers)
-    finished(out, "--workers", rng.choice("12"))
+    finished(out, *runs, *SMALL, "--workers", rng.choice("12"))  # it may not have come to its plan
     return is_there
 
 
@@ -200,7 +200,7 @@ def killed_scheduler(runs, out, rng):
         said = client.communicate(timeout=240)[1]
         assert client.returncode != 0 or made(out) == CHUNKS
         assert "Traceback" not in said, said
-    finished(out, "--workers", "2")
+    finished(out, *runs, *SMALL, "--workers", "2")
     return is_there
 
 
