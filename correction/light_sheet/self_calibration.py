@@ -106,8 +106,9 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
             break
     assert fit is not None
     assert cells is not None
-    said = [*_moved_glass(fit, views), *_untold(now, known)]
-    if _moved_glass(fit, views):
+    wrong = [*_moved_glass(fit, views), *_far(now, known)]
+    said = [*wrong, *_untold(now, known)]
+    if wrong:
         now = known
     now = replace(now, thickness_mm=thickness_mm(cells) or known.thickness_mm)
     return SheetFound(now, known, views, cells, fit, count, rounds, tuple(said))
@@ -160,6 +161,20 @@ def _moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
         ": a body is not where the scene has it; the sheet is left as it was known, so calibrate the glass again"
     )
     return [sentence + cure for sentence in said]
+
+
+def _far(now: LightSheet, known: LightSheet) -> list[str]:
+    """What speaks against a plane that was not expected: along the view a moved body looks like another height."""
+    parts = [(f"{now.z_mm:+.2f} mm high", (now.z_mm - known.z_mm) / known.sigma_mm)]
+    for name, new, old in (("x", now.tilt_x_deg, known.tilt_x_deg), ("y", now.tilt_y_deg, known.tilt_y_deg)):
+        parts.append((f"tilted by {new:+.2f} deg along {name}", (new - old) / known.tilt_sigma_deg))
+    return [
+        f"the sheet would be {what}, {abs(off):.1f} sigmas from what was known: either that is wrong, or "
+        "a body is not where the scene has it; the sheet is left as it was known, so measure it, say it in the "
+        "scene file with its sigma, or calibrate the glass again"
+        for what, off in parts
+        if abs(off) > SIGMAS
+    ]
 
 
 def _said(branch: tuple[str, ...]) -> str:

@@ -8,15 +8,18 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
+from multiprocessing.process import BaseProcess
 from typing import TypeVar
 
 from daq.errors import RunInterrupted
 
 Job = TypeVar("Job")
 ONE_THREAD = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+LEAVE_S = 10.0  # given to workers that were told to end
 
 
 def carried_out(
@@ -75,12 +78,28 @@ def worker_processes(count: int) -> Iterator[Executor]:
             worker.terminate()  # what it has begun is not worth waiting for: it is made anew
         raise
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        pool.shutdown(wait=False, cancel_futures=True)
+        _await_end(set(multiprocessing.active_children()) - others)
         for name, value in kept.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def _await_end(workers: Collection[BaseProcess]) -> None:
+    """Wait for workers that have nothing left to do, and end those that do not hear of it.
+
+    An idle worker holds the lock of the queue while it waits; one that is killed then takes the lock with it, and
+    the others would wait for ever, and a pool that is just being closed for them.
+    """
+    end_s = time.monotonic() + LEAVE_S
+    for worker in workers:
+        worker.join(max(0.0, end_s - time.monotonic()))
+    for worker in workers:
+        if worker.is_alive():
+            worker.terminate()
+            worker.join()
 
 
 def _end_with_parent() -> None:
