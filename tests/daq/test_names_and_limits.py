@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -38,7 +39,10 @@ def test_printable_leaves_what_can_be_read():
     assert printable("\x1b[0m\x9b\u202e\r") == "\\x1b[0m\\x9b\\u202e\\r"
 
 
-@pytest.mark.parametrize("name", ["a$b", "$\\alpha$", "$x_{", "\\", "100 %", "_^{}"])
+MORE_NAMES = [pytest.param(name, marks=pytest.mark.slow) for name in ("$\\alpha$", "_^{}")]
+
+
+@pytest.mark.parametrize("name", ["a$b", "$x_{", "\\", "100 %", *MORE_NAMES])
 def test_pictures_bear_any_name(tmp_path, name):
     text = SMALL.replace("name: ball", f"name: '{name}'")
     (tmp_path / f"{name}.yaml").write_text(text)
@@ -138,8 +142,14 @@ def test_deep_nesting_is_refused_at_once(tmp_path, text):
         load_yaml(tmp_path / "deep.yaml")
 
 
-@pytest.mark.parametrize("name", ["run.json", "done.json", "steps.jsonl", "displacements.json"])
-@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+RECORDS, KINDS = ("run.json", "done.json", "steps.jsonl", "displacements.json"), ("pipe", "device", "folder")
+FIRST = [("run.json", "pipe"), ("done.json", "device"), ("steps.jsonl", "folder"), ("displacements.json", "pipe")]
+OTHERS = [case for case in product(RECORDS, KINDS) if case not in FIRST]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [*FIRST, *(pytest.param(*case, marks=pytest.mark.slow) for case in OTHERS)]
+)
 def test_records_that_are_no_files_are_refused_at_once(whole_run, tmp_path, name, kind):
     """A reader of a pipe waits for ever, one of /dev/zero never ends."""
     kept = (whole_run.path / name).rename(tmp_path / "kept")

@@ -40,7 +40,11 @@ def miss_mm(found, to_board):
     return np.abs(to_board(found.position_px) - found.plane_mm).max()
 
 
-@pytest.mark.parametrize("turn_deg", [0.0, 31.0, 90.0, 137.0, 180.0, 269.0])
+MORE_TURNS = [pytest.param(turn_deg, marks=pytest.mark.slow) for turn_deg in (0.0, 90.0, 180.0)]
+MORE_PLACES = [pytest.param(*place, marks=pytest.mark.slow) for place in ((0.0, 0.0), (5.0, 0.0))]
+
+
+@pytest.mark.parametrize("turn_deg", [31.0, 137.0, 269.0, *MORE_TURNS])
 def test_any_turn_is_found_with_the_right_index(turn_deg):
     to_board = view(turn_deg)
     found = find_board(rendered(to_board), BOARD)
@@ -95,7 +99,7 @@ def test_a_mask_keeps_everything_out_of_it():
         find_board(rendered(to_board), BOARD, mask[:-1])
 
 
-@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (5.0, 0.0), (4.0, -4.0), (17.5, -10.0)])
+@pytest.mark.parametrize(("east", "north"), [(4.0, -4.0), (17.5, -10.0), *MORE_PLACES])
 def test_discs_put_a_prediction_right_that_is_squares_off(east, north):
     to_board = view(2.0)
 

@@ -120,6 +120,7 @@ def test_a_bare_view_is_the_pinhole_s_projection():
     assert light.sum() == pytest.approx(shine.sum(), rel=1e-4)  # no spot is cut: all energy arrives
 
 
+@pytest.mark.slow
 def test_many_points_of_the_pupil_converge_to_discs_rendered_through_a_lens():
     scene, lens = flow_scene(), Aperture(60.0, 22.0, 500.0)
     px_mm = tables_of(scene, Pose(), None).px_mm

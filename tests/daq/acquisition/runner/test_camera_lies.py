@@ -89,7 +89,7 @@ def test_an_incomplete_frame_is_not_waited_for(rig):
     assert (books.triggered, books.incomplete, books.lost, books.imbalance) == (7, 3, 0, 0)
 
 
-@pytest.mark.parametrize("fault", ["reset_at", "restart_at"])
+@pytest.mark.parametrize("fault", ["reset_at", pytest.param("restart_at", marks=pytest.mark.slow)])
 def test_no_frame_is_kept_that_was_exposed_after_the_settings_were_lost(rig, tmp_path, fault):
     """The default gain shows in the pixels: a third of what was asked for."""
     bench, plan = load(tmp_path, SHIFT, camera=FILES_CAMERA.replace("0.3", "1.0") + "  retakes: 20\n")

@@ -109,7 +109,7 @@ def test_books_that_do_not_balance_are_not_forgotten_by_resuming(run):
 
 
 @pytest.mark.parametrize("rig", list(RIGS))
-@pytest.mark.parametrize("late_s", [{"2": 0.8}, {"1": 0.8, "4": 0.8}])
+@pytest.mark.parametrize("late_s", [{"1": 0.8, "4": 0.8}, pytest.param({"2": 0.8}, marks=pytest.mark.slow)])
 def test_a_run_with_late_frames_is_right_and_whole(tmp_path, monkeypatch, rig, late_s):
     """Each frame carries its trigger, and each step's frame was triggered while that step was exposed."""
     monkeypatch.setattr(waiting, "PROBE_MIN_S", 10.0)  # a busy machine is no lost camera
