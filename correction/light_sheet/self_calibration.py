@@ -165,15 +165,18 @@ def _moved_glass(fit: PlaneFit, views: DoubleViews) -> list[str]:
 
 def _far(now: LightSheet, known: LightSheet) -> list[str]:
     """What speaks against a plane that was not expected: along the view a moved body looks like another height."""
-    parts = [(f"{now.z_mm:+.2f} mm high", (now.z_mm - known.z_mm) / known.sigma_mm)]
-    for name, new, old in (("x", now.tilt_x_deg, known.tilt_x_deg), ("y", now.tilt_y_deg, known.tilt_y_deg)):
-        parts.append((f"tilted by {new:+.2f} deg along {name}", (new - old) / known.tilt_sigma_deg))
+    off = (_numbers(now) - _numbers(known)) / np.sqrt(np.diag(_covariance(known)))
+    parts = (
+        f"{now.z_mm:+.2f} mm high",
+        f"tilted by {now.tilt_x_deg:+.2f} deg along x",
+        f"tilted by {now.tilt_y_deg:+.2f} deg along y",
+    )
     return [
-        f"the sheet would be {what}, {abs(off):.1f} sigmas from what was known: either that is wrong, or "
+        f"the sheet would be {what}, {abs(sigmas):.1f} sigmas from what was known: either that is wrong, or "
         "a body is not where the scene has it; the sheet is left as it was known, so measure it, say it in the "
         "scene file with its sigma, or calibrate the glass again"
-        for what, off in parts
-        if abs(off) > SIGMAS
+        for what, sigmas in zip(parts, off, strict=True)
+        if abs(sigmas) > SIGMAS
     ]
 
 

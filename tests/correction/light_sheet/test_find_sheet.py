@@ -46,9 +46,10 @@ def test_height_and_tilt_are_found_within_their_sigma(three):
     assert found.sheet.tilt_sigma_deg < 0.15
 
 
-def test_a_sheet_that_is_known_is_left_where_it_is(three):
+@pytest.mark.parametrize("sigma", [1e-3, 0.0])
+def test_a_sheet_that_is_known_is_left_where_it_is(three, sigma):
     scene, pairs = three
-    known = LightSheet(*TRUTH, 1e-3, 1e-3, thickness_mm=1.1)
+    known = LightSheet(*TRUTH, sigma, sigma, thickness_mm=1.1)
     found = find_sheet(replace(scene, sheet=known), pairs)
     np.testing.assert_allclose(numbers(found.sheet), TRUTH, atol=3e-3)
     assert found.sheet.sigma_mm <= 1e-3
@@ -63,7 +64,16 @@ def test_a_moved_ball_is_no_sheet(three):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step_mm", [0.3, 0.4, 0.6])
+def test_a_ball_moved_along_the_view_is_no_sheet_far_from_what_was_known(three):
+    scene, pairs = three
+    found = find_sheet(moved(scene, 2, (0.0, 0.0, 0.3)), pairs)
+    assert "a body is not where the scene has it" in " ".join(found.verdicts)
+    assert found.sheet.z_mm == 0.0
+    assert found.sheet.sigma_mm == 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step_mm", [0.4, 0.6])
 def test_a_ball_moved_along_the_view_makes_no_sheet_up(three, step_mm):
     """It looks like another height: what is given is right within its sigma, or left as it was and said.
 
