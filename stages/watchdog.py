@@ -26,7 +26,8 @@ whole in one write, and harmless at rest.
 A name is not a box: what was pulled out may be followed by another box under the same name, and that one is not
 ours to stop. So what the device file was when it was opened (device number and inode) is told as "file", and a
 port that has become another one is left alone. Pseudo-terminals alone are told by the time of their making too:
-they get used inodes, and udev, which touches the time stamps of real ports at will, knows nothing of them.
+they get used inodes, and udev, which touches the time stamps of real ports at will, knows nothing of them. The
+stamp is as fine as the kernel's tick (1 to 10 ms): nobody can pull a plug and make another terminal within one.
 
 Out of reach: a process that is stopped (SIGSTOP, a debugger) has not died. There is no heartbeat that would take
 it for dead, because a computer that swaps or compiles is silent for seconds too, and a stop in vain ends a run.
