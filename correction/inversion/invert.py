@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.inversion.kernels.bed_sheets import Sensor, Small, StartScratch, solve_small_sheets
+from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, direct_rows_behind
 from correction.inversion.kernels.direct import direct_rows
 from correction.inversion.kernels.inverse import join_weights
 from correction.inversion.kernels.lonely import Ways
@@ -31,6 +32,7 @@ from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import BALL
 from tracer.kernels.sphere import OPAQUE
+from tracer.kernels.window import BEHIND, GLASS
 from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
 from tracer.ray_map import RayMap
 from tracer.scene import Scene
@@ -64,6 +66,8 @@ class Inversion:
         self.windows, self.in_blocks = (NO_WINDOWS, False) if usual is None else (usual, True)
         self.few = self.lockstep or (self.in_blocks and windows_in_front(scene) is not None)
         self.balls = pack_chain(scene) if self.few else NO_BALLS
+        one = self.few and len(self.windows) == 1
+        self.window = self.windows[0] if one and self.windows[0, [GLASS, BEHIND]].min() >= 1.0 else None
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
         lead, kind = (layers, height, width), ray_map.branch.dtype
@@ -88,17 +92,14 @@ class Inversion:
 
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
+        if self.window is not None:
+            self._direct_behind(self.window)
+            return
         height, width = self.grid.shape
         place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
         lens_free, world = self.scene.camera.lens.is_ideal, self.tables[1]
         glass_only = not (world.others or world.shapes or world.spheres[:, OPAQUE].any())
-        size = np.array(self.size, dtype=np.float64)
-        maps: tuple[NDArray[Any], ...] = (
-            self.status,
-            self.pixel.reshape(len(self.pixel), height, 2 * width),
-            self.jacobian.reshape(len(self.pixel), height, 4 * width),
-            *self.maps[3:],
-        )
+        size, maps = np.array(self.size, dtype=np.float64), self._flat_maps()
 
         def work(first: int, last: int) -> None:
             x, y = np.arange(width, dtype=np.float64), np.empty(width)
@@ -122,6 +123,24 @@ class Inversion:
 
         run_rows(work, height)
 
+    def _direct_behind(self, window: NDArray[np.float64]) -> None:
+        """As `direct`, through the only window in front of a few spheres."""
+        height, width = self.grid.shape
+        size, maps, flat = np.array(self.size, np.float64), self._flat_maps(), self.scene.camera.lens.is_ideal
+
+        def work(first: int, last: int) -> None:
+            scratch = *block_scratch(), np.empty(width, np.uint8), np.empty((6, width)), np.empty(BLOCK_NUMBERS)
+            place = self.tables[0], window, self.balls, flat, self.grid_numbers, size
+            direct_rows_behind(*place, first, last, *scratch, maps)
+
+        run_rows(work, height)
+
+    def _flat_maps(self) -> tuple[NDArray[Any], ...]:
+        """The arrays with pixels (K, h, 2 w) and Jacobians (K, h, 4 w) as rows of numbers."""
+        height, width = self.grid.shape
+        pixel = self.pixel.reshape(len(self.pixel), height, 2 * width)
+        return self.status, pixel, self.jacobian.reshape(len(pixel), height, 4 * width), *self.maps[3:]
+
     def _node_camera(self) -> NDArray[np.float64]:
         """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
         x, y, z = self.scene.camera.position_mm
@@ -131,7 +150,10 @@ class Inversion:
 
     def glass(self) -> None:
         """Cut the sensor into sheets and solve each that is worth it."""
-        sensor = self.ray_map, self.grid, self.tables, self.longest_mm
+        # Behind walls the direct view is sought as the others are, unless it was found.
+        walled = not self.scene.arrangement.is_one_room
+        least = 0 if walled and self.window is None else 1
+        sensor = self.ray_map, self.grid, self.tables, self.longest_mm, least
         if self.in_blocks and fits_bed_behind(self.scene) and not self.few:
             ways = self._ways()
             self._solve_many(Sheets(*sensor, ways), ways)

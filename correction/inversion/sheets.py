@@ -62,12 +62,20 @@ class Sheets:
         Camera and bodies as kernels take them.
     longest_mm : float
         Largest singular value of d plane / d pixel of a pixel that is worth a start.
+    least : int
+        First branch that is sought: 0 where the direct view is not known otherwise, else 1.
     ways : Ways
         Spheres of each branch, where there are only spheres behind windows.
     """
 
     def __init__(
-        self, ray_map: RayMap, grid: PlaneGrid, tables: Tables, longest_mm: float, ways: Ways = NO_WAYS
+        self,
+        ray_map: RayMap,
+        grid: PlaneGrid,
+        tables: Tables,
+        longest_mm: float,
+        least: int,
+        ways: Ways = NO_WAYS,
     ) -> None:
         height, width = ray_map.status.shape
         self.tables, self.ways, self.grid_numbers = tables, ways, np.array([*grid.origin_mm, grid.pitch_mm])
@@ -82,7 +90,7 @@ class Sheets:
 
         def flag(first: int, last: int) -> None:
             sensor = self.plane, self.branch, ray_map.status, ways, np.empty(NEWTON_NUMBERS)
-            flag_rows(tables, self.grid_numbers, box, longest_mm, first, last, *sensor, self.flags, counts)
+            flag_rows(tables, self.grid_numbers, box, longest_mm, least, first, last, *sensor, self.flags, counts)
 
         run_rows(flag, height)
         self.begin = np.concatenate(([0], np.cumsum(counts)))

@@ -187,13 +187,13 @@ def test_what_else_stands_there_goes_by_the_march() -> None:
 
 
 @pytest.mark.slow  # compiles an inversion for windows alone
-@pytest.mark.parametrize("kind", ["few", "many"])
+@pytest.mark.parametrize("kind", ["few", "one window", "many"])
 def test_its_map_is_inverted_in_blocks_as_node_by_node(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Against the careful Newton for every node, on the map of the march."""
-    behind = balls() if kind == "few" else in_rows(lambda k: ConstantMedium(1.6))
+    behind = in_rows(lambda k: ConstantMedium(1.6)) if kind == "many" else balls()
+    before = () if kind == "one window" else (window(170.0, "outer"),)
     scene = Scene(
-        replace(CAMERA, lens=Lens(k1=-0.05, p1=1e-3)),
-        (window(170.0, "outer"), window(150.0, "window", 60.0, WATER), *behind),
+        replace(CAMERA, lens=Lens(k1=-0.05, p1=1e-3)), (*before, window(150.0, "window", 60.0, WATER), *behind)
     )
     blocks = build_correction_map(scene, build_ray_map(scene), layers=2)
     monkeypatch.setattr("tracer.ray_map.windows_in_front", lambda _: None)
@@ -201,7 +201,8 @@ def test_its_map_is_inverted_in_blocks_as_node_by_node(kind: str, monkeypatch: p
     monkeypatch.setattr("correction.inversion.invert.usual_windows", lambda _: None)
     single = build_correction_map(scene, build_ray_map(scene), layers=2, skip=False)
     assert blocks.recovered.sum() > 4000
-    assert (blocks.status != single.status).sum() <= 2
+    if kind != "one window":  # there alone it is known why a node is not seen past the glass
+        assert (blocks.status != single.status).sum() <= 2
     np.testing.assert_array_equal(blocks.recovered, single.recovered)
     both = (blocks.weight > 0.0) & (single.weight > 0.0)
     assert both.sum() > 0.999 * (single.weight > 0.0).sum()

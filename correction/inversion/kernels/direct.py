@@ -151,7 +151,6 @@ def direct_rows(
     transmittance, branch, lens = unowned(transmittance), unowned(branch), unowned(lens)
     x, y, spans, rays, trips = unowned(x), unowned(y), unowned(spans), unowned(rays), unowned(trips)
     camera = tables[0]
-    nan, nan32, none = math.nan, np.float32(math.nan), np.float32(0.0)
     for row in range(first, last):
         hide_nodes(row, place, tables, discs, lockstep, glass_only, x, y, spans, rays, trips, hidden)
         wy = grid[1] - row * grid[2] - camera[EYE_Y]
@@ -162,13 +161,22 @@ def direct_rows(
         if not flat:
             bend_jacobians(lens, jacobian[0, row])
         place_weights(pixel[0, row], jacobian[0, row], weight[0, row], transmittance[0, row])
-        branch[0, row, :] = 0
-        for layer in range(1, pixel.shape[0]):
-            pixel[layer, row, :] = nan
-            jacobian[layer, row, :] = nan32
-            weight[layer, row, :] = none
-            transmittance[layer, row, :] = none
-            branch[layer, row, :] = 0
+        begin_views(row, pixel, jacobian, weight, transmittance, branch)
+
+
+@kernel
+def begin_views(
+    row: int, pixel: Array, jacobian: Array, weight: Array, transmittance: Array, branch: Array
+) -> None:
+    """Number the direct view of a row and clear its further layers."""
+    none, nothing = np.float32(0.0), np.float32(math.nan)
+    branch[0, row, :] = 0
+    for layer in range(1, pixel.shape[0]):
+        pixel[layer, row, :] = math.nan
+        jacobian[layer, row, :] = nothing
+        weight[layer, row, :] = none
+        transmittance[layer, row, :] = none
+        branch[layer, row, :] = 0
 
 
 @kernel
@@ -251,16 +259,22 @@ def place_weights(pixel: Array, jacobian: Array, weight: Array, transmittance: A
 
 
 @kernel
-def acquire_block(first: int, count: int, wy: float, grid: Array, camera: Array, b: Array) -> None:
-    """Acquired image coordinates and their derivatives by ideal ones, for one block; see `acquire_row`."""
+def ideal_block(first: int, count: int, wy: float, grid: Array, camera: Array, b: Array) -> None:
+    """Ideal image coordinates X, Y of one block of nodes; see `acquire_row`."""
     px, pz, x0, pitch = camera[EYE_X], camera[EYE_Z], grid[0], grid[2]
     c3, c4, c5, c6, c7, c8, c9, c10, c11 = axes_of(camera)
-    k1, k2, k3, p1, p2 = lens_of(camera)
-    settled = SETTLED_PX / camera[FOCAL]
     for i in range(count):
         wx = x0 + (first + i) * pitch - px
         inverse = 1.0 / (c9 * wx + c10 * wy - c11 * pz)
         b[X + i], b[Y + i] = (c3 * wx + c4 * wy - c5 * pz) * inverse, (c6 * wx + c7 * wy - c8 * pz) * inverse
+
+
+@kernel
+def acquire_block(count: int, camera: Array, b: Array) -> None:
+    """Turn ideal image coordinates X, Y into acquired ones, with derivatives XA, XB, YB; see `acquire_row`."""
+    k1, k2, k3, p1, p2 = lens_of(camera)
+    settled = SETTLED_PX / camera[FOCAL]
+    for i in range(count):
         b[WANTED_X + i], b[WANTED_Y + i], b[XA + i] = b[X + i], b[Y + i], math.inf
     for _ in range(MAX_STEPS):
         moving = 0
@@ -297,7 +311,8 @@ def acquire_row(wy: float, grid: Array, camera: Array, block: Array, lens: Array
     width = lens.shape[1]
     for low in range(0, width, LANES):
         count = min(LANES, width - low)
-        acquire_block(low, count, wy, grid, camera, block)
+        ideal_block(low, count, wy, grid, camera, block)
+        acquire_block(count, camera, block)
         for i in range(count):
             lens[0, low + i] = u0 + focal * block[X + i] if block[XA + i] < math.inf else math.nan
             lens[1, low + i] = v0 + focal * block[Y + i]

@@ -95,6 +95,7 @@ def flag_rows(
     grid: Array,
     box: Array,
     longest: float,
+    least: int,
     first: int,
     last: int,
     plane: Array,
@@ -107,15 +108,14 @@ def flag_rows(
 ) -> None:
     """Flags (H, W) uint8 of rows first..last-1 and the number of runs in each, counts (H,) int64.
 
-    ``plane`` (H, 2 W) holds x and y in turn.  The outermost columns stay without flags.  ``block``
-    (NEWTON_NUMBERS,) is scratch.
+    Branches below `least` are left out.  ``plane`` (H, 2 W) holds x and y in turn.  The outermost columns stay
+    without flags.  ``block`` (NEWTON_NUMBERS,) is scratch.
     """
     ways = unowned_ways(ways)
     known, block, camera, spheres = ways.begin.shape[0] > 0, unowned(block), tables[0], tables[1].spheres
     plane, branch, status, flags = unowned(plane), unowned(branch), unowned(status), unowned(flags)
     height, width = branch.shape
     x0, y0, per_mm = grid[0], grid[1], 1.0 / grid[2]
-    least = 0 if tables[1].rooms.home.shape[0] > 0 else 1  # behind a wall the direct view is sought as well
     for row in range(first, last):
         up, down = max(0, row - 1), min(height - 1, row + 1)
         begin, end = width, 0
