@@ -10,13 +10,20 @@ Nor is a node sought with care where there is no hope (``kernels.views``): four 
 """
 
 from collections.abc import Iterator, Mapping
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
-from correction.inversion.kernels.bed_sheets import Sensor, Small, StartScratch, solve_small_sheets
+from correction.inversion.kernels.bed_sheets import (
+    Sensor,
+    Small,
+    StartScratch,
+    solve_in_bundle,
+    solve_small_sheets,
+)
 from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, direct_rows_behind
 from correction.inversion.kernels.direct import direct_rows
 from correction.inversion.kernels.inverse import join_weights
@@ -31,6 +38,7 @@ from tracer.branches import chain_trip, event_numbers, key_of
 from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import BALL
+from tracer.kernels.lanes import Bundle
 from tracer.kernels.sphere import OPAQUE
 from tracer.kernels.window import BEHIND, GLASS
 from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
@@ -164,9 +172,10 @@ class Inversion:
 
     def _ways(self) -> Ways:
         """Spheres of every branch."""
-        every = [self._sequence(number) for number in range(len(self.ray_map.branches))]
-        begin = np.cumsum([0, *map(len, every)], dtype=np.int64)
-        return Ways(begin, np.array([event for way in every for event in way], np.int64), self.windows)
+        branches = self.ray_map.branches
+        begin = np.cumsum([0, *map(len, branches)], dtype=np.int64)
+        events = np.fromiter(map(self.events.__getitem__, chain.from_iterable(branches)), np.int64, int(begin[-1]))
+        return Ways(begin, events, self.windows)
 
     def _solve_one(self, sheet: Sheet, sheets: Sheets) -> None:
         """Solve a sheet on all cores."""
@@ -193,14 +202,7 @@ class Inversion:
             np.zeros(1 << (2 * sheets.room).bit_length(), np.int64),
         )
         sensor = Sensor(sheets.plane, sheets.branch, sheets.flags, sheets.taken)
-        scratch = (
-            balls.bundle(),
-            np.empty(GROUP, np.int64),
-            np.empty(NEWTON_NUMBERS),
-            np.empty(GROUP, np.int64),
-            block_scratch()[1],
-        )
-        progress = np.zeros(2, np.int64)
+        scratch, progress = _bundle_scratch(balls), np.zeros(2, np.int64)
         while progress[0] < len(every.branch):
             progress[1] = sheets.stamp
             solve_small_sheets(
@@ -221,8 +223,49 @@ class Inversion:
             )
             sheets.stamp = int(progress[1])
             if progress[0] < len(every.branch):
-                self._solve_one(every.sheet(int(progress[0])), sheets)
+                k = int(progress[0])
+                sheet, way = every.sheet(k), slice(begin[k], begin[k + 1])
+                parts = sheets.starts(sheet, self.weight[-1], small.enough[k])
+                self._solve_large(sheet, parts, balls, small.events[way], small.balls[way])
                 progress[0] += 1
+
+    @staticmethod
+    def _bundle_scratch(balls: Balls) -> tuple[Any, ...]:
+        """Memory of one thread of `solve_in_bundle`, from the bundle on."""
+        numbers = np.empty(GROUP, np.int64), np.empty(NEWTON_NUMBERS), np.empty(GROUP, np.int64)
+        return balls.bundle(), *numbers, block_scratch()[1]
+
+    def _solve_large(
+        self,
+        sheet: Sheet,
+        parts: Iterator[Starts],
+        balls: Balls,
+        sequence: NDArray[np.int64],
+        way: NDArray[np.int64],
+    ) -> None:
+        """Solve a large sheet of a bed on all cores."""
+
+        def work(part: Starts) -> None:
+            starts, nodes = part
+            solve_in_bundle(
+                self.tables,
+                self.grid_numbers,
+                self.windows,
+                balls.balls,
+                balls.bed,
+                not self.skip,
+                sequence,
+                way,
+                sheet.branch,
+                sheet.sign,
+                self.limits,
+                starts,
+                nodes,
+                *_bundle_scratch(balls),
+                self.maps,
+            )
+
+        run_parts(work, parts)
 
     def _sequence(self, number: int) -> list[int]:
         """Events of a branch."""
@@ -270,3 +313,9 @@ class Inversion:
     def join(self) -> None:
         """Normalise the weights of each node."""
         run_rows(lambda first, last: join_weights(first, last, self.weight), self.grid.shape[0])
+
+
+def _bundle_scratch(balls: Balls) -> tuple[Bundle, NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Memory of one thread of `solve_in_bundle`, from the bundle on."""
+    passed, block, state = np.empty(GROUP, np.int64), np.empty(NEWTON_NUMBERS), np.empty(GROUP, np.int64)
+    return balls.bundle(), passed, block, state, block_scratch()[1]

@@ -17,7 +17,13 @@ from correction.inversion.kernels.inverse import Tables, unowned_tables
 from correction.inversion.kernels.lonely import Ways, unowned_ways
 from correction.inversion.kernels.newton import CONVERGED, GROUP, U, V, solve_block, solve_patiently
 from correction.inversion.kernels.starts import DONE, scatter_sheet
-from correction.inversion.kernels.views import ANOTHER, begin_group, judge_trips, keep_group, put_off
+from correction.inversion.kernels.views import (
+    ANOTHER,
+    begin_group,
+    judge_trips,
+    keep_group,
+    put_off,
+)
 from ground.jit import Array, kernel, unowned
 from tracer.kernels.bundle import follow_bundle
 from tracer.kernels.chain import TRIP, whole_vectors
@@ -109,11 +115,11 @@ def keep_nearest(tiled: int, found: int, stamp: int, starts: Array, nodes: Array
 
 @kernel
 def verify_in_bundle(
-    count: int, balls: Array, first: int, last: int, camera: Array, windows: Array, bed: Bed, table: Array,
-    bundle: Bundle, passed: Array, state: Array, trips: Array, b: Array,
+    count: int, balls: Array, camera: Array, windows: Array, bed: Bed, table: Array, bundle: Bundle, passed: Array,
+    state: Array, trips: Array, b: Array,
 ) -> None:  # fmt: skip
-    """MET for converged pixels whose ray meets the spheres balls[first:last] of `table`, no others."""
-    rays, some = bundle.rays, -1
+    """MET for converged pixels whose ray meets the spheres ``balls`` (E,) of `table`, in this order, no others."""
+    rays, some, events = bundle.rays, -1, balls.shape[0]
     for i in range(count):
         trips[TRIP + i] = ANOTHER
         if state[i] == CONVERGED:
@@ -136,10 +142,42 @@ def verify_in_bundle(
         end_behind(count, windows[windows.shape[0] - 1], passed, bundle.ends, bundle.fates)
     for i in range(count):
         same = state[i] == CONVERGED and bundle.fates[FATE + i] == TRACED and bundle.ends[END_DZ + i] < 0.0
-        same = same and bundle.fates[EVENTS + i] == last - first
-        for e in range(last - first if same else 0):
-            same = same and bundle.trail[i * MAX_EVENTS + e] == balls[first + e]
+        same = same and bundle.fates[EVENTS + i] == events
+        for e in range(events if same else 0):
+            same = same and bundle.trail[i * MAX_EVENTS + e] == balls[e]
         trips[TRIP + i] = MET if same else ANOTHER
+
+
+@kernel
+def solve_in_bundle(
+    tables: Tables, grid: Array, windows: Array, table: Array, bed: Bed, every: bool, sequence: Array,
+    balls: Array, number: int, sign: float, limits: Array, starts: Array, nodes: Array, bundle: Bundle,
+    passed: Array, block: Array, state: Array, trips: Array, maps: tuple[Array, ...],
+) -> None:  # fmt: skip
+    """Solve nodes of one sheet from their starts and keep the views, as `solve_nodes`.
+
+    ``sequence``, ``balls`` (E,) are the spheres of the sheet in the order of the sphere table and of the bundle's
+    ``table``; the others are those of `solve_small_sheets`.
+    """
+    tables, bed, bundle = unowned_tables(tables), unowned_bed(bed), unowned_bundle(bundle)
+    camera, spheres, windows, passed = tables[0], tables[1].spheres, unowned(windows), unowned(passed)
+    block, state, trips, table = unowned(block), unowned(state), unowned(trips), unowned(table)
+    starts, nodes, sequence, balls = unowned(starts), unowned(nodes), unowned(sequence), unowned(balls)
+    total, left = nodes.shape[0], 0
+    for patient in range(2):
+        for low in range(0, total, GROUP):
+            count = min(GROUP, total - low)
+            group, of_group = starts[low : low + count], nodes[low : low + count]
+            begin_group(count, grid, group, of_group, block, state)
+            if patient:
+                solve_patiently(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
+            else:
+                solve_block(whole_vectors(count), camera, windows, spheres, sequence, sign, block, state)
+            verify_in_bundle(count, balls, camera, windows, bed, table, bundle, passed, state, trips, block)
+            judge_trips(count, MET, every, group, trips, block, state)
+            keep_group(count, grid[2], balls.shape[0], number, limits, of_group, block, state, maps)
+            left = put_off(low, count, left, starts, nodes, trips)
+        total, left = left, 0
 
 
 @kernel
@@ -154,11 +192,8 @@ def solve_small_sheets(
     ``passed`` (GROUP,) int64 is scratch.
     Others as `solve_nodes` and `scatter_sheet` take them.
     """
-    tables, bed, bundle = unowned_tables(tables), unowned_bed(bed), unowned_bundle(bundle)
-    ways = unowned_ways(ways)
-    camera, spheres, windows, passed = tables[0], tables[1].spheres, unowned(windows), unowned(passed)
+    tables, ways = unowned_tables(tables), unowned_ways(ways)
     starts, nodes = unowned(start.starts), unowned(start.nodes)
-    block, state, trips, table = unowned(block), unowned(state), unowned(trips), unowned(table)
     events, balls, begin, weight = unowned(sheets.events), unowned(sheets.balls), unowned(sheets.begin), maps[3]
     while progress[0] < sheets.branch.shape[0]:
         s = progress[0]
@@ -175,31 +210,11 @@ def solve_small_sheets(
         if start.cursor[0] < DONE:
             return
         found = keep_nearest(tiled, found, s + 1, starts, nodes, start.slots)
-        sequence = events[begin[s] : begin[s + 1]]
-        total, left = found, 0
-        for patient in range(2):
-            for low in range(0, total, GROUP):
-                count = min(GROUP, total - low)
-                group, of_group = starts[low : low + count], nodes[low : low + count]
-                begin_group(count, grid, group, of_group, block, state)
-                if patient:
-                    solve_patiently(
-                        whole_vectors(count), camera, windows, spheres, sequence, sheets.sign[s], block, state
-                    )
-                else:
-                    solve_block(
-                        whole_vectors(count), camera, windows, spheres, sequence, sheets.sign[s], block, state
-                    )
-                verify_in_bundle(
-                    count, balls, begin[s], begin[s + 1], camera, windows, bed, table, bundle, passed, state,
-                    trips, block,
-                )  # fmt: skip
-                judge_trips(count, MET, every, group, trips, block, state)
-                keep_group(
-                    count, grid[2], begin[s + 1] - begin[s], sheets.branch[s], limits, of_group, block, state, maps
-                )
-                left = put_off(low, count, left, starts, nodes, trips)
-            total, left = left, 0
+        solve_in_bundle(
+            tables, grid, windows, table, bed, every, events[begin[s] : begin[s + 1]],
+            balls[begin[s] : begin[s + 1]], sheets.branch[s], sheets.sign[s], limits, starts[:found],
+            nodes[:found], bundle, passed, block, state, trips, maps,
+        )  # fmt: skip
         progress[0] = s + 1
 
 
