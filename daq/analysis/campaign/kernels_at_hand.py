@@ -17,6 +17,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from daq.analysis.campaign.chunk_task import ChunkTask, Outcome, carry_out
+from daq.analysis.campaign.kept_memory import keep_memory
 from daq.analysis.series.workers import ONE_THREAD
 from ground.whole_file import whole_file
 
@@ -59,7 +60,8 @@ def work_elsewhere(kernels: Path) -> partial[Outcome]:
 
 @lru_cache(maxsize=1)
 def _made_ready(kernels: Path) -> None:
-    """Once in a process: one thread, and a folder of its own with what was packed."""
+    """Once in a process: one thread, its memory kept, and a folder of its own with what was packed."""
+    keep_memory()
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     place = Path(tempfile.mkdtemp(prefix="rtpiv-kernels-"))
     atexit.register(shutil.rmtree, place, ignore_errors=True)
