@@ -56,7 +56,11 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
         assert checksum(read_raw(run.frame_path(number))[0]) == entry["crc32"]
 
     monkeypatch.setattr(lanes, "write_raw", write_raw)
-    assert main(["resume", str(run.path), "--home"]) == DONE
+    # A computer that has much else to do may lose some again, and says so; each resume has fewer left to take.
+    ends = [main(["resume", str(run.path), "--home"])]
+    while ends[-1] == DEVICE and len(ends) < 20:
+        ends.append(main(["resume", str(run.path), "--home"]))
+    assert ends[-1] == DONE
     assert f"of {FRAMES} frames never came" in capsys.readouterr().out
     assert set(frames) < set(frame_entries(run.entries()))
     assert check_run(run.path).is_sound
