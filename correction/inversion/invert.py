@@ -17,19 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
-from correction.inversion.kernels.bed_sheets import (
-    Sensor,
-    Small,
-    StartScratch,
-    solve_in_bundle,
-    solve_small_sheets,
-)
+from correction.inversion.bed import Sought, solve_bed
 from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, direct_rows_behind
 from correction.inversion.kernels.direct import direct_rows
 from correction.inversion.kernels.inverse import join_weights
 from correction.inversion.kernels.lonely import Ways
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS
-from correction.inversion.kernels.starts import LANES, MEASURES
 from correction.inversion.kernels.views import NodeScratch, solve_nodes
 from correction.inversion.sheets import Sheet, Sheets, Starts
 from ground.rows import run_parts, run_rows
@@ -38,7 +31,6 @@ from tracer.branches import chain_trip, event_numbers, key_of
 from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import BALL
-from tracer.kernels.lanes import Bundle
 from tracer.kernels.sphere import OPAQUE
 from tracer.kernels.window import BEHIND, GLASS
 from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
@@ -183,89 +175,9 @@ class Inversion:
         self._solve(sheet, sheets.starts(sheet, self.weight[-1], enough))
 
     def _solve_many(self, sheets: Sheets, ways: Ways) -> None:
-        """Solve the sheets of a bed: small ones in one call, each large one by itself."""
-        every, balls = sheets.ordered(), Balls(self.scene.sphere_table())
-        sizes = np.diff(ways.begin)[every.branch]
-        ends = np.cumsum(sizes)
-        inside = np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - sizes, sizes)
-        events = ways.events[np.repeat(ways.begin[every.branch], sizes) + inside]
-        place = np.empty(len(balls.order), np.int64)
-        place[balls.order] = np.arange(len(balls.order))
-        begin = np.concatenate(([0], np.cumsum(sizes)))
-        enough = (1.0 / (1.0 + every.events) if self.skip else np.full(len(sizes), np.inf)).astype(np.float32)
-        small = Small(every.branch, every.sign, events, place[events], begin, every.runs, every.first, enough)
-        start = StartScratch(
-            np.zeros(3, np.int64),
-            np.empty(LANES, np.int64),
-            np.empty(MEASURES),
-            *sheets.room_for_starts(),
-            np.zeros(1 << (2 * sheets.room).bit_length(), np.int64),
-        )
-        sensor = Sensor(sheets.plane, sheets.branch, sheets.flags, sheets.taken)
-        scratch, progress = _bundle_scratch(balls), np.zeros(2, np.int64)
-        while progress[0] < len(every.branch):
-            progress[1] = sheets.stamp
-            solve_small_sheets(
-                self.tables,
-                ways,
-                self.grid_numbers,
-                self.windows,
-                balls.balls,
-                balls.bed,
-                not self.skip,
-                small,
-                sensor,
-                progress,
-                self.limits,
-                start,
-                *scratch,
-                self.maps,
-            )
-            sheets.stamp = int(progress[1])
-            if progress[0] < len(every.branch):
-                k = int(progress[0])
-                sheet, way = every.sheet(k), slice(begin[k], begin[k + 1])
-                parts = sheets.starts(sheet, self.weight[-1], small.enough[k])
-                self._solve_large(sheet, parts, balls, small.events[way], small.balls[way])
-                progress[0] += 1
-
-    @staticmethod
-    def _bundle_scratch(balls: Balls) -> tuple[Any, ...]:
-        """Memory of one thread of `solve_in_bundle`, from the bundle on."""
-        numbers = np.empty(GROUP, np.int64), np.empty(NEWTON_NUMBERS), np.empty(GROUP, np.int64)
-        return balls.bundle(), *numbers, block_scratch()[1]
-
-    def _solve_large(
-        self,
-        sheet: Sheet,
-        parts: Iterator[Starts],
-        balls: Balls,
-        sequence: NDArray[np.int64],
-        way: NDArray[np.int64],
-    ) -> None:
-        """Solve a large sheet of a bed on all cores."""
-
-        def work(part: Starts) -> None:
-            starts, nodes = part
-            solve_in_bundle(
-                self.tables,
-                self.grid_numbers,
-                self.windows,
-                balls.balls,
-                balls.bed,
-                not self.skip,
-                sequence,
-                way,
-                sheet.branch,
-                sheet.sign,
-                self.limits,
-                starts,
-                nodes,
-                *_bundle_scratch(balls),
-                self.maps,
-            )
-
-        run_parts(work, parts)
+        """Solve the sheets of a bed."""
+        numbers = self.tables, self.grid_numbers, self.windows, not self.skip, self.limits, self.maps
+        solve_bed(Sought(*numbers), sheets, ways, Balls(self.scene.sphere_table()), self.weight[-1])
 
     def _sequence(self, number: int) -> list[int]:
         """Events of a branch."""
@@ -313,9 +225,3 @@ class Inversion:
     def join(self) -> None:
         """Normalise the weights of each node."""
         run_rows(lambda first, last: join_weights(first, last, self.weight), self.grid.shape[0])
-
-
-def _bundle_scratch(balls: Balls) -> tuple[Bundle, NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Memory of one thread of `solve_in_bundle`, from the bundle on."""
-    passed, block, state = np.empty(GROUP, np.int64), np.empty(NEWTON_NUMBERS), np.empty(GROUP, np.int64)
-    return balls.bundle(), passed, block, state, block_scratch()[1]
