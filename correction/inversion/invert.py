@@ -1,7 +1,8 @@
 """Inversion of a ray map: the arrays of a correction map, filled view by view.
 
 See ``correction.correction_map`` for what is sought and ``docs/adr/0002-inverse-by-sheets.md`` for why it is
-sought this way.  The direct view comes first, in closed form; then every sheet, those with few events first.
+sought this way.  The direct view comes first, in closed form, or with one unknown a node through a window; then
+every sheet, those with few events first.
 
 Skipped, with the same result: a view through e spheres weighs at most 1/(1 + e), because the transmittance and
 the share of the magnification that counts are at most 1.  A node whose last layer already weighs as much cannot
