@@ -19,7 +19,6 @@ RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
 BRANCH_LIMIT = 0.5  # the same of one branch, if the scene shows at least so many corners on it
 BRANCH_CORNERS = 5
-FEW_CORNERS = 2 * BRANCH_CORNERS  # of a branch, which do not refuse a fit alone: two of five are lost by chance
 OVERLAP_LIMIT_MM = 0.02
 PRIOR_LIMIT = 5.0  # sigmas
 
@@ -189,18 +188,6 @@ def rms_limit_px(able_px: float) -> float:
     return float(np.clip(RMS_TIMES * able_px, *RMS_BOUNDS_PX))
 
 
-def _others_vouch(fit: SceneFit, branch_name: str) -> bool:
-    """Whether each sphere of a branch is where its other branches show it: then the branch has nothing to say."""
-    for sphere in fit.unknowns.scene.spheres:
-        if not sphere.is_on(branch_of(branch_name)):
-            continue
-        others = [name for name in fit.expected if name != branch_name and sphere.is_on(branch_of(name))]
-        expected, paired = sum(fit.expected[name] for name in others), sum(map(fit.paired, others))
-        if expected < BRANCH_CORNERS or paired < SHARE_LIMIT * expected:
-            return False
-    return True
-
-
 def check(fit: SceneFit) -> None:
     """Hold a fit against its gates.
 
@@ -224,8 +211,7 @@ def check(fit: SceneFit) -> None:
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
         for branch_name, count in fit.expected.items():
             share = fit.paired(branch_name) / count
-            few = count < FEW_CORNERS and _others_vouch(fit, branch_name)
-            if count >= BRANCH_CORNERS and share < BRANCH_LIMIT and not few:
+            if count >= BRANCH_CORNERS and share < BRANCH_LIMIT:
                 text = f"corners through {branch_name} are not where it would show them; start its centre nearer"
                 raise FitFailed(
                     f"share of corners paired through {branch_name}", share, BRANCH_LIMIT, f"{text}, and {cure}"
