@@ -69,20 +69,10 @@ USUAL = 0.01  # a start is not taken further past the root than Newton comes bac
 @kernel_inlined
 def plate_of(window: Array) -> tuple[float, ...]:
     """Normal, thickness, n, n', and n^2, n'^2, n^2 - 1, n'^2 - 1 of a window."""
+    nx, ny, nz, thickness = window[3], window[4], window[5], window[THICKNESS]
     n, behind = window[GLASS], window[BEHIND]
-    gains = (n - 1.0) * (n + 1.0), (behind - 1.0) * (behind + 1.0)
-    return (
-        window[3],
-        window[4],
-        window[5],
-        window[THICKNESS],
-        n,
-        behind,
-        n * n,
-        behind * behind,
-        gains[0],
-        gains[1],
-    )
+    gain, gain_behind = (n - 1.0) * (n + 1.0), (behind - 1.0) * (behind + 1.0)
+    return nx, ny, nz, thickness, n, behind, n * n, behind * behind, gain, gain_behind
 
 
 @kernel

@@ -22,5 +22,6 @@ def keep_memory() -> bool:
         return False
     with suppress(OSError, AttributeError):  # another C library than glibc may have no such function
         wishes = (M_TRIM_THRESHOLD, KEPT_BYTES), (M_MMAP_THRESHOLD, MAPPED_BYTES), (M_ARENA_MAX, 1)
-        return all(ctypes.CDLL(None).mallopt(*wish) == 1 for wish in wishes)
+        granted = [ctypes.CDLL(None).mallopt(*wish) == 1 for wish in wishes]
+        return all(granted)
     return False

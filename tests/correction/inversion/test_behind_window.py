@@ -14,6 +14,7 @@ from tests.tracer.drawn_walls import GLASS, WATER, among_all_kinds, seen
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Sphere, Window
 from tracer.camera import Lens
+from tracer.errors import SceneError
 from tracer.media import ConstantMedium
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
@@ -97,6 +98,37 @@ def test_jacobians_are_the_differences_of_the_pixels(name: str) -> None:
     differences = np.stack((across, along), axis=-1)[there].reshape(-1, 4)
     assert there.sum() > 2000
     np.testing.assert_allclose(made.jacobian[0, 1:-1, 1:-1][there], differences, rtol=0.0, atol=3e-5)
+
+
+def test_drawn_windows() -> None:
+    """Thin and thick ones of weak and strong glass, liquids of any index, leaning by up to 24 degrees."""
+    rng = np.random.default_rng(7)
+    tried = 0
+    while tried < 12:
+        thickness, n, behind = rng.uniform(0.2, 40.0), rng.uniform(1.02, 3.0), rng.uniform(1.0, 2.5)
+        one = window(
+            (rng.uniform(-0.4, 0.4), rng.uniform(-0.2, 0.2), 1.0),
+            thickness_mm=thickness,
+            radius_mm=150.0,
+            medium=ConstantMedium(n),
+            behind=ConstantMedium(behind),
+        )
+        scene = Scene(CAMERA, (one,))
+        try:
+            judge = among_all_kinds(one).with_camera(CAMERA)
+        except SceneError:  # what stands far away there would be cut by this wall
+            continue
+        ray_map = build_ray_map(scene)
+        made = Inversion(scene, ray_map, GRID, 1, (0.5, 16.0), None, skip=True)
+        if made.window is None:  # not the usual case
+            continue
+        tried += 1
+        made.direct()
+        found = made.status == NodeStatus.RECOVERED
+        assert found.sum() > 1000
+        rays = seen(judge, made.pixel[0, found])
+        np.testing.assert_allclose(rays.plane_mm, GRID.nodes_mm()[found], rtol=0.0, atol=1e-10)
+        np.testing.assert_allclose(made.transmittance[0, found], rays.rays["transmittance"], rtol=3e-7)
 
 
 def test_a_window_of_nothing_changes_nothing() -> None:
