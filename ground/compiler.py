@@ -14,7 +14,7 @@ from typing import Any
 
 import numba
 import numba.extending
-from numba.core import event, types
+from numba.core import caching, event, types
 from numba.core.runtime import rtsys  # type: ignore[attr-defined]
 from numba.extending import overload, typeof_impl
 
@@ -26,55 +26,73 @@ from ground.kernel_cache import cache_folder
 from ground.signatures import plain
 
 
+class _ByContent:
+    """Says where numba keeps a function: in the folder that names all its code is made of, and by nothing else.
+
+    Numba's own locators add a digest of the folder that the source lies in, so that each clone, environment and
+    container would compile the same text again.
+    """
+
+    def __init__(self, line: int, folder: Path) -> None:
+        self._line, self._folder = line, folder
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """Return the folder."""
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        """Return what changes with the code: the folder's own name."""
+        return self._folder.name
+
+    def get_disambiguator(self) -> str:
+        """Return what tells two functions of one name in one file apart."""
+        return str(self._line)
+
+    @classmethod
+    def from_function(cls, function: Callable[..., Any], file: str) -> "_ByContent | None":
+        """Return the place of a function; None where nothing can be kept."""
+        folder = cache_folder(Path(file))
+        return None if folder is None else cls(function.__code__.co_firstlineno, folder)
+
+
+class _KeptByContent(caching.CompileResultCacheImpl):
+    _locator_classes = [_ByContent]  # noqa: RUF012 - numba's own name for it
+
+
+class _KernelCache(caching.FunctionCache):
+    """Numba's cache of a function, found by content, quick to read, and silent where the disk is full."""
+
+    _impl_class = _KeptByContent
+
+    def load_overload(self, signature: object, target_context: object) -> object:
+        """Load machine code without first preparing for compiling, which takes longer than all the loading.
+
+        Before it looks into its cache, numba imports what it knows of NumPy, SciPy's linear algebra included.
+        Of that machine code needs the runtime alone, which counts references; whatever compiles asks for the rest.
+        """
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+
+    def save_overload(self, signature: object, data: object) -> None:
+        """Keep machine code; a disk that is full costs the next process its time, not this one its results."""
+        with suppress(OSError):
+            super().save_overload(signature, data)  # type: ignore[no-untyped-call]
+
+
 def given_to_numba(function: Callable[..., Any], options: dict[str, Any]) -> Any:  # noqa: ANN401
     """Return numba's object for a function; what is in its folder of the cache is found when it is called."""
     while overloads:
         replaced, writer, how = overloads.pop(0)
         overload(replaced, **how)(writer)
-    if not options.get("cache"):
-        return numba.njit(**options)(function)
-    folder, before = cache_folder(Path(inspect.getfile(function))), numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    if folder is None:
-        return numba.njit(**options | {"cache": False})(function)
-    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-    try:
-        compiled = numba.njit(**options)(function)
-    finally:
-        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
-    _keep_if_possible(compiled)
-    _load_at_once(compiled)
+    compiled = numba.njit(**options | {"cache": False})(function)
+    if options.get("cache") and cache_folder(Path(inspect.getfile(function))) is not None:
+        compiled._cache = _KernelCache(function)  # type: ignore[no-untyped-call]
     return compiled
-
-
-def _keep_if_possible(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
-    """Let a disk that is full cost the next process its time, not this one its results."""
-    kept = compiled._cache.save_overload
-
-    def save(*arguments: object) -> None:
-        with suppress(OSError):
-            kept(*arguments)
-
-    compiled._cache.save_overload = save
-
-
-def _load_at_once(compiled: Any) -> None:  # noqa: ANN401 - numba has no types
-    """Load machine code without first preparing for compiling, which takes longer than all the loading.
-
-    Before it looks into its cache, numba imports what it knows of NumPy, SciPy's linear algebra included.  Of that
-    machine code needs the runtime alone, which counts references; whatever compiles asks for all of it itself.
-    """
-    cache = compiled._cache
-    try:
-        found, guarded = cache._load_overload, cache._guard_against_spurious_io_errors
-    except AttributeError:  # another version of numba: its own way
-        return
-
-    def load(signature: object, target_context: object) -> object:
-        rtsys.initialize(target_context)
-        with guarded():
-            return found(signature, target_context)
-
-    cache.load_overload = load
 
 
 def files_in_use() -> list[Path]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -129,3 +130,24 @@ def test_no_stale_callee_is_ever_run(tmp_path):
     assert use() == ["6.0", "7.0", "1", "1"]
     (kernels / "callee.py").write_text(CALLEE.format("5.0"))
     assert use() == ["10.0", "7.0", "0", "1"]
+
+
+@pytest.mark.timeout(300)
+def test_the_same_text_in_another_folder_is_not_compiled_again(tmp_path):
+    """A second clone, environment or container finds what the first has compiled."""
+    counts = []
+    for clone in ("first", "second clone"):
+        root = tmp_path / clone
+        (root / "tracer" / "kernels").mkdir(parents=True)
+        for package in (root / "tracer", root / "tracer" / "kernels"):
+            (package / "__init__.py").touch()
+        shutil.copytree(ROOT / "ground", root / "ground", ignore=shutil.ignore_patterns("__pycache__"))
+        (root / "tracer/kernels/callee.py").write_text(CALLEE.format("3.0"))
+        (root / "tracer/kernels/caller.py").write_text(CALLER)
+        (root / "tracer/kernels/other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
+        environment = {**os.environ, "RTPIV_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(root)}
+        ran = subprocess.run(
+            [sys.executable, "-c", USE], cwd=root, env=environment, capture_output=True, text=True, check=True
+        )
+        counts.append(ran.stdout.split())
+    assert counts == [["6.0", "7.0", "0", "0"], ["6.0", "7.0", "1", "1"]]
