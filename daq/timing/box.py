@@ -50,6 +50,7 @@ class TimingBox(Link):
         self.wiring = dict(wiring)
         self.latch = latch or StopLatch()
         self.token = self.latch.count  # of what may be switched on now; set by the laser
+        self.may_be_on = False  # something was switched on, and nothing has read back as off since
         self.watchdog: Watchdog | None = None  # set by whoever opens a port that outlives the process
         self.address = ""  # of boxes that have to be called by their name; from the bench file
         self._url, self._baud = "", 0
@@ -197,6 +198,7 @@ class TimingBox(Link):
             return
         try:
             with self.latch.gate(self.token):
+                self.may_be_on = True
                 if self.watchdog is not None:
                     self.watchdog.moves(self.name)
                 yield

@@ -22,6 +22,8 @@ from stages.errors import StageError
 
 LATE_S = 1.0  # a burst that the box still calls running so long after its end is in doubt
 LOOK_S = 0.01  # between two looks of `wait`
+CONFIRM_S = 0.2  # between two attempts to read back that everything is off
+LEAVING_S = 10.0  # how long whoever leaves goes on with them; a cable that comes loose is mostly put back by then
 
 
 class Darkness:
@@ -158,14 +160,33 @@ class Darkness:
             return True
 
     def close(self) -> None:
-        """Switch off, read back, and give the port back; the watchdog says off again if that is not confirmed."""
+        """Switch off, read back, and give the port back.
+
+        What was switched on and cannot be reached is tried for `LEAVING_S` more, on a port that is opened again:
+        a box that does not count goes on for as long as nobody reaches it, and the watchdog gives a device up
+        whose cable has been out.  The watchdog says off again as well if that is not confirmed.
+
+        Raises
+        ------
+        LaserDoubt
+            Something was switched on, and does not read back as off.
+        """
         try:
-            if not self.box.lost:
-                self.stop("the program has left the bench")
-                for _ in range(3):
-                    if self.confirm_off():
+            if not self.box.lost or self.box.may_be_on:
+                self._stop_quietly("the program has left the bench")
+                end_s, tries = self._clock.now_s() + LEAVING_S, 1
+                while not self.confirm_off():
+                    if tries >= 3 and not (self.box.may_be_on and self._clock.now_s() < end_s):
                         break
+                    tries += 1
+                    self._clock.sleep_s(CONFIRM_S)
+            if self.box.may_be_on:
+                raise LaserDoubt(
+                    f"{self.name} may still give light: it does not read back as off ({self.why}); turn its key, "
+                    "then see to the cable"
+                )
         finally:
+            self.box.may_be_on = False  # has been said; nobody waits for it twice
             self.box.close()
 
     # ---- while it fires --------------------------------------------------------------------------
@@ -236,6 +257,7 @@ class Darkness:
 
     def _silence(self) -> None:
         self.box.silence()
+        self.box.may_be_on = False
         if self.box.watchdog is not None:
             self.box.watchdog.rests(self.box.name)
 

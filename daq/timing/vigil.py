@@ -22,6 +22,7 @@ from contextlib import suppress
 
 from daq.errors import DaqError
 from daq.timing.conditions import Conditions
+from daq.timing.darkness import CONFIRM_S
 from daq.timing.errors import LaserStopped
 from daq.timing.laser import Laser
 from daq.timing.states import EMITS, LaserState
@@ -32,7 +33,6 @@ LOOK_S = 0.01  # between two questions, and between two judgements
 SILENCE_S = 1.0  # without a new answer, of the wall's time in which the judge was on time
 ON_TIME_S = 0.02  # between two looks of a judge who is on time; what is beyond is the computer's, not a device's
 BLIND_S = 5.0  # of the wall's clock, without a new answer, however busy the computer was
-CONFIRM_S = 0.2  # between two attempts to read back that everything is off
 
 
 class Vigil:

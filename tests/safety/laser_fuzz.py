@@ -4,7 +4,8 @@
 
 The judge hangs on the Q-switch outputs of the emulated box and knows the state of the laser at the moment of
 every pulse. A pulse is allowed while it is FIRING or ALIGNING, at most as many for each Q-switch as were asked
-for; and in UNKNOWN only what is left of a burst whose cable has been pulled, which nobody can stop but the box.
+for; and in UNKNOWN only what is left of a burst whose cable has been pulled, until somebody opens the port again:
+nobody can stop that but the box.  Whoever leaves the bench opens it again; nothing is on after that.
 """
 
 import argparse
@@ -102,10 +103,10 @@ class Story:
         for output in self.q_switches:
             self.left[output] = pairs
         self.firings += 1
+        self.cut = self.cut and self.line.dead  # what was left of another burst was seen to be off before this one
 
     def fire(self):
         pairs = self.rng.choice((1, 3, 20, 50))
-        self.cut = self.cut and self.line.dead
         if self.laser.state is LaserState.ARMED:
             self.asked_for(pairs)
         self.laser.fire(pairs)
@@ -113,7 +114,6 @@ class Story:
     def align(self):
         if self.laser.state is LaserState.SAFE:
             self.asked_for(20)
-            self.cut = self.cut and self.line.dead
         word = self.laser.challenge if self.rng.random() < 0.8 else "1"
         self.laser.align(word, self.rng.choice((2.0, 10.0, 11.0)), self.rng.choice((1.0, 2.0)))
 
@@ -263,7 +263,7 @@ class Story:
         if not self.line.dead and not self.line.faults.met and self.emulator.is_on:
             on = self.kind == "oltSync" and self.emulator.is_running
             on = on or (self.kind != "oltSync" and any(channel.on for channel in self.emulator._all))
-            if on and not self.cut and not self.line.plugged:
+            if on:
                 self.found.append("something is on after the end")
 
 

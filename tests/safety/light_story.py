@@ -114,7 +114,6 @@ class LightStory(laser_fuzz.Story):
     def chunk(self):
         """Arm and fire as a run does."""
         pairs = self.rng.choice((3, 20, 50))
-        self.cut = self.cut and self.line.dead
         if self.laser.state is LaserState.READY:
             self.asked_for(pairs)
         self.light._word = self.laser.challenge
@@ -125,7 +124,10 @@ class LightStory(laser_fuzz.Story):
     def watch(self):
         """The vigil takes some steps."""
         for _ in range(self.rng.choice((1, 10, 60))):
-            if self.vigil is None or self.laser.state is not LaserState.FIRING:
+            if self.vigil is None:
+                return
+            if self.laser.state is not LaserState.FIRING:
+                self.laser.confirm_off()  # as its second thread does
                 return
             self.vigil.ask()
             self.vigil.judge()

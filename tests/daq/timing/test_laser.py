@@ -317,3 +317,49 @@ def test_closing_switches_off():
     laser.close()
     assert box.burst is None
     assert laser.state is LaserState.FAULT
+
+
+def cable_back_after(box, clock, seconds):
+    """Pull the cable of a box now; whoever opens the port again later than that finds it plugged in."""
+    box.is_lost, back_s = True, clock.now_s() + seconds
+
+    def reconnect():
+        if clock.now_s() < back_s:
+            raise DeviceLost("fake is gone")
+        box.is_lost = False
+
+    box.reconnect = reconnect
+
+
+@pytest.mark.parametrize("seconds", [0.0, 3.0])
+def test_leaving_goes_on_to_switch_off_until_the_cable_is_back(seconds):
+    """A box that does not count gives pulses for as long as nobody reaches it."""
+    laser, box, clock = armed()
+    laser.fire(50)
+    cable_back_after(box, clock, seconds)
+    with pytest.raises(DeviceLost):
+        laser.stop("asked")
+    laser.close()
+    assert box.burst is None
+    assert not box.lamps
+    assert laser.state is LaserState.FAULT
+
+
+def test_leaving_a_laser_that_is_out_of_reach_says_that_it_may_still_give_light():
+    laser, box, clock = armed()
+    laser.fire(50)
+    cable_back_after(box, clock, 1e6)
+    begun_s = clock.now_s()
+    with pytest.raises(LaserDoubt, match=r"may still give light.*key"):
+        laser.close()
+    assert 5.0 < clock.now_s() - begun_s < 20.0
+    laser.close()  # has been said; nobody waits twice
+    assert clock.now_s() - begun_s < 20.0
+
+
+def test_leaving_a_laser_that_is_off_waits_for_no_cable():
+    laser, box, clock = laser_on()
+    cable_back_after(box, clock, 1e6)
+    begun_s = clock.now_s()
+    laser.close()
+    assert clock.now_s() == begun_s

@@ -9,17 +9,19 @@ from daq.errors import DaqError
 from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Conditions
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
-from daq.timing.errors import LaserDoubt, NotArmed, PulsesRefused, WrongBox
+from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, PulsesRefused, WrongBox
 from daq.timing.laser import Laser
 from daq.timing.laser_head import LaserHead
 from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
+from daq.timing.vigil import Vigil
 from sim.clock import VirtualClock
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from sim.emulators.line import Line
 from sim.emulators.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.emulators.protocol_sim import LINES
+from stages.clock import SYSTEM_CLOCK
 from stages.errors import CommandRejected, StageError
 
 WIRING = {Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}
@@ -162,3 +164,43 @@ def test_a_box_that_stays_on_is_doubted(mocker):
         with pytest.raises(LaserDoubt, match="still on"):
             laser.wait()
         assert laser.state is LaserState.UNKNOWN
+
+
+def put_out_and_in(line):
+    """A cable that is loose for a moment; what the host has open is dead, and the box has noticed nothing."""
+    line.unplug()
+    line.plug_in()
+
+
+def light_after(emulator, clock, seconds):
+    """Pulses of light that leave in the next so many seconds."""
+    now_s = clock.now_s()
+    clock.sleep_s(seconds)
+    emulator.advance()
+    return [pulse for pulse in emulator.outputs.recent if pulse.output == "2" and pulse.rises_s > now_s]
+
+
+@pytest.mark.parametrize("driver", FIRMWARE)
+def test_a_condition_that_is_lost_after_a_loose_cable_ends_the_light(driver):
+    """Nobody has asked the box anything between the two, so only the vigil can find the port dead."""
+    with desk(driver) as (laser, emulator, line, clock):
+        to_armed(laser)
+        laser.fire(200)
+        clock.sleep_s(0.5)
+        put_out_and_in(line)
+        moves = replace(GOOD, at_rest=False)
+        with Vigil(laser, lambda: moves, clock, SYSTEM_CLOCK) as vigil, pytest.raises(LaserStopped):
+            vigil.wait()
+        assert laser.state is LaserState.FAULT
+        assert not light_after(emulator, clock, 3.0)
+
+
+@pytest.mark.parametrize("driver", FIRMWARE)
+def test_leaving_the_bench_after_a_loose_cable_ends_the_light(driver):
+    with desk(driver) as (laser, emulator, line, clock):
+        to_armed(laser)
+        laser.fire(200)
+        clock.sleep_s(0.5)
+        put_out_and_in(line)
+        laser.close()
+        assert not light_after(emulator, clock, 3.0)
