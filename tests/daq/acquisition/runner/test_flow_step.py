@@ -93,6 +93,7 @@ def test_a_flow_keeps_whole_pairs_of_one_pulse_each(tmp_path, capsys, shape, cha
 
 @pytest.mark.slow
 def test_a_marker_on_exposure_b_of_even_frames_ends_the_run_in_doubt(tmp_path, monkeypatch):
+    need_aravis()
     listen, half_s = SimulatedTiming.listen, 0.02
 
     def later(self, role, hear):
