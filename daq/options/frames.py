@@ -137,7 +137,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
         "campaign", help="many runs: chunks on all cores, here or on a cluster, and one mean"
     )
     campaign.add_argument("action", choices=("plan", "run", "status", "merge"), help="one after the other")
-    campaign.add_argument("runs", type=Path, nargs="*", metavar="RUN", help="of plan, or of run to plan first")
+    campaign.add_argument("runs", type=Path, nargs="*", metavar="RUN", help="of plan, and of the first run")
     campaign.add_argument(
         "-o", "--out", type=Path, default=Path("campaign"), help="folder of the campaign (default: campaign)"
     )

@@ -1,22 +1,25 @@
 """`rtpiv campaign`: many runs, evaluated chunk by chunk on whatever computers there are, and averaged."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Literal, Unpack
 
 from correction.errors import PairError
 from daq.analysis.campaign.campaign_folder import CHUNK_PAIRS, CampaignFolder
-from daq.analysis.campaign.campaign_plan import ask_for, forecasts
+from daq.analysis.campaign.campaign_plan import Forecast, ask_for
+from daq.analysis.campaign.campaign_trial import adopt, trial
 from daq.analysis.campaign.dask_workers import DaskWorkers
 from daq.analysis.campaign.engine import Engine, LocalProcesses
 from daq.analysis.campaign.hand_out import PATIENCE_S
-from daq.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign
+from daq.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, said_missing
 from daq.analysis.campaign.run_campaign import run_campaign
 from daq.analysis.campaign.slurm_arrays import SlurmArrays
 from daq.analysis.campaign.status import RunStatus, campaign_status
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.errors import RunUsageError, Unfinished
+from daq.printable import counted
 from daq.terminal import console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
@@ -44,19 +47,20 @@ def campaign(
     slurm_here: bool = False,
     patience_s: float = PATIENCE_S,
     **options: Unpack[PivOptions],
-) -> list[RunStatus] | CampaignMean:
+) -> list[Forecast] | list[RunStatus] | CampaignMean:
     """Evaluate many runs on this computer or on others, and average them.
 
-    ``plan`` writes down what is asked and says what it costs, ``run`` makes what is missing, ``status`` says how
-    it stands, ``merge`` averages.  Each may be ended at any time and given again.  Every file but ``books.jsonl``
-    has the same bytes whoever works and however often it was interrupted.
+    ``plan`` says what it costs and writes nothing, ``run`` makes what is missing, ``status`` says how it stands,
+    ``merge`` averages.  Each may be ended at any time and given again.  Every file but ``books.jsonl`` has the
+    same bytes whoever works and however often it was interrupted.  In a folder with finished chunks another
+    recipe, another scene or fewer runs are refused.
 
     Parameters
     ----------
     action : {"plan", "run", "status", "merge"}
         What to do.
     runs : sequence of path
-        Flow runs: of ``plan``, or of ``run``, which then plans first.
+        Flow runs: of ``plan``, and of the first ``run``.
     out : path
         Folder of the campaign, see `daq.analysis.campaign.campaign_folder`; all workers see it by this name.
     scenes : sequence of path, optional
@@ -82,15 +86,15 @@ def campaign(
 
     Returns
     -------
-    list of RunStatus, or CampaignMean
-        How each run stands; of ``merge`` the statistics.
+    list of Forecast, list of RunStatus, or CampaignMean
+        Of ``plan`` what each run asks for, of ``merge`` the statistics, else how each run stands.
 
     Raises
     ------
     Unfinished
         Of ``run``, ``status`` and ``merge``: chunks are missing.
     SeriesError, RunUsageError
-        What was asked contradicts itself, or a file of the campaign is damaged.
+        What was asked contradicts itself or would lose finished chunks, or a file of the campaign is damaged.
     PairError, ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
         As for `evaluate`.
     DiskError
@@ -101,16 +105,34 @@ def campaign(
     folder, screen = CampaignFolder(Path(out)), console()
     asked = (*scenes, chunk, target_clear, dewarp_order, dt_us, sigma_limit_px, *options.values())
     if runs and action not in ("plan", "run"):
-        raise RunUsageError(f"{action} takes no runs; they stand in the plan of {folder.path}")
+        raise RunUsageError(f"{action} takes no runs; {folder.path} knows its own")
     if not runs and any(value is not None for value in asked):
-        raise RunUsageError("scenes and settings belong to a plan; name the runs as well")
+        raise RunUsageError("scenes and settings belong to runs; name the runs as well")
     if not runs and action == "plan":
         raise RunUsageError("name the runs that are to be planned")
     if runs:
-        require_folder(folder.path)
-        with SeriesFolder(folder.path).alone():
-            more = (path_of(target_clear), dewarp_order, dt_us, sigma_limit_px)
-            _plan(folder, paths_of(runs), paths_of(scenes), options, chunk, *more)
+        if target_clear is None and dewarp_order is not None:
+            raise PairError("--dewarp-order is that of --target-clear; give both, or none")
+        ask = partial(
+            ask_for,
+            runs=paths_of(runs),
+            scenes=paths_of(scenes),
+            choice=piv_choice(**options),
+            chunk_pairs=chunk or CHUNK_PAIRS,
+            target_clear=path_of(target_clear),
+            dewarp_order=dewarp_order or 2,
+            dt_us=dt_us,
+            sigma_limit_px=sigma_limit_px,
+            used=folder,
+        )
+        if action == "run":
+            require_folder(folder.path)
+        with trial(folder, ask, thread_count()) as (tried, found):
+            show_forecasts(screen, found)
+            if action == "plan":
+                return found
+            with SeriesFolder(folder.path).alone():
+                adopt(tried, folder)
     if action == "merge":
         merged = merge_campaign(folder)
         _show_merged(folder, merged)
@@ -119,18 +141,15 @@ def campaign(
         books = run_campaign(
             folder, _engine(folder, workers, scheduler, slurm, slurm_options, slurm_here), patience_s
         )
-        screen.print(f"{books.made} chunks made, {books.kept} were there")
+        were = "was" if books.kept == 1 else "were"
+        screen.print(f"{counted(books.made, 'chunk')} made, {books.kept} {were} there")
         if books.stopped:
             screen.print(f"ended early: {books.stopped}", style="bold red")
     states = campaign_status(folder)
-    if action == "plan":
-        return states
     show_campaign(screen, states)
     missing = sum(state.chunks - state.done for state in states)
     if missing:
-        raise Unfinished(
-            f"{folder.path}: {missing} chunks are missing; rtpiv campaign run -o {folder.path} goes on"
-        )
+        raise Unfinished(f"{folder.path}: {said_missing(missing)}; rtpiv campaign run -o {folder.path} goes on")
     if action == "run":
         screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
     return states
@@ -162,28 +181,6 @@ def _option(text: str) -> tuple[str, str | int]:
     if not sign or not name.isidentifier():
         raise RunUsageError(f"--slurm-set takes name=value, such as slurm_partition=long, not {text!r}")
     return name, int(value) if value.isdecimal() else value
-
-
-def _plan(
-    folder: CampaignFolder,
-    runs: list[Path],
-    scenes: list[Path],
-    options: PivOptions,
-    chunk: int | None,
-    target_clear: Path | None,
-    dewarp_order: int | None,
-    dt_us: float | None,
-    sigma_limit_px: float | None,
-) -> None:
-    """Write down what is asked, and say what it costs."""
-    choice = piv_choice(**options)
-    if target_clear is None and dewarp_order is not None:
-        raise PairError("--dewarp-order is that of --target-clear; give both, or none")
-    ask_for(
-        folder, runs, scenes, choice, chunk or CHUNK_PAIRS, target_clear, dewarp_order or 2, dt_us, sigma_limit_px
-    )
-    screen = console()
-    show_forecasts(screen, forecasts(folder, thread_count()))
 
 
 def _show_merged(folder: CampaignFolder, merged: CampaignMean) -> None:

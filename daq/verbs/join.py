@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from daq.analysis.series.series_mean import FILE
+from daq.analysis.series.series_folder import MEAN
 from daq.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
 from daq.terminal import console
 from daq.verbs.output import require_folder
@@ -42,5 +42,5 @@ def join(beside: Named, behind: Named, out: Named = "joined") -> JoinedMean:
             "that is more than chance: another flow, or a part that is too blurred to be measured in one of them"
         )
         screen.print(text, style="bold red")
-    screen.print(f"wrote {out / FILE}")
+    screen.print(f"wrote {out / MEAN}")
     return joined

@@ -8,6 +8,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from daq.printable import counted
+
 if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
     from daq.analysis.calibration import Calibration
     from daq.analysis.campaign.campaign_plan import Forecast
@@ -84,6 +86,11 @@ def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
         counts = (each.pairs, each.chunks, each.done)
         table.add_row(each.name, *[str(n) for n in counts], *[f"{cost:.2f}" for cost in costs])
     screen.print(table)
+    for each in forecasts:
+        if each.again:
+            again = f"{counted(each.again, 'finished chunk')} {'is' if each.again == 1 else 'are'} made again"
+            text = f"{each.name}: {again}, as frames have changed or the run has more pairs than before"
+            screen.print(text, style="bold red")
 
 
 def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:

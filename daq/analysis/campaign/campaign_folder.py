@@ -1,6 +1,6 @@
 """The folder of a campaign: what was asked, the series of each run, who is at work, and what became of it.
 
-campaign.json    what was asked, by `plan`: runs and how their pairs are evaluated
+campaign.json    what was asked, by `run`: its runs and how their pairs are evaluated
 runs/NAME/       the series of each run, as `rtpiv evaluate` makes it (`daq.analysis.series.series_folder`)
 leases/          who works on which chunk (`lease`)
 books.jsonl      what was done when, by whom, in how many seconds (`books`): not the same
@@ -9,8 +9,8 @@ kernels.zip      compiled code for workers elsewhere (`kernels_at_hand`); of thi
 slurm/           scripts, logs, tasks and answers of Slurm jobs
 index.csv        every chunk with its key and hash, and campaign.nc, the statistics of all runs, by `merge`
 
-Runs are named by where they lie, so a campaign whose runs have been moved is planned again; keys of chunks know
-no place, so what was done is kept.
+Runs are named by where they lie; once they have been moved, `run` is given them again: keys of chunks know no
+place, so what was done is kept.  Finished chunks are never replaced by those of another recipe (`campaign_trial`).
 """
 
 from dataclasses import dataclass
@@ -89,12 +89,12 @@ class CampaignFolder:
         try:
             return _CAMPAIGN.validate_json(read_plain(file, MOST_BYTES))
         except FileNotFoundError:
-            raise RunUnsuitable(f"{self.path}: holds no campaign; begin with: rtpiv campaign plan RUNS") from None
+            raise RunUnsuitable(f"{self.path}: holds no campaign; begin with: rtpiv campaign run RUNS") from None
         except OSError as error:
-            raise SeriesError(f"{file}: cannot be read ({error.strerror}); plan the campaign again") from None
+            raise SeriesError(f"{file}: cannot be read ({error.strerror}); name its runs again") from None
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]["msg"]
-            raise SeriesError(f"{file}: is damaged ({problem}); plan the campaign again") from None
+            raise SeriesError(f"{file}: is damaged ({problem}); name its runs again") from None
 
     def series(self, name: str) -> SeriesFolder:
         """Folder of the series of a run."""

@@ -22,14 +22,15 @@ from daq.analysis.campaign.books import read_books
 from daq.analysis.campaign.campaign_folder import FILE, LAYOUT, CampaignFile, CampaignFolder, HowAsked, choice_of
 from daq.analysis.piv_file import PivChoice
 from daq.analysis.series.light_file import light_of
-from daq.analysis.series.marker import marker_of
 from daq.analysis.series.run_series import about_series
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_input import SCENE_FILE, SeriesInput, keep_scene, series_input
 from daq.analysis.series.series_plan import ChunkJob, jobs_of
+from daq.analysis.series.source_pairs import FILE as CHECKSUMS
 from daq.analysis.series.workers import worker_processes
 from daq.errors import DiskError, RunUnsuitable
-from daq.whole_text import why, write_json
+from daq.printable import counted
+from daq.whole_text import copy_whole, why, write_json
 from tracer.scene_file import load_scene
 
 S_PER_MPX = 0.5  # of one core for a pair, before this campaign has shown its own: 2 s at 4 million pixels
@@ -69,6 +70,8 @@ class Forecast:
         In all.
     done : int
         Chunks that are there, by their markers.
+    again : int
+        Finished chunks among the others, whose frames have changed or whose run has grown.
     left_s : float
         Time of one core for the others.
     read_bytes, write_bytes : float
@@ -79,6 +82,7 @@ class Forecast:
     pairs: int
     chunks: int
     done: int
+    again: int
     left_s: float
     read_bytes: float
     write_bytes: float
@@ -94,6 +98,7 @@ def ask_for(
     dewarp_order: int = 2,
     dt_us: float | None = None,
     sigma_limit_px: float | None = None,
+    used: CampaignFolder | None = None,
 ) -> None:
     """Write campaign.json, and beside each run's series the scene that it is seen through.
 
@@ -111,6 +116,8 @@ def ask_for(
         Pairs a chunk, a power of two.
     target_clear, dewarp_order, dt_us, sigma_limit_px
         As for the verb `evaluate`.
+    used : CampaignFolder, optional
+        Whose checksums of foreign frames are taken over where files have not changed since.
 
     Raises
     ------
@@ -136,6 +143,8 @@ def ask_for(
         except OSError as error:
             raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
         keep_scene(scenes[place if len(scenes) > 1 else 0] if scenes else scene_file(run, out), out)
+        if used is not None and (known := used.series(name).path / CHECKSUMS).is_file():
+            copy_whole(known, out / CHECKSUMS)
     how: HowAsked = {
         "settings": {n: list(v) if isinstance(v, tuple) else v for n, v in asdict(choice.settings).items()},
         "prepare": None if choice.preparation is None else list(choice.preparation.steps),
@@ -154,7 +163,7 @@ def ask_for(
 
 
 def planned_runs(folder: CampaignFolder) -> Iterator[PlannedRun]:
-    """Plan one run after the other, and write down what each consists of.
+    """Plan one run after the other, and write down what each consists of, unless that would lose finished chunks.
 
     All are evaluated on the grid of the first one: cameras of two fits differ a little, and means of vectors need
     one place.
@@ -163,6 +172,8 @@ def planned_runs(folder: CampaignFolder) -> Iterator[PlannedRun]:
     ------
     PairError, RunUnsuitable, RunDamaged, ConfigError, FrameError, BoardError, TargetNotFound, DewarpError
         As `daq.analysis.series.series_input.series_input`.
+    SeriesError
+        The folder holds finished chunks of another recipe.
     DiskError
         The folder cannot be written to.
     """
@@ -170,14 +181,20 @@ def planned_runs(folder: CampaignFolder) -> Iterator[PlannedRun]:
         yield _planned(folder, place)
 
 
-def forecasts(folder: CampaignFolder, processes: int) -> list[Forecast]:
-    """Plan all runs as `planned_runs` does, long journals on several cores, and say what each asks for."""
+def forecasts(folder: CampaignFolder, processes: int, used: CampaignFolder | None = None) -> list[Forecast]:
+    """Plan all runs as `planned_runs` does, long journals on several cores, and say what each asks for.
+
+    What is finished is looked for in `used`, or in `folder` itself.
+    """
+    used = used or folder
     runs = folder.about["runs"]
     places, found = range(len(runs)), dict[int, Forecast | None]()
     if processes > 1 and sum(_journal_bytes(Path(run["path"])) for run in runs) > LONG_BYTES:
         with worker_processes(min(processes, len(runs))) as pool:
-            found = dict(zip(places, pool.map(_forecast_of, [folder] * len(runs), places), strict=True))
-    return [found.get(place) or forecast(folder, _planned(folder, place)) for place in places]
+            found = dict(
+                zip(places, pool.map(_forecast_of, [folder] * len(runs), places, [used] * len(runs)), strict=True)
+            )
+    return [found.get(place) or forecast(used, _planned(folder, place)) for place in places]
 
 
 def _journal_bytes(run: Path) -> int:
@@ -187,10 +204,10 @@ def _journal_bytes(run: Path) -> int:
         return 0
 
 
-def _forecast_of(folder: CampaignFolder, place: int) -> Forecast | None:
+def _forecast_of(folder: CampaignFolder, place: int, used: CampaignFolder) -> Forecast | None:
     """Forecast of one run, in a process of its own; what is wrong with it is said by the one who asked."""
     try:
-        return forecast(folder, _planned(folder, place))
+        return forecast(used, _planned(folder, place))
     except Exception:  # it is planned there again, and fails there with its own error
         return None
 
@@ -220,8 +237,19 @@ def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
     light = light_of(out, background, given.given.pairs, given.given.unseeded)
     jobs = jobs_of(out, given.given.pairs, given.method, light, about["chunk_pairs"])
     said = about_series(Path(asked["path"]).name, given.given, given.method, jobs, about["chunk_pairs"])
-    SeriesFolder(out).begin(said)
+    series = SeriesFolder(out)
+    if differences := series.unlike(said).differences:
+        raise SeriesError(would_be_lost(out, series.unlike(said).lost, differences))
+    series.begin(said)
     return PlannedRun(asked["name"], given, tuple(jobs))
+
+
+def would_be_lost(folder: Path, chunks: int, differences: Sequence[str]) -> str:
+    """What a person is told whose wish would replace finished chunks."""
+    return (
+        f"{folder}: {counted(chunks, 'finished chunk')} would be made anew: {'; '.join(differences)};"
+        " choose another folder with -o, or delete this one"
+    )
 
 
 def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
@@ -230,7 +258,9 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
     shape = (planned.given.method.grid or grid_of(scene.camera)).shape
     vectors = int(np.prod(window_grid(shape, settings.windows_px[-1], settings.overlap).shape))
     pixels = float(np.prod(scene.camera.shape))
-    left = [job for job in planned.jobs if marker_of(job.path, job.key) is None]
+    series = folder.series(planned.name).path  # not that of the jobs, if the plan is a trial
+    finished = SeriesFolder(series).finished()
+    left = [job for job in planned.jobs if finished.get(job.number) != job.key]
     pairs = sum(len(job.pairs) for job in left)
     reads = sum(len(job.pairs) + len(job.before) + len(job.after) for job in left)
     known = [line["seconds"] / line["pairs"] for line in read_books(folder.books) if line["what"] == "made"]
@@ -240,6 +270,7 @@ def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
         len(planned.given.given.pairs),
         len(planned.jobs),
         len(planned.jobs) - len(left),
+        sum(job.number in finished for job in left),
         each_s * pairs,
         2.0 * PIXEL_BYTES * pixels * reads,
         float(VECTOR_BYTES * vectors * pairs),

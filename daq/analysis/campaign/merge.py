@@ -31,6 +31,7 @@ from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.series_mean import mean_of_series
 from daq.analysis.series.series_plan import chunk_path
 from daq.errors import Unfinished
+from daq.printable import counted
 from daq.whole_text import write_text
 from ground.short_repr import short_repr
 
@@ -72,7 +73,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     states = campaign_status(folder)
     missing = sum(state.chunks - state.done for state in states)
     if missing:
-        raise Unfinished(f"{folder.path}: {missing} chunks are missing; give: rtpiv campaign run -o {folder.path}")
+        raise Unfinished(f"{folder.path}: {said_missing(missing)}; give: rtpiv campaign run -o {folder.path}")
     names = [state.name for state in states]
     means = [mean_of_series(folder.series(name).path) for name in names]
     write_index(folder)
@@ -82,6 +83,11 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     about["runs_apart_in_sigma"] = " ".join(f"{merged.apart[name]:.3f}" for name in names)
     write_mean(folder.path / STATISTICS, merged.mean, about)
     return merged
+
+
+def said_missing(chunks: int) -> str:
+    """How many chunks are missing, as a sentence says it."""
+    return f"{counted(chunks, 'chunk')} {'is' if chunks == 1 else 'are'} missing"
 
 
 def write_index(folder: CampaignFolder) -> None:

@@ -59,14 +59,14 @@ def write_marker(path: Path, key: str, content: bytes, pairs: int, failed: dict[
     return marker
 
 
-def marker_of(path: Path, key: str) -> Marker | None:
-    """Marker of a chunk's file that is of this key and as long as the file; its bytes are not read."""
+def marker_of(path: Path, key: str | None = None) -> Marker | None:
+    """Marker of a chunk's file that is of this key (or any) and as long as the file; its bytes are not read."""
     try:
         marker = _MARKER.validate_json(read_plain(marker_path(path), MARKER_BYTES))
         size = path.stat().st_size
     except (OSError, ValidationError):
         return None
-    return marker if marker.key == key and marker.size == size else None
+    return marker if key in (None, marker.key) and marker.size == size else None
 
 
 def sound_content(path: Path, key: str) -> tuple[Marker, bytes] | None:

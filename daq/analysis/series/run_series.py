@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from correction.background.preparation import SLIDING_MINIMUM
-from correction.errors import PairError
+from correction.errors import PairError, SeriesError
 from daq.analysis.series.chunk import correction_of, evaluate_chunk
 from daq.analysis.series.light_file import make_light
 from daq.analysis.series.marker import sound_content
@@ -19,7 +19,8 @@ from daq.analysis.series.series_folder import SeriesFile, SeriesFolder
 from daq.analysis.series.series_pairs import PairsOfSeries
 from daq.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method, jobs_of
 from daq.analysis.series.workers import carried_out, worker_processes
-from daq.terminal import progress
+from daq.printable import counted
+from daq.terminal import console, progress
 from ground.rows import thread_count
 
 
@@ -76,7 +77,7 @@ def run_series(
     Raises
     ------
     PairError, SeriesError
-        Too few pairs for the background, or none gave a vector.
+        Too few pairs for the background, or none gave a vector; or the folder holds chunks of another run.
     DiskError
         A file cannot be written; what is whole stays.
     RunUnsuitable
@@ -91,7 +92,9 @@ def run_series(
         shape = method.scene.camera.shape
         light = make_light(out, method.preparation.background, given.pairs, given.unseeded, shape)
         jobs = jobs_of(out, given.pairs, method, light, chunk)
-        folder.begin(about_series(name, given, method, jobs, chunk))
+        about = about_series(name, given, method, jobs, chunk)
+        _announce(folder, about)
+        folder.begin(about)
         missing = [job for job in jobs if sound_content(job.path, job.key) is None]
         if missing:
             correction_of(missing[0].maps, method)  # traced once, before any worker asks for it
@@ -106,6 +109,20 @@ def run_series(
         raise PairError(f"no pair gave a vector; the first: {next(iter(reasons.values()))}")
     kept = len(given.pairs) - sum(len(job.pairs) for job in missing)
     return SeriesBooks(folder, len(given.pairs), kept, reasons)
+
+
+def _announce(folder: SeriesFolder, about: SeriesFile) -> None:
+    """Say which finished chunks will be replaced and why; SeriesError if they are of another run."""
+    unlike = folder.unlike(about)
+    if not unlike.lost:
+        return
+    finished = counted(unlike.lost, "finished chunk")
+    if unlike.run not in (None, about["run"]):
+        raise SeriesError(
+            f"{folder.path}: holds {finished} of another run, {unlike.run}; choose another folder with -o"
+        )
+    why = "; ".join(unlike.differences) or "its frames, or the times between them, are others"
+    console().print(f"{folder.path}: {finished} will be made again: {why}", style="bold red")
 
 
 def _pair_by_pair(done: Iterator[ChunkJob]) -> Iterator[str]:

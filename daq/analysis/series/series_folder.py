@@ -8,6 +8,7 @@ background.npz   if one of the whole series was taken off
 mean.nc       statistics, by `rtpiv mean`
 """
 
+import json
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,7 +22,7 @@ from typing_extensions import TypedDict  # that of typing cannot be checked befo
 from correction.errors import SeriesError
 from daq.acquisition.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
 from daq.analysis.series.chunk_file import ChunkContent, read_chunk
-from daq.analysis.series.marker import Marker, sound_content
+from daq.analysis.series.marker import Marker, marker_of, sound_content
 from daq.analysis.series.series_plan import chunk_path
 from daq.errors import DiskError, RunUnsuitable
 from daq.whole_text import why, write_json
@@ -33,6 +34,7 @@ except ImportError:  # not on this system
     flock = None  # type: ignore[assignment]
 
 FILE = "series.json"
+MEAN = "mean.nc"
 _OURS = re.compile(r"(?P<number>[0-9]{5,9})\.(nc|json)(\.[0-9a-f]{32})?(?P<part>\.part)?")
 
 
@@ -53,6 +55,57 @@ class SeriesFile(TypedDict):
 
 
 _SERIES: TypeAdapter[SeriesFile] = TypeAdapter(SeriesFile)
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """Finished chunks that a series would replace, and why.
+
+    Parameters
+    ----------
+    lost, kept : int
+        Chunks whose key is not that of the series, and those whose key is.
+    run : str, optional
+        Whose they are, if any is lost.
+    differences : tuple of str
+        What of the recipe is another one; empty if only frames have changed, or pairs were added.
+    """
+
+    lost: int
+    kept: int
+    run: str | None = None
+    differences: tuple[str, ...] = ()
+
+
+def _differences(before: SeriesFile, now: SeriesFile) -> tuple[str, ...]:
+    """What differs between two recipes, in the words of options and files."""
+    sides = tuple(
+        {
+            "chunk_pairs": each["chunk_pairs"],
+            **each["content"].get("settings", {}),
+            "prepare": ",".join(each["content"].get("preparation", [])) or "none",
+            **each["content"].get("versions", {}),
+        }
+        for each in (before, now)
+    )
+    names = dict.fromkeys((*sides[0], *sides[1]))
+    found = [
+        f"{name} {_plain(sides[0].get(name))} there, {_plain(sides[1].get(name))} now"
+        for name in names
+        if _plain(sides[0].get(name)) != _plain(sides[1].get(name))
+    ]
+    views = [[each["content"].get("correction"), each["content"].get("grid")] for each in (before, now)]
+    if _plain(views[0]) != _plain(views[1]):
+        found.append("another scene, fit, bare target or limit of sigma")
+    if before["content"].get("layout") != now["content"].get("layout"):
+        found.append("another layout of its files")
+    return tuple(found)
+
+
+def _plain(value: object) -> str:
+    """Text of a value that may have been through JSON, where tuples are lists."""
+    text = json.dumps(value).strip('"')
+    return text.replace("[", "(").replace("]", ")") if isinstance(value, list | tuple) else text
 
 
 @dataclass(frozen=True)
@@ -85,11 +138,34 @@ class SeriesFolder:
             problem = error.errors(include_url=False)[0]["msg"]
             raise SeriesError(f"{file}: is damaged ({problem}); evaluate the run again") from None
 
-    def begin(self, about: SeriesFile) -> None:
-        """Write series.json; remove what a killed worker left and chunks that are no longer part of the series.
+    def finished(self) -> dict[int, str]:
+        """Keys of the finished chunks in the folder by their number, whatever series they belong to."""
+        found = {}
+        for file in sorted((self.path / "chunks").glob("*.nc")):
+            marker = marker_of(file) if file.stem.isdecimal() else None
+            if marker is not None:
+                found[int(file.stem)] = marker.key
+        return found
 
-        Nothing else in the folder is touched.
+    def unlike(self, about: SeriesFile) -> "Unlike":
+        """Compare the finished chunks of the folder with a series that is to be evaluated into it."""
+        wanted, finished = about["keys"], self.finished()
+        lost = {n for n, key in finished.items() if n >= len(wanted) or wanted[n] != key}
+        if not lost:
+            return Unlike(0, len(finished))
+        try:
+            before = self.about
+        except (RunUnsuitable, SeriesError):
+            return Unlike(len(lost), len(finished) - len(lost), None, (f"{FILE} is missing or damaged",))
+        return Unlike(len(lost), len(finished) - len(lost), before["run"], _differences(before, about))
+
+    def begin(self, about: SeriesFile) -> None:
+        """Write series.json; remove what a killed worker left and what is no longer part of the series.
+
+        That is chunks beyond its end, and the mean of chunks that will be made anew.  Nothing else is touched.
         """
+        if self.unlike(about).lost:
+            (self.path / MEAN).unlink(missing_ok=True)
         write_json(self.path / FILE, about)
         for file in (self.path / "chunks").glob("*"):
             ours = _OURS.fullmatch(file.name)

@@ -12,13 +12,11 @@ from daq.acquisition.runs.glass_place import with_glass_at
 from daq.analysis.series.map_sigma import with_map_sigma
 from daq.analysis.series.mean_file import write_mean
 from daq.analysis.series.mean_flow import MeanFlow, mean_flow
-from daq.analysis.series.series_folder import Chunks, SeriesFolder
+from daq.analysis.series.series_folder import MEAN, Chunks, SeriesFolder
 from daq.analysis.series.series_input import SCENE_FILE
 from daq.analysis.tasks import scene_sigma_beside
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
-
-FILE = "mean.nc"
 
 
 def mean_of_series(folder: Path) -> MeanFlow:
@@ -51,7 +49,7 @@ def mean_of_series(folder: Path) -> MeanFlow:
         prepared = prepare(through, maps=folder / "maps", grid=grid_of_series(folder))
         mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(standing_of(folder)))
     said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
-    write_mean(folder / FILE, mean, said)
+    write_mean(folder / MEAN, mean, said)
     return mean
 
 

@@ -26,8 +26,8 @@ from correction.prepared import prepare
 from daq.analysis.series.image_field import image_field
 from daq.analysis.series.mean_file import write_mean
 from daq.analysis.series.mean_flow import MeanFlow
-from daq.analysis.series.series_folder import SeriesFolder
-from daq.analysis.series.series_mean import FILE, grid_of_series, mean_of_series, scene_of, windows_of
+from daq.analysis.series.series_folder import MEAN, SeriesFolder
+from daq.analysis.series.series_mean import grid_of_series, mean_of_series, scene_of, windows_of
 from ground.short_repr import short_repr
 
 BESIDE, BEHIND = 1, 2  # values of `source`; 0 where there is no mean
@@ -89,7 +89,7 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     for name, folder in (("beside", beside), ("behind", behind)):
         about[f"{name}_run"] = SeriesFolder(folder).about["run"]
         about[f"{name}_scene_hash"] = scene_of(folder).content_hash()
-    write_mean(out / FILE, joined.mean, about, {"source": joined.source.astype(np.int32)})
+    write_mean(out / MEAN, joined.mean, about, {"source": joined.source.astype(np.int32)})
     return joined
 
 

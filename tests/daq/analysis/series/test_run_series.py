@@ -232,10 +232,14 @@ def test_what_is_damaged_is_made_anew(copy, folder, run, harm):
     assert content_of(out) == before
 
 
-def test_other_settings_are_never_mixed(copy, folder, run):
+def test_other_settings_are_never_mixed(copy, folder, run, capsys):
     """With chunks of two settings nothing can be averaged; given again, all are of the new ones."""
     out, before = copy
+    (out / "mean.nc").write_text("of the chunks that were there")
     assert again(out, folder, run, "minimum").kept == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "3 finished chunks will be made again: prepare sliding-minimum there, minimum now" in said
+    assert not (out / "mean.nc").exists()
     keys = {marker["key"] for marker in markers(out).values()}
     assert not keys & {
         json.loads(content)["key"]
@@ -247,6 +251,14 @@ def test_other_settings_are_never_mixed(copy, folder, run):
     with pytest.raises(SeriesError, match="made with other settings"):
         mean_flow(Chunks.of(out))
     assert again(out, folder, run, "minimum").kept == PAIRS - 4
+
+
+def test_vectors_of_another_run_are_not_replaced(copy, folder, tmp_path):
+    out, before = copy
+    other = flow_run(tmp_path, 2, shift=lambda n: (1.0, 0.0))
+    with pytest.raises(SeriesError, match="3 finished chunks of another run, flow; choose another folder with -o"):
+        run_series("other", out, given_of(other), method_of(folder, "sliding-minimum"), 1, 4)
+    assert content_of(out) == before
 
 
 def test_what_the_map_is_too_unsure_of_is_left_out_of_every_pair(copy, folder, run):
