@@ -67,8 +67,8 @@ class Scene:
     ambient : Medium
         What fills the room between the bodies, outside of windows and tubes.
     sheet : LightSheet, optional
-        Where particles are lit, if that is not the investigation plane.  No ray to the target depends on it, so
-        the content hash does not; see `in_light_sheet`.
+        Where particles are lit, as far as that was measured (`lit`).  No ray to the target depends on it, so the
+        content hash does not; see `in_light_sheet`.
     cut_mm : float
         How far bodies may reach through the plane: not through the target's, a little through a light sheet.
 
@@ -118,6 +118,11 @@ class Scene:
     def with_camera(self, camera: Camera) -> "Scene":
         """Return the same scene with another camera."""
         return replace(self, camera=camera)
+
+    @property
+    def lit(self) -> LightSheet:
+        """Where particles are lit: `sheet`, or z = 0 as unsure as a sheet that was set up by eye."""
+        return self.sheet or LightSheet()
 
     def in_light_sheet(self) -> "Scene":
         """Return the scene as particles are seen: moved so that the light sheet is z = 0; itself without a sheet.

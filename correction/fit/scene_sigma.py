@@ -10,7 +10,8 @@ Rows of `spread` at two pixels belong to the same draws.  Hence the sigma of the
 the length of the difference of their spreads: what both share, such as a camera that stands 0.1 mm beside its
 place, cancels.  The size of the target's squares is taken as exact.  What is not known of the target's light
 (`correction.fit.light`) is one more column of the root.  Particles lie in the light sheet: the same uncertainty as
-seen there (`in_light_sheet`), and that of the sheet's own place, which moves all of the field together.
+seen there (`in_light_sheet`), and that of the sheet's own place, which moves all of the field together; a sheet
+that the scene does not name is as unsure as one set up by eye (`Scene.lit`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -129,9 +130,7 @@ class SceneSigma(SceneBound):
 
     def in_light_sheet(self, scene: Scene) -> "SceneSigma":
         """Return the uncertainty of the scene as particles in its light sheet are seen (see `Scene`)."""
-        if scene.sheet is None:
-            return self
-        root, axes = self.root.copy(), scene.sheet.axes()
+        root, axes = self.root.copy(), scene.lit.axes()
         for at in self._vectors():
             root[at : at + 3] = axes @ root[at : at + 3]
         for at, name in enumerate(self.numbers):
@@ -139,7 +138,7 @@ class SceneSigma(SceneBound):
                 root[at : at + COUNT] = turning(axes) @ root[at : at + COUNT]
         seen = scene.in_light_sheet().content_hash()
         shapes = self.shapes.turned(axes)
-        return replace(self, scene_hash=seen, root=root, plane_root=scene.sheet.pose_root(), shapes=shapes)
+        return replace(self, scene_hash=seen, root=root, plane_root=scene.lit.pose_root(), shapes=shapes)
 
     def _vectors(self) -> list[int]:
         """Where three numbers in a row are the parts of one vector."""

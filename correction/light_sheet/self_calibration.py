@@ -82,7 +82,7 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
     SceneError
         The sheet runs through a body.
     """
-    known = scene.sheet or LightSheet()
+    known = scene.lit
     light, count = Light.of(pairs)
     if count < BLOCKS:
         raise SheetError(f"{count} pairs of frames do not tell where the sheet is; give {BLOCKS} or more, best 50")

@@ -148,7 +148,7 @@ def check_spheres(scene: Scene, pairs: Pairs) -> SelfCheck:
         for number, pair in enumerate(pairs())
         for pulse, frame in enumerate(pair)
     ]
-    return judged(finder.spheres, joined(found), count, scene.sheet or LightSheet())
+    return judged(finder.spheres, joined(found), count, scene.lit)
 
 
 class RunningCheck:
@@ -164,7 +164,7 @@ class RunningCheck:
 
     def __init__(self, scene: Scene, most_pairs: int = 50) -> None:
         self._finder = Finder(scene.in_light_sheet())
-        self._known = scene.sheet or LightSheet()
+        self._known = scene.lit
         self._seen: deque[SeenTwice] = deque(maxlen=most_pairs)
         self._mean: list[NDArray[np.float32]] = []
         self._count = 0

@@ -12,6 +12,7 @@ from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.pairs import FramePair, RunPairs, pairs_of
 from daq.acquisition.runs.run_views import is_run, scene_file
+from daq.acquisition.runs.shown_plane import shows_light_sheet, where_lit
 from daq.analysis.evaluation import Task
 from ground.errors import GroundError
 from tracer.errors import TracerError
@@ -78,14 +79,15 @@ def tasks_of(
     fitted = load_scene(scene)
     board = board_of([*paths, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
     dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
-    printed = any(pair.measured_mm is not None for pair in given.pairs)  # moved on the stage of the target
-    seen = fitted if printed else fitted.in_light_sheet()
+    frames = [path for pair in given.pairs for path in pair.frames] or paths
+    lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
+    seen = fitted.in_light_sheet() if lit else fitted
     tasks = [_task(pair, seen, out) for pair in given.pairs] or [_two_frames(paths, seen, out, shift_mm)]
-    if not printed and fitted.sheet is not None:
-        tasks = [replace(task, note=f"Measured in {fitted.sheet.summary}.") for task in tasks]
-    for path in [path for task in tasks for path in task.frames]:
+    if lit:
+        tasks = [replace(task, note=where_lit(fitted)) for task in tasks]
+    for path in frames:
         read_acquired(path, fitted.camera.shape)
-    sigma = scene_sigma_beside(scene, fitted, target_clear is not None, in_light_sheet=not printed)
+    sigma = scene_sigma_beside(scene, fitted, target_clear is not None, in_light_sheet=lit)
     return Tasks(tuple(tasks), dewarp, sigma, len(given.alone))
 
 

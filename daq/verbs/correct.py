@@ -23,7 +23,7 @@ from correction.resample.sample import Method
 from daq.acquisition.runs.bare_target import dewarp_of
 from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.read_ahead import ReadAhead
-from daq.acquisition.runs.shown_plane import shows_light_sheet
+from daq.acquisition.runs.shown_plane import shows_light_sheet, where_lit
 from daq.analysis.pictures.apart import drawing
 from daq.terminal import console, progress
 from daq.verbs.output import require_folder
@@ -174,6 +174,8 @@ def correct(
     if fitted.sheet is not None:
         plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
         screen.print(f"corrected for {plane}")
+    elif particles and limit is not None:
+        screen.print(where_lit(fitted))
     if pictures and shown is not None:
         _draw(out / "overview.png", loaded, board, *shown, corrector)
     screen.print(f"{len(frames)} frame(s){', mask and overview' if pictures else ' and mask'} are in {out}")

@@ -12,18 +12,20 @@ from correction.prepared import PreparedCorrection, PreparedCorrections
 from daq.acquisition.frames.source import is_source
 from daq.acquisition.runs.pairs import pairs_of
 from daq.acquisition.runs.run_views import is_run
+from daq.acquisition.runs.shown_plane import where_lit
 from daq.analysis.evaluation import Evaluation, Route, Task, evaluate_task
 from daq.analysis.pictures.apart import drawing
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.report.pair_folder import write_pair
 from daq.analysis.series.run_series import SeriesBooks, run_series
-from daq.analysis.series.series_input import SeriesInput, series_input
+from daq.analysis.series.series_input import SCENE_FILE, SeriesInput, series_input
 from daq.analysis.series.series_pairs import is_series
 from daq.analysis.tasks import Tasks, tasks_of
 from daq.terminal import console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
 from daq.verbs.show import show_evaluation, show_series
+from tracer.scene_file import load_scene
 
 
 def evaluate(
@@ -155,6 +157,7 @@ def _series(
     books = run_series(name, out, given.given, given.method, workers)
     screen = console()
     show_series(screen, books)
+    screen.print(where_lit(load_scene(out / SCENE_FILE)))
     if pictures:
         from daq.analysis.report.series import write_series_page
 
@@ -184,6 +187,8 @@ def _each(
         screen.print(f"{given.alone} frames lost their partner and are in no pair")
     if isinstance(given.sigma, str):
         screen.print(f"no uncertainty of the map: {given.sigma}")
+    for note in dict.fromkeys(task.note for task in given.tasks if task.note):
+        screen.print(note)
     corrections, found, failed = PreparedCorrections(), [], None
     for task in given.tasks:
         prepared = corrections.of(task.scene, given.dewarp, limit=limit if task.scene.bodies else None)

@@ -6,6 +6,7 @@ from typing import Unpack
 from correction.errors import PairError
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import is_run
+from daq.acquisition.runs.shown_plane import where_lit
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.series.ensemble_file import write_ensemble
 from daq.analysis.series.ensemble_series import ensemble_flow
@@ -13,7 +14,7 @@ from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.run_series import run_series
 from daq.analysis.series.series_folder import FILE
 from daq.analysis.series.series_input import series_input
-from daq.analysis.series.series_mean import mean_of_series
+from daq.analysis.series.series_mean import mean_of_series, standing_of
 from daq.errors import RunUnsuitable
 from daq.terminal import console
 from daq.verbs.output import require_folder
@@ -102,5 +103,6 @@ def mean(
     from daq.analysis.report.mean import write_mean_page
 
     write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
+    screen.print(where_lit(standing_of(folder)))
     show_mean(screen, found, folder / "mean.html")
     return found

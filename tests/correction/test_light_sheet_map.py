@@ -11,6 +11,7 @@ from correction.node_status import NodeStatus
 from correction.prepared import prepare
 from sim.flow.view import ParticleView
 from tests.correction.small_scenes import small_scene
+from tracer.bodies import shifted_by
 from tracer.errors import StaleMap
 from tracer.light_sheet import LightSheet
 from tracer.sensitivity import CAMERA, SPHERE
@@ -100,6 +101,29 @@ def test_the_scenes_own_sigma_turns_with_it(scene):
     known &= np.abs(spread).max(axis=1) > 1e-6
     assert known.sum() > 10
     np.testing.assert_allclose(spread[known], (after - before)[known], rtol=0.02, atol=1e-7)
+
+
+def test_a_sheet_that_the_scene_does_not_name_is_unsure_by_half_a_millimetre():
+    """Particles 0.25 mm off the target's plane, in a scene known exactly: half a sigma beside their places."""
+    scene = small_scene("two_spheres_500", 252)
+    scene = scene.with_bodies([body.moved(shifted_by((0.0, 0.0, 4.0))) for body in scene.bodies])
+    zero = np.zeros((len(CAMERA) + len(SPHERE) * len(scene.spheres), 1))
+    known = SceneSigma(scene.content_hash(), zero)
+    view = ParticleView(scene, (-0.6, 0.6), step_px=0.5)
+    x, y = np.random.default_rng(4).uniform(-18.0, 18.0, (2, 60))
+    share, told = [], []
+    for point in np.stack((x, y, np.full(60, 0.25)), axis=-1):
+        drawn = view.images(point[None], np.ones(1))[:, :2].astype(np.float64)
+        off = np.hypot(*(trace(scene, drawn).plane_mm - point[:2]).T)
+        claim = np.hypot(*known.in_light_sheet(scene).sigma(scene, drawn).T)
+        share += list(off / claim)
+        exact = replace(scene, sheet=LightSheet(sigma_mm=0.0, tilt_sigma_deg=0.0))
+        told += list(np.hypot(*known.in_light_sheet(exact).sigma(scene, drawn).T))
+    share = np.array(share)[np.isfinite(share)]
+    assert len(share) >= 60
+    assert 0.4 < np.median(share) < 0.52  # the tilt that nobody measured comes on top
+    assert np.mean(share < 1.0) > 0.95
+    assert np.nanmax(told) < 1e-9
 
 
 def test_what_lies_in_glass_is_masked():

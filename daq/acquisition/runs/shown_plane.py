@@ -6,6 +6,7 @@ from pathlib import Path
 from correction.errors import FrameError
 from daq.acquisition.runs.acquired import run_of
 from daq.acquisition.runs.run_file import PlannedStep
+from tracer.scene import Scene
 
 
 def shows_light_sheet(frames: Iterable[Path]) -> bool:
@@ -30,3 +31,14 @@ def shows_light_sheet(frames: Iterable[Path]) -> bool:
 def in_light_sheet(step: PlannedStep) -> bool:
     """Whether the frames of a step of a run do: those of a flow or a stream."""
     return "dt_us" in step or step.get("group", 1) > 1
+
+
+def where_lit(scene: Scene) -> str:
+    """Say in which plane particles were taken to lie, how unsure that is, and what makes it surer."""
+    if scene.sheet is not None:
+        return f"Particles were taken to lie in {scene.sheet.summary}; its sigma is in that of the vectors."
+    return (
+        "The scene file does not say where the light sheet is, so particles were taken to lie in"
+        f" {scene.lit.summary}; all of that is in the sigma of map and vectors. Find it with rtpiv sheet, or"
+        " measure it and write `sheet` into the scene file."
+    )

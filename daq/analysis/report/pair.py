@@ -4,6 +4,7 @@ import numpy as np
 
 from correction.evaluate.regions import Region
 from correction.evaluate.shift import shift_errors
+from daq.acquisition.runs.shown_plane import where_lit
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.pictures.before_after import BeforeAfter
 from daq.analysis.pictures.blur import CAPTION as BLUR_CAPTION
@@ -79,6 +80,8 @@ def pair_chapters(page: Page, evaluation: Evaluation) -> None:
     """Add the chapters of a pair."""
     if evaluation.field.doubt:
         page.warning(evaluation.field.doubt + ".")
+    if evaluation.task.note:
+        page.text(evaluation.task.note)
     slider_chapter(page, _seen(evaluation), "Frame A of the pair.")
     _vectors(page, evaluation)
     if evaluation.shift is not None:
@@ -111,14 +114,8 @@ def scene_chapter(page: Page, scene: Scene) -> None:
 
 def light_sheet_line(page: Page, scene: Scene) -> None:
     """Say where particles were taken to lie; `scene` still has its light sheet."""
-    if scene.sheet is not None:
-        page.text(f"Particles were taken to lie in {scene.sheet.summary}; its sigma is in that of the vectors.")
-    elif scene.bodies:
-        page.warning(
-            "The scene file does not say where the light sheet is, so it was taken to be the target's plane. No"
-            " sigma here holds what that costs: 0.1 mm between them shift particles behind glass by 0.1 to 0.4 px."
-            " Measure it, or find it with rtpiv sheet."
-        )
+    say = page.warning if scene.sheet is None and scene.bodies else page.text
+    say(where_lit(scene))
 
 
 def _vectors(page: Page, evaluation: Evaluation) -> None:

@@ -39,9 +39,9 @@ def pairs_chapter(page: Page, found: list[Evaluation]) -> None:
         rows.append((name, str(evaluation.field.counts["valid"]), behind, *cells))
     more = f"; {len(found) - SHOWN_PAIRS} more are in their folders" if len(found) > SHOWN_PAIRS else ""
     page.table(PAIRS_HEAD, rows, f"Total error: bias and scatter, rms{more}")
-    for evaluation in found:
-        if evaluation.task.note:
-            page.text(f"{evaluation.task.name}: {evaluation.task.note}")
+    for note in dict.fromkeys(evaluation.task.note for evaluation in found if evaluation.task.note):
+        about = ", ".join(evaluation.task.name for evaluation in found if evaluation.task.note == note)
+        page.text(f"{about}: {note}")
 
 
 def books_chapter(page: Page, folder: RunFolder) -> None:

@@ -7,15 +7,18 @@ import numpy as np
 import pytest
 
 from correction.errors import FrameError
+from correction.fit.scene_sigma import KIND
 from correction.frame_file import write_frame
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.shown_plane import shows_light_sheet
 from daq.analysis.tasks import tasks_of
 from daq.verbs.correct import correct
+from ground.map_file import save_arrays
 from tests.correction.small_scenes import small_scene
 from tests.daq.small_run import about_run, planned
 from tracer.light_sheet import LightSheet
 from tracer.scene_file import dump_scene
+from tracer.sensitivity import CAMERA, SPHERE
 
 
 @pytest.fixture(scope="module")
@@ -46,6 +49,28 @@ def test_two_frames_are_measured_in_the_sheet_and_say_so(lab, tmp_path):
     (task,) = tasks_of([folder / "a.tif", folder / "b.tif"], tmp_path, folder / "scene.yaml").tasks
     assert task.scene.content_hash() == scene.in_light_sheet().content_hash()
     assert "z = -0.250" in task.note
+
+
+@pytest.mark.parametrize(("shift_mm", "columns"), [(None, 3), ((0.5, 0.0), 0)])
+def test_a_sheet_without_a_word_is_unsure_where_particles_are_lit_by_it(lab, tmp_path, shift_mm, columns):
+    """Two frames of a flow; but what was moved by a known way is printed on the board."""
+    scene, folder = lab
+    silent = replace(scene, sheet=None)
+    (tmp_path / "scene.yaml").write_text(dump_scene(silent))
+    header = {
+        "names": [],
+        "scene_hash": silent.content_hash(),
+        "nominal_hash": silent.content_hash(),
+        "history": [],
+    }
+    root = np.zeros((len(CAMERA) + len(SPHERE) * len(scene.spheres), 1))
+    save_arrays(tmp_path / "fit.npz", KIND, header, {"scene_root": root})
+    frames = [folder / "a.tif", folder / "b.tif"]
+    given = tasks_of(frames, tmp_path, tmp_path / "scene.yaml", shift_mm=shift_mm)
+    assert given.sigma.plane_root.shape == (6, columns)
+    (task,) = given.tasks
+    assert ("rtpiv sheet" in task.note) == (shift_mm is None)
+    assert ("+- 0.5 mm" in task.note) == (shift_mm is None)
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,8 @@ from ground.map_file import save_arrays
 from tests.daq.analysis.series.small_series import SCENE, flow_run
 from tracer.scene_file import load_scene
 
+BY_EYE = "sheet: {sigma_mm: 0.5, tilt_sigma_deg: 0.5}\n"
+EXACT = "sheet: {sigma_mm: 0.0, tilt_sigma_deg: 0.0}\n"
 SHEET = "sheet: {z_mm: 5.0, sigma_mm: 1.0, tilt_sigma_deg: 0.0}\n"
 CAMERA_MM = 500.0
 
@@ -32,7 +34,7 @@ def mean_in(folder, run, sheet):
 
 def test_scale_and_sigma_are_those_of_the_sheet(tmp_path):
     run = flow_run(tmp_path, 4)
-    at_target, at_sheet = (mean_in(tmp_path / name, run, text) for name, text in (("one", ""), ("two", SHEET)))
+    at_target, at_sheet = (mean_in(tmp_path / name, run, text) for name, text in (("one", EXACT), ("two", SHEET)))
     ratio = np.nanmedian(at_sheet.mean_m_s[..., 0]) / np.nanmedian(at_target.mean_m_s[..., 0])
     assert ratio == pytest.approx(1.0 - 5.0 / CAMERA_MM, abs=1e-3)
     assert np.nanmax(at_target.map_sigma_m_s) < 1e-9
@@ -41,3 +43,11 @@ def test_scale_and_sigma_are_those_of_the_sheet(tmp_path):
     assert np.nanmedian(share) == pytest.approx(1.0 / (CAMERA_MM - 5.0), rel=0.05)
     far_mm = np.nanmax(at_sheet.map_sigma_position_mm)
     assert 0.05 < far_mm < 0.2  # 50 mm beside the axis: 0.1 mm
+
+
+def test_a_sheet_that_the_scene_does_not_name_is_unsure_by_half_a_millimetre(tmp_path):
+    run = flow_run(tmp_path, 4)
+    silent, said = (mean_in(tmp_path / name, run, text) for name, text in (("none", ""), ("eye", BY_EYE)))
+    share = silent.map_sigma_m_s / np.abs(silent.mean_m_s)
+    assert np.nanmin(share) == pytest.approx(0.5 / CAMERA_MM, rel=0.2)  # the tilt comes on top beside the axis
+    np.testing.assert_array_equal(silent.map_sigma_m_s, said.map_sigma_m_s)
