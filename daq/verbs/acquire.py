@@ -19,6 +19,7 @@ from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.forecast import Forecast, forecast
 from daq.acquisition.plans.plan import Plan, load_plan, read_plan
 from daq.acquisition.plans.way_out import forecast_from_home
+from daq.acquisition.runner.light import Operator
 from daq.acquisition.runner.session import Request, begin, carry_out, check_disk
 from daq.acquisition.runner.watch import watch
 from daq.acquisition.runs.chunk_books import chunk_sentences
@@ -28,7 +29,7 @@ from daq.acquisition.runs.gaps import gap_sentence
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.terminal import console, error_console
-from daq.verbs.operator import operator_of
+from daq.verbs.operator import operator_of, require_person
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of
 from ground.errors import ConfigError
@@ -124,12 +125,14 @@ def acquire(
         check_views(loaded, steps.steps)
     if dry_run:
         return None
+    person = operator_of(operator, simulate)
+    require_person(person, steps.steps)
     require_folder(out).mkdir(parents=True, exist_ok=True)
     check_disk(out, said.raw_bytes + (said.corrected_bytes if correct else 0))
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
-    run_and_report(screen, request, loaded, steps, folder, home, operator=operator, live=live)
+    run_and_report(screen, request, loaded, steps, folder, home, person, live=live)
     return folder.path
 
 
@@ -153,14 +156,14 @@ def run_and_report(
     plan: Plan,
     folder: RunFolder,
     home: bool,
+    person: Operator,
     again: Collection[int] = (),
-    operator: str | None = None,
     live: bool = False,
+    is_new: bool = True,
 ) -> dict[str, Any]:
     """Do what is left of a run, say what came of it, or how to go on."""
     try:
         with watch(error_console()) as watcher, _shown(screen, request, bench, folder, live) as shown:
-            person = operator_of(operator, request.simulate)
             watchers = watcher if shown is None else shown.watching(watcher)
             show = None if shown is None else shown.show
             done = carry_out(
@@ -172,6 +175,10 @@ def run_and_report(
         error_console().print(said, soft_wrap=True, highlight=False)
         raise
     except BaseException:
+        if (
+            is_new and folder.remove_if_empty()
+        ):  # nothing came of it: the bench could not be opened, or an axis not be homed
+            raise
         homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
         said = f"the run is in {folder.path}; go on with: rtpiv resume {shlex.quote(str(folder.path))}{homing}"
         error_console().print(said, soft_wrap=True, highlight=False)

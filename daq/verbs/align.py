@@ -14,6 +14,7 @@ from daq.acquisition.runner.session import Request, begin, check_disk
 from daq.errors import PlanError
 from daq.terminal import console, error_console
 from daq.verbs.acquire import forecast_said, run_and_report
+from daq.verbs.operator import operator_of
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named
 from stages.identities import confusable
@@ -93,7 +94,7 @@ def _carried_out(screen: Console, request: Request, bench: Bench, out: Path, hom
     folder = begin(request, bench, plan, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {plan.table.shows}")
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
-    run_and_report(screen, request, bench, plan, folder, home)
+    run_and_report(screen, request, bench, plan, folder, home, operator_of(None, request.simulate))
     return folder.path
 
 

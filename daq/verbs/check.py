@@ -11,6 +11,7 @@ from daq.acquisition.bench.opened import check_simulation
 from daq.acquisition.plans.plan import load_plan, read_plan
 from daq.acquisition.plans.plan_table import px_per_mm
 from daq.acquisition.plans.way_out import forecast_from_home
+from daq.acquisition.runner.session import MAPS
 from daq.acquisition.runs.run_check import RunCheck, check_run
 from daq.acquisition.runs.run_folder import CAMERAS, RunFolder
 from daq.acquisition.runs.run_views import is_run
@@ -72,7 +73,11 @@ def check(paths: Sequence[Named] | Named, bench: Named | None = None) -> list[Fi
     empty = [path for path, files in folders.items() if not files]
     if empty and not runs:
         raise RunUsageError(f"{empty[0]}: is neither a run nor a folder with .yaml files; name what to check")
+    caches = [path for path in empty if path.name == MAPS]
+    for path in caches:  # beside runs, as `runs/*` names it
+        console().print(f"{path}  correction maps that runs share; they are made again when one is missing")
     runs = [path for path in given if path in runs or path in empty]  # among runs one that is none is a finding
+    runs = [path for path in runs if path not in caches]
     files = [file for path in given if path not in runs for file in folders.get(path, [path])]
     checks: list[FileCheck | RunCheck] = []
     wrong: Exception | None = None

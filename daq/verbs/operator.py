@@ -7,7 +7,9 @@ who reads the word and types it, at the bench, once a run.
 
 import math
 import sys
+from collections.abc import Sequence
 
+from daq.acquisition.plans.steps import Step
 from daq.acquisition.runner.light import NoOperator, Operator
 from daq.errors import RunUsageError
 from daq.terminal import error_console
@@ -89,6 +91,12 @@ def operator_of(name: str | None, simulate: bool) -> Operator:
     if name is not None:
         return ScriptOperator()
     return TerminalOperator() if sys.stdin is not None and sys.stdin.isatty() else NoOperator()
+
+
+def require_person(person: Operator, steps: Sequence[Step]) -> None:
+    """Refuse steps that need light if nobody can arm the laser; RunUsageError before anything moves."""
+    if isinstance(person, NoOperator) and any(step.pulses is not None for step in steps):
+        person.word("")
 
 
 def _typed() -> str:

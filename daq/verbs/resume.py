@@ -4,8 +4,10 @@ from pathlib import Path
 
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.runner.session import reopen
+from daq.acquisition.runs.run_folder import remaining
 from daq.terminal import console, progress_if_long
 from daq.verbs.acquire import run_and_report
+from daq.verbs.operator import operator_of, require_person
 from daq.verbs.paths import Named
 
 
@@ -48,5 +50,8 @@ def resume(
     require_libraries(found.bench.table.camera.backend)
     if found.again:
         screen.print(f"taken again for missing or damaged frames: {len(found.again)} steps")
-    run_and_report(screen, found.request, found.bench, found.plan, found.folder, home, found.again, operator, live)
+    person = operator_of(operator, found.request.simulate)
+    require_person(person, remaining(found.plan.steps, found.folder.entries(), found.again))
+    request, plan = found.request, found.plan
+    run_and_report(screen, request, found.bench, plan, found.folder, home, person, found.again, live, is_new=False)
     return run

@@ -64,7 +64,8 @@ def test_what_is_not_there_is_a_device_error(tmp_path, capsys):
     assert main([*arguments, "-o", str(tmp_path / "runs"), "--no-correct"]) == DEVICE
     said = capsys.readouterr().err
     assert "/dev/ttyUSB0" in said
-    assert "rtpiv resume" in said
+    assert "rtpiv resume" not in said  # there is nothing to go on with
+    assert not list((tmp_path / "runs").iterdir())
     assert main(["resume", str(tmp_path / "nowhere")]) == USAGE
     assert "is no run folder" in capsys.readouterr().err
 

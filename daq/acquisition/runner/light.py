@@ -56,7 +56,9 @@ class NoOperator:
         RunUsageError
             Always.
         """
-        raise RunUsageError("nobody can type the word that arms the laser; use a terminal, or --operator")
+        raise RunUsageError(
+            "nobody can type the word that arms the laser; use a terminal, or --operator NAME for a simulated one"
+        )
 
     def open_seeding(self) -> None:
         """Go on."""

@@ -20,6 +20,7 @@ from daq.acquisition.runs.run_hash import run_hash
 from daq.acquisition.runs.session_books import doubts, total_ledger
 from daq.acquisition.runs.unclaimed import NAMED, unclaimed
 from daq.errors import DaqError, RunDamaged
+from daq.printable import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,7 @@ def check_run(path: Path, track: Track = untracked) -> RunCheck:
         _unknown(folder, about, entries),
         _books(entries, len(present)),
         *_clock(entries),
-        *_end(folder, about, entries),
+        *_end(folder, about, entries, len(faults)),
     ]
     return RunCheck(path, folder.is_done, len(present), tuple(faults), tuple(findings))
 
@@ -150,7 +151,7 @@ def _books(entries: list[Entry], frames: int) -> Finding:
     return Finding("books", True, total.sentence())
 
 
-def _end(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Iterator[Finding]:
+def _end(folder: RunFolder, about: RunFile, entries: list[Entry], faults: int) -> Iterator[Finding]:
     """What only a finished run has."""
     if not folder.is_done:
         return
@@ -160,14 +161,14 @@ def _end(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Iterator[Fi
     except RunDamaged as error:
         yield Finding("done.json", False, str(error))
     if done is not None:
-        yield _done(folder, about, entries, done)
+        yield _done(folder, about, entries, done, faults)
     if any(step["reference"] is not None for step in about["steps"]):
         yield _displacements(folder)
     if about["request"]["correct"]:
         yield _corrected(folder, about, entries)
 
 
-def _done(folder: RunFolder, about: RunFile, entries: list[Entry], done: DoneFile) -> Finding:
+def _done(folder: RunFolder, about: RunFile, entries: list[Entry], done: DoneFile, faults: int) -> Finding:
     present = frame_entries(entries)
     total, _ = total_ledger(entries)
     if done["frames"] != len(present) or done["conservation"] != total.to_dict():
@@ -181,6 +182,11 @@ def _done(folder: RunFolder, about: RunFile, entries: list[Entry], done: DoneFil
         return Finding("hash", False, str(error))
     if now != done["sha256"]:
         return Finding("hash", False, f"is {now[:16]}..., and was {done['sha256'][:16]}... when the run ended")
+    if faults:  # the hash is that of the checksums in the journal
+        said = (
+            f"that of the records agrees, but {counted(faults, 'frame')} {'is' if faults == 1 else 'are'} not what"
+        )
+        return Finding("hash", False, f"{said} it was made from")
     return Finding("hash", True, now)
 
 

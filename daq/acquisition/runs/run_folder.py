@@ -15,6 +15,7 @@ Layout and reasons: docs/adr/0007-run-folder.md.
 """
 
 import platform
+import shutil
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -88,6 +89,14 @@ class RunFolder:
         write_record(path / FILE, {"layout": LAYOUT, **about})
         sync_folder(parent)
         return cls(path)
+
+    def remove_if_empty(self) -> bool:
+        """Remove a run that was begun and has neither a line in its journal nor a frame; return whether it was."""
+        has_lines = self.journal_path.is_file() and self.journal_path.stat().st_size > 0
+        if has_lines or any((self.path / "frames").iterdir()):
+            return False
+        shutil.rmtree(self.path)
+        return True
 
     def create_camera(self, name: str, about: Mapping[str, Any]) -> "RunFolder":
         """Make the folder of a further camera of this run; DiskError if that cannot be."""

@@ -67,10 +67,15 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     Raises
     ------
     SeriesError
-        One has no glass, they lie on different grids, or one of them is damaged.
+        Both are one series, one has no glass, they lie on different grids, or one of them is damaged.
     RunUnsuitable, ConfigError, DiskError
         As `mean_of_series`.
     """
+    if SeriesFolder(beside).about["keys"] == SeriesFolder(behind).about["keys"]:
+        raise SeriesError(
+            f"{beside} and {behind} are the same vectors; give the run that was focused on the plane and the"
+            " one focused behind the glass"
+        )
     for folder in (beside, behind):
         if not SeriesFolder(folder).about["glass"]:
             raise SeriesError(f"{folder}: was seen without glass; both runs have to look through it")

@@ -5,8 +5,10 @@ import io
 import pytest
 
 from daq.acquisition.runner.light import NoOperator
+from daq.cli import USAGE, main
 from daq.errors import RunUsageError
 from daq.verbs.operator import ScriptOperator, TerminalOperator, operator_of
+from tests.daq.flow_bench import write_flow
 
 
 class Terminal(io.StringIO):
@@ -43,6 +45,21 @@ def test_a_script_answers_for_a_simulated_laser_only():
     assert isinstance(operator_of("me", simulate=True), ScriptOperator)
     with pytest.raises(RunUsageError, match="simulated laser only"):
         operator_of("me", simulate=False)
+
+
+def test_a_flow_run_that_nobody_can_arm_is_refused_before_anything_moves(tmp_path, monkeypatch, capsys):
+    """Not after ten minutes of homing, and no folder is left."""
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    bench, plan = write_flow(tmp_path)
+    words = ("acquire", str(plan), "--bench", str(bench), "--simulate", "--home", "-o", str(tmp_path / "runs"))
+    assert main([*words, "--no-correct"]) == USAGE
+    said = capsys.readouterr()
+    assert "nobody can type the word that arms the laser; use a terminal, or --operator NAME" in said.err
+    assert "homing" not in said.err
+    assert not (tmp_path / "runs").exists()
+    assert main([*words[:4], "--operator", "me", *words[5:]]) == USAGE  # a real laser
+    assert "simulated laser only" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_person_reads_where_a_stage_stands(monkeypatch, capsys):

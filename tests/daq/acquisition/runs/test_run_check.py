@@ -70,7 +70,7 @@ def other_done(folder, **more):
 
 
 DAMAGES = {
-    "frames": lambda run: run.frame_path(2).unlink(),
+    "frames, hash": lambda run: run.frame_path(2).unlink(),
     "other files": lambda run: shutil.copy(run.frame_path(2), run.frame_path(99)),
     "run.json": lambda run: (run.path / "run.json").write_text((run.path / "run.json").read_text()[:-40]),
     "journal": lambda run: change_digit(run.journal_path),
@@ -100,6 +100,28 @@ def test_every_run_is_looked_at_before_the_verdict(done_run, whole_run, tmp_path
     assert "all 8 are what was written" in shown.out
     assert "isnorunfolder" in re.sub(r"[\s│]", "", shown.out)  # a table breaks a long path anywhere
     assert str(whole_run.path) not in shown.err
+
+
+def test_a_hash_of_frames_that_are_damaged_is_not_ok(done_run):
+    """It is made of the journal's checksums, which say what the frames were."""
+    path = done_run.frame_path(2)
+    data = bytearray(path.read_bytes())
+    data[-3] ^= 1
+    path.write_bytes(data)
+    found = check_run(done_run.path)
+    assert parts(found) == {"frames", "hash"}
+    assert "1 frame is not what it was made from" in said(found, "hash")
+
+
+def test_the_cache_of_maps_beside_runs_is_no_broken_run(whole_run, tmp_path, capsys):
+    """`rtpiv check runs/*` names it as well."""
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "map_0123.npz").write_bytes(b"")
+    assert main(["check", str(whole_run.path), str(tmp_path / "maps")]) == DONE
+    assert "correction maps" in capsys.readouterr().out
+    assert (
+        main(["check", str(whole_run.path), str(tmp_path)]) == DEVICE
+    )  # any other folder among runs is asked for
 
 
 def test_what_a_file_says_about_its_frame_is_compared_too(done_run):

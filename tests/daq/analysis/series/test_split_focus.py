@@ -1,6 +1,7 @@
 """Two means become one by where a vector is seen; its origin is told."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from correction.flow.effective_samples import EffectiveSamples
 from correction.flow.moments import Moments
 from daq.analysis.series.mean_flow import MeanFlow
 from daq.analysis.series.split_focus import BEHIND, BESIDE, joined_mean
-from daq.cli import DONE, main
+from daq.cli import DONE, USAGE, main
 from tests.daq.analysis.series.small_series import flow_run
 
 SHAPE = (3, 4)
@@ -75,15 +76,21 @@ def test_other_grids_are_refused():
 
 
 def test_the_verb_writes_one_mean_with_its_sources(tmp_path, capsys):
-    run = flow_run(tmp_path / "flow", 4)
     windows = ("--first-window", "32", "--final-window", "16", "--workers", "1")
-    assert main(["mean", str(run), *windows]) == DONE
-    series, out = run / "series", tmp_path / "joined"
-    assert main(["join", str(series), str(series), "-o", str(out)]) == DONE
-    assert "differ by 0.00 sigma" in capsys.readouterr().out
+    runs = [flow_run(tmp_path / name, pairs) for name, pairs in (("one", 4), ("two", 5))]
+    for run in runs:
+        assert main(["mean", str(run), *windows]) == DONE
+    series, out = [str(run / "series") for run in runs], tmp_path / "joined"
+    capsys.readouterr()
+    shutil.copytree(series[0], tmp_path / "copy")
+    for twice in (series[0], str(tmp_path / "copy")):
+        assert main(["join", series[0], twice, "-o", str(out)]) == USAGE
+        assert "are the same vectors" in capsys.readouterr().err
+    assert not out.exists()
+    assert main(["join", *series, "-o", str(out)]) == DONE
+    assert "where both have a mean they differ by" in capsys.readouterr().out
     with netcdf_file(out / "mean.nc", mmap=False) as file:
         source, n = (np.array(file.variables[name][0]) for name in ("source", "n"))
-        assert file.beside_run == file.behind_run
         assert json.loads(file.left_out) == {}
     assert set(np.unique(source)) <= {0, BESIDE, BEHIND}
     np.testing.assert_array_equal(source > 0, n > 1)
