@@ -215,8 +215,8 @@ def watch(parent: int) -> None:
         thread.join()
 
 
-def stop(about: Word) -> None:
-    """Write the stop bytes of one controller, again and again for a while.
+def stop(about: Word) -> bool:
+    """Write the stop bytes of one controller, again and again for a while; return whether they went out.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def stop(about: Word) -> None:
     said, port = 0, None
     while said < len(AGAIN_S) and time.monotonic() < end_s:
         if _file_of(about["url"]) != about["file"]:
-            return  # unplugged; what has this name now is another box
+            return said > 0  # unplugged; what has this name now is another box
         try:
             port = _opened(about) if port is None else port
             for data in about["stop"]:
@@ -240,6 +240,7 @@ def stop(about: Word) -> None:
     if port is not None:
         with contextlib.suppress(Exception):
             port.close()
+    return said > 0
 
 
 def _file_of(url: str) -> list[int] | None:

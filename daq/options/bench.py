@@ -60,15 +60,16 @@ def bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     _bench_options(stage)
 
     laser = verbs.add_parser(
-        "laser", help="switch a laser off from anywhere, look at it, or align with weak pulses"
+        "laser", help="switch lasers off from anywhere, look at one, or align with weak pulses"
     )
     laser.add_argument(
         "action", nargs="?", choices=("off", "state", "align"), default="state", help="default: state"
     )
-    laser.add_argument("--name", help="which device of kind timing, if the bench has several")
+    laser.add_argument("--name", help="which device of kind timing, if there are several (off: all)")
     laser.add_argument("--rate-hz", type=positive, default=5.0, help="of align (default 5)")
     laser.add_argument("--for-s", type=positive, default=5.0, help="of align (default 5)")
-    _bench_options(laser)
+    laser.add_argument("--bench", type=Path, help="bench file (default: any here, or above, that names a laser)")
+    laser.add_argument("--simulate", action="store_true", help="its simulation in place of the hardware")
 
     camera = verbs.add_parser("camera", help="list cameras, or take a frame")
     camera.add_argument("action", choices=("list", "snap", "test"))

@@ -36,7 +36,9 @@ devices:
     clear_mm: 3.5                  # glass and target stand at least so far off the sheet
     channels: {lamp_1: A, q_switch_1: B, lamp_2: C, q_switch_2: D, camera: E, marker: F}
     head: {max_rate_hz: 15.0, lamp_to_q_switch_us: [180.0, 185.0], q_switch_to_light_us: [0.1, 0.1],
-           warmup_s: 20.0}"""
+           warmup_s: 20.0}
+    # rtpiv laser align: weak because the Q-switch opens so late; how weak, measure with a power meter
+    align: {max_rate_hz: 10.0, max_s: 10.0, q_switch_delay_us: 300.0}"""
 FLOW = """\
   flow: {field: jet}               # or uniform, shear, vortex, channel, turbulent_channel
 """

@@ -221,12 +221,8 @@ class Laser(Darkness):
         """
         with self._lock, self._doubting():
             self._standing.require(LaserState.SAFE)
-            rules = self.rules.align
-            if rules is None:
-                raise NotNow(f"{self.name} has no alignment mode; say `align` in the bench file")
+            schedule, pulses = self.weak_burst(rate_hz, for_s)
             self._standing.require_word(word)
-            self._require_count()
-            schedule, pulses = weak_burst(rules, self.head, self.box.wiring, rate_hz, for_s)
             if moves := self._standing.what_moves():
                 raise NotArmed(f"{self.name} gives no light: {moves}")
             self.box.token = self._standing.token()
@@ -241,6 +237,19 @@ class Laser(Darkness):
                 self.box.start_lamps()
             self.box.begin(self.pairs, camera=False)
             self._ends_s = self._clock.now_s() + self.pairs / rate_hz
+
+    def weak_burst(self, rate_hz: float, for_s: float) -> tuple[Schedule, int]:
+        """Return where the weak pulses of `align` lie, and how many they are; nothing is sent.
+
+        Raises
+        ------
+        NotNow, NotArmed, PulsesRefused
+            The bench has no such mode, or a limit is broken.
+        """
+        if self.rules.align is None:
+            raise NotNow(f"{self.name} has no alignment mode; say `align` in the bench file")
+        self._require_count()
+        return weak_burst(self.rules.align, self.head, self.box.wiring, rate_hz, for_s)
 
     def _require_count(self) -> None:
         """Refuse a box that cannot end a burst by itself, unless the laboratory has agreed to that."""

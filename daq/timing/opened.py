@@ -20,6 +20,7 @@ from contextlib import contextmanager
 
 from daq.timing.drivers import driver_class
 from daq.timing.errors import WrongBox
+from daq.timing.in_use import noted
 from daq.timing.laser import Laser
 from daq.timing.timing_table import TimingTable
 from stages.clock import SYSTEM_CLOCK, Clock
@@ -77,7 +78,7 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
         if watchdog is not None:
             watchdog.know(box.name, table.port, table.baud or box.default_baud, False, box.off_bytes())
             box.watchdog = watchdog
-        with _heard_by(laser):
+        with noted(table), _heard_by(laser):
             yield laser
     finally:
         try:
