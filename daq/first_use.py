@@ -20,6 +20,7 @@ from ground.rows import thread_count
 
 MOST_HELPERS = 3  # beside the verb's own process; kernels share callees, and each compiles those it needs first
 ALSO = {  # verbs that call what others call
+    "init": ("trace",),
     "demo": ("calibrate", "correct", "evaluate"),
     "report": ("evaluate",),
     "mean": ("evaluate",),

@@ -15,6 +15,7 @@ from correction.fit.result import SceneFit
 from correction.fit.table2 import RegionErrors, aligned, computed_against_acquired, corrected_against_grid
 from correction.fit.unknowns import unit_of
 from correction.fit.weakness import Weakness, weaknesses
+from daq.analysis.through_glass import ThroughGlass, through_glass
 
 Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]  # title, pixels (N, 2), errors (N, 2) [px]
 
@@ -65,6 +66,12 @@ class Calibration:
         return found
 
     @property
+    def through(self) -> ThroughGlass | None:
+        """How much of what the balls hide the fitted map recovers; None if they hide nothing."""
+        recovered = np.isfinite(self.sigma.sigma_px[..., 0])
+        return through_glass(self.fit.measured_scene, self.sigma.grid, recovered)
+
+    @property
     def percentiles(self) -> dict[str, dict[str, float]]:
         """Median and largest standard deviation of the map per region, worse axis."""
         worst = self.sigma.sigma_px.max(axis=-1)
@@ -105,6 +112,7 @@ class Calibration:
             "used_behind_glass": fit.paired_behind,
             "outliers": int(np.count_nonzero(~corners.inlier)),
             "corners": self.account,
+            "through_glass": None if self.through is None else self.through.share,
             "model": fit.verdict.to_dict(),
             "refused": fit.refused,
             "overlap_removed_mm": fit.pushed_mm,

@@ -199,7 +199,7 @@ def evaluate_task(
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
-    seen = before_after(frame_a, corrected_a, corrector) if pictures else None
+    seen = before_after(frame_a, corrected_a, corrector, scene) if pictures else None
     return Evaluation(
         task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
         no_tracks,

@@ -9,14 +9,13 @@ of bodies overlap and do not add up to the whole.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap
 from correction.node_status import NodeStatus
-from daq.analysis.kernels.behind import count_behind
+from daq.analysis.through_glass import ThroughGlass, behind, clipped, reach, through_glass
 from tracer.bodies import Body
 from tracer.scene import Scene
 
@@ -71,6 +70,8 @@ class PlaneShare:
         What becomes of it.
     direct_mm2, glass_mm2 : float
         Recovered without glass, and through it.
+    through : ThroughGlass or None
+        How much of what the balls hide is recovered; None if nothing is hidden.
     bodies : tuple of BodyShare
         Those before the plane, in the order of the scene.
     """
@@ -79,6 +80,7 @@ class PlaneShare:
     areas_mm2: Areas = field(repr=False)
     direct_mm2: float
     glass_mm2: float
+    through: ThroughGlass | None
     bodies: tuple[BodyShare, ...] = field(repr=False)
 
     @property
@@ -117,6 +119,7 @@ def plane_share(scene: Scene, correction_map: CorrectionMap) -> PlaneShare:
         _areas(np.bincount(status.ravel(), minlength=len(NodeStatus)), node_mm2),
         direct_mm2,
         float(by_branch.sum()) - direct_mm2,
+        through_glass(scene, grid, correction_map.recovered),
         tuple(
             _body_share(body, scene, correction_map, shown[body.name]) for body in scene.seen if body.room is None
         ),
@@ -124,36 +127,12 @@ def plane_share(scene: Scene, correction_map: CorrectionMap) -> PlaneShare:
 
 
 def _body_share(body: Body, scene: Scene, correction_map: CorrectionMap, shown_mm2: float) -> BodyShare:
-    grid = correction_map.grid
-    rows, columns = _reach(body, scene, correction_map)
-    counts = np.zeros(len(NodeStatus), np.int64)
-    start, end, radius_mm = body.capsule
-    count_behind(
-        rows,
-        columns,
-        np.array([*grid.origin_mm, grid.pitch_mm]),
-        np.array(scene.camera.position_mm),
-        np.array([*start, *end, radius_mm]),
-        correction_map.status,
-        counts,
-    )
+    grid, (height, width) = correction_map.grid, correction_map.grid.shape
+    window = clipped(reach(body, scene, grid), ((0, height), (0, width)))
+    status = correction_map.status[slice(*window[0]), slice(*window[1])]
+    counts = np.bincount(status[behind((body,), scene, grid, window)], minlength=len(NodeStatus))
     areas = _areas(counts, grid.pitch_mm**2)
     return BodyShare(body.name, bool(body.media), sum(areas.values()), areas, shown_mm2)
-
-
-def _reach(body: Body, scene: Scene, correction_map: CorrectionMap) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the corrected image that a body's outline cannot leave."""
-    (height, width), (*ends, radius_mm) = correction_map.grid.shape, body.capsule
-    points = np.array(ends)
-    low, high = points.min(axis=0) - radius_mm, points.max(axis=0) + radius_mm
-    pinhole = np.array(scene.camera.position_mm)
-    if high[2] >= pinhole[2]:  # beside the camera: its outline may reach anywhere
-        return np.array([0, height]), np.array([0, width])
-    corners = np.array(list(product(*zip(low, high, strict=True))))
-    thrown = pinhole + (corners - pinhole) * (pinhole[2] / (pinhole[2] - corners[:, 2:]))
-    found = correction_map.grid.to_px(thrown[:, :2])
-    (u0, v0), (u1, v1) = np.floor(found.min(axis=0)), np.ceil(found.max(axis=0)) + 1.0
-    return (np.clip([v0, v1], 0, height).astype(np.int64), np.clip([u0, u1], 0, width).astype(np.int64))
 
 
 def _areas(counts: NDArray[np.int64], node_mm2: float) -> Areas:

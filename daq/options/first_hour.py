@@ -17,11 +17,13 @@ def first_hour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     init.add_argument("--name", help="of the bench: letters, digits, underscores (default lab)")
     init.add_argument("--sensor-px", type=count, nargs=2, metavar=("W", "H"), help="frames of the camera")
     init.add_argument("--pixel-pitch-um", type=positive, metavar="UM", help="size of a pixel (default 4.8)")
-    init.add_argument("--lens-mm", type=positive, metavar="MM", help="focal length (default 50)")
+    init.add_argument(
+        "--lens-mm", type=positive, metavar="MM", help="focal length (default: the longest that sees all balls)"
+    )
     init.add_argument(
         "--distance-mm", type=positive, metavar="MM", help="from the lens to the plane (default 500)"
     )
-    init.add_argument("--balls", type=count, metavar="N", help="how many (default 1)")
+    init.add_argument("--balls", type=count, metavar="N", help="how many (default 2)")
     init.add_argument(
         "--arrangement", choices=("row", "side", "triangle", "pyramid"),
         help="one behind the other, beside each other, ... (default: row; triangle of 3, pyramid of 4 or 5)",
@@ -30,7 +32,12 @@ def first_hour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     init.add_argument(
         "--glass", metavar="NAME", help="of the balls: acrylic, BK7, borosilicate ... (default acrylic)"
     )
-    init.add_argument("--gap-mm", type=finite, metavar="MM", help="from the plane to the lowest ball (default 4)")
+    init.add_argument(
+        "--gap-mm",
+        type=finite,
+        metavar="MM",
+        help="from the plane to the lowest ball (default: where they show most)",
+    )
     init.add_argument(
         "--support-mm", type=finite, metavar="MM", help="diameter of steel rods that hold them (default 0)"
     )

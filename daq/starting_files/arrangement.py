@@ -24,11 +24,12 @@ def most_balls(arrangement: str) -> Sequence[int]:
 
 
 def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
-    """Return number and arrangement where only one of them, or none, was said."""
+    """Return number and arrangement where only one of them, or none, was said; two in a row show most."""
     if arrangement is None:
-        return balls or 1, {3: "triangle", 4: "pyramid", 5: "pyramid"}.get(balls or 1, "row")
+        return balls or 2, {3: "triangle", 4: "pyramid", 5: "pyramid"}.get(balls or 2, "row")
     counts = most_balls(arrangement)
-    return (balls if balls is not None else 5 if arrangement == "pyramid" else counts[0]), arrangement
+    few = {"pyramid": 5, "row": 2, "side": 2}.get(arrangement, counts[0])
+    return (balls if balls is not None else few), arrangement
 
 
 def centres_mm(arrangement: str, balls: int, ball_mm: float, gap_mm: float) -> list[Vector]:
@@ -55,6 +56,25 @@ def span_mm(centres: Sequence[Vector], ball_mm: float) -> tuple[float, float]:
     """Width and height of all balls together."""
     width, height = (max(c[axis] for c in centres) - min(c[axis] for c in centres) + ball_mm for axis in (0, 1))
     return width, height
+
+
+def outline_mm(centres: Sequence[Vector], ball_mm: float, distance_mm: float) -> tuple[float, float]:
+    """Width and height, on the plane, of what all balls hide from a camera on the axis, about the axis.
+
+    A side is where a plane through the pinhole touches a ball: L tan(angle of its centre + asin(R / distance)).
+    """
+    sides = []
+    for axis in (0, 1):
+        far = 0.0
+        for centre in centres:
+            aside, ahead = abs(centre[axis]), distance_mm - centre[2]
+            away = math.hypot(aside, ahead)
+            if ahead <= 0.0 or ball_mm / 2.0 >= away:
+                return math.inf, math.inf
+            angle = math.atan2(aside, ahead) + math.asin(ball_mm / 2.0 / away)
+            far = max(far, distance_mm * math.tan(angle) if angle < math.pi / 2.0 else math.inf)
+        sides.append(2.0 * far)
+    return sides[0], sides[1]
 
 
 def rods_mm(centres: Sequence[Vector], ball_mm: float, support_mm: float) -> list[tuple[Vector, Vector]]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pydantic import TypeAdapter, ValidationError
 
 from daq.errors import RunUsageError
-from daq.starting_files.arrangement import ARRANGEMENTS, centres_mm, most_balls, span_mm
+from daq.starting_files.arrangement import ARRANGEMENTS, centres_mm, most_balls, outline_mm, span_mm
 from stages.config import Name
 from tracer.media import ConstantMedium, Medium, known_media, medium_called
 
@@ -18,7 +18,7 @@ NAME = TypeAdapter(Name)
 DENSEST = 4.0  # index
 LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
 LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
-AROUND = 1.1  # of the balls, as seen
+AROUND = 1.05  # of what the balls hide
 SQUARES_MM = (0.5, 1.0, 1.5, 2.5, 4.0, 5.0, 10.0, 20.0)
 
 
@@ -62,12 +62,12 @@ class Lab:
     name: str = "lab"
     sensor_px: tuple[int, int] = (1280, 1024)
     pixel_pitch_um: float = 4.8
-    lens_mm: float = 50.0
+    lens_mm: float = 35.0
     distance_mm: float = 500.0
     arrangement: str = "row"
-    balls: int = 1
+    balls: int = 2
     ball_mm: float = 40.0
-    gap_mm: float = 4.0
+    gap_mm: float = 30.0
     glass: str = "acrylic"
     support_mm: float = 0.0
     wavelength_nm: float = 532.0
@@ -127,7 +127,8 @@ class Lab:
     def with_usual_lens(self) -> "Lab":
         """Return the same lab with the longest lens that sees all balls from this distance."""
         found = [replace(self, lens_mm=f) for f in LENSES_MM if f < 0.8 * self.distance_mm] or [self]
-        width, height = (AROUND * span for span in self.span_mm)
+        centres = centres_mm(self.arrangement, self.balls, self.ball_mm, self.gap_mm)
+        width, height = (AROUND * side for side in outline_mm(centres, self.ball_mm, self.distance_mm))
         wide = [lab for lab in found if lab.field_mm[0] >= width and lab.field_mm[1] >= height]
         return wide[-1] if wide else found[0]
 

@@ -25,6 +25,8 @@ from daq.acquisition.runs.board import board_of
 from daq.acquisition.runs.read_ahead import ReadAhead
 from daq.acquisition.runs.shown_plane import shows_light_sheet, where_lit
 from daq.analysis.pictures.apart import drawing
+from daq.analysis.through_glass import through_glass
+from daq.analysis.views.arranged import little
 from daq.terminal import console, progress
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
@@ -168,8 +170,14 @@ def correct(
     counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
     summary = {**about, "frames": [path.name for path in frames], "clipped_values": sum(clipped)}
     summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
+    shown_share = through_glass(loaded, grid, corrector.recovered)
+    summary["through_glass"] = None if shown_share is None else shown_share.share
     summary["target_errors"] = [error.to_dict() for error in errors]
     write_json(out / "correction.json", summary)
+    if shown_share is not None:
+        screen.print(shown_share.sentence, style="bold")
+        if advice := little(loaded, shown_share.share):
+            screen.print(advice, style="bold red")
     _print(screen, loaded, dewarp, corrector, frames, errors)
     if fitted.sheet is not None:
         plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"

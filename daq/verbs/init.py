@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rich.table import Table
+
 from daq.errors import RunUsageError
 from daq.starting_files.arrangement import ARRANGEMENTS, most_balls, usual
 from daq.starting_files.bench_room import room_of
@@ -22,6 +24,7 @@ from daq.verbs.schema import write_schemas
 from daq.whole_text import write_text
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
+SHOWN = 6  # other arrangements
 FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
 Words = dict[str, Any]
 
@@ -109,7 +112,7 @@ def init(
     if ask and sys.stdin is not None and sys.stdin.isatty():
         console().print("Enter takes what stands in brackets; Ctrl-C ends, and nothing is written.")
         given = _answers(given)
-    lab = _lab(given)
+    lab = _lab(given, placed=True)
     room = room_of(lab)
     dt_us = max(20.0, round(1e6 * FLOW_PX / lab.px_per_mm / FLOW_MM_S, -1))
     flow = bench_text(lab, room, laser=True), flow_plan(dt_us)
@@ -119,14 +122,19 @@ def init(
         _check(Path(trial))
     _write(require_folder(folder), texts)
     write_schemas(folder / "schemas")
-    _print(lab, folder)
+    _print(lab, folder, "lens_mm" not in given)
     return [folder / file for file in FILES]
 
 
-def _lab(given: Words) -> Lab:
-    """What was said, and the usual for the rest."""
+def _lab(given: Words, placed: bool = False) -> Lab:
+    """What was said, and the usual for the rest; if `placed`, balls without a gap stand where they show most."""
     count, shape = usual(given.get("balls"), given.get("arrangement"))
     lab = Lab(**(given | {"balls": count, "arrangement": shape}))
+    if placed and "gap_mm" not in given:
+        from daq.analysis.views.arranged import best_gap
+
+        if (best := best_gap(lab, "lens_mm" not in given)) is not None:
+            return best.lab
     return lab if "lens_mm" in given else lab.with_usual_lens()
 
 
@@ -160,7 +168,7 @@ def _answers(given: Words) -> Words:
     for question in QUESTIONS:
         if question.key in answers:
             continue
-        known = _lab(answers)
+        known = _lab(answers, placed=question.key == "gap_mm")
         if question.key == "balls" and len(most_balls(known.arrangement)) == 1:
             continue
         usually = getattr(known, question.key)
@@ -187,19 +195,46 @@ def _line(prompt: str) -> str:
         raise KeyboardInterrupt from None
 
 
-def _print(lab: Lab, folder: Path) -> None:
-    screen = console()
+def _print(lab: Lab, folder: Path, lens: bool) -> None:
+    from daq.analysis.through_glass import coarse_map, through_glass
+    from daq.starting_files.lab_scene import scene_of
+
+    screen, scene = console(), scene_of(lab)
     width, height = lab.field_mm
     span = " x ".join(f"{side:.0f}" for side in lab.span_mm)
     balls = f"{lab.balls} ball{'s' if lab.balls > 1 else ''} of {lab.ball_mm:g} mm {lab.glass} ({lab.arrangement})"
     field = f"{width:.0f} x {height:.0f} mm of the plane, {lab.px_per_mm:.1f} px/mm"
     screen.print(f"{balls}, {span} mm; a lens of {lab.lens_mm:g} mm sees {field}", soft_wrap=True)
+    found = coarse_map(scene)
+    if (shown := through_glass(scene, found.grid, found.recovered)) is not None:
+        screen.print(shown.sentence, style="bold")
+        _print_others(lab, shown.share, lens)
     screen.print(
         f"{', '.join(FILES)} are in {folder}, and pass `rtpiv check`. Next, in that folder:", soft_wrap=True
     )
     for words in NEXT:
         screen.print(f"  {words}", soft_wrap=True)
     screen.print("Every file says at its top what to edit for real hardware; --simulate is left out then.")
+
+
+def _print_others(lab: Lab, share: float, lens: bool) -> None:
+    """Say what other arrangements of such balls would show, first these balls elsewhere if that shows more."""
+    from daq.analysis.through_glass import percent
+    from daq.analysis.views.arranged import WORTH, best_gap, others
+
+    found = others(lab, lens)
+    if (best := best_gap(lab, lens)) is not None and best.share > WORTH * share:
+        found.insert(0, best)
+    if not found:
+        return
+    table = Table(title="other arrangements of such balls, each where it shows most", box=None)
+    for name in ("--balls", "--arrangement", "--gap-mm", "--lens-mm", "through glass"):
+        table.add_column(name, justify="left" if name == "--arrangement" else "right")
+    for one in found[:SHOWN]:
+        other = one.lab
+        numbers = str(other.balls), other.arrangement, f"{other.gap_mm:g}", f"{other.lens_mm:g}"
+        table.add_row(*numbers, percent(one.share))
+    console().print(table)
 
 
 NEXT = (

@@ -142,7 +142,7 @@ def _single_frame(
     corrector = prepare(through, dewarp).corrector
     frame = read_acquired(view.path, scene.camera.shape)
     corrected = corrector(frame)
-    seen = before_after(frame, corrected, corrector)
+    seen = before_after(frame, corrected, corrector, through)
     tiles = [(f"{100 * seen.recovered:.1f} %", "of the plane recovered", "share of the corrected frame")]
     if view.shows == "chessboard" and view.on_plane:
         errors = target_error(corrected, corrector, board)

@@ -169,6 +169,12 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
 
 def show_calibration(screen: Console, found: "Calibration") -> None:
     """Say what a fit has found, and what the frames left open."""
+    if (through := found.through) is not None:
+        from daq.analysis.views.arranged import little
+
+        screen.print(through.sentence, style="bold")
+        if advice := little(found.fit.measured_scene, through.share):
+            screen.print(advice, style="bold red")
     screen.print(_number_table(found))
     screen.print(_error_table(found))
     for region, values in found.percentiles.items():

@@ -14,6 +14,7 @@ from correction.node_status import MEANING, NodeStatus
 from daq.analysis.pictures.apart import drawing
 from daq.analysis.pictures.names import short
 from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
+from daq.analysis.views.arranged import little
 from daq.terminal import console, progress_if_long
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named
@@ -96,6 +97,10 @@ def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
         view: FieldOfView | None = field_of_view(loaded)
     except SceneError:  # not in a row: the areas say it all
         view = None
+    if share.through is not None:
+        screen.print(share.through.sentence, style="bold")
+        if advice := little(loaded, share.through.share):
+            screen.print(advice, style="bold red")
     screen.print(_plane_table(f"{scene.stem}, scene {loaded.content_hash()}", share))
     if share.bodies:
         screen.print(_body_table(share))

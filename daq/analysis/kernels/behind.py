@@ -4,13 +4,12 @@ from ground.jit import Array, kernel
 
 
 @kernel
-def count_behind(
-    rows: Array, columns: Array, grid: Array, pinhole: Array, capsule: Array, status: Array, counts: Array
-) -> None:
-    """Count, by status, the nodes whose straight line to the pinhole comes within a capsule.
+def mark_behind(first: Array, grid: Array, pinhole: Array, capsule: Array, marks: Array) -> None:
+    """Mark the nodes whose straight line to the pinhole comes within a capsule.
 
-    `rows`, `columns` (2,) are the part of the nodes that is looked at: first, and behind the last.  `grid` (3,):
-    x0, y0, pitch.  `capsule` (7,): start, end, radius.  `status` (h, w) uint8.  Out: `counts` (statuses,).
+    `first` (2,): row and column of the node that the first mark stands for; it may lie beyond the grid.
+    `grid` (3,): x0, y0, pitch.  `capsule` (7,): start, end, radius.  Out: `marks` (h, w) bool; marks stay
+    marked.
 
     The closest points of two segments: s along the capsule's axis, t from the node to the pinhole, both 0 to 1;
     the square of the distance is convex, so clamping the one and solving for the other twice settles it.
@@ -19,10 +18,10 @@ def count_behind(
     ax, ay, az = capsule[0], capsule[1], capsule[2]
     ex, ey, ez = capsule[3] - ax, capsule[4] - ay, capsule[5] - az
     ee = ex * ex + ey * ey + ez * ez
-    for row in range(rows[0], rows[1]):
-        y = grid[1] - row * grid[2]
-        for column in range(columns[0], columns[1]):
-            x = grid[0] + column * grid[2]
+    for row in range(marks.shape[0]):
+        y = grid[1] - (first[0] + row) * grid[2]
+        for column in range(marks.shape[1]):
+            x = grid[0] + (first[1] + column) * grid[2]
             dx, dy, dz = cx - x, cy - y, cz
             wx, wy, wz = x - ax, y - ay, -az
             dd = dx * dx + dy * dy + dz * dz
@@ -39,4 +38,4 @@ def count_behind(
                 t = min(max((s * de - wd) / dd, 0.0), 1.0)
             gx, gy, gz = wx + t * dx - s * ex, wy + t * dy - s * ey, wz + t * dz - s * ez
             if gx * gx + gy * gy + gz * gz < capsule[6] * capsule[6]:
-                counts[status[row, column]] += 1
+                marks[row, column] = True

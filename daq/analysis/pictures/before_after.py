@@ -11,6 +11,8 @@ from correction.evaluate.image_figures import ImageFigures, image_figures
 from correction.node_status import NodeStatus
 from daq.analysis.pictures.embedded import embedded, grey, tinted
 from daq.analysis.pictures.mask_colours import covered, mask_picture
+from daq.analysis.through_glass import ThroughGlass, through_glass
+from tracer.scene import Scene
 
 DEPTHS = (255.0, 4095.0, 65535.0)  # full scales of cameras; 12 bit come in uint16, right- or left-aligned
 
@@ -30,12 +32,15 @@ class BeforeAfter:
         Grey level at which a pixel counts as saturated.
     figures : dict
         ``acquired`` and ``corrected`` -> figures of merit.
+    through : ThroughGlass or None
+        How much of what the balls hide is recovered; None if they hide nothing.
     """
 
     layers: tuple[tuple[str, str], ...]
     shares: dict[NodeStatus, float]
     full_scale: float
     figures: dict[str, ImageFigures]
+    through: ThroughGlass | None
 
     @property
     def recovered(self) -> float:
@@ -43,7 +48,9 @@ class BeforeAfter:
         return self.shares.get(NodeStatus.RECOVERED, 0.0)
 
 
-def before_after(frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector) -> BeforeAfter:
+def before_after(
+    frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, scene: Scene
+) -> BeforeAfter:
     """Look at a frame (H, W) as acquired and (h, w) as corrected, NaN where nothing is recovered."""
     limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
     shown = tinted(grey(corrected, limits), covered(corrector.status))
@@ -56,4 +63,5 @@ def before_after(frame: NDArray[Any], corrected: NDArray[np.float32], corrector:
     full = next((depth for depth in DEPTHS if depth >= max(least, float(np.nanmax(frame)))), DEPTHS[-1])
     named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
     figures = {name: image_figures(image, full, which) for name, (image, which) in named.items()}
-    return BeforeAfter(tuple(layers), shares, full, figures)
+    through = through_glass(scene, corrector.map.grid, corrector.recovered)
+    return BeforeAfter(tuple(layers), shares, full, figures, through)

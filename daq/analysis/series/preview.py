@@ -60,7 +60,7 @@ def preview(job: ChunkJob) -> Preview | None:
     corrected, second = corrector(a), corrector(b)
     one, two = (method.preparation.finished(frame, corrector.recovered) for frame in (corrected, second))
     field = evaluate_pair(one, two, corrector.recovered, method.settings)
-    seen = before_after(raw, corrected, corrector)
+    seen = before_after(raw, corrected, corrector, method.scene)
     pictures: list[tuple[str, NDArray[Any]]] = [("as acquired", raw)]
     background = method.preparation.background
     if background is not None:

@@ -26,10 +26,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import CorrectionMap, build_correction_map
+from correction.correction_map import CorrectionMap
 from correction.fit.light import doubt_of
 from correction.fit.scene_sigma import SceneSigma
-from daq.analysis.pictures.seen import shown_small
+from daq.analysis.through_glass import behind, coarse_map, hiding, reach
 from daq.analysis.views.expected_sigma import expected_sigma
 from daq.starting_files.bench_room import room_of
 from daq.starting_files.lab import Lab
@@ -38,12 +38,9 @@ from daq.starting_files.plan_texts import GLASS_HEIGHTS_MM, bare_heights_mm
 from tracer.depth_of_field import depth_of_field_mm
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view
-from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import CAMERA, SPHERE, landings
 
-WIDEST_PX = 200  # of the map that says what is recovered: areas to a few tenths of a per cent
-ACROSS = 120  # places a side at which is asked what becomes of what the balls hide
 PLACES = 300  # behind glass, at which the rest is known
 NOISE_PX, PARTICLE_PX = 0.03, 3.0  # of displacements of 32 px windows seen directly; diameter of sharp particles
 STEP_MM = 0.01  # a ball is off by so much
@@ -121,11 +118,12 @@ def view_figures(lab: Lab, f_number: float, error_px: float) -> ViewFigures:
     """
     scene = scene_of(lab)
     room_of(lab)
-    found = _found(scene)
+    found = coarse_map(scene)
     seen = _Seen.of(scene, found, lab, f_number)
     noise = NOISE_PX * np.hypot(1.0, 4.0 * seen.blur_px / PARTICLE_PX) / seen.least
-    counted = noise[_hidden(scene, seen.place_mm)]
-    recovered = _recovered_share(scene, found)
+    hidden, everywhere = _hidden(scene, found)
+    counted = noise[hidden[seen.node]]
+    recovered = float(np.count_nonzero(found.recovered & hidden)) / everywhere
     radial = _radial(
         replace(lab, name="lab", lens_mm=0.1 * lab.distance_mm, sensor_px=(16, 16), pixel_pitch_um=1.0)
     )
@@ -148,7 +146,7 @@ def view_figures(lab: Lab, f_number: float, error_px: float) -> ViewFigures:
 def with_sigma(view: ViewFigures) -> ViewFigures:
     """Return the same figures with those of the map after a fit to the target run that `rtpiv init` writes."""
     lab, room, scene = view.lab, room_of(view.lab), scene_of(view.lab)
-    found = _found(scene)
+    found = coarse_map(scene)
     pixel = _Seen.of(scene, found, lab, 1.0).pixel
     times = scene.camera.sensor_px[0] // found.sensor_px[0]
     known = expected_sigma(scene, lab.square_mm, bare_heights_mm(room), GLASS_HEIGHTS_MM, times)
@@ -161,17 +159,11 @@ def with_sigma(view: ViewFigures) -> ViewFigures:
     return replace(view, sigma_px=median_px(known), unsaid_px=median_px(unsaid))
 
 
-def _found(scene: Scene) -> CorrectionMap:
-    """What is recovered, seen by a coarse camera."""
-    small = shown_small(scene, WIDEST_PX)
-    return build_correction_map(small, build_ray_map(small), layers=1)
-
-
 @dataclass(frozen=True)
 class _Seen:
     """N places behind glass, spread evenly over the plane, and what is known of each."""
 
-    place_mm: NDArray[np.float64]
+    node: tuple[NDArray[np.int64], NDArray[np.int64]]  # rows and columns
     pixel: NDArray[np.float64]
     least: NDArray[np.floating[Any]]  # singular value of dP/dX
     area: NDArray[np.float64]  # |det dP/dX|
@@ -197,7 +189,7 @@ class _Seen:
         balls = rate[:, :, len(CAMERA) :][:, :, : len(SPHERE) * len(scene.spheres)]
         sideways = balls.reshape(len(pixel), 2, len(scene.spheres), len(SPHERE))[..., :2]
         return cls(
-            place_mm=found.grid.to_mm(np.stack((columns, rows), axis=-1).astype(np.float64)),
+            node=(rows, columns),
             pixel=pixel,
             least=least,
             area=area,
@@ -216,47 +208,16 @@ def _radial(lab: Lab) -> FieldOfView | None:
         return None
 
 
-def _recovered_share(scene: Scene, found: CorrectionMap) -> float:
-    """How much is recovered of what the balls hide, in the frame or beyond it."""
-    (left, bottom), (right, top) = _frame_mm(scene)
-    x, y = (
-        low + (high - low) * (np.arange(ACROSS) + 0.5) / ACROSS for low, high in ((left, right), (bottom, top))
-    )
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    points = points[_hidden(scene, points)]
-    column, row = np.rint(found.grid.to_px(points)).astype(np.int64).T
+def _hidden(scene: Scene, found: CorrectionMap) -> tuple[NDArray[np.bool_], int]:
+    """Nodes of the map before which a ball stands, and how many there are of them, those beyond the frame too."""
     height, width = found.grid.shape
-    within = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    return float(np.count_nonzero(found.recovered[row[within], column[within]])) / len(points)
-
-
-def _hidden(scene: Scene, points_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Points of the plane (N, 2) before which a ball stands."""
-    pinhole = np.array(scene.camera.position_mm)
-    line = np.column_stack((points_mm, np.zeros(len(points_mm)))) - pinhole
-    line /= np.linalg.norm(line, axis=1, keepdims=True)
-    behind = np.zeros(len(points_mm), dtype=np.bool_)
-    for ball in scene.spheres:
-        towards = np.array(ball.centre_mm) - pinhole
-        behind |= towards @ towards - (line @ towards) ** 2 < ball.radius_mm**2
-    return behind
-
-
-def _frame_mm(scene: Scene) -> NDArray[np.float64]:
-    """Rectangle on the plane that frames the outlines of all balls: least and largest x, y.
-
-    Its sides are where planes through the pinhole, along x or y, touch a ball: a question of two dimensions.
-    """
-    pinhole = np.array(scene.camera.position_mm)
-    centre = np.array([sphere.centre_mm for sphere in scene.spheres]) - pinhole
-    radius = np.array([sphere.radius_mm for sphere in scene.spheres])
-    sides = []
-    for axis in (0, 1):
-        away = np.hypot(centre[:, axis], centre[:, 2])
-        towards, half = np.arctan2(centre[:, axis], -centre[:, 2]), np.arcsin(radius / away)
-        tangents = np.tan(np.stack((towards - half, towards + half)))
-        sides.append(pinhole[axis] + pinhole[2] * np.array([tangents.min(), tangents.max()]))
-    return np.stack(sides, axis=1)
+    reaches = [window for body in hiding(scene) if (window := reach(body, scene, found.grid)) is not None]
+    (top, bottom), (left, right) = (
+        (min(0, *(window[axis][0] for window in reaches)), max(side, *(window[axis][1] for window in reaches)))
+        for axis, side in enumerate((height, width))
+    )
+    marks = behind(hiding(scene), scene, found.grid, ((top, bottom), (left, right)))
+    return marks[-top : height - top, -left : width - left], int(np.count_nonzero(marks))
 
 
 def _median(values: NDArray[Any]) -> float:

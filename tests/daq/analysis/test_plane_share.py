@@ -7,7 +7,6 @@ import pytest
 
 from correction.correction_map import build_correction_map
 from correction.node_status import NodeStatus
-from daq.analysis.kernels.behind import count_behind
 from daq.analysis.plane_share import plane_share
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
@@ -102,14 +101,3 @@ def test_the_map_of_another_scene_is_refused():
     other = build_correction_map(denser, build_ray_map(denser))
     with pytest.raises(StaleMap):
         plane_share(scene, other)
-
-
-def test_the_kernel_counts_the_same_as_python():
-    arguments = (np.array([0, 12]), np.array([2, 12]), np.array([-6.0, 6.0, 1.0]), np.array([1.0, -2.0, 50.0]))
-    status = (np.arange(144) % 3).astype(np.uint8).reshape(12, 12)
-    for capsule in ([0, 0, 8, 0, 0, 8, 4.03], [-9, 3, 6, 4, 0, 6, 1.51], [0, 0, 5, 0, 0, 40, 1.02]):
-        counts = np.zeros((2, 6), np.int64)
-        count_behind(*arguments, np.array(capsule, float), status, counts[0])
-        count_behind.py_func(*arguments, np.array(capsule, float), status, counts[1])
-        assert (counts[0] == counts[1]).all()
-        assert counts[0].sum() > 5

@@ -7,17 +7,22 @@ import os
 import pty
 import subprocess
 import sys
+from dataclasses import replace
 
 import jsonschema
 import pytest
 import yaml
 
+from correction.correction_map import build_correction_map
+from daq.analysis.through_glass import coarse_map, percent, through_glass
 from daq.cli import DONE, USAGE, main
 from daq.starting_files.arrangement import centres_mm, rods_mm
-from daq.starting_files.lab import Lab
+from daq.starting_files.lab import LENSES_MM, Lab
+from daq.starting_files.lab_scene import scene_of
 from daq.verbs.check import FileCheck, check
 from daq.verbs.init import FILES, QUESTIONS, init
 from ground.config import load_yaml
+from tracer.ray_map import build_ray_map
 from tracer.scene_file import load_scene
 
 LABS = {
@@ -143,5 +148,53 @@ def test_the_end_of_the_answers_writes_nothing(tmp_path):
 
 def test_every_question_has_a_usual_answer():
     assert {question.key for question in QUESTIONS} == set(vars(Lab())) - {"name"}
-    assert Lab(balls=3, arrangement="triangle").with_usual_lens().lens_mm == 25.0
-    assert Lab().with_usual_lens().lens_mm == 50.0
+
+
+def test_the_usual_lens_is_the_longest_that_sees_what_the_balls_hide():
+    """Whether the next lens sees it too is asked of cones that touch the balls, not of the rule."""
+    for lab in (Lab(), Lab(balls=3, arrangement="triangle", gap_mm=4.0), Lab(balls=1, distance_mm=900.0)):
+        usual = lab.with_usual_lens()
+        longer = replace(usual, lens_mm=LENSES_MM[LENSES_MM.index(usual.lens_mm) + 1])
+        seen, cut = (coarse_hidden_mm2(one) for one in (usual, longer))
+        whole = coarse_hidden_mm2(replace(usual, lens_mm=12.0))
+        assert seen == pytest.approx(whole, rel=0.02)
+        assert cut < whole * 1.01
+        assert min(longer.field_mm) < 1.2 * max(lab.span_mm) * lab.distance_mm / (lab.distance_mm - 40.0)
+
+
+def coarse_hidden_mm2(lab):
+    found = coarse_map(scene_of(lab))
+    return through_glass(scene_of(lab), found.grid, found.recovered).hidden_mm2
+
+
+def test_by_itself_it_lays_out_what_shows_most_of_what_the_balls_hide(tmp_path, capsys):
+    init(tmp_path / "lab")
+    said = capsys.readouterr().out
+    share = traced_share(tmp_path / "lab" / "scene.yaml")
+    assert share > 0.9
+    assert f"through glass: {percent(share)} of what the balls hide" in said
+    rows = [line.split() for line in said.splitlines() if line.strip().endswith("%")]
+    assert ["1", "row"] in [row[:2] for row in rows]
+    assert ["3", "triangle"] in [row[:2] for row in rows]
+
+
+@pytest.mark.parametrize("lab", [{"balls": 3, "support_mm": 6.0}, {"balls": 1, "glass": "1.7"}, {"balls": 5}])
+def test_where_no_distance_is_said_the_balls_stand_where_they_show_much(lab, tmp_path):
+    init(tmp_path / "lab", **lab)
+    assert traced_share(tmp_path / "lab" / "scene.yaml") > 0.35
+
+
+def test_a_distance_that_is_asked_for_is_kept_and_what_would_show_more_comes_first(tmp_path, capsys):
+    init(tmp_path / "lab", balls=3, gap_mm=4.0)
+    said = capsys.readouterr().out
+    assert "through glass: 1." in said
+    first = next(line.split() for line in said.splitlines() if line.split()[:2] == ["3", "triangle"])
+    init(tmp_path / "other", balls=3, gap_mm=float(first[2]), lens_mm=float(first[3]))
+    assert percent(traced_share(tmp_path / "other" / "scene.yaml")) == f"{first[4]} %"
+
+
+def traced_share(scene_file):
+    """The share by the whole map."""
+    scene = load_scene(scene_file)
+    found = build_correction_map(scene, build_ray_map(scene))
+    return through_glass(scene, found.grid, found.recovered).share
