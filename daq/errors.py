@@ -12,6 +12,7 @@
         +-- BadFrame           the camera delivered something that cannot be the frame it announced
             +-- FrameIncomplete    pixels of a frame were lost on the way; trigger again
             +-- OtherFormat        frames are not what the camera says it was set to; retaking does not help
+    +-- BenchLacks         what a bench needs is not on this computer
     +-- RunError           what has to do with plans and runs
         +-- RunUsageError      the caller (also a ValueError); nothing has moved, nothing was written
         |   +-- PlanError          a plan that this bench cannot or must not carry out
@@ -75,6 +76,10 @@ class FrameIncomplete(BadFrame):
 
 class OtherFormat(BadFrame):
     """The camera sends another pixel format or size than it reads back; the message names both."""
+
+
+class BenchLacks(DaqError):  # noqa: N818 - says what is the matter
+    """A port, library or file that a bench needs is not on this computer; the message names it."""
 
 
 class RunError(DaqError):

@@ -31,13 +31,11 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
         "--error-px", type=positive, default=0.1, help="error of a displacement that is of use (default 0.1)"
     )
     compare.add_argument("--wavelength-nm", type=positive, default=532.0, help="of the light (default 532)")
-    compare.add_argument("-o", "--out", type=Path, default=Path("compare"), help="folder (default: compare)")
+    compare.add_argument("-o", "--out", type=Path, help="folder (default: compare, or compare-2 ...)")
 
     trace = verbs.add_parser("trace", help="what a scene shows: recovered field of view, folds, pictures")
     trace.add_argument("scene", type=Path, metavar="SCENE", help="scene.yaml")
-    trace.add_argument(
-        "-o", "--out", type=Path, default=Path("trace"), help="folder for pictures (default: trace)"
-    )
+    trace.add_argument("-o", "--out", type=Path, help="folder for pictures (default: trace, or trace-2 ...)")
 
     calibrate = verbs.add_parser("calibrate", help="the bench's true geometry from frames of its target")
     calibrate.add_argument(
@@ -50,7 +48,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
         "--scene", type=Path, help="nominal scene.yaml; may have a fit section (default: the run's own)"
     )
     calibrate.add_argument(
-        "-o", "--out", type=Path, default=Path("fit"), help="folder for scene and report (default: fit)"
+        "-o", "--out", type=Path, help="folder for scene and report (default: fit, or fit-2 ...)"
     )
     calibrate.add_argument("--square-mm", type=positive, help="square of the board; a run knows it (default 2.5)")
     calibrate.add_argument("--disc-mm", type=positive, help="its discs; a run knows it (default 1.0)")
@@ -64,7 +62,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
         help="acquired frames (.tif, .png, .bmp; page 2 of a stack: stack.tif@2)",
     )
     correct.add_argument("--scene", type=Path, required=True, help="scene.yaml")
-    correct.add_argument("-o", "--out", type=Path, default=Path("corrected"), help="folder (default: corrected)")
+    correct.add_argument("-o", "--out", type=Path, help="folder (default: corrected, or corrected-2 ...)")
     correct.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     correct.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     correct.add_argument("--square-mm", type=positive, help="square of the board; a run knows it (default 2.5)")
@@ -81,9 +79,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
         help="frame A and frame B, or one run, or B%%05d_a.tif, stack.tif, data.h5",
     )  # fmt: skip
     evaluate.add_argument("--scene", type=Path, help="scene.yaml, best a fitted one (default: the run's own)")
-    evaluate.add_argument(
-        "-o", "--out", type=Path, default=Path("evaluation"), help="folder (default: evaluation)"
-    )
+    evaluate.add_argument("-o", "--out", type=Path, help="folder (default: evaluation, or evaluation-2 ...)")
     evaluate.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     evaluate.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     evaluate.add_argument("--square-mm", type=positive, help="square of the board; a run knows it (default 2.5)")
@@ -109,14 +105,14 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     sheet = verbs.add_parser("sheet", help="where the light sheet is, from particles that are seen twice")
     sheet.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="flow run, or frames A, B, A, B ...")
     sheet.add_argument("--scene", type=Path, required=True, help="scene.yaml, fitted")
-    sheet.add_argument("-o", "--out", type=Path, default=Path("sheet"), help="folder (default: sheet)")
+    sheet.add_argument("-o", "--out", type=Path, help="folder (default: sheet, or sheet-2 ...)")
 
     join = verbs.add_parser("join", help="one mean of two runs of a flow, focused beside the glass and behind it")
     join.add_argument("beside", type=Path, metavar="SERIES_BESIDE", help="series of the run focused on the plane")
     join.add_argument(
         "behind", type=Path, metavar="SERIES_BEHIND", help="series of the run focused behind the glass"
     )
-    join.add_argument("-o", "--out", type=Path, default=Path("joined"), help="folder (default: joined)")
+    join.add_argument("-o", "--out", type=Path, help="folder (default: joined, or joined-2 ...)")
 
     mean = verbs.add_parser("mean", help="mean flow, Reynolds stresses and their uncertainty from many pairs")
     mean.add_argument("path", type=Path, metavar="RUN_OR_SERIES", help="flow run, or the folder of its series")
@@ -189,7 +185,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     export.add_argument(
         "--to", choices=("matlab", "paraview", "tecplot", "netcdf", "tiff"), required=True, help="for whom"
     )
-    export.add_argument("-o", "--out", type=Path, default=Path("exported"), help="folder (default: exported)")
+    export.add_argument("-o", "--out", type=Path, help="folder (default: exported, or exported-2 ...)")
 
 
 def _piv_options(parser: argparse.ArgumentParser) -> None:

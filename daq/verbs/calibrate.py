@@ -18,7 +18,7 @@ from daq.acquisition.runs.run_views import TargetView, is_run, load_kept, target
 from daq.analysis.calibration import Calibration, calibration_of
 from daq.analysis.pictures.apart import drawing
 from daq.terminal import console, error_console
-from daq.verbs.output import require_folder
+from daq.verbs.output import folder_for
 from daq.verbs.paths import Named, path_of
 from daq.verbs.show import show_calibration
 from daq.whole_text import write_json, write_text
@@ -34,7 +34,7 @@ WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear
 def calibrate(
     folder: Named,
     scene: Named | None = None,
-    out: Named = "fit",
+    out: Named | None = None,
     square_mm: float | None = None,
     disc_mm: float | None = None,
     pictures: bool = True,
@@ -49,10 +49,11 @@ def calibrate(
     scene : path, optional
         Nominal scene.yaml; its ``fit:`` section says what may change. A run without it is calibrated from the
         scene of its bench, as it was when the run began.
-    out : path
-        Folder: ``scene.yaml`` fitted, ``fit.npz`` (covariance, corners), ``map_sigma.npz`` and ``.png``,
-        ``residuals.png``, ``smooth_residuals.png`` (what the test of the model looks at),
-        ``convergence.png``, ``calibration.html`` (verdict and numbers), ``calibration.json``.
+    out : path, optional
+        Folder, default ``fit`` (or ``fit-2`` ... where that has results): ``scene.yaml`` fitted, ``fit.npz``
+        (covariance, corners), ``map_sigma.npz`` and ``.png``, ``residuals.png``, ``smooth_residuals.png`` (what
+        the test of the model looks at), ``convergence.png``, ``calibration.html`` (verdict and numbers),
+        ``calibration.json``.
     square_mm, disc_mm : float, optional
         The board, of a folder that is no run (default 2.5 and 1.0): a run knows its own.
     pictures : bool
@@ -78,7 +79,7 @@ def calibrate(
     nominal, priors = nominal_scene(folder, path_of(scene))
     board = board_of([folder], square_mm, disc_mm)
     frames = target_frames(folder, nominal.camera.shape)
-    out = require_folder(out)
+    out = folder_for(out, "fit")
 
     def say(text: str) -> None:
         progress.print(f"{time.monotonic() - began:6.1f} s  {text}")

@@ -16,7 +16,7 @@ from daq.analysis.views.question import ViewQuestion
 from daq.errors import RunUsageError
 from daq.starting_files.scene_text import scene_text
 from daq.terminal import console
-from daq.verbs.output import require_folder
+from daq.verbs.output import folder_for
 from daq.verbs.paths import Named
 from daq.whole_text import write_text
 
@@ -51,7 +51,7 @@ def compare(
     lenses_mm: Sequence[float],
     distances_mm: Sequence[float],
     balls_mm: Sequence[float],
-    out: Named = "compare",
+    out: Named | None = None,
     counts: Sequence[int] = (1, 2, 3),
     arrangements: Sequence[str] = ("row",),
     glasses: Sequence[str] = ("BK7",),
@@ -69,8 +69,9 @@ def compare(
     ----------
     lenses_mm, distances_mm, balls_mm : sequence of float
         Focal lengths; from the lens to the plane; diameters.
-    out : path
-        Folder for ``compare.csv`` (all figures of all arrangements), ``compare.png`` and ``scenes``.
+    out : path, optional
+        Folder, default ``compare`` (or ``compare-2`` ...), for ``compare.csv`` (all figures of all arrangements),
+        ``compare.png`` and ``scenes``.
     counts, arrangements, glasses, gaps_mm
         Numbers of balls, how they stand, of what, and how far off the plane; as `rtpiv init` takes them.
     sensor_px, pixel_pitch_um : sequence of int, float
@@ -101,7 +102,7 @@ def compare(
         sensor, pixel_pitch_um, lenses_mm, distances_mm, balls_mm, counts, arrangements, glasses, gaps_mm,
         wavelength_nm,
     )  # fmt: skip
-    out, screen = require_folder(out), console()
+    out, screen = folder_for(out, "compare"), console()
     labs, refused = question.labs()
     found = candidates_of(labs, f_number, error_px, SHOWN)
     views, best = found.views, found.best

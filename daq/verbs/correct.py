@@ -28,7 +28,7 @@ from daq.analysis.pictures.apart import drawing
 from daq.analysis.through_glass import through_glass
 from daq.analysis.views.arranged import little
 from daq.terminal import console, progress
-from daq.verbs.output import require_folder
+from daq.verbs.output import folder_for
 from daq.verbs.paths import Named, path_of, paths_of
 from daq.whole_text import write_json
 from daq.write_behind import WriteBehind
@@ -63,8 +63,8 @@ class Corrected:
 
 def correct(
     frames: Sequence[Named] | Named,
-    scene: Named,
-    out: Named = "corrected",
+    scene: Named | Scene,
+    out: Named | None = None,
     target_clear: Named | None = None,
     dewarp_order: int = 2,
     square_mm: float | None = None,
@@ -82,11 +82,11 @@ def correct(
     ----------
     frames : list of path, or path
         Acquired frames; all are looked at before the first result is written.
-    scene : path
-        scene.yaml, as known or as fitted.
-    out : path
-        Folder: one TIFF a frame, ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame,
-        ``correction.json``.
+    scene : path or Scene
+        scene.yaml, as known or as fitted, or what `load_scene` made of it.
+    out : path, optional
+        Folder, default ``corrected`` (or ``corrected-2`` ... where that has results): one TIFF a frame,
+        ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame, ``correction.json``.
     target_clear : path, optional
         Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
         included, is taken as it is.
@@ -125,21 +125,22 @@ def correct(
         The bare target cannot be read.
     """
     screen = console()
-    frames, scene, target_clear = paths_of(frames), Path(scene), path_of(target_clear)
-    fitted = load_scene(scene)
+    frames, target_clear = paths_of(frames), path_of(target_clear)
+    fitted = scene if isinstance(scene, Scene) else load_scene(scene)
     particles = not check_target and shows_light_sheet(frames)
     loaded = fitted.in_light_sheet() if particles else fitted
     shape = loaded.camera.shape
     _refuse_same_names(frames)
-    out = require_folder(out)
+    scene_file = None if sigma_limit_px is None else path_of(scene)
+    out = folder_for(out, "corrected")
     with ReadAhead(frames, shape) as acquired:
         board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
         dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
         limit = None
-        if sigma_limit_px is not None:
+        if sigma_limit_px is not None and scene_file is not None:
             from daq.analysis.tasks import sigma_limit
 
-            limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
+            limit = sigma_limit(scene_file, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
         corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
         acquired.require_sound()
         grid = corrector.map.grid

@@ -21,6 +21,7 @@ from daq.acquisition.bench.surroundings import (
 )
 from daq.acquisition.cameras import BACKENDS
 from daq.acquisition.runs.run_folder import versions
+from daq.errors import BenchLacks
 from daq.example_files import examples
 from daq.terminal import console
 from daq.timing.timing_table import TimingTable
@@ -45,16 +46,24 @@ def doctor(bench: Named | None = None) -> list[Finding]:
     -------
     list of (str, bool or None, str)
         What was looked at, whether it is fine (None: a mere fact), and words.
+
+    Raises
+    ------
+    BenchLacks
+        Something that the bench needs is missing; all that was found has been shown.
     """
-    found = [*_software(), *_serial_ports(), *_cameras(), *_disk()]
-    if bench is not None:
-        found += _bench(load_bench(bench))
+    here = [*_software(), *_serial_ports(), *_cameras(), *_disk()]
+    needed = [] if bench is None else list(_bench(load_bench(bench)))
+    found = [*here, *needed]
     table = Table()
     for column in ("what", "", "found"):
         table.add_column(column)
     for what, fine, words in found:
         table.add_row(what, {True: "ok", False: "missing", None: ""}[fine], words)
     console().print(table)
+    lacking = [what for what, fine, _ in needed if fine is False]
+    if lacking:
+        raise BenchLacks(f"{bench} needs what is missing here: {', '.join(lacking)}; see above")
     return found
 
 

@@ -6,7 +6,7 @@ from typing import Unpack
 
 from rich.console import Console
 
-from correction.errors import PairError
+from correction.errors import PairError, SeriesError
 from correction.fit.sigma_limit import SigmaLimit
 from correction.prepared import PreparedCorrection, PreparedCorrections
 from daq.acquisition.frames.source import is_source
@@ -18,19 +18,23 @@ from daq.analysis.pictures.apart import drawing
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.report.pair_folder import write_pair
 from daq.analysis.series.run_series import SeriesBooks, run_series
+from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_input import SCENE_FILE, SeriesInput, series_input
 from daq.analysis.series.series_pairs import is_series
 from daq.analysis.tasks import Tasks, tasks_of
+from daq.errors import RunUnsuitable
 from daq.terminal import console
-from daq.verbs.output import require_folder
+from daq.verbs.output import folder_for
 from daq.verbs.paths import Named, path_of, paths_of
 from daq.verbs.show import show_evaluation, show_series
 from tracer.scene_file import load_scene
 
+USUAL = "evaluation"
+
 
 def evaluate(
     paths: Sequence[Named] | Named,
-    out: Named = "evaluation",
+    out: Named | None = None,
     scene: Named | None = None,
     target_clear: Named | None = None,
     dewarp_order: int = 2,
@@ -59,9 +63,10 @@ def evaluate(
     paths : list of path, or path
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, a stream, or
         a flow run; or frames of others in pairs, see `daq.acquisition.frames.source`.
-    out : path
-        Folder: ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
-        ``vectors.vtk``, ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.
+    out : path, optional
+        Folder, default ``evaluation`` (or ``evaluation-2`` ... where that has other results): ``vectors.nc``,
+        ``evaluation.json``, ``report.html`` with its figures, and on request ``vectors.vtk``,
+        ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.
     scene : path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
         A run without it is evaluated with the scene that its frames were corrected with.
@@ -105,7 +110,7 @@ def evaluate(
     SeriesError, DiskError
         As `daq.analysis.series.run_series`.
     """
-    paths, out = paths_of(paths), require_folder(out)
+    paths = paths_of(paths)
     scene, target_clear = path_of(scene), path_of(target_clear)
     choice = piv_choice(**options)
     run = paths[0] if len(paths) == 1 and (is_run(paths[0]) or is_source(paths[0])) else None
@@ -115,9 +120,11 @@ def evaluate(
                 "--shift-mm, --route, --tracking and --vtk are for single pairs, and this run is a series; leave"
                 " them out"
             )
+        name = run.resolve().name
+        out = folder_for(out, USUAL, lambda folder: _holds_series_of(folder, name))
         dewarping = (target_clear, dewarp_order, square_mm, disc_mm)
         series = series_input(run, out, choice, scene, *dewarping, dt_us, sigma_limit_px)
-        return _series(run.resolve().name, out, series, workers, figures, pictures)
+        return _series(name, out, series, workers, figures, pictures)
     if dt_us is not None or workers is not None:
         raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
     if target_clear is not None and (route != "image" or tracking):
@@ -125,6 +132,7 @@ def evaluate(
             f"{'the velocity route' if route != 'image' else 'tracking'} traces raw pixels; give the camera's lens"
             " terms in the scene, no dewarp"
         )
+    out = folder_for(out, USUAL)
     given = tasks_of(paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm)
 
     def measured(task: Task, prepared: PreparedCorrection) -> Evaluation:
@@ -148,6 +156,14 @@ def evaluate(
     screen = console()
     with drawing() as draw:
         return _each(screen, given, _limit(given, sigma_limit_px), measured)
+
+
+def _holds_series_of(folder: Path, name: str) -> bool:
+    """Whether the series of this run was begun in a folder."""
+    try:
+        return SeriesFolder(folder).about["run"] == name
+    except (RunUnsuitable, SeriesError):
+        return False
 
 
 def _series(

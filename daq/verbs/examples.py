@@ -16,7 +16,7 @@ def examples(out: Path | str = Path("examples")) -> Path:
     Parameters
     ----------
     out : path
-        Folder that is not there yet.
+        Folder that is not there yet, or empty.
 
     Returns
     -------
@@ -26,15 +26,17 @@ def examples(out: Path | str = Path("examples")) -> Path:
     Raises
     ------
     RunUsageError
-        The folder is there already.
+        The folder is there already and has something in it.
     DiskError
         It cannot be written.
     """
     out = require_folder(out)
-    if out.exists():
-        raise RunUsageError(f"{out}: is there already; give another folder")
+    if out.exists() and any(out.iterdir()):
+        raise RunUsageError(f"{out}: has files already; give another folder")
     try:
-        shutil.copytree(example_files.examples(), out, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            example_files.examples(), out, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True
+        )
     except OSError as error:
         raise DiskError(f"{out}: {why(error)}; give another folder") from None
     console().print(f"{len(list(out.rglob('*.yaml')))} files and tour.py are in {out}", soft_wrap=True)

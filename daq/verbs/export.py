@@ -8,18 +8,24 @@ from pathlib import Path
 
 from daq.analysis.export.formats import FORMATS
 from daq.analysis.export.map_files import MAP_FORMATS
-from daq.analysis.export.vector_table import read_vectors
+from daq.analysis.export.vector_table import VectorTable, read_vectors
 from daq.errors import DiskError, RunUsageError
+from daq.printable import counted
 from daq.terminal import console, progress_if_long
-from daq.verbs.output import require_folder
+from daq.verbs.output import folder_for
 from daq.verbs.paths import Named
 from daq.whole_text import sync_folder, why
 from tracer.scene_file import load_scene
 
 SCENES = (".yaml", ".yml")
+MOST_NAMED = 8  # variables of a file
+MAPS_SAID = (
+    "pixels [px] of nodes, and places on the plane [mm] of pixels; NaN where nothing is recovered or met, and"
+    " status says why"
+)
 
 
-def export(files: Sequence[Named], to: str, out: Named = "exported") -> list[Path]:
+def export(files: Sequence[Named], to: str, out: Named | None = None) -> list[Path]:
     """Write vectors, or the maps of a scene, in another program's format.
 
     Parameters
@@ -29,8 +35,8 @@ def export(files: Sequence[Named], to: str, out: Named = "exported") -> list[Pat
         scene files, as known or as fitted: what particles in their light sheet are corrected by.
     to : {"matlab", "paraview", "tecplot"}, or {"netcdf", "tiff"} of scene files
         For whom.
-    out : path
-        Folder; files keep their names.
+    out : path, optional
+        Folder, default ``exported`` (or ``exported-2`` ... where that has results); files keep their names.
 
     Returns
     -------
@@ -40,7 +46,8 @@ def export(files: Sequence[Named], to: str, out: Named = "exported") -> list[Pat
     Raises
     ------
     RunUsageError
-        A file holds no vectors on a grid, two would get one name, or the format is not one of its kind.
+        A file is not there, a folder, or holds no vectors on a grid; two would get one name, or the
+        format is not one of its kind.
     ConfigError
         A scene file is wrong.
     DiskError
@@ -52,22 +59,47 @@ def export(files: Sequence[Named], to: str, out: Named = "exported") -> list[Pat
             f"{to!r}: there are {', '.join(FORMATS)} of vectors, {', '.join(MAP_FORMATS)} of scenes"
         )
     for source in sources:
+        _require_file(source)
         if (source.suffix in SCENES) != (to in MAP_FORMATS):
             kind, formats = ("a scene", MAP_FORMATS) if source.suffix in SCENES else ("vectors", FORMATS)
             raise RunUsageError(f"{source}: {kind} can be exported to {' or '.join(formats)}, not {to}")
     if len({source.stem for source in sources}) < len(sources):
         raise RunUsageError("two of the files have one name and would get one file; export them one by one")
-    out = require_folder(out)
+    out = folder_for(out, "exported")
     out.mkdir(parents=True, exist_ok=True)
     written: list[Path] = []
+    said = MAPS_SAID
     for source in progress_if_long(sources, len(sources), "files"):
         try:
             if to in MAP_FORMATS:
                 written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / source.stem)
             else:
-                written += FORMATS[to](read_vectors(source), out / source.stem)
+                table = read_vectors(source)
+                written += FORMATS[to](table, out / source.stem)
+                said = _said(table, to)
         except OSError as error:
             raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
     sync_folder(out)
-    console().print(f"{len(written)} file{'s' if len(written) > 1 else ''} for {to} in {out}", soft_wrap=True)
+    console().print(f"{counted(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False)
     return written
+
+
+def _require_file(source: Path) -> None:
+    """Refuse what is not there and what is no file, by its name."""
+    if source.is_dir():
+        inside = sorted(path.name for path in source.iterdir() if path.suffix in (".nc", *SCENES))
+        cure = f"; name files in it, such as {inside[0]}" if inside else " without files that can be exported"
+        raise RunUsageError(f"{source}: is a folder{cure}")
+    if not source.exists():
+        raise RunUsageError(f"{source}: is not there; name a vectors.nc, mean.nc, chunk of a series or scene.yaml")
+
+
+def _said(table: VectorTable, to: str) -> str:
+    """What the files of a table hold, with units, and what stands where nothing was measured."""
+    names = [table.called(name) for name in table.values]
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    gaps = "0 in them and in measured" if to == "tecplot" else "NaN"
+    return (
+        f"{', '.join(names[:MOST_NAMED])}{more}, over x, y [mm] and t [s];"
+        f" where nothing was measured stands {gaps}"
+    )

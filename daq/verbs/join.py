@@ -5,21 +5,22 @@ from pathlib import Path
 from daq.analysis.series.series_folder import MEAN
 from daq.analysis.series.split_focus import BEHIND, BESIDE, JoinedMean, join_series
 from daq.terminal import console
-from daq.verbs.output import require_folder
+from daq.verbs.output import folder_for
 from daq.verbs.paths import Named
 
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
 
 
-def join(beside: Named, behind: Named, out: Named = "joined") -> JoinedMean:
+def join(beside: Named, behind: Named, out: Named | None = None) -> JoinedMean:
     """Join two series by what each was focused on.
 
     Parameters
     ----------
     beside, behind : path
         Folders of series (see `evaluate`): the run focused on the plane, the one focused behind the glass.
-    out : path
-        Folder for the joined ``mean.nc``, in which `source` says where each vector comes from.
+    out : path, optional
+        Folder, default ``joined`` (or ``joined-2`` ... where that has results), for the joined ``mean.nc``, in
+        which `source` says where each vector comes from.
 
     Returns
     -------
@@ -31,7 +32,7 @@ def join(beside: Named, behind: Named, out: Named = "joined") -> JoinedMean:
     SeriesError, RunUnsuitable, ConfigError, DiskError
         As `daq.analysis.series.split_focus.join_series`.
     """
-    out = require_folder(out)
+    out = folder_for(out, "joined")
     joined = join_series(Path(beside), Path(behind), out)
     screen = console()
     counts = {name: int((joined.source == value).sum()) for name, value in (("first", BESIDE), ("second", BEHIND))}

@@ -2,12 +2,39 @@
 
 import errno
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from daq.errors import DiskError, RunUsageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def folder_for(out: Path | str | None, usual: str, goes_on: Callable[[Path], bool] = lambda path: False) -> Path:
+    """Return the folder for results of a call that may not have named one: never one with other results in it.
+
+    Parameters
+    ----------
+    out : path or None
+        The folder that was named, which is taken as it is.
+    usual : str
+        Where results go if none was; with a number behind it, "trace-2", if something lies there already.
+    goes_on : callable, optional
+        Whether the work of this call has been begun in a folder, and goes on there.
+
+    Raises
+    ------
+    RunUsageError, DiskError
+        As `require_folder`.
+    """
+    if out is not None:
+        return require_folder(out)
+    number, folder = 1, Path(usual)
+    while folder.exists() and not goes_on(folder) and not (folder.is_dir() and not any(folder.iterdir())):
+        number += 1
+        folder = Path(f"{usual}-{number}")
+    return require_folder(folder)
 
 
 def require_folder(out: Path | str) -> Path:

@@ -4,12 +4,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
+from daq.errors import RunUsageError
+from tracer.scene import Scene
+
 Named: TypeAlias = str | Path
 
 
-def path_of(named: Named | None) -> Path | None:
-    """Return an optional path."""
+def path_of(named: Named | Scene | None) -> Path | None:
+    """Return an optional path; RunUsageError for a scene, whose fit would not be found."""
+    if isinstance(named, Scene):
+        raise RunUsageError("give the scene's file: the fit beside it says how sure the map is")
     return None if named is None else Path(named)
+
+
+def file_of(named: Named | Scene) -> Path:
+    """Return the path of a file; RunUsageError as `path_of`."""
+    found = path_of(named)
+    assert found is not None
+    return found
 
 
 def paths_of(named: Sequence[Named] | Named) -> list[Path]:

@@ -2,19 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 from correction.light_sheet.self_calibration import SheetFound
 from daq.analysis.light_sheet import about_sheet, flow_frames, sheet_of
 from daq.analysis.tasks import FIT_FILE
 from daq.terminal import console
-from daq.verbs.output import require_folder
-from daq.verbs.paths import Named, paths_of
+from daq.verbs.output import folder_for
+from daq.verbs.paths import Named, file_of, paths_of
 from daq.whole_text import copy_whole, write_json, write_text
 from tracer.scene_file import dump_scene, load_scene
 
 
-def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named = "sheet") -> SheetFound:
+def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None) -> SheetFound:
     """Find the light sheet in the frames of a flow, and write a scene file that has it.
 
     Particles that are seen directly and through glass, or through it in two ways, tell how high over the target's
@@ -26,9 +25,9 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named = "sheet") ->
         The folder of a flow run, or frames of pairs in order: A, B, A, B ...; some 50 pairs.
     scene : path
         scene.yaml, fitted; what it says of its `sheet` is where the search begins.
-    out : path
-        Folder: ``scene.yaml`` with the sheet, a copy of ``fit.npz`` if one lies beside `scene`, ``sheet.json`` and
-        ``sheet.png``.
+    out : path, optional
+        Folder, default ``sheet`` (or ``sheet-2`` ... where that has results): ``scene.yaml`` with the sheet, a
+        copy of ``fit.npz`` if one lies beside `scene`, ``sheet.json`` and ``sheet.png``.
 
     Returns
     -------
@@ -42,8 +41,8 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named = "sheet") ->
     ConfigError, SceneError, FrameError, RunUnsuitable, RunDamaged, DiskError
         What files, frames or run make impossible.
     """
-    screen, scene, given = console(), Path(scene), paths_of(paths)
-    fitted, folder = load_scene(scene), require_folder(out)
+    screen, scene, given = console(), file_of(scene), paths_of(paths)
+    fitted, folder = load_scene(scene), folder_for(out, "sheet")
     frames = flow_frames(given, fitted)
     found = sheet_of(frames)
     folder.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from daq.analysis.pictures.names import short
 from daq.analysis.plane_share import BodyShare, PlaneShare, plane_share
 from daq.analysis.views.arranged import little
 from daq.terminal import console, progress_if_long
-from daq.verbs.output import require_folder
+from daq.verbs.output import folder_for
 from daq.verbs.paths import Named
 from tracer.errors import SceneError
 from tracer.fov import FieldOfView, field_of_view
@@ -55,18 +55,18 @@ class Traced:
     pictures: tuple[Path, ...] = field(repr=False)
 
 
-def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
+def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True) -> Traced:
     """Trace a scene; print what it shows of the plane, and leave pictures.
 
     Parameters
     ----------
-    scene : path
-        scene.yaml.
-    out : path
-        Folder for ``plane.png`` (what is recovered of the plane, why the rest is not, and how large it is seen),
-        ``camera_view.png`` (a board with markers as the camera sees it), ``scene.png`` (the scene to scale, cut
-        where the rays lie), of spheres in a row only ``radial_curve.png``, and ``blur.png`` if the scene says the
-        camera's aperture.
+    scene : path or Scene
+        scene.yaml, or what `load_scene` made of it.
+    out : path, optional
+        Folder, default ``trace`` (or ``trace-2`` ... where that has results), for ``plane.png`` (what is recovered
+        of the plane, why the rest is not, and how large it is seen), ``camera_view.png`` (a board with markers as
+        the camera sees it), ``scene.png`` (the scene to scale, cut where the rays lie), of spheres in a row only
+        ``radial_curve.png``, and ``blur.png`` if the scene says the camera's aperture.
     pictures : bool
         Draw them, after the figures are printed; else the folder is left alone.
 
@@ -82,9 +82,8 @@ def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
     RunUsageError, DiskError
         The folder cannot hold results.
     """
-    scene = Path(scene)
-    loaded = load_scene(scene)
-    out, screen = require_folder(out), console()
+    loaded, name = (scene, "scene") if isinstance(scene, Scene) else (load_scene(scene), Path(scene).stem)
+    out, screen = folder_for(out, "trace"), console()
     ray_map = build_ray_map(loaded)
     correction_map = build_correction_map(loaded, ray_map)
     share = plane_share(loaded, correction_map)
@@ -101,7 +100,7 @@ def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
         screen.print(share.through.sentence, style="bold")
         if advice := little(loaded, share.through.share):
             screen.print(advice, style="bold red")
-    screen.print(_plane_table(f"{scene.stem}, scene {loaded.content_hash()}", share))
+    screen.print(_plane_table(f"{name}, scene {loaded.content_hash()}", share))
     if share.bodies:
         screen.print(_body_table(share))
     if view is not None:
@@ -118,7 +117,7 @@ def trace(scene: Named, out: Named = "trace", pictures: bool = True) -> Traced:
     if pictures:
         del ray_map
         out.mkdir(parents=True, exist_ok=True)
-        names = _draw(out, scene.stem, loaded, correction_map, share, blur, view)
+        names = _draw(out, name, loaded, correction_map, share, blur, view)
         screen.print(f"{', '.join(names)} are in {out}")
     return Traced(share, view, forecast, tuple(out / name for name in names))
 

@@ -53,6 +53,9 @@ def test_threads(monkeypatch, tmp_path, before):
     assert [os.environ[name] for name in THREADS] == ["3"] * len(THREADS)
     assert (tmp_path / "examples" / "demo" / "scene.yaml").is_file()
     assert main(["examples", str(tmp_path / "examples")]) == USAGE
+    (tmp_path / "empty").mkdir()
+    assert main(["examples", str(tmp_path / "empty")]) == DONE
+    assert (tmp_path / "empty" / "tour.py").is_file()
     with pytest.raises(SystemExit):
         main(["--threads", "0", "completion", "bash"])
 

@@ -72,8 +72,10 @@ def test_what_is_not_there_is_a_device_error(tmp_path, capsys):
 
 def test_doctor_looks_and_opens_nothing(tmp_path, capsys):
     write_bench(tmp_path)
-    assert main(["doctor", "--bench", str(tmp_path / "bench.yaml")]) == DONE
-    said = capsys.readouterr().out
+    assert main(["doctor", "--bench", str(tmp_path / "bench.yaml")]) == DEVICE
+    said, error = capsys.readouterr()
+    assert "bench.yaml needs what is missing here: controller rail" in error
+    assert main(["doctor"]) == DONE  # of what no bench needs nothing is missing
     for words in (
         "numpy",
         "package tracer",

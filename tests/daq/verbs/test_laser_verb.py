@@ -247,5 +247,5 @@ def test_alignment_refuses_a_limit_before_it_asks_for_goggles(labs, monkeypatch,
 
 def test_the_doctor_looks_for_its_port(tmp_path, capsys):
     bench = bench_with(tmp_path)
-    assert main(["doctor", "--bench", str(bench.path)]) == DONE
+    assert main(["doctor", "--bench", str(bench.path)]) == DEVICE
     assert "timing unit laser" in capsys.readouterr().out

@@ -3,13 +3,21 @@
 import errno
 import os
 import tempfile
+from pathlib import Path
 
+import numpy as np
 import pytest
+import tifffile
 
 from daq.cli import USAGE, main
 from daq.errors import DiskError, RunUsageError
 from daq.verbs import output
-from daq.verbs.output import require_folder
+from daq.verbs.calibrate import calibrate
+from daq.verbs.correct import correct
+from daq.verbs.evaluate import evaluate
+from daq.verbs.output import folder_for, require_folder
+from daq.verbs.trace import trace
+from tracer.scene_file import load_scene
 
 
 def test_a_folder_that_can_be_is_not_made_yet(tmp_path):
@@ -47,3 +55,39 @@ def test_verbs_say_so_before_they_work(tmp_path, words, capsys):
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1
     assert "file" in said
+
+
+def test_results_that_were_given_no_folder_are_never_written_over(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert folder_for(None, "trace") == Path("trace")
+    Path("trace").mkdir()
+    assert folder_for(None, "trace") == Path("trace")  # nothing lies in it
+    Path("trace", "plane.png").touch()
+    assert folder_for(None, "trace") == Path("trace-2")
+    Path("trace-2").touch()  # a file of that name
+    assert folder_for(None, "trace") == Path("trace-3")
+    assert folder_for("trace", "trace") == Path("trace")  # who names it means it
+    assert folder_for(None, "trace", lambda path: path.name == "trace") == Path("trace")
+
+
+SCENE = """camera: {focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0]}
+bodies: [{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 20.0, material: BK7}]
+"""
+
+
+def test_a_scene_goes_where_its_file_goes_and_two_calls_keep_both_results(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text(SCENE)
+    scene = load_scene("scene.yaml")
+    frame = np.random.default_rng(1).integers(0, 4000, (96, 96)).astype(np.uint16)
+    tifffile.imwrite("a.tif", frame)
+    by_file = correct("a.tif", "scene.yaml", pictures=False)
+    by_scene = correct("a.tif", scene, pictures=False)
+    assert (by_file.frames[0].parent, by_scene.frames[0].parent) == (Path("corrected"), Path("corrected-2"))
+    np.testing.assert_array_equal(tifffile.imread(by_file.frames[0]), tifffile.imread(by_scene.frames[0]))
+    assert trace(scene, pictures=False).share == trace("scene.yaml", pictures=False).share
+    with pytest.raises(RunUsageError, match="give the scene's file: the fit beside it"):
+        correct("a.tif", scene, sigma_limit_px=0.1)
+    for verb in (lambda: evaluate(["a.tif", "a.tif"], scene=scene), lambda: calibrate(".", scene)):
+        with pytest.raises(RunUsageError, match="give the scene's file"):
+            verb()

@@ -89,6 +89,28 @@ def test_tecplot_gets_a_zone_a_time_without_nan(tmp_path):
     np.testing.assert_array_equal(numbers[1][:3], [2.0, -1.0, 1.0])
 
 
+@pytest.mark.parametrize(
+    ("to", "missing"), [("matlab", "NaN"), ("paraview", "NaN"), ("tecplot", "0 in them and in measured")]
+)
+def test_what_was_written_is_said_with_units_and_gaps(tmp_path, capsys, to, missing):
+    assert exported(written(tmp_path / "a.nc"), to, tmp_path / "out") == DONE
+    said = " ".join(capsys.readouterr().out.split())
+    assert "u [m s-1], v [m s-1], delta_t [s], over x, y [mm] and t [s]" in said
+    assert f"where nothing was measured stands {missing}" in said
+
+
+def test_a_missing_file_and_a_folder_are_called_by_their_name(tmp_path, capsys):
+    written(tmp_path / "vectors.nc")
+    for to in ("matlab", "netcdf"):
+        assert exported(tmp_path / "none.nc", to, tmp_path / "o") == USAGE
+        assert "none.nc: is not there" in capsys.readouterr().err
+        assert exported(tmp_path, to, tmp_path / "o") == USAGE
+        assert "is a folder; name files in it, such as vectors.nc" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert exported(tmp_path / "empty", "matlab", tmp_path / "o") == USAGE
+    assert "is a folder without files that can be exported" in capsys.readouterr().err
+
+
 def test_what_evaluate_writes_goes_through(tmp_path):
     write_netcdf(tmp_path / "pair.nc", a_field(), GRID, {})
     table = read_vectors(tmp_path / "pair.nc")

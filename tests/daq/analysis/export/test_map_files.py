@@ -66,6 +66,14 @@ def test_xarray_reads_them(lab):
     assert float(data.transmittance.max()) <= 1.0 + 1e-5
 
 
+@pytest.mark.parametrize("to", ["netcdf", "tiff"])
+def test_what_was_written_is_said(lab, to, tmp_path, capsys):
+    assert main(["export", str(lab / "lab.yaml"), "--to", to, "-o", str(tmp_path / "o")]) == DONE
+    said = " ".join(capsys.readouterr().out.split())
+    assert "pixels [px] of nodes" in said
+    assert "NaN where nothing is recovered" in said
+
+
 @pytest.mark.parametrize(("file", "to"), [("lab.yaml", "matlab"), ("out/lab_rays.nc", "tiff")])
 def test_the_other_kind_is_refused(lab, file, to, tmp_path, capsys):
     assert main(["export", str(lab / file), "--to", to, "-o", str(tmp_path / "o")]) == USAGE
