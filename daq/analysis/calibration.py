@@ -84,12 +84,12 @@ class Calibration:
 
     @property
     def account(self) -> dict[str, dict[str, int]]:
-        """What became of the corners, by region: measured = used + put aside; behind glass also all visible."""
+        """What became of the corners, by region: measured = used + rejected; behind glass also all visible."""
         fit, found = self.fit, dict[str, dict[str, int]]()
         for name, behind in (("seen directly", False), ("behind glass", True)):
             here = fit.corners.behind == behind
             measured, used = int(np.count_nonzero(here)), int(np.count_nonzero(here & fit.corners.inlier))
-            found[name] = {"measured": measured, "used": used, "put aside": measured - used}
+            found[name] = {"measured": measured, "used": used, "rejected": measured - used}
         found["behind glass"]["visible"] = fit.expected_behind
         return found
 

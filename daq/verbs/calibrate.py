@@ -107,7 +107,9 @@ def calibrate(
 
 def _draw(out: Path, found: Calibration, shape: tuple[int, int], name: str) -> None:
     with drawing() as draw:
-        draw(f"{PICTURES}.calibration:draw_map_sigma", out / "map_sigma.png", found.sigma)
+        draw(
+            f"{PICTURES}.calibration:draw_map_sigma", out / "map_sigma.png", found.sigma, found.fit.measured_scene
+        )
         draw(f"{PICTURES}.calibration:draw_convergence", out / "convergence.png", found.fit.history)
         draw(f"{PICTURES}.smooth:draw_smooth", out / "smooth_residuals.png", found.fit)
         if found.panels:

@@ -130,6 +130,7 @@ def _single_frame(
 ) -> None:
     """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
     from daq.analysis.report.pair import image_table, scene_chapter, slider_chapter
+    from daq.analysis.report.through import through_lead
 
     view = first_view(folder)
     if view is None:
@@ -143,7 +144,8 @@ def _single_frame(
     frame = read_acquired(view.path, scene.camera.shape)
     corrected = corrector(frame)
     seen = before_after(frame, corrected, corrector, through)
-    tiles = [(f"{100 * seen.recovered:.1f} %", "of the plane recovered", "share of the corrected frame")]
+    tiles = []
+    through_lead(page, seen.through, through, seen.recovered)
     if view.shows == "chessboard" and view.on_plane:
         errors = target_error(corrected, corrector, board)
         for name, region in list(errors.regions.items())[1:]:
@@ -152,11 +154,10 @@ def _single_frame(
                 tiles.append(
                     (f"{rms:.3f} px", f"corner error, {name}", f"{region.found} of {region.expected} corners")
                 )
-        page.tiles(tiles)
+        if tiles:
+            page.tiles(tiles)
         page.heading("Target")
         page.table(TARGET_HEAD, errors.rows(), "Position error of target corners, corrected minus grid [px]")
-    else:
-        page.tiles(tiles)
     slider_chapter(page, seen, f"Frame {view.path.name}, {view.tag}.")
     image_table(page, seen)
     scene_chapter(page, through)

@@ -8,6 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from daq.analysis.digits import places
 from daq.printable import counted
 
 if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
@@ -182,8 +183,8 @@ def show_calibration(screen: Console, found: "Calibration") -> None:
     fit = found.fit
     for region, counts in found.account.items():
         visible = f" of {counts['visible']} visible" if "visible" in counts else ""
-        aside = f"{counts['put aside']} of them put aside beyond 5 sigma"
-        screen.print(f"corners {region}: {counts['measured']}{visible} measured, {aside}")
+        outliers = f"{counts['rejected']} rejected as outliers beyond 5 sigma"
+        screen.print(f"corners {region}: {counts['measured']}{visible} measured, {outliers}")
     for behind, alike in fit.verdict.correlation.items():
         if alike.corners:
             region = "behind glass" if behind else "seen directly"
@@ -191,15 +192,17 @@ def show_calibration(screen: Console, found: "Calibration") -> None:
     for sentence in fit.verdict.sentences:
         screen.print(f"model: {sentence}", style="" if fit.verdict.is_right else "bold red")
     for weakness in found.weak:
-        screen.print(f"weak: {weakness.sentence}")
+        screen.print(f"not determined: {weakness.sentence}")
 
 
 def _number_table(found: "Calibration") -> Table:
-    table = Table(title=f"fitted scene {found.fit.measured_scene.content_hash()}; the rest was held fixed")
-    for name in ("free number", "fitted", "sigma", "moved", "prior sigma"):
-        table.add_column(name, justify="left" if name == "free number" else "right")
+    table = Table(
+        title=f"fitted scene {found.fit.measured_scene.content_hash()}; every other number was held fixed"
+    )
+    for name in ("fitted parameter", "fitted", "sigma", "moved", "prior sigma"):
+        table.add_column(name, justify="left" if name == "fitted parameter" else "right")
     for name, row in found.numbers.items():
-        digits = int(np.clip(1 - np.floor(np.log10(max(row["sigma"], 1e-9))), 0, 9))  # two of the sigma
+        digits = places(row["sigma"])
         unit = f" [{row['unit']}]" if row["unit"] else ""
         fitted, known, moved = (f"{row[part]:.{digits}f}" for part in ("value", "sigma", "moved"))
         table.add_row(f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}")

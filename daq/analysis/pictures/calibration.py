@@ -4,15 +4,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LogNorm
 
 from correction.fit.map_sigma import MapSigma
 from correction.fit.result import FitStep
 from daq.analysis.calibration import Panel
 from daq.analysis.pictures.canvas import Figure
-from daq.analysis.pictures.plane_axes import colour_bar, plane_panels
+from daq.analysis.pictures.plane_axes import NOTHING, colour_bar, draw_outlines, plane_panels
 from daq.analysis.pictures.saved import save_picture
+from tracer.scene import Scene
 
+SIGMAS = colormaps["viridis"].with_extremes(bad=NOTHING)
 REACH = 2.0  # an arrow's length over that of the 95th percentile, at most: an outlier must not cross the picture
 
 
@@ -52,19 +56,32 @@ def draw_residuals(path: Path, panels: list[Panel], shape: tuple[int, int]) -> N
     save_picture(figure, path, 100)
 
 
-def draw_map_sigma(path: Path, sigma: MapSigma) -> None:
-    """Draw the standard deviation of the correction, both axes together, as PNG on a logarithmic scale."""
-    total = np.hypot(sigma.sigma_px[..., 0], sigma.sigma_px[..., 1])
-    floor = max(float(np.nanmin(total)), 1e-5) if np.isfinite(total).any() else 1e-5
-    height, width = total.shape
-    figure, (axes,) = plane_panels(height / width, width_in=6.0)
+def draw_map_sigma(path: Path, sigma: MapSigma, scene: Scene) -> None:
+    """Draw the standard deviation of the correction as PNG."""
+    figure = map_sigma_figure(sigma, scene)
     FigureCanvasAgg(figure)
+    save_picture(figure, path, 100)
+
+
+def map_sigma_figure(sigma: MapSigma, scene: Scene) -> Figure:
+    """The standard deviation of the correction, both axes together, on a logarithmic scale of plain numbers."""
+    total = np.hypot(sigma.sigma_px[..., 0], sigma.sigma_px[..., 1])
+    known = total[np.isfinite(total) & (total > 0.0)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (1e-3, 1e-2)
+    height, width = total.shape
+    figure, (axes,) = plane_panels(height / width)
     x0, y0, pitch = *sigma.grid.origin_mm, sigma.grid.pitch_mm
     extent = (x0, x0 + width * pitch, y0 - height * pitch, y0)
-    shown = axes.imshow(np.log10(np.maximum(total, floor)), extent=extent, cmap="viridis")
-    colour_bar(shown, axes, "log10 of sigma [corrected px]")
-    axes.set(xlabel="x [mm]", ylabel="y [mm]", title="standard deviation of the correction")
-    save_picture(figure, path, 100)
+    shown = axes.imshow(
+        np.maximum(total, low), extent=extent, cmap=SIGMAS, norm=LogNorm(low, max(high, 1.01 * low)),
+        interpolation="nearest",
+    )  # fmt: skip
+    bar = colour_bar(shown, axes, "sigma [corrected px]")
+    bar.ax.yaxis.set_major_formatter("{x:g}")
+    bar.ax.yaxis.set_minor_formatter("")
+    draw_outlines(axes, scene)
+    axes.set(xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
+    return figure
 
 
 def draw_convergence(path: Path, history: Sequence[FitStep]) -> None:

@@ -1,14 +1,18 @@
-"""What the test of the model looks at: the smooth part of the residuals, way by way through the glass.
+"""What the test of the model looks at: the smooth part of the residuals, path by path through the glass.
 
-Corners scatter; a model that is wrong bends.  Every panel shows one way, a ball or a chain of them, its arrows
-scaled by themselves: a field that turns or points outwards is a ball that is not the sphere of the file, or a
-board that is not flat; arrows that point anywhere are noise.
+Corners scatter; a model that is wrong bends.  Every panel shows one path, a ball or a chain of them, its arrows
+scaled by themselves and as many as can be told apart: a field that turns or points outwards is a ball that is not
+the sphere of the file, or a board that is not flat; arrows that point anywhere are noise.
 """
 
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from correction.fit.fit_file import StoredVerdict
 from correction.fit.result import SceneFit
@@ -17,9 +21,13 @@ from daq.analysis.pictures.names import short
 from daq.analysis.pictures.plane_axes import colour_bar, plane_panels
 from daq.analysis.pictures.saved import save_picture
 
+Floats = NDArray[np.float64]
+
+SIZES = ListedColormap(colormaps["viridis_r"](np.linspace(0.15, 1.0, 64)))  # the palest is paper
 MOST_WAYS = 6  # with the most corners
 FEWEST = 12  # corners of a way that is drawn
-ARROW = 0.12  # length of an arrow of typical size, of the panel
+ACROSS = 18  # arrows along a side of a panel, at most: each is the mean of its cell
+ARROW = 1.5 / ACROSS  # length of an arrow of typical size, of the panel
 
 
 def draw_smooth(path: Path, fit: SceneFit) -> None:
@@ -30,18 +38,30 @@ def draw_smooth(path: Path, fit: SceneFit) -> None:
         save_picture(figure, path, 100)
 
 
-def smooth_figure(found: StoredVerdict) -> Figure | None:
-    """Draw the smooth part of the residuals, a panel for each way with many corners; None if there is none."""
+def smooth_figure(found: StoredVerdict, most: int = MOST_WAYS) -> Figure | None:
+    """Draw the smooth part of the residuals, a panel for each path with many corners; None if there is none.
+
+    Parameters
+    ----------
+    found : StoredVerdict
+        Of a fit.
+    most : int
+        Panels; one alone is that behind glass with the most corners, if there is one.
+    """
     count = np.bincount(found.way, minlength=len(found.ways))
-    drawn = [int(way) for way in np.argsort(-count, kind="stable")[:MOST_WAYS] if count[way] >= FEWEST]
+    order = np.argsort(-count, kind="stable")
+    if most == 1:
+        order = np.array(sorted(order, key=lambda way: not found.ways[way]), dtype=np.int64)
+    drawn = [int(way) for way in order[:most] if count[way] >= FEWEST]
     if not drawn:
         return None
     drawn.sort(key=lambda way: (len(found.ways[way]), found.ways[way]))
-    columns = min(len(drawn), 3)
-    figure, panels = plane_panels(1.0, len(drawn), columns, 3.4)
+    columns = min(len(drawn), 2)
+    figure, panels = plane_panels(1.0, len(drawn), columns)
     for axes, way in zip(panels, drawn, strict=True):
         here = found.way == way
-        pixel, smooth = found.pixel[here], found.smooth_px[here]
+        rms = float(np.sqrt(np.mean(found.smooth_px[here] ** 2)))
+        pixel, smooth = _thinned(found.pixel[here], found.smooth_px[here])
         length = np.hypot(*smooth.T)
         typical = max(float(np.percentile(length, 95)), 1e-6)
         low, high = pixel.min(axis=0), pixel.max(axis=0)
@@ -53,13 +73,27 @@ def smooth_figure(found: StoredVerdict) -> Figure | None:
             angles="xy",
             scale_units="xy",
             scale=typical / (2.0 * ARROW * reach),
-            width=0.004,
+            width=0.006,
+            cmap=SIZES,
             clim=(0.0, typical),
         )
-        colour_bar(shown, axes, "smooth part [px]", "max")
+        bar = colour_bar(shown, axes, "smooth part [px]", "max")
+        bar.ax.yaxis.set_major_locator(MaxNLocator(4))
         u, v = middle.tolist()
         axes.set(xlim=(u - reach, u + reach), ylim=(v + reach, v - reach), xlabel="u [px]", ylabel="v [px]")
-        rms = float(np.sqrt(np.mean(smooth**2)))
         name = short(found.ways[way], 30) or "beside the glass"
-        axes.set_title(f"{name}: {rms:.2g} px rms", fontsize=9, parse_math=False)
+        axes.set_title(f"{name}: {rms:.2g} px rms", fontsize=10, parse_math=False)
     return figure
+
+
+def _thinned(pixel: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Means of places (N, 2) and values (N, 2) over cells, `ACROSS` of them along the longer side."""
+    low = pixel.min(axis=0)
+    cell = max(float((pixel.max(axis=0) - low).max()), 1.0) / ACROSS
+    numbers = np.minimum(((pixel - low) / cell).astype(np.int64), ACROSS - 1) @ np.array([1, ACROSS])
+    _, which, count = np.unique(numbers, return_inverse=True, return_counts=True)
+
+    def means(each: Floats) -> Floats:
+        return np.stack([np.bincount(which, part, len(count)) / count for part in each.T], axis=-1)
+
+    return means(pixel), means(values)

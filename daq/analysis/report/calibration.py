@@ -1,21 +1,26 @@
 """The page of a calibration, and its chapter in the pages of what is measured with it: is the model right."""
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from correction.fit.fit_file import StoredVerdict, load_verdict
 from daq.analysis.calibration import Calibration
+from daq.analysis.digits import places
+from daq.analysis.pictures.calibration import map_sigma_figure
 from daq.analysis.pictures.smooth import smooth_figure
 from daq.analysis.report.page import Page
+from daq.analysis.report.through import through_lead
+from daq.printable import counted
 from ground.errors import MapFileError
 from tracer.scene import Scene
 
-MOST_PLACES = 9  # of a number that is known to more than anybody can make
 CAPTION = (
-    "Smooth part of the residuals of the calibration, one panel for each way through the glass, arrows scaled"
-    " panel by panel. What bends is not noise; its size is counted in the sigma of the map."
+    "Smooth part of the residuals of the calibration, a panel for each path through the glass; arrows are scaled"
+    " panel by panel. What is smooth is no noise of corners: it is an error of the model, and the sigma of the map"
+    " includes it."
 )
 
 
@@ -35,24 +40,46 @@ def calibration_chapter(page: Page, fit_file: Path, scene: Scene) -> None:
 
 def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
     """Write the page of a calibration of the frames called `of`."""
-    page = Page(f"{of}: calibration", f"{len(found.fit.frames)} frames of the target")
-    verdict_chapter(page, StoredVerdict.of(found.fit))
+    fit = found.fit
+    page = Page(f"{of}: calibration", f"{counted(len(fit.frames), 'frame')} of the target")
+    recovered = np.isfinite(found.sigma.sigma_px[..., 0])
+    through_lead(page, found.through, fit.measured_scene, float(recovered.mean()))
+    page.lead(*calibration_lead(found))
+    with page.row():
+        said = "Standard uncertainty of the map [px of a corrected frame], both axes together."
+        page.figure("map_sigma", map_sigma_figure(found.sigma, fit.measured_scene), said, dense=True)
+        figure = smooth_figure(StoredVerdict.of(fit), 1)
+        if figure is not None:
+            page.figure("smooth_behind", figure, "Smooth part of the residuals of the largest view.", dense=True)
+    verdict_chapter(page, StoredVerdict.of(fit))
     if found.weak:
-        page.heading("What the frames leave open")
+        page.heading("What these frames cannot determine")
         for weakness in found.weak:
-            page.text(f"{weakness.sentence[:1].upper()}{weakness.sentence[1:]}.")
+            page.text(f"{sentence_case(weakness.sentence)}.")
     page.heading("What was found")
-    rows: list[tuple[str, ...]] = [
-        (region, f"{v['median']:.4f}", f"{v['largest']:.3f}") for region, v in found.percentiles.items()
-    ]
-    page.table(("sigma of the map [px]", "median", "largest"), rows)
-    rows = [(name, row["unit"], *_numbers(row)) for name, row in found.numbers.items()]
-    page.table(("free number", "unit", "fitted", "sigma", "moved", "sigma before"), rows, "The rest was held.")
-    rows = []
-    for name, count in found.account.items():
-        rows.append((name, *(str(count[key]) for key in ("measured", "used", "put aside"))))
-    page.table(("corners", "measured", "used", "put aside beyond 5 sigma"), rows)
+    rows: list[tuple[str, ...]] = [(name, row["unit"], *_numbers(row)) for name, row in found.numbers.items()]
+    said = "Every other number was held fixed"
+    page.table(("fitted parameter", "unit", "fitted", "sigma", "moved", "prior sigma"), rows, said)
     page.write(path)
+
+
+def calibration_lead(found: Calibration) -> tuple[str, str, tuple[str, ...], list[tuple[str, ...]]]:
+    """The sigma of the map behind glass, or without glass beside it, and what the corners say, by region."""
+    fit, regions = found.fit, found.percentiles
+    region = "behind glass" if "behind glass" in regions else "seen directly"
+    known = regions.get(region)
+    value = "-" if known is None else f"{known['median']:.2g} px"
+    said = f"standard uncertainty of the map {region}: median of its worse axis"
+    head = ("region", "map sigma: median, largest [px]", "rms of residuals [px]", "corners used", "rejected")
+    rows: list[tuple[str, ...]] = []
+    for name, behind in (("behind glass", True), ("seen directly", False)):
+        count, sigma = found.account[name], regions.get(name)
+        if not count["measured"]:
+            continue
+        unsure = "-" if sigma is None else f"{sigma['median']:.2g}, {sigma['largest']:.2g}"
+        rms = "{:.3f}, {:.3f}".format(*fit.corners.rms_px(behind)) if count["used"] else "-"
+        rows.append((name, unsure, rms, f"{count['used']} of {count['measured']}", str(count["rejected"])))
+    return value, said, head, rows
 
 
 def verdict_chapter(page: Page, found: StoredVerdict) -> None:
@@ -60,15 +87,20 @@ def verdict_chapter(page: Page, found: StoredVerdict) -> None:
     page.heading("Calibration: is the model right?")
     for sentence in found.sentences:
         say = page.text if found.right else page.warning
-        say(f"{sentence[:1].upper()}{sentence[1:]}.")
+        say(f"{sentence_case(sentence)}.")
     figure = smooth_figure(found)
     if figure is not None:
         page.figure("smooth_residuals", figure, CAPTION, dense=True)
 
 
+def sentence_case(text: str) -> str:
+    """A text as a sentence begins; names of parameters, with a dot in their first word, stay as they are."""
+    first = text.split(" ", 1)[0]
+    return text if "." in first else f"{text[:1].upper()}{text[1:]}"
+
+
 def _numbers(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Value, sigma, movement and sigma before, to the second digit of sigma: what stands behind it is noise."""
-    sigma = float(row["sigma"])
-    places = min(max(1 - math.floor(math.log10(sigma)), 0), MOST_PLACES) if sigma > 0.0 else MOST_PLACES
-    value, known, moved = (f"{row[key]:.{places}f}" for key in ("value", "sigma", "moved"))
+    """Value, sigma, movement and sigma before, to the second digit of sigma."""
+    digits = places(float(row["sigma"]))
+    value, known, moved = (f"{row[key]:.{digits}f}" for key in ("value", "sigma", "moved"))
     return value, known, moved, f"{row['prior_sigma']:.3g}"

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PatchCollection
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from correction.evaluate.shift import Scatter
@@ -17,7 +15,16 @@ from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from correction.piv.vector_field import VectorField
 from daq.analysis.pictures.canvas import Figure
-from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare, bare_figure, colour_bar, plane_panels
+from daq.analysis.pictures.plane_axes import (
+    INK,
+    NOTHING,
+    SOFT,
+    bare,
+    bare_figure,
+    colour_bar,
+    draw_outlines,
+    plane_panels,
+)
 from tracer.scene import Scene
 
 ARROWS = 30  # drawn along the longer side, at most
@@ -50,7 +57,7 @@ def vector_figure(
     grid : PlaneGrid
         Its scale.
     scene : Scene
-        Whose spheres are outlined.
+        Whose bodies are outlined, as the camera sees them on the plane.
     colour : (ny, nx) float64
         Value behind each vector; NaN is grey.
     label : str
@@ -64,7 +71,7 @@ def vector_figure(
     figure, (axes,) = plane_panels((extent[3] - extent[2]) / (extent[1] - extent[0]))
     top = limit if limit is not None else colour_limit(colour)
     image = axes.imshow(colour, extent=extent, cmap=GROUND, vmin=0.0, vmax=top, interpolation="nearest")
-    _outline(axes, scene)
+    draw_outlines(axes, scene, names=False)
     every = max(1, -(-max(field.flags.shape) // ARROWS))
     some = (slice(every // 2, None, every), slice(every // 2, None, every))
     shown = field.valid[some]
@@ -100,7 +107,7 @@ def draw_arrows(axes: Axes, place: Floats, shift: Floats, cell_mm: float, colour
 def track_figure(tracks: PlaneVectors, scene: Scene) -> Figure:
     """Draw tracks where they are, at most `MOST_TRACKS` of them, on the plane in mm."""
     figure, axes = bare_figure(6.2, 5.3)
-    _outline(axes, scene)
+    draw_outlines(axes, scene, names=False)
     every = -(-len(tracks.branch) // MOST_TRACKS)
     place, shift = tracks.place_mm[::every], tracks.shift_mm[::every]
     low, high = tracks.place_mm.min(axis=0), tracks.place_mm.max(axis=0)
@@ -108,13 +115,6 @@ def track_figure(tracks: PlaneVectors, scene: Scene) -> Figure:
     draw_arrows(axes, place, shift, 0.04 * float(np.max(high - low)), colours)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     return figure
-
-
-def _outline(axes: Axes, scene: Scene) -> None:
-    """Draw the spheres where they stand, as one artist."""
-    circles = [Circle(sphere.centre_mm[:2], sphere.radius_mm) for sphere in scene.spheres]
-    rims = PatchCollection(circles, facecolors="none", edgecolors=INK, linewidths=1.0, linestyles="--")
-    axes.add_collection(rims, autolim=False)
 
 
 def colour_limit(colour: Floats) -> float:

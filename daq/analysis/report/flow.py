@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.corrector import Corrector
 from correction.evaluate.regions import MIDDLE, Region, Regions, regions_of
 from correction.flow.derived import Axis, PlaneField, divergence, jet_axis, profile, rim_steps, vorticity
 from correction.prepared import prepare
@@ -40,12 +41,15 @@ STEPS_HEAD = (
 Floats = NDArray[np.float64]
 
 
-def regions_of_mean(folder: Path, mean: MeanFlow) -> Regions:
+def corrector_of_mean(folder: Path) -> Corrector:
+    """How the frames of the series in a folder were corrected."""
+    return prepare(scene_of(folder), maps=folder / "maps", grid=grid_of_series(folder)).corrector
+
+
+def regions_of_mean(folder: Path, mean: MeanFlow, corrector: Corrector) -> Regions:
     """Regions of the vectors of a mean, rows from the lowest y up, by the map of the series in a folder."""
-    scene = scene_of(folder)
     known = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
-    prepared = prepare(scene, maps=folder / "maps", grid=grid_of_series(folder))
-    seen = regions_of(known, prepared.corrector.map, scene)
+    seen = regions_of(known, corrector.map, scene_of(folder))
     return Regions(seen.region[::-1], seen.radius[::-1])
 
 

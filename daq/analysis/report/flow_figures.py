@@ -5,12 +5,19 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
-from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from correction.flow.derived import Profile, RimStep
 from daq.analysis.pictures.canvas import Figure
-from daq.analysis.pictures.plane_axes import INK, NOTHING, SOFT, bare_figure, colour_bar, plane_panels
+from daq.analysis.pictures.plane_axes import (
+    INK,
+    NOTHING,
+    SOFT,
+    bare_figure,
+    colour_bar,
+    draw_outlines,
+    plane_panels,
+)
 from daq.analysis.report.figures import HEAT, SERIES, plain_decades
 from daq.analysis.series.history import BINS, History
 from daq.analysis.series.mean_flow import MeanFlow
@@ -140,9 +147,7 @@ def _ratio(mean: MeanFlow) -> float:
 
 
 def _plane(axes: Axes, mean: MeanFlow, scene: Scene) -> None:
-    """Draw the spheres' outlines; the plane in mm."""
-    for sphere in scene.spheres:
-        x, y, _ = sphere.centre_mm
-        axes.add_patch(Circle((x, y), sphere.radius_mm, fill=False, edgecolor=SOFT, linewidth=0.8, linestyle="--"))
+    """Draw the outlines of the bodies; the plane in mm."""
+    draw_outlines(axes, scene, names=False)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     axes.set(xlim=(mean.x_mm[0], mean.x_mm[-1]), ylim=(mean.y_mm[0], mean.y_mm[-1]))

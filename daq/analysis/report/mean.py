@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, Regions
 from daq.acquisition.runs.run_folder import RunFolder
+from daq.analysis.digits import with_sigma
 from daq.analysis.report.calibration import calibration_chapter
 from daq.analysis.report.figures import vector_figure
-from daq.analysis.report.flow import flow_chapters, regions_of_mean
+from daq.analysis.report.flow import corrector_of_mean, flow_chapters, regions_of_mean
 from daq.analysis.report.page import Link, Page
 from daq.analysis.report.pair import light_sheet_line, scene_chapter
 from daq.analysis.report.run import books_chapter
 from daq.analysis.report.self_check import self_check_chapter
 from daq.analysis.report.series import frames_chapter, pair_chapter, shown_pair
+from daq.analysis.report.through import through_lead
 from daq.analysis.series.ensemble_series import EnsembleFlow
 from daq.analysis.series.image_field import image_field
 from daq.analysis.series.mean_flow import MeanFlow
@@ -25,6 +27,7 @@ from daq.analysis.series.series_folder import SeriesFolder
 from daq.analysis.series.series_input import SeriesInput
 from daq.analysis.series.series_mean import grid_of_series, scene_of, standing_of, windows_of
 from daq.analysis.tasks import FIT_FILE
+from daq.analysis.through_glass import through_glass
 
 SHOWN_PAIRS = 60
 
@@ -58,13 +61,17 @@ def write_mean_page(
     page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
     if mean.doubt:
         page.warning(mean.doubt + ".")
-    regions = regions_of_mean(folder, mean)
+    corrector, scene = corrector_of_mean(folder), scene_of(folder)
+    regions = regions_of_mean(folder, mean, corrector)
+    through = through_glass(scene, corrector.map.grid, corrector.recovered)
+    through_lead(page, through, scene, float(corrector.recovered.mean()))
     page.lead(*mean_lead(mean, regions))
+    _velocity_figures(page, folder, mean)
     page.tiles(mean_tiles(mean))
+    mean_chapters(page, folder, mean)
     if series is not None and (shown := shown_pair(*series)) is not None:
         frames_chapter(page, shown)
         pair_chapter(page, series[0], shown)
-    mean_chapters(page, folder, mean)
     flow_chapters(page, folder, mean, regions)
     if ensemble is not None:
         ensemble_chapter(page, folder, ensemble)
@@ -72,9 +79,9 @@ def write_mean_page(
     if series is not None:
         self_check_chapter(page, series[0])
         books_chapter(page, RunFolder.open(series[0].run))
-    scene_chapter(page, scene_of(folder))
+    scene_chapter(page, scene)
     light_sheet_line(page, standing_of(folder))
-    calibration_chapter(page, folder / FIT_FILE, scene_of(folder))
+    calibration_chapter(page, folder / FIT_FILE, scene)
     page.heading("Files")
     names = ("mean.nc", "mean_ensemble.nc", "scene.yaml", "series.json")
     page.links([Link(name, name) for name in names if (folder / name).is_file()])
@@ -83,28 +90,39 @@ def write_mean_page(
     page.facts([
         ("run", about["run"]), ("frames", ", ".join(content["preparation"]) or "as acquired"),
         ("correlation", ", ".join(f"{name} {value}" for name, value in content["settings"].items())),
-        ("scene", scene_of(folder).content_hash()), ("rtpiv", version("rtpiv")),
+        ("scene", scene.content_hash()), ("rtpiv", version("rtpiv")),
     ])  # fmt: skip
     page.write(path)
 
 
 def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
-    """Standard uncertainty of the mean with its parts, u and v apart, behind glass if anything is."""
-    known = mean.count > 0
+    """The highest mean velocity, behind glass if anything is, and the uncertainty of the mean there, in parts."""
+    known = (mean.count > 0) & np.isfinite(mean.total_sigma_m_s).all(axis=-1)
     behind = known & (regions.region == Region.GLASS)
     where, name = (behind, "behind glass") if behind.any() else (known, "seen directly")
+    total = mean.total_sigma_m_s
     unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
     asked = (("random sigma of the mean", mean.sigma_m_s), ("not resolved by the windows", unresolved),
              ("sigma of dt", mean.dt_sigma_m_s), ("sigma by the fitted map", mean.map_sigma_m_s))  # fmt: skip
     parts = [(what, part) for what, part in asked if part is not None and np.isfinite(part).any()]
-    rows: list[tuple[str, ...]] = [(what, *_medians(part, where, mean.px_per_m_s)) for what, part in parts]
+    rows: list[tuple[str, ...]] = [(what, *_medians(part, where, 1.0)) for what, part in parts]
     if mean.map_sigma_m_s is None:
         rows.append(("sigma by the map", "not known", ""))
-    total = mean.total_sigma_m_s
-    rows.append(("total in m/s", *_medians(total, where, 1.0)))
-    value = "{}, {} px".format(*_medians(total, where, mean.px_per_m_s))
-    said = f"total standard uncertainty u, v of the mean: median of {int(where.sum())} vectors {name}"
-    return value, said, ("[px]", "u", "v"), rows
+    rows.append(("total", *_medians(total, where, 1.0)))
+    rows.append(("total in px", *_medians(total, where, mean.px_per_m_s)))
+    said = f"highest mean velocity {name}, of {int(where.sum())} vectors; their median uncertainty beside it"
+    return _highest(mean, where), said, ("sigma of the mean [m/s]", "u", "v"), rows
+
+
+def _highest(mean: MeanFlow, where: NDArray[np.bool_]) -> str:
+    """The longest mean vector of some, with its standard uncertainty along itself."""
+    if not where.any():
+        return "-"
+    vectors, sigmas = mean.mean_m_s[where], mean.total_sigma_m_s[where]
+    speed = np.linalg.norm(vectors, axis=-1)
+    top = int(np.argmax(speed))
+    along = vectors[top] / max(float(speed[top]), 1e-300)
+    return f"{with_sigma(float(speed[top]), float(np.linalg.norm(along * sigmas[top])))} m/s"
 
 
 def _medians(values: NDArray[np.float64], where: NDArray[np.bool_], scale: float) -> tuple[str, str]:
@@ -117,38 +135,38 @@ def _medians(values: NDArray[np.float64], where: NDArray[np.bool_], scale: float
 def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
     """The figures that matter next: value, name, what it is measured against."""
     known = mean.count > 0
-    speed = np.linalg.norm(mean.mean_m_s[known], axis=-1)
     worth = float(np.nanmedian(mean.effective.samples[known])) if known.any() else float("nan")
-    highest = f"{speed.max():.4g} m/s" if len(speed) else "-"
     return [
         (f"{mean.used}", "pairs in the mean", f"{len(mean.left_out)} are left out"),
-        (highest, "highest mean speed", f"{int(known.sum())} places"),
+        (f"{int(known.sum())}", "places with a mean", f"of {known.size}"),
         (f"{worth:.0f}", "effective samples", mean.effective.way),
     ]
 
 
-def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
-    """Add the mean, its uncertainty and the fluctuations."""
-    scene = scene_of(folder)
-    grid, field = (
-        grid_of_series(folder),
-        image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder)),
-    )
-    page.heading("Mean velocity")
+def _velocity_figures(page: Page, folder: Path, mean: MeanFlow) -> None:
+    """The mean and its random uncertainty, side by side."""
+    scene, grid = scene_of(folder), grid_of_series(folder)
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
     speed = np.linalg.norm(mean.mean_m_s, axis=-1)[::-1]
     sigma = np.linalg.norm(mean.sigma_m_s, axis=-1)[::-1]
     with page.row():
-        said = "Vectors of the mean, their speed in colour."
+        said = "Mean velocity; its magnitude in colour."
         page.figure("mean", vector_figure(field, grid, scene, speed, "mean speed [m/s]"), said, dense=True)
         said = f"Random standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
         figure = vector_figure(field, grid, scene, sigma, "sigma of the mean [m/s]")
         page.figure("mean_sigma", figure, said, dense=True)
+
+
+def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
+    """Add what the uncertainty of the mean leaves out, and the fluctuations."""
+    scene, grid = scene_of(folder), grid_of_series(folder)
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
     if not mean.effective.converged:
         page.warning("The series is too short for its slowest motion: the sigma of the mean is a lower limit.")
     if np.isnan(mean.dt_sigma_share):
-        page.text("What dt is unsure of is not known: nobody measured it (dt_sigma_us in the plan).")
+        page.text("The uncertainty of dt is not known: it was not measured (dt_sigma_us in the plan).")
     if mean.no_map_sigma:
-        page.text(f"What the map itself is unsure of is not known: {mean.no_map_sigma}.")
+        page.text(f"The uncertainty of the correction map is not known: {mean.no_map_sigma}.")
     page.heading("Fluctuations")
     energy = np.maximum(mean.stresses_m2_s2[..., :2].sum(axis=-1), 0.0)[::-1]
     page.figure(

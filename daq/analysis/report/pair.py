@@ -1,8 +1,8 @@
 """The chapters of one evaluated pair: pictures, vectors, errors, uncertainty, both routes, images."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from correction.evaluate.regions import Region
 from correction.evaluate.shift import shift_errors
 from daq.acquisition.runs.shown_plane import where_lit
 from daq.analysis.evaluation import Evaluation
@@ -40,27 +40,40 @@ from daq.analysis.report.tables import (
     sigma_rows,
     track_rows,
 )
-from daq.analysis.report.total import coverage_of, totals_of
+from daq.analysis.report.through import through_lead
+from daq.analysis.report.total import Total, coverage_of, totals_of
 from tracer.scene import Scene
 
 
 def pair_summary(page: Page, evaluation: Evaluation) -> None:
-    """Add the figures that matter most: the total error with its parts, then what it is of."""
-    field, regions = evaluation.field, evaluation.regions.region
+    """Begin a page: what is seen through glass, how well it is measured there, and the pictures of it.
+
+    All figures are of the vectors behind glass; of those seen directly where there are none behind it.
+    """
+    seen, field = _seen(evaluation), evaluation.field
+    through_lead(page, seen.through, evaluation.task.scene, seen.recovered)
+    if field.doubt:
+        page.warning(field.doubt + ".")
     if totals := totals_of(evaluation):
-        page.lead(*lead_of(totals))
-    behind, across = (int(((regions == part) & field.valid).sum()) for part in (Region.GLASS, Region.RIM))
-    valid = field.counts["valid"]
-    tiles = [
-        (str(behind), "vectors behind glass", f"{across} across a rim, {valid - behind - across} seen directly"),
-        (f"{valid}", "valid vectors", f"of {field.flags.size} nodes"),
-        (f"{100 * _seen(evaluation).recovered:.1f} %", "of the plane recovered", "share of the corrected frame"),
-    ]
-    found = coverage_of(evaluation, field.valid)
+        page.lead(*lead_of(totals[0]))
+        page.tiles(_region_tiles(evaluation, totals[0]))
+    with page.row():
+        page.slider(seen.layers, "Frame A, as acquired and corrected. Drag to compare.")
+        _vector_figure(page, evaluation)
+    page.swatches(mask_swatches(seen.shares))
+
+
+def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, str]]:
+    """Figures of the vectors of the region that the page is about: value, name, what it is measured against."""
+    where = total.where(evaluation)
+    asked = total.nodes(evaluation)
+    tiles = [(str(total.count), f"valid vectors {total.region}", f"of {asked} nodes there")]
+    found = coverage_of(evaluation, where)
     if found is not None:
         inside = "{:.0f}, {:.0f} %".format(*(100 * share for share in found.within_1))
-        tiles.append((inside, "of the errors u, v within 1 sigma", f"68 % claimed: sigma is {found.claim}"))
-    page.tiles(tiles)
+        tiles.append((inside, "of their errors u, v within 1 sigma", f"68 % claimed: sigma is {found.claim}"))
+        tiles.append(("{:.2f}, {:.2f}".format(*found.ratio), "scatter u, v over sigma", "1 if sigma is right"))
+    return tiles
 
 
 def _seen(evaluation: Evaluation) -> BeforeAfter:
@@ -78,11 +91,8 @@ def slider_chapter(page: Page, seen: BeforeAfter, what: str) -> None:
 
 def pair_chapters(page: Page, evaluation: Evaluation) -> None:
     """Add the chapters of a pair."""
-    if evaluation.field.doubt:
-        page.warning(evaluation.field.doubt + ".")
     if evaluation.task.note:
         page.text(evaluation.task.note)
-    slider_chapter(page, _seen(evaluation), "Frame A of the pair.")
     _vectors(page, evaluation)
     if evaluation.shift is not None:
         _errors(page, evaluation)
@@ -118,26 +128,45 @@ def light_sheet_line(page: Page, scene: Scene) -> None:
     say(where_lit(scene))
 
 
+def _vector_figure(page: Page, evaluation: Evaluation) -> None:
+    """The vectors: before their error where it is known, else in the colour of their length."""
+    field = evaluation.field
+    if evaluation.shift is None:
+        colour, label = np.hypot(field.u_px, field.v_px), "displacement [px]"
+        said = "Vectors, their length in colour; lines: outlines of the bodies on the plane."
+    else:
+        colour, label = np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1), "true error [px]"
+        said = "Vectors; the background is their distance from the known shift."
+    figure = vector_figure(
+        field, evaluation.grid, evaluation.task.scene, colour, label, _limit(evaluation, colour)
+    )
+    page.figure("vectors", figure, said, dense=True)
+
+
+def _limit(evaluation: Evaluation, error: NDArray[np.float64]) -> float | None:
+    """One scale for errors and their sigma; None where no error is known."""
+    return None if evaluation.shift is None else max(colour_limit(error), colour_limit(_sigma(evaluation)))
+
+
+def _sigma(evaluation: Evaluation) -> NDArray[np.float64]:
+    return np.asarray(np.hypot(evaluation.field.sigma_u_px, evaluation.field.sigma_v_px))
+
+
 def _vectors(page: Page, evaluation: Evaluation) -> None:
     field, grid, scene = evaluation.field, evaluation.grid, evaluation.task.scene
     page.heading("Displacement")
-    sigma = np.hypot(field.sigma_u_px, field.sigma_v_px)
-    if evaluation.shift is None:
-        colour, label, limit = np.hypot(field.u_px, field.v_px), "displacement [px]", None
-        said = "Vectors, their length in colour."
-    else:
-        colour, label = np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1), "true error [px]"
-        limit = max(colour_limit(colour), colour_limit(sigma))
-        said = "Vectors; the background is their distance from the known shift."
-    with page.row():
-        page.figure("vectors", vector_figure(field, grid, scene, colour, label, limit), said, dense=True)
-        if np.isfinite(sigma).any():
-            page.figure(
-                "uncertainty",
-                vector_figure(field, grid, scene, sigma, "estimated sigma [px]", limit),
-                "The same vectors before the uncertainty that the evaluation itself estimates, without any truth.",
-                dense=True,
-            )
+    sigma = _sigma(evaluation)
+    if np.isfinite(sigma).any():
+        limit = None
+        if evaluation.shift is not None:
+            error = np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1)
+            limit = _limit(evaluation, error)
+        page.figure(
+            "uncertainty",
+            vector_figure(field, grid, scene, sigma, "estimated sigma [px]", limit),
+            "The vectors before the uncertainty that the evaluation itself estimates, without any truth.",
+            dense=True,
+        )
     if evaluation.task.dt_s is not None:
         per_px = grid.pitch_mm / evaluation.task.dt_s
         page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),

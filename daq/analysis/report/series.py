@@ -11,6 +11,7 @@ from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.page import Page
 from daq.analysis.report.pair import image_table, light_sheet_line, scene_chapter
 from daq.analysis.report.tables import mask_swatches
+from daq.analysis.report.through import through_lead
 from daq.analysis.series.light_file import make_light
 from daq.analysis.series.preview import Preview, preview
 from daq.analysis.series.run_series import SeriesBooks
@@ -26,6 +27,7 @@ def write_series_page(path: Path, given: SeriesInput, books: SeriesBooks, figure
     page = Page(f"{given.run.resolve().name}: a flow through glass", f"{books.pairs} pairs", twice=figures)
     shown = shown_pair(given, books)
     if shown is not None:
+        through_lead(page, shown.seen.through, given.method.scene, shown.seen.recovered)
         page.lead(*series_lead(shown))
     page.tiles(series_tiles(given, books, shown))
     series_chapters(page, given, books, shown)
@@ -66,10 +68,9 @@ def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) 
     spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
     tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
     if shown is not None:
-        counts, share = shown.field.counts, shown.seen.recovered
+        counts = shown.field.counts
         asked = shown.field.flags.size - counts["masked"]
         tiles.append((f"{counts['valid']}", "valid vectors in one pair", f"of {asked} that the glass shows"))
-        tiles.append((f"{100 * share:.1f} %", "of the plane recovered", "share of the corrected frame"))
     return tiles
 
 

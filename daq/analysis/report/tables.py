@@ -1,6 +1,6 @@
 """Figures of an evaluation as rows of text, for the page and for the terminal."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -166,14 +166,13 @@ def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
     ]
 
 
-def lead_of(totals: Sequence[Total]) -> tuple[str, str, Row, list[Row]]:
+def lead_of(total: Total) -> tuple[str, str, Row, list[Row]]:
     """The total with its parts, for the head of a page: value, what it is, head and rows of a small table."""
-    first = totals[0]
-    value = "{:.4f}, {:.4f} px".format(*first.total_px)
+    value = "{:.4f}, {:.4f} px".format(*total.total_px)
     rows = [(name, *(f"{part:+.4f}" if name == "bias" else f"{part:.4f}" for part in pair))
-            for name, pair in first.parts]  # fmt: skip
-    rows += [(f"total, {other.region}", *(f"{part:.4f}" for part in other.total_px)) for other in totals[1:]]
-    return value, first.said, ("[px]", "u", "v"), rows
+            for name, pair in total.parts]  # fmt: skip
+    rows.append(("total, in squares", *(f"{part:.4f}" for part in total.total_px)))
+    return value, total.said, ("[px]", "u", "v"), rows
 
 
 def budget_rows(evaluation: Evaluation) -> list[Row]:

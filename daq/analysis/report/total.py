@@ -1,12 +1,12 @@
-"""The figure that a reader wants first: the total error, with its parts, and whether sigma keeps what it claims.
+"""The figure that a reader wants next: the total error of a region, its parts, and whether sigma keeps its claim.
 
 Where the true shift is known the total error of a region is the rms of its vectors' errors, u and v apart, and
 
     total^2 = bias^2 + scatter^2.
 
 The bias may be the stage's (it moved the sheet by something else than it reported) or the map's; how large either
-may be is said beside it, as one standard uncertainty.  Where no shift is known, the total is what vectors are
-unsure of: random sigma of the correlation and map sigma, in squares.
+may be stands in the budget of the comparison, and is no part of the total.  Where no shift is known, the total is
+what vectors are unsure of: random sigma of the correlation and map sigma, in squares.
 """
 
 from dataclasses import dataclass
@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from correction.evaluate.regions import Region
 from correction.evaluate.shift import shift_errors
 from correction.evaluate.verdicts import Claim, claim_of, independent_share
+from correction.piv.vector_field import VectorFlag
 from daq.analysis.evaluation import Evaluation
 
 GLASS, DIRECT = "behind glass", "seen directly"
+REGIONS = {GLASS: Region.GLASS, DIRECT: Region.DIRECT}
 Pair = tuple[float, float]
 
 
@@ -36,7 +38,7 @@ class Total:
     total_px : (float, float)
         Along u and v.
     parts : tuple of (str, (float, float))
-        What it is made of, and what its bias may come from.
+        What it is made of, in squares: none is larger than the total.
     is_error : bool
         True of an error against a known shift, False of an uncertainty.
     """
@@ -46,6 +48,19 @@ class Total:
     total_px: Pair
     parts: tuple[tuple[str, Pair], ...]
     is_error: bool
+
+    def nodes(self, evaluation: Evaluation) -> int:
+        """Nodes of the region that are not masked: how many vectors could be measured there."""
+        field = evaluation.field
+        return int(
+            np.count_nonzero(
+                (evaluation.regions.region == REGIONS[self.region]) & (field.flags != VectorFlag.MASKED)
+            )
+        )
+
+    def where(self, evaluation: Evaluation) -> NDArray[np.bool_]:
+        """Its vectors (ny, nx)."""
+        return np.asarray((evaluation.regions.region == REGIONS[self.region]) & evaluation.field.valid)
 
     @property
     def said(self) -> str:
@@ -66,9 +81,8 @@ class Coverage:
 
 def totals_of(evaluation: Evaluation) -> list[Total]:
     """Total of the vectors behind glass, then of those seen directly; regions without vectors are left out."""
-    chosen = {GLASS: Region.GLASS, DIRECT: Region.DIRECT}
     found = []
-    for name, region in chosen.items():
+    for name, region in REGIONS.items():
         where = (evaluation.regions.region == region) & evaluation.field.valid
         if where.any():
             found.append(_total(evaluation, name, where))
@@ -77,17 +91,16 @@ def totals_of(evaluation: Evaluation) -> list[Total]:
 
 def _total(evaluation: Evaluation, name: str, where: NDArray[np.bool_]) -> Total:
     field, result, joined = evaluation.field, evaluation.shift, evaluation.map_sigma
+    count = int(where.sum())
+    if result is not None:
+        found = result.regions[name]
+        return Total(
+            name, count, found.total_px, (("bias", found.bias_px), ("scatter", found.std_px)), is_error=True
+        )
     random = _rms(np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where])
     by_map = None if joined is None else _rms(joined.displacement_px[where])
-    map_part = [] if by_map is None else [("sigma by the fitted map", by_map)]
-    count = int(where.sum())
-    if result is None:
-        both = _hypot(random, by_map or (0.0, 0.0))
-        return Total(name, count, both, (("random sigma", random), *map_part), is_error=False)
-    found = result.regions[name]
-    stage = float(np.sqrt(2.0) * result.stage_px)
-    parts = [("bias", found.bias_px), ("scatter", found.std_px), *map_part, ("sigma by the stage", (stage, stage))]
-    return Total(name, count, found.total_px, tuple(parts), is_error=True)
+    parts = [("random sigma", random)] + ([] if by_map is None else [("sigma by the fitted map", by_map)])
+    return Total(name, count, _hypot(random, by_map or (0.0, 0.0)), tuple(parts), is_error=False)
 
 
 def coverage_of(evaluation: Evaluation, where: NDArray[np.bool_]) -> Coverage | None:

@@ -79,11 +79,19 @@ def shift_run(tmp_path_factory):
 def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
     text = (shift_run / "report" / "report.html").read_text()
     headings = re.findall("<h2>(.*?)</h2>", text)
-    for heading in ("Pairs of this run", "Acquired, corrected, recovered", "Displacement", "Uncertainty",
+    for heading in ("Pairs of this run", "Displacement", "Uncertainty",
                     "Errors against the known shift", "Image route and velocity route", "Images", "Scene",
                     "What the stages did", "Every frame accounted for", "Provenance"):  # fmt: skip
         assert heading in headings
     assert "6 triggered = 6 written" in text
+    head = text.partition("<h2>")[0]
+    assert re.search(r"<b>\d+ %</b><span>of what the balls hide is seen through glass", head)
+    assert re.search(
+        r"total error u, v of the (\d+) vectors behind glass.*<b>\1</b><span>valid vectors behind", head
+    )
+    assert "seen directly" not in head  # one region
+    assert head.count('class="slider"') == 1
+    assert head.count("<img") >= 3
     assert "there is no fit beside the scene" in text
     assert "deep_b: moved by -0.500 mm along z" in text
     for tag in ("clear_b", "glass_b", "deep_b"):

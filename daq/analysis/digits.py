@@ -1,0 +1,20 @@
+"""Numbers with as many digits as their standard uncertainty allows: two of its own."""
+
+import math
+
+MOST_PLACES = 9  # of a number that is known to more than anybody can make
+
+
+def places(sigma: float) -> int:
+    """Decimals that show two digits of a sigma; all there are, if nothing is unsure."""
+    if not (sigma > 0.0 and math.isfinite(sigma)):
+        return MOST_PLACES
+    return min(max(1 - math.floor(math.log10(sigma)), 0), MOST_PLACES)
+
+
+def with_sigma(value: float, sigma: float) -> str:
+    """A number and its standard uncertainty; without one the number alone, with four digits."""
+    if not (sigma > 0.0 and math.isfinite(sigma)):
+        return f"{value:.4g}"
+    digits = places(sigma)
+    return f"{value:.{digits}f} \u00b1 {sigma:.{digits}f}"
