@@ -2,17 +2,8 @@
 
 from enum import IntEnum
 
-RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME, LOW_MAGNIFICATION, UNSURE, BLURRED, IN_GLASS = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-)  # as kernels see them
+RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME = 0, 1, 2, 3, 4  # as kernels see them
+LOW_MAGNIFICATION, UNSURE, BLURRED, IN_GLASS = 5, 6, 7, 8
 
 
 class NodeStatus(IntEnum):
@@ -27,6 +18,8 @@ class NodeStatus(IntEnum):
     UNSURE = UNSURE  # the map's sigma is beyond the limit that was set
     BLURRED = BLURRED  # the aperture shows it too blurred, or too far from its chief ray
     IN_GLASS = IN_GLASS  # the light sheet runs through a body there
+    UNLISTED = 9  # something that the scene does not list stands before it
+    UNCONFIRMED = 10  # the target did not confirm what the scene shows there
 
 
 MEANING = {
@@ -39,4 +32,6 @@ MEANING = {
     NodeStatus.UNSURE: "sigma of the map beyond the limit",
     NodeStatus.BLURRED: "blurred by the aperture",
     NodeStatus.IN_GLASS: "inside a body",
+    NodeStatus.UNLISTED: "behind an unlisted body",
+    NodeStatus.UNCONFIRMED: "not confirmed by the target",
 }

@@ -24,6 +24,7 @@ from correction.dewarp import Dewarp
 from correction.fit.sigma_limit import SigmaLimit
 from correction.grid import PlaneGrid, grid_of
 from correction.in_glass import outside_glass
+from correction.masked import without_masked
 from correction.resample.sample import Method
 from ground.errors import GroundError
 from tracer.errors import TracerError
@@ -69,6 +70,8 @@ def content_key(
     tree: list[Any] = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
     if scene.camera.pupil is not None:
         tree += [scene.camera.pupil.radius_mm, scene.camera.pupil.focus_mm]
+    if scene.masked:
+        tree += [asdict(part) for part in scene.masked]
     if limit is not None:
         of_sigma = (
             limit.sigma.root.tobytes() + limit.sigma.plane_root.tobytes() + limit.sigma.shapes.root.tobytes()
@@ -117,7 +120,8 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    found = outside_glass(through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene), scene)
+    whole = without_masked(_map(scene, layers, maps, _other(grid, scene)), scene)
+    found = outside_glass(through_pupil(whole, scene), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
     return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid))
 

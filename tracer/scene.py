@@ -25,6 +25,7 @@ from tracer.errors import SceneError, StaleMap
 from tracer.kernels.rooms import ONE_ROOM, Rooms
 from tracer.kernels.world import MOST_NUMBERS
 from tracer.light_sheet import LightSheet
+from tracer.masked import MaskedPart
 from tracer.media import LARGEST_INDEX, VACUUM, Medium, check_wavelength
 from tracer.rooms import Arrangement
 
@@ -71,6 +72,8 @@ class Scene:
         content hash does not; see `in_light_sheet`.
     cut_mm : float
         How far bodies may reach through the plane: not through the target's, a little through a light sheet.
+    masked : tuple of MaskedPart
+        Parts of the view that no map is to use.  Rays do not depend on them, so the content hash does not.
 
     Raises
     ------
@@ -84,6 +87,7 @@ class Scene:
     ambient: Medium = VACUUM
     sheet: LightSheet | None = None
     cut_mm: float = 0.0
+    masked: tuple[MaskedPart, ...] = ()
 
     def __post_init__(self) -> None:
         check_wavelength(self.wavelength_nm)
@@ -113,7 +117,7 @@ class Scene:
 
     def bare(self) -> "Scene":
         """Return the scene without what is driven out of the view: balls, supports, walls that go with them."""
-        return self.with_bodies([body for body in self.bodies if body.stays])
+        return replace(self, bodies=tuple(body for body in self.bodies if body.stays), masked=())
 
     def with_camera(self, camera: Camera) -> "Scene":
         """Return the same scene with another camera."""
@@ -149,7 +153,7 @@ class Scene:
                 f"the light sheet at z = {sheet.z_mm:g} mm runs through {names}; put the bodies where they stood"
                 " while the sheet was on, or correct z_mm and the tilt of the sheet"
             )
-        return Scene(moved, bodies, self.wavelength_nm, self.ambient, cut_mm=DEEPEST_CUT_MM)
+        return Scene(moved, bodies, self.wavelength_nm, self.ambient, cut_mm=DEEPEST_CUT_MM, masked=self.masked)
 
     def sphere_table(self) -> NDArray[np.float64]:
         """Spheres for the kernels: (N, 6 or more) float64, see `Sphere.table_of`."""

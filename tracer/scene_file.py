@@ -22,6 +22,9 @@
          core: {radius_mm: 24.0, material: air}}   # gas inside; a core may have a core itself
       - {name: support, kind: rod, start_mm: [0.0, -40.0, 10.0], end_mm: [0.0, -60.0, 10.0], radius_mm: 4.0}
     sheet: {z_mm: 0.2, sigma_mm: 0.05}   # optional: where particles are lit, see tracer.light_sheet
+    masked:                              # optional: parts of the frame that no map may use, see tracer.masked
+      - {why: unlisted body, outline_px: [[410, 300], [455, 310], [430, 352]]}
+      - {why: unconfirmed, through: [front, hollow]}
     fit:                                 # optional: what a scene fit may change, see tracer.fit_section
       spheres: {centre_mm: 1.0, radius_mm: 0.02}
 
@@ -41,6 +44,7 @@ from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.fit_section import SHAPE_KEYS, FitSphereTable, FitTable
 from tracer.light_sheet import LightSheet
+from tracer.masked import MaskedPart
 from tracer.media import MEDIA, THINNEST_LIQUID, VACUUM, Medium, medium_called
 from tracer.medium_table import medium_of, written
 from tracer.scene import Scene
@@ -74,13 +78,17 @@ def scene_from(document: Document, table: SceneTable) -> Scene:
     ambient = _tried(lambda: medium_of(table.ambient, media), document.line(("ambient",)), problems)
     camera = _tried(table.camera.camera, document.line(("camera",)), problems)
     sheet = None if table.sheet is None else _tried(table.sheet.light_sheet, document.line(("sheet",)), problems)
+    parts = [
+        _tried(part.part, document.line(("masked", index)), problems) for index, part in enumerate(table.masked)
+    ]
+    masked = tuple(part for part in parts if part is not None)
     scene = None
     if camera is not None:
         if sheet is not None and not sheet.place(camera.position_mm)[2] > 0.0:
             text = f"sheet: a light sheet at z = {sheet.z_mm:g} mm lies behind the camera; is z_mm right?"
             problems.append(Problem(document.line(("sheet",)), text))
         try:
-            scene = Scene(camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM, sheet)
+            scene = Scene(camera, tuple(bodies), table.wavelength_nm, ambient or VACUUM, sheet, masked=masked)
         except SceneError as error:
             for name, text in error.problems:
                 at = ("bodies", names.index(name)) if name in names else ("ambient",)
@@ -248,6 +256,7 @@ def dump_scene(scene: Scene) -> str:
         },
         "bodies": [body.section() for body in scene.bodies],
         **({} if scene.sheet is None else {"sheet": _sheet_section(scene.sheet)}),
+        **({"masked": [_masked_section(part) for part in scene.masked]} if scene.masked else {}),
     }
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=110)
 
@@ -256,3 +265,10 @@ def _sheet_section(sheet: LightSheet) -> dict[str, Any]:
     """The light sheet as a scene file has it."""
     said = asdict(sheet) | {"correlation": list(sheet.correlation)}
     return {key: value for key, value in said.items() if value is not None}
+
+
+def _masked_section(part: MaskedPart) -> dict[str, Any]:
+    """A masked part as a scene file has it."""
+    if part.through:
+        return {"why": part.why, "through": list(part.through)}
+    return {"why": part.why, "outline_px": [list(point) for point in part.outline_px]}

@@ -1,6 +1,6 @@
 """The sections of scene.yaml: what each may hold, and the camera, medium or body that it describes."""
 
-from typing import TYPE_CHECKING, Annotated, Union
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -11,6 +11,7 @@ from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.fit_section import FitTable, Sigma
 from tracer.light_sheet import STEEPEST_DEG, UNMEASURED_DEG, UNMEASURED_MM, LightSheet
+from tracer.masked import MaskedPart
 from tracer.medium_table import MediumTable, Positive
 from tracer.pupil import Pupil
 
@@ -138,6 +139,18 @@ class SheetTable(Table):
         return LightSheet(**said, correlation=vector3(self.correlation or (0.0, 0.0, 0.0)))
 
 
+class MaskedTable(Table):
+    """A part of the view that is not to be used."""
+
+    why: Literal["unlisted body", "unconfirmed"]
+    outline_px: Annotated[list[Pair], Field(max_length=1000)] = Field(default_factory=list)
+    through: Annotated[list[str], Field(max_length=1000)] = Field(default_factory=list)
+
+    def part(self) -> MaskedPart:
+        """Return the part described."""
+        return MaskedPart(self.why, tuple((u, v) for u, v in self.outline_px), tuple(self.through))
+
+
 class SceneTable(Table):
     """A whole scene file."""
 
@@ -147,4 +160,5 @@ class SceneTable(Table):
     camera: CameraTable
     bodies: Annotated[list[AnyBody], Field(max_length=1000)] = Field(default_factory=list)
     sheet: SheetTable | None = None
+    masked: Annotated[list[MaskedTable], Field(max_length=1000)] = Field(default_factory=list)
     fit: FitTable = FitTable()

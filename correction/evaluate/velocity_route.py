@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from correction.aperture import chief_pixels
 from correction.errors import PairError
+from correction.masked import masked_pixels
 from correction.piv.outliers import outliers
 from correction.piv.pair import evaluate_pair
 from correction.piv.settings import PivSettings
@@ -113,7 +114,7 @@ def usable_branches(ray_map: RayMap, scene: Scene, least_px: int) -> list[tuple[
 
     Only one branch is valid at a time, so no window mixes two pictures of the plane.  Left out are pixels whose
     view is squeezed too much, and those on the far side of a fold (the sign of the map's determinant is not that
-    of the larger part), where the picture runs backwards.
+    of the larger part), where the picture runs backwards; and parts that the scene says are masked.
     """
     scale = scene.camera.position_mm[2] / scene.camera.focal_px
     by_v: NDArray[np.float64] = np.asarray(np.gradient(ray_map.plane_mm, axis=0))
@@ -121,7 +122,7 @@ def usable_branches(ray_map: RayMap, scene: Scene, least_px: int) -> list[tuple[
     det = by_u[..., 0] * by_v[..., 1] - by_u[..., 1] * by_v[..., 0]
     with np.errstate(invalid="ignore"):
         largest = np.maximum(np.hypot(by_u[..., 0], by_u[..., 1]), np.hypot(by_v[..., 0], by_v[..., 1]))
-        calm = largest < scale / LEAST_MAGNIFICATION
+        calm = (largest < scale / LEAST_MAGNIFICATION) & ~masked_pixels(ray_map, scene)
     found = []
     for number in np.unique(ray_map.branch[ray_map.recovered]):
         mask = ray_map.recovered & (ray_map.branch == number) & calm

@@ -16,6 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.fit.measurement import MeasuredFrame
+from tracer.masked import UNLISTED, MaskedPart, hull_px
 
 DRAWS = 400
 FALSE_ALARMS = 0.0025
@@ -35,12 +36,15 @@ class Hidden:
         In the patch.
     middle_px : (float, float)
         Its middle, u, v.
+    masked : MaskedPart
+        What no map is to use: its corners, and half a square around them.
     """
 
     frame: str
     way: str
     corners: int
     middle_px: tuple[float, float]
+    masked: MaskedPart
 
     def __str__(self) -> str:
         """Return one sentence."""
@@ -48,7 +52,8 @@ class Hidden:
         u, v = self.middle_px
         return (
             f"{self.frame}: {self.corners} corners side by side {where}, around pixel ({u:.0f}, {v:.0f}), are not"
-            " seen: something that the scene does not list seems to stand there (a support, dirt, a shadow)"
+            " seen: something that the scene does not list seems to stand there (a support, dirt, a shadow); it is"
+            " masked in every map"
         )
 
 
@@ -78,8 +83,11 @@ def hidden_patches(frames: Sequence[MeasuredFrame]) -> tuple[Hidden, ...]:
                 for _ in range(DRAWS)
             )
             if reached <= FALSE_ALARMS * DRAWS:
-                u, v = lost.pixel[away][patch].mean(axis=0).tolist()
-                found.append(Hidden(frame.name, way, len(patch), (u, v)))
+                corners, axes = lost.pixel[away][patch], lost.axes_px[away][patch]
+                u, v = corners.mean(axis=0).tolist()
+                around = corners[:, None, :] + np.concatenate((axes, -axes), axis=2).swapaxes(1, 2)
+                masked = MaskedPart(UNLISTED, hull_px(around.reshape(-1, 2)))
+                found.append(Hidden(frame.name, way, len(patch), (u, v), masked))
     return tuple(sorted(found, key=lambda one: -one.corners))
 
 

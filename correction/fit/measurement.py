@@ -64,12 +64,15 @@ class LostCorners:
         Spheres crossed, joined by " > "; empty for the direct view.
     rim_px : (M,) float64
         Distance to the border of the branch.
+    axes_px : (M, 2, 2) float64
+        Columns: displacement in the image by one square along the board's +x and +y.
     """
 
     index: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     pixel: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     branch_name: NDArray[np.str_] = field(default_factory=lambda: np.zeros(0, "<U1"))
     rim_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    axes_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
 
 @dataclass(frozen=True)
@@ -247,6 +250,12 @@ def _measured(
         fit.sigma_px[valid],
         dict(zip(names.tolist(), counts.tolist(), strict=True)),
         reasons,
-        LostCorners(expected.index[lost], expected.pixel[lost], branch_names[lost], expected.rim_px[lost]),
+        LostCorners(
+            expected.index[lost],
+            expected.pixel[lost],
+            branch_names[lost],
+            expected.rim_px[lost],
+            expected.axes_px[lost],
+        ),
         spread.taken(valid),
     )

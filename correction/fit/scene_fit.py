@@ -43,6 +43,7 @@ from correction.fit.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
 from correction.fit.unknowns import Unknowns, unknowns_of
+from correction.fit.unlisted import unlisted_parts
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 
@@ -94,7 +95,7 @@ def fit_scene(
     FitFailed
         The best fit is not good enough.
     """
-    priors = priors or FitTable()
+    priors, nominal = priors or FitTable(), replace(nominal, masked=())  # judged anew
     light = priors.light.light() if priors.light else None
     work = _Fit(in_light(nominal, light), frames, board, priors, say)
     if light is not None and len(light.weight) > 1:
@@ -102,14 +103,17 @@ def fit_scene(
     work.camera()
     if work.glass_frames:
         work.glass()
-    fit = work.fits.estimate(work.unknowns, work.full, [*work.bare, *work.behind], work.history)
+    fit = work.looked_through(
+        work.fits.estimate(work.unknowns, work.full, [*work.bare, *work.behind], work.history)
+    )
     say(str(fit.history[-1]))
     try:
         check(fit)
     except FitFailed as failed:
         raise FitFailed(failed.gate, failed.value, failed.limit, work.blamed(failed.reason)) from None
     doubt = doubt_of(nominal, light)
-    return replace(fit, measured_scene=back_from_light(fit.scene, nominal, light), light=doubt)
+    measured = replace(back_from_light(fit.scene, nominal, light), masked=fit.verdict.masked)
+    return replace(fit, measured_scene=measured, light=doubt)
 
 
 class _Fit:
@@ -163,6 +167,16 @@ class _Fit:
         if frame.name not in self.found_saddles:
             self.found_saddles[frame.name] = find_saddles(frame.image)
         return self.found_saddles[frame.name]
+
+    def looked_through(self, fit: SceneFit) -> SceneFit:
+        """Look in all frames with glass whether they show what the fitted scene shows."""
+        full = fit.unknowns.full(fit.x)
+        views = [
+            (frame.name, frame.image, fit.unknowns.pose(full, self.height_number(frame)))
+            for frame in self.glass_frames
+        ]
+        unlisted = unlisted_parts(fit.scene, views, self.board, [frame.index for frame in self.bare])
+        return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted))
 
     def blamed(self, reason: str) -> str:
         """Say what the rims of the balls show, then the reason of a failure."""

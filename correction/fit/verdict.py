@@ -21,7 +21,9 @@ from correction.fit.smear_test import ColourSmear, SmearedView, colour_smear, sm
 from correction.fit.solver import Corners, Residuals, landed
 from correction.fit.suspects import Evidence, Suspect, likely_cause, suspects
 from correction.fit.unknowns import Unknowns
+from correction.fit.unlisted import Unlisted
 from correction.grid import grid_of
+from tracer.masked import MaskedPart
 
 COUNTED = 0.05  # chance of noise below which what bends is counted as an error of the map
 DIRECT = "the view beside the glass"
@@ -43,6 +45,8 @@ class Verdict:
         Smooth part of the residual of every corner, raw px.
     hidden : tuple of Hidden
         Patches of corners that should be seen and are not.
+    unlisted : tuple of Unlisted
+        Parts of frames that are not what the scene shows.
     smear : ColourSmear or None
         Colours that smear corners beyond what is told; None where too few corners tell.
     """
@@ -52,6 +56,7 @@ class Verdict:
     suspects: tuple[Suspect, ...]
     smooth_px: NDArray[np.float64]
     hidden: tuple[Hidden, ...] = ()
+    unlisted: tuple[Unlisted, ...] = ()
     smear: ColourSmear | None = None
 
     @property
@@ -83,13 +88,20 @@ class Verdict:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The verdict in words."""
-        found = (*map(str, self.hidden), *([str(self.smear)] if self.many_colours else []))
+        bodies = map(str, (*self.unlisted, *self.hidden))
+        found = (*bodies, *([str(self.smear)] if self.many_colours else []))
         return (*self._of_residuals(), *found) if self.alarms or not found else (*found, *self._of_residuals())
 
     @property
     def is_right(self) -> bool:
         """Whether nothing speaks against the model."""
-        return not (self.alarms or self.hidden or self.many_colours)
+        return not (self.alarms or self.hidden or self.unlisted or self.many_colours)
+
+    @property
+    def masked(self) -> tuple[MaskedPart, ...]:
+        """What no map is to use."""
+        bodies = [part for one in self.unlisted for part in one.masked]
+        return (*bodies, *(one.masked for one in self.hidden))
 
     @property
     def many_colours(self) -> bool:
@@ -135,6 +147,7 @@ class Verdict:
             "sentences": list(self.sentences),
             "ways": [asdict(way) for way in self.ways],
             "hidden": [asdict(patch) for patch in self.hidden],
+            "unlisted": [asdict(part) for part in self.unlisted],
             "smear": asdict(self.smear) if self.smear else None,
             "suspects": [one.to_dict() for one in self.suspects],
             "independent_corners": {
@@ -203,7 +216,7 @@ def judge_model(
         seen = Evidence(sighted, values, rates, x[:free])
         found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
     smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
-    verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames), colour_smear(views))
+    verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames), smear=colour_smear(views))
     return verdict, lattices
 
 

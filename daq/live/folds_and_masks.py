@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.correction_map import build_correction_map
+from correction.masked import without_masked
 from correction.node_status import NodeStatus
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
@@ -39,7 +40,7 @@ def folds_and_masks(scene: Scene) -> dict[str, dict[str, list[Line]]]:
     times = max(1, round(max(scene.camera.sensor_px) / COARSE_PX))
     coarse = replace(scene, camera=scene.camera.coarser(times))
     rays = build_ray_map(coarse)
-    status = build_correction_map(coarse, rays).status
+    status = without_masked(build_correction_map(coarse, rays), scene, times).status
     folded, lost = status == NodeStatus.FOLD, ~np.isin(status, SHOWN)
     return {
         "raw": {"folds": _folds(rays, times), "masks": _around(rays.status != RayStatus.RECOVERED, times)},

@@ -10,6 +10,7 @@ from rich.table import Table
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
+from correction.masked import without_masked
 from correction.node_status import MEANING, NodeStatus
 from daq.analysis.pictures.apart import drawing
 from daq.analysis.pictures.names import short
@@ -85,7 +86,7 @@ def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True)
     loaded, name = (scene, "scene") if isinstance(scene, Scene) else (load_scene(scene), Path(scene).stem)
     out, screen = folder_for(out, "trace"), console()
     ray_map = build_ray_map(loaded)
-    correction_map = build_correction_map(loaded, ray_map)
+    correction_map = without_masked(build_correction_map(loaded, ray_map), loaded)
     share = plane_share(loaded, correction_map)
     blur = None
     if loaded.camera.pupil is not None:

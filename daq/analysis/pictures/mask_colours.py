@@ -21,6 +21,8 @@ COLOURS: dict[NodeStatus, Colour] = {
     NodeStatus.UNSURE: (132, 86, 168),
     NodeStatus.BLURRED: (64, 142, 142),
     NodeStatus.IN_GLASS: (104, 128, 150),
+    NodeStatus.UNLISTED: (186, 84, 140),
+    NodeStatus.UNCONFIRMED: (196, 168, 74),
 }
 THROUGH: Colour = (176, 208, 231)  # recovered, and seen through glass
 _PALETTE = np.array([COLOURS[status] for status in NodeStatus], np.uint8)

@@ -1,0 +1,119 @@
+"""Bodies that the scene does not list, seen in the frame of the target pixel by pixel."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from correction.board import Chessboard
+from correction.correction_map import build_correction_map
+from correction.fit.scene_fit import fit_scene
+from correction.fit.unlisted import unlisted_parts
+from correction.masked import without_masked
+from correction.node_status import NodeStatus
+from sim.demo.scenes import at_size, misaligned, named_scene
+from tests.correction.fit.benches import map_error_px, photograph
+from tracer.bodies import Body, Rod, Sphere
+from tracer.media import ConstantMedium
+from tracer.ray_map import build_ray_map
+from tracer.scene import Scene
+from tracer.sensitivity import TargetPose
+
+SQUARE_MM = 5.0
+BOARD = Chessboard(SQUARE_MM, 0.4 * SQUARE_MM)
+LATTICE = [np.array([[-17, -17], [17, 17]])]  # of corners: the board fills the view
+BODIES: dict[str, Body] = {
+    "bead": Sphere("stray", (6.0, 5.0, 130.0), 2.5, ConstantMedium(1.5)),
+    "drop": Sphere("stray", (-8.0, 9.0, 112.0), 2.4, ConstantMedium(1.33)),
+    "wire": Rod("stray", (9.0, -70.0, 150.0), (9.0, 70.0, 150.0), 0.8),
+    "beside": Sphere("stray", (50.0, -35.0, 60.0), 3.5, ConstantMedium(1.52)),
+}
+
+
+@cache
+def lab() -> Scene:
+    return misaligned(at_size(named_scene("two_spheres_500"), 504), 6)
+
+
+@cache
+def frame(stray: str) -> np.ndarray:
+    bodies = [BODIES[stray]] if stray else []
+    return photograph(lab().with_bodies([*lab().bodies, *bodies]), True, 0.0, 17, SQUARE_MM).image
+
+
+def masked_by(image: np.ndarray) -> Scene:
+    """The scene, which lists no stray body, as it comes out of a fit."""
+    parts = unlisted_parts(lab(), [("glass", image, TargetPose())], BOARD, LATTICE)
+    return replace(lab(), masked=tuple(part for one in parts for part in one.masked))
+
+
+def nodes_off(scene: Scene, stray: str) -> int:
+    """Recovered nodes whose pixel shows another place than the map says, or none."""
+    truth = lab().with_bodies([*lab().bodies, BODIES[stray]])
+    found = without_masked(build_correction_map(scene, build_ray_map(scene)), scene)
+    error = np.linalg.norm(map_error_px(scene, truth, found.pixel[0][found.recovered], found.grid), axis=1)
+    return int(np.count_nonzero(~(error < 0.5)))
+
+
+@pytest.mark.parametrize("stray", BODIES)
+def test_a_stray_body_is_masked_and_little_else(stray):
+    scene = masked_by(frame(stray))
+    assert scene.masked
+    assert nodes_off(lab(), stray) > 100
+    assert nodes_off(scene, stray) <= 0.03 * nodes_off(lab(), stray)
+    whole = build_correction_map(scene, build_ray_map(scene))
+    left_out = without_masked(whole, scene).status == NodeStatus.UNLISTED
+    assert np.count_nonzero(left_out) < 8 * nodes_off(lab(), stray) + 200
+
+
+@pytest.mark.parametrize("change", ["none", "blurred", "shaded", "dim and noisy"])
+def test_frames_that_show_what_they_should_mask_nothing(change):
+    import cv2
+
+    image = frame("").astype(np.float32)
+    if change == "blurred":
+        image = cv2.GaussianBlur(image, (0, 0), 1.5)
+    if change == "shaded":
+        v, u = np.mgrid[0:504, 0:504] / 504.0
+        image = image * (0.3 + 0.7 * np.cos(1.2 * (u - 0.5)) * (0.4 + 0.6 * v)).astype(np.float32)
+    if change == "dim and noisy":
+        image = 0.1 * image + np.random.default_rng(3).normal(0.0, 10.0, image.shape).astype(np.float32)
+    assert not masked_by(image).masked
+
+
+def test_what_lies_beyond_the_board_is_not_asked():
+    image = frame("").copy()
+    image[:, 460:] = image.max()
+    assert not unlisted_parts(lab(), [("glass", image, TargetPose())], BOARD, [np.array([[-17, -17], [9, 17]])])
+    assert masked_by(image).masked
+
+
+def test_a_board_at_another_height_is_compared_there():
+    pose = TargetPose((0.0, 0.0, -10.0))
+    image = photograph(lab(), True, -10.0, 5, SQUARE_MM).image
+    assert not unlisted_parts(lab(), [("glass", image, pose)], BOARD, LATTICE)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    "stray",
+    [
+        Sphere("bead", (6.0, 5.0, 130.0), 2.0, ConstantMedium(1.5)),
+        Sphere("drop", (6.0, 5.0, 110.0), 1.2, ConstantMedium(1.33)),
+    ],
+    ids=["bead of 4 mm", "drop of 1.2 mm radius"],
+)
+def test_a_whole_calibration_says_it_and_masks_it(stray):
+    nominal = at_size(named_scene("two_spheres_500"), 1008)
+    truth = misaligned(nominal, 6)
+    shown = truth.with_bodies([*truth.bodies, stray])
+    frames = [photograph(truth.bare(), False, 0.0, 600), photograph(shown, True, 0.0, 601)]
+    fit = fit_scene(nominal, frames, Chessboard(3.5, 1.4))
+    assert not fit.verdict.is_right
+    assert "does not list" in fit.verdict.sentences[0]
+    scene = fit.measured_scene
+    found = without_masked(build_correction_map(scene, build_ray_map(scene)), scene)
+    error = np.linalg.norm(map_error_px(scene, shown, found.pixel[0][found.recovered], found.grid), axis=1)
+    assert np.count_nonzero(~(error < 0.5)) < 20
