@@ -202,7 +202,8 @@ def photographed(
     if glass and hidden_px is not None:
         along, offset, half = hidden_px
         seen &= np.abs(pixel @ along - offset) > half
-    lost = LostCorners(shown.index[~seen], shown.pixel[~seen], way[~seen], shown.rim_px[~seen])
+    gone = shown.take(~seen)
+    lost = LostCorners(gone.index, gone.pixel, way[~seen], gone.rim_px, gone.axes_px)
     pixel, shown, way = pixel[seen], shown.take(seen), way[seen]
     sigma = noise_px * np.exp(0.3 * rng.normal(size=pixel.shape))
     pixel = pixel + sigma * rng.normal(size=pixel.shape) + lock_px * locked(pixel, shown.axes_px)
