@@ -4,6 +4,7 @@ The bytes that switch off go out first, several times, as the watchdog writes th
 asked.  It takes no laser, no scene and no head: in an emergency nothing that is not needed may be in the way.
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,8 +39,9 @@ def switch_off(table: TimingTable) -> SwitchedOff:
     table : TimingTable
         Box, port, channels and identity are looked at, and nothing else.
     """
-    if "://" not in table.port and not Path(table.port).exists():
-        return SwitchedOff(False, f"NOT reached, {table.port} does not exist: use the laser's own key")
+    if os.name == "posix" and "://" not in table.port and not Path(table.port).is_char_device():
+        why = "is no serial port" if Path(table.port).exists() else "does not exist"
+        return SwitchedOff(False, f"NOT reached, {table.port} {why}: use the laser's own key")
     box = driver_class(table.box)("laser", table.wiring)
     box.address = table.identity or ""
     baud = table.baud or box.default_baud

@@ -180,6 +180,17 @@ def test_each_of_several_is_named_with_what_became_of_it(tmp_path, box, monkeypa
     assert "not confirmed to be off: other, laser" in said.err
 
 
+def test_off_writes_into_no_file_that_a_bench_file_calls_a_port(tmp_path, monkeypatch, capsys):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "bench.yaml").write_text(
+        f"devices:\n  laser: {{kind: timing, box: qc9520, port: {tmp_path / 'notes.txt'}, channels: {{}}}}\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert main(["laser", "off"]) == DEVICE
+    assert "is no serial port" in capsys.readouterr().out
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
 def test_off_reaches_what_a_running_process_has_open(tmp_path, box, monkeypatch, capsys):
     table = bench_with(tmp_path / "elsewhere").devices["laser"].section.model_copy(update={"port": box.path})
     monkeypatch.chdir(tmp_path)
