@@ -166,3 +166,13 @@ def test_a_guarded_stage_does_not_move(bench):
         made.stage.move({"a": 50.0, "b": 76.0})  # 10 down, 16 up: 4 mm are left
     assert (made.world.true_mm("a"), made.world.true_mm("b")) == before_mm
     made.stage.move({"a": 50.0, "b": 74.0})
+
+
+def test_contact_with_the_board_is_no_licence_to_touch_the_camera():
+    """The board hangs far behind, so that only lens and ball are near each other."""
+    away = {"target_z": -300.0}
+    contact = keep_out(gap_mm=0.0, contact=["front"])
+    contact.check([piece("rail_z", 186.0, **away)])  # 80 mm of lens, its radius of 60 and a ball of 40: 6 are left
+    for end_mm in (184.0, 180.1):
+        with pytest.raises(Obstructed, match="front"):
+            contact.check([piece("rail_z", end_mm, **away)])

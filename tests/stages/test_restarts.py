@@ -1,5 +1,7 @@
 """A controller that restarts, at rest or in motion, is never believed again until it has been homed."""
 
+from dataclasses import replace
+
 import pytest
 
 from stages.errors import DeviceLost, MotionStopped, NotReferenced, StageError, StageUsageError
@@ -251,3 +253,99 @@ def test_nothing_is_homed_beside_a_motion_whose_port_was_lost(bench):
     made.clock.sleep_s(10.0)
     assert made.world.true_mm("a") == rests_mm
     made.stage.home()
+
+
+def test_the_second_leg_of_an_arrival_is_not_driven_by_a_box_that_has_restarted(bench, kind, mocker):
+    """Right behind the first leg: what is still on its way there would end in another coordinate."""
+    made = homed(bench, kind)
+    begin, wait, begun = made.controller.start_move, made.stage.axis("a")._wait, []
+
+    def restarts_behind_the_leg(limit_s, token):
+        wait(limit_s, token)
+        mocker.patch.object(made.controller, "_still_referenced", return_value=False)
+
+    mocker.patch.object(made.controller, "start_move", side_effect=lambda *way: (begun.append(way), begin(*way)))
+    mocker.patch.object(made.stage.axis("a"), "_wait", side_effect=restarts_behind_the_leg)
+    with pytest.raises(NotReferenced):
+        made.stage.move({"a": 40.0})
+    assert len(begun) == 1
+
+
+def test_what_moved_when_its_port_was_lost_is_stopped_as_soon_as_it_is_open_again(bench, driver):
+    """The box goes on without its cable."""
+    made = homed(bench, driver)
+    made.clock.at(made.clock.now_s() + 0.5, made.line.unplug)
+    with pytest.raises(DeviceLost):
+        made.stage.move({"a": 110.0})
+    made.line.plug_in()
+    made.stage.connect("box")
+    made.clock.sleep_s(0.5)
+    rests_mm = made.world.true_mm("a")
+    assert rests_mm < 105.0
+    made.clock.sleep_s(10.0)
+    assert made.world.true_mm("a") == rests_mm
+
+
+@pytest.mark.parametrize("code", [1, 3, 4, 5, 6, 7, 8, 9])
+def test_an_alarm_takes_the_reference_of_a_grbl_board_although_its_mark_has_stayed(bench, code):
+    """An alarm that somebody has ended at a pendant: no restart, no mark wiped out, but steps may be lost."""
+    made = homed(bench, "grbl")
+    made.line.emulator.say(b"ALARM:%d\r\n" % code)
+    made.line.emulator._work()
+    made.clock.sleep_s(0.1)
+    assert made.stage.where_mm() == {"a": None, "b": None}
+    rests_mm = made.world.true_mm("a")
+    with pytest.raises(StageError):
+        made.stage.move({"a": 40.0})
+    made.clock.sleep_s(5.0)
+    assert made.world.true_mm("a") == rests_mm
+
+
+@pytest.mark.parametrize("state", ["Hold", "Door"])
+def test_a_board_that_reports_to_be_held_in_a_move_was_stopped_by_a_person(bench, mocker, state):
+    """A stop of the whole bench, not an error of one axis: nothing moves before somebody clears it."""
+    made = homed(bench, "grbl")
+    status, held_s = made.controller._status, made.clock.now_s() + 0.5
+
+    def held():
+        said = status()
+        return replace(said, state=state, substate=0) if made.clock.now_s() > held_s else said
+
+    made.clock.at(held_s, made.line.emulator.person_stops)
+    mocker.patch.object(made.controller, "_status", side_effect=held)
+    with pytest.raises(MotionStopped, match="held at the board"):
+        made.stage.move({"a": 110.0})
+    assert made.stage.held
+    mocker.stopall()
+    with pytest.raises(MotionStopped, match="clear"):
+        made.stage.move({"b": 50.0})
+
+
+def test_a_grbl_board_that_stands_in_alarm_is_not_believed_although_its_mark_has_stayed(bench):
+    """The line of the alarm was lost; the report still says it, and afterwards somebody unlocks the board."""
+    made = homed(bench, "grbl")
+    made.line.emulator._state = "Alarm"
+    assert made.stage.where_mm()["a"] is None
+    made.line.emulator._state = "Idle"
+    assert made.stage.where_mm() == {"a": None, "b": None}
+
+
+def test_a_jog_that_a_locked_grbl_board_refuses_takes_its_reference(bench):
+    """Locked between the look at its position and the jog, and unlocked at a pendant right behind it."""
+    made = homed(bench, "grbl")
+    transact = made.controller._transact
+
+    def locked_for_a_moment(data, *rest, **named):
+        jogs = data.startswith(b"$J")
+        made.line.emulator._state = "Alarm" if jogs else made.line.emulator._state
+        answer = transact(data, *rest, **named)
+        if jogs:
+            made.line.emulator._state = "Idle"
+        return answer
+
+    made.controller._transact = locked_for_a_moment
+    rests_mm = made.world.true_mm("a")
+    with pytest.raises(NotReferenced, match="locked"):
+        made.stage.move({"a": 40.0})
+    assert made.stage.where_mm() == {"a": None, "b": None}
+    assert made.world.true_mm("a") == rests_mm

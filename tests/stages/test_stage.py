@@ -1,5 +1,7 @@
 """Axes over a mix of controllers: orders, checks before motion, stopping everything, closing everything."""
 
+from contextlib import suppress
+
 import pytest
 
 from ground.config import Document, validate
@@ -9,6 +11,7 @@ from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.errors import (
     DeviceLost,
+    NotInPosition,
     NotReferenced,
     Obstructed,
     OutOfRange,
@@ -188,3 +191,40 @@ def test_scales_are_demanded_and_refused_where_they_belong():
     tree["axes"]["glass_x"]["steps_per_mm"] = 1000.0
     with pytest.raises(StageError, match="remove steps_per_mm"):
         Stage(StagesTable.model_validate(tree))
+
+
+@pytest.mark.parametrize("by_error", [False, True])
+def test_leaving_the_bench_stops_what_another_thread_still_moves(bench, driver, by_error):
+    """The block ends while something moves: by itself, or by an error."""
+    made = bench(driver)
+    made.stage.home()
+    made.stage.move({"a": 40.0})
+    box, axis = made.controller, made.stage.axis("a").settings
+    with suppress(ZeroDivisionError), made.stage:
+        box.token = made.stage.latch.begin()
+        far_mm = (110.0 - axis.offset_mm) * axis.sign
+        box.start_move(axis.channel, far_mm, 20.0, 100.0)
+        made.clock.sleep_s(0.5)
+        if by_error:
+            _ = 1 / 0
+    left_mm = made.world.true_mm("a")
+    made.clock.sleep_s(10.0)
+    assert 41.0 < left_mm < 60.0
+    assert made.world.true_mm("a") < left_mm + 5.0  # a short way of braking
+
+
+def test_an_axis_that_rests_a_millimetre_off_has_not_arrived(bench, mocker):
+    made = bench("zaber_ascii", in_position_um=10.0, retries=1)
+    made.stage.home()
+    made.stage.move({"a": 40.0})
+    known = made.controller.known_mm
+    for off_mm, arrives in ((0.006, True), (0.014, False), (1.0, False)):
+        mocker.patch.object(
+            made.controller, "known_mm", side_effect=lambda channel, off=off_mm: known(channel) + off
+        )
+        if arrives:
+            assert made.stage.move({"a": 45.0})["a"].error_um == pytest.approx(6.0, abs=3.0)
+        else:
+            with pytest.raises(NotInPosition, match="um from its target"):
+                made.stage.move({"a": 50.0})
+        mocker.stopall()

@@ -287,3 +287,18 @@ def test_a_question_unanswered_before_a_move_is_no_stop(bench, mocker):
     made.stage.move({"a": 60.0})
     assert made.stage.where_mm()["a"] == pytest.approx(60.0, abs=0.01)
     assert not made.stage.held
+
+
+def test_one_look_at_rest_after_a_stop_is_not_believed(bench, kind, mocker):
+    """A command that was under way begins behind the first look: it has to be stopped again."""
+    made = bench(kind)
+    made.stage.home()
+    axis, token = made.stage.axis("a"), made.stage.latch.begin()
+    looks = [False, False, True, False, False, False]  # it begins to move behind the second look
+    asked, stops = [], []
+    mocker.patch.object(made.controller, "moving", side_effect=lambda channel: (asked.append(1), looks.pop(0))[1])
+    mocker.patch.object(made.controller, "stop", side_effect=lambda: stops.append(1))
+    made.stage.latch.stop("a person")
+    with pytest.raises(MotionStopped):
+        axis._wait(5.0, token)
+    assert (len(asked), len(stops)) == (6, 6)

@@ -7,12 +7,14 @@ import signal
 import subprocess
 import sys
 import time
+import tty
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import stages.watchdog
-from stages.watchdog import Watchdog, needs_watchdog
+from stages.watchdog import Watchdog, needs_watchdog, word_of
 from tests.stages.children import end, go, served
 
 FAR_MM = 110.0  # five seconds away
@@ -231,3 +233,68 @@ def test_simulated_lines_of_this_process_need_none():
     assert not needs_watchdog(["sim://box-1", "loop://"])
     assert needs_watchdog(["sim://box-1", "/dev/ttyUSB0"])
     assert needs_watchdog(["socket://10.0.0.7:4001"])
+
+
+def test_the_next_watchdog_is_told_what_moved_before_the_last_one_was_killed(monkeypatch):
+    """Nothing is said a second time by who moves: what moves already would drive on."""
+    pipes = []
+
+    def start(self):
+        reader, writer = os.pipe()
+        pipes.append(os.fdopen(reader, "rb"))
+        os.set_blocking(reader, False)
+        self._process = SimpleNamespace(stdin=os.fdopen(writer, "wb", buffering=0), wait=lambda: 0, pid=0)
+
+    monkeypatch.setattr(Watchdog, "_start", start)
+    monkeypatch.setattr(stages.watchdog, "needs_watchdog", lambda urls: True)
+    watchdog = Watchdog()
+    watchdog.know("rail", "/dev/none", 9600, False, [b"stop"])
+    watchdog.moves("rail")
+    pipes[0].close()  # somebody has killed it
+    watchdog.know("laser", "/dev/other", 9600, False, [b"off"])
+    told = [json.loads(line) for line in pipes[1].read().splitlines()]
+    watchdog.close()
+    pipes[1].close()
+    assert [word["know"] for word in told if "know" in word] == ["rail", "laser"]
+    assert {"moves": "rail"} in told
+
+
+def test_stop_is_said_again_for_a_while_because_it_may_overtake_what_is_not_read_yet():
+    """Judged by when the bytes come: a box that reads a command 0.1 s late obeys only what comes behind that."""
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    begun_s = time.monotonic()
+    assert stages.watchdog.stop(word_of("box", os.ttyname(theirs), 9600, False, [b"s"]))
+    assert time.monotonic() - begun_s < 5.0
+    os.set_blocking(ours, False)
+    said = os.read(ours, 100)
+    os.close(ours)
+    os.close(theirs)
+    assert len(said) >= 4
+    assert time.monotonic() - begun_s > 0.3
+
+
+def test_what_the_watchdog_says_ends_a_reference_run_of_a_grbl_board(bench):
+    """A cancel of jogs does not: only a reset ends `$H`, and the watchdog does not know what was begun."""
+    made = bench("grbl", sim={"power_up_mm": 100.0})
+    made.controller.token = made.stage.latch.begin()
+    made.controller.start_home("X")
+    made.clock.sleep_s(0.3)
+    said = list(made.controller.watchdog_bytes())
+    before_mm = made.world.true_mm("a"), made.world.true_mm("b")
+    for data in said:
+        made.line.send(data)
+    made.clock.sleep_s(10.0)
+    rests_mm = made.world.true_mm("a"), made.world.true_mm("b")
+    assert all(abs(rest - before) < 3.0 for rest, before in zip(rests_mm, before_mm, strict=True))
+
+
+def test_a_reference_run_of_a_grbl_board_goes_far_if_nobody_ends_it(bench):
+    """The judge above must be able to see it."""
+    made = bench("grbl", sim={"power_up_mm": 100.0})
+    made.controller.token = made.stage.latch.begin()
+    made.controller.start_home("X")
+    made.clock.sleep_s(0.3)
+    before_mm = made.world.true_mm("a")
+    made.clock.sleep_s(10.0)
+    assert abs(made.world.true_mm("a") - before_mm) > 10.0

@@ -9,7 +9,7 @@ from daq.timing.conditions import Conditions
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
 from daq.timing.laser import Laser
 from daq.timing.laser_head import LaserHead
-from daq.timing.pulses import PulseTiming
+from daq.timing.pulses import Pulse, PulseTiming, Role, Schedule
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
 from sim.clock import VirtualClock
@@ -363,3 +363,40 @@ def test_leaving_a_laser_that_is_off_waits_for_no_cable():
     begun_s = clock.now_s()
     laser.close()
     assert clock.now_s() == begun_s
+
+
+def test_a_stop_that_comes_while_off_is_read_back_is_not_lost():
+    """`safe` clears the last stop; the one that comes behind that holds, although everything reads back as off."""
+    laser, box, _ = laser_on()
+    silence = box.silence
+
+    def stopped_meanwhile():
+        silence()
+        laser.stop("a hand on the key")
+
+    box.silence = stopped_meanwhile
+    with pytest.raises(LaserStopped, match="a hand on the key"):
+        laser.safe()
+    assert laser.state is LaserState.UNKNOWN
+    box.silence = silence
+    laser.safe()
+    assert laser.state is LaserState.SAFE
+
+
+@pytest.mark.parametrize("off_us", [1.0, -1.0])
+def test_a_dt_that_reads_back_as_another_is_found_and_switched_off(off_us):
+    laser, box, clock = laser_on()
+    laser.warm(10.0)
+    clock.sleep_s(60.1)
+    load = box.load
+
+    def load_another(schedule):
+        second = schedule.pulses[Role.Q_SWITCH_2]
+        late = Pulse(second.delay_us + off_us, second.width_us)
+        return load(Schedule(schedule.period_us, {**schedule.pulses, Role.Q_SWITCH_2: late}))
+
+    box.load = load_another
+    with pytest.raises(LaserDoubt, match=r"was set to dt = 20.0 us and says (21|19)"):
+        laser.set(TIMING, EXPOSURES)
+    assert laser.state is LaserState.UNKNOWN
+    assert not box.lamps

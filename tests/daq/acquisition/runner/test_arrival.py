@@ -1,9 +1,11 @@
 """A step counts only if its axes were where it says, before its first frame and after its last one."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from daq.acquisition.cameras.files import FilesCamera
-from daq.acquisition.runner.arrival import go_to
+from daq.acquisition.runner.arrival import go_to, off_by_mm
 from daq.acquisition.runner.runner import Runner
 from daq.acquisition.runner.session import Request, begin
 from daq.acquisition.runs.run_folder import finished_steps, frame_entries
@@ -116,3 +118,14 @@ def test_no_frame_is_taken_after_a_stop(run, disturbed):
         assert disturbed.count == disturbed.at
         hardware.stage.clear_stop()
         assert Runner(hardware, folder, plan.steps).run()["frames"] == 16
+
+
+@pytest.mark.parametrize(("off_mm", "is_off"), [(0.0045, False), (0.0055, True), (-0.0055, True), (0.5, True)])
+def test_a_tolerance_in_micrometres_is_held_against_millimetres(off_mm, is_off):
+    axes = {
+        name: SimpleNamespace(settings=SimpleNamespace(in_position_um=5.0)) for name in ("glass_x", "target_z")
+    }
+    hardware = SimpleNamespace(stage=SimpleNamespace(axes=axes))
+    planned = {"glass_x": 1.0, "target_z": -3.0}
+    found = off_by_mm(hardware, planned, planned | {"target_z": -3.0 + off_mm})
+    assert found == ({"target_z": pytest.approx(off_mm)} if is_off else {})

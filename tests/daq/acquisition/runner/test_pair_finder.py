@@ -6,7 +6,7 @@ import pytest
 
 from daq.acquisition.bench.pairs_section import PairsSection
 from daq.acquisition.runner.marker_sense import MarkerSense
-from daq.acquisition.runner.pair_finder import ALONE, DOUBLED, NO_CLOCK, UNMARKED, PairFinder, longest_gap
+from daq.acquisition.runner.pair_finder import ALONE, DOUBLED, NO_CLOCK, UNMARKED, UNSURE, PairFinder, longest_gap
 from tests.daq.acquisition.runner.frame_trains import RATE_HZ, SECTIONS, Faults, arms, gap_us, train
 
 KIND = Faults(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -211,3 +211,17 @@ def test_what_cannot_be_told_apart_is_refused(keys, words):
 def test_the_longest_gap_leaves_ten_per_cent():
     spaced = longest_gap(SECTIONS["straddling, spacing"])
     assert (1 - spaced) / spaced == pytest.approx(1.1)
+
+
+@pytest.mark.parametrize("name", [name for name in SECTIONS if SECTIONS[name].shape != "double_height"])
+@pytest.mark.parametrize("lost", [True, False])
+def test_a_frame_between_a_and_b_is_noticed_by_its_id_although_it_never_came(name, lost):
+    """The right marks, at the right distance; but the camera has counted one more in between."""
+    section = SECTIONS[name]
+    frames = list(train(section, 6, KIND, random.Random(0)))
+    numbers = [place + (place >= 5 and lost) for place in range(len(frames))]  # before the B of pulse 2
+    found, finder = found_in(
+        section, [(_with(meta, sequence=n), shows) for n, (meta, shows) in zip(numbers, frames, strict=True)]
+    )
+    assert [pair[0][0] for pair in found] == ([0, 1, 3, 4, 5] if lost else [0, 1, 2, 3, 4, 5])
+    assert finder.rejected[UNSURE] == (2 if lost else 0)

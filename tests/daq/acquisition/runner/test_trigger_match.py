@@ -3,12 +3,14 @@
 Sessions are played in a time of their own (scripted_camera), so that hypothesis can try thousands of them.
 """
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from daq.acquisition.bench.bench_table import CameraSection
-from daq.acquisition.cameras.frame import FrameMeta
+from daq.acquisition.cameras.frame import Frame, FrameMeta
 from daq.acquisition.runner import armed_camera as armed_camera_module
 from daq.acquisition.runner import single_frames as single_frames_module
 from daq.acquisition.runner import streaming as streaming_module
@@ -288,3 +290,93 @@ def test_the_matching_is_needed(play, monkeypatch):
     monkeypatch.setattr(Exposures, "drain", lambda self: [])
     session = play(Script(late_ms={2: 310}))
     assert len(session.misfiled) > 2
+
+
+SECOND = 1_000_000_000
+MS = 1_000_000
+
+
+def taken(match, before_ns, stamp_ns, received_ns, sequence=0):
+    """A trigger without a clock, and the frame that came."""
+    match.begin()
+    match.sent(Shot(None, before_ns, before_ns + 1000))
+    return match.place(FrameMeta(sequence, sequence, stamp_ns, received_ns, 1.0, "Mono12", 12))
+
+
+def test_a_frame_that_was_left_behind_by_a_timeout_is_stale_however_slow_frames_are():
+    """Frames take 1.9 of the 2 s that we wait; one was exposed 0.3 s late and given up, and arrives next."""
+    match = TriggerMatch(2 * SECOND)
+    for number in range(6):
+        at_ns = number * 10 * SECOND
+        assert taken(match, at_ns, at_ns + MS, at_ns + 1900 * MS, number) is Place.OURS
+    given_up_ns = 60 * SECOND
+    match.begin()
+    match.sent(Shot(None, given_up_ns, given_up_ns + 1000))
+    match.gave_up()
+    next_ns = given_up_ns + 2 * SECOND
+    assert taken(match, next_ns, given_up_ns + 300 * MS, given_up_ns + 2200 * MS, 6) is Place.STALE
+    ours = FrameMeta(7, 7, next_ns + MS, next_ns + 1900 * MS, 1.0, "Mono12", 12)
+    assert match.place(ours) is Place.OURS
+
+
+def test_a_frame_that_is_older_than_the_quickest_took_is_stale():
+    """By 3 ms before its trigger, where the quickest frame took 2 ms from trigger to arrival."""
+    match = TriggerMatch(2 * SECOND)
+    for number in range(5):
+        at_ns = number * SECOND
+        assert taken(match, at_ns, at_ns + MS, at_ns + 2 * MS, number) is Place.OURS
+    at_ns = 5 * SECOND
+    assert taken(match, at_ns, at_ns - 3 * MS, at_ns + 10 * MS, 5) is Place.STALE
+
+
+@pytest.mark.parametrize(("sequence", "place"), [(4, Place.STALE), (5, Place.OURS), (6, Place.UNKNOWN)])
+def test_without_a_time_a_late_frame_is_told_by_its_id(sequence, place):
+    """Frames 0 to 3 were ours; one trigger was waited for in vain, and another one was sent."""
+    match = TriggerMatch(2 * SECOND)
+    for number in range(4):
+        assert taken(match, number * SECOND, 0, number * SECOND + MS, number) is Place.OURS
+    match.begin()
+    match.sent(Shot(None, 4 * SECOND, 4 * SECOND + 1000))
+    match.gave_up()
+    assert taken(match, 5 * SECOND, 0, 5 * SECOND + MS, sequence) is place
+
+
+def test_a_stream_hands_over_nothing_that_was_exposed_before_its_arming():
+    """By the latched clock, and without one by frames of arms before."""
+    latched = TriggerMatch(2 * SECOND)
+    arm = Shot(100 * SECOND, 50 * SECOND, 50 * SECOND + 1000)
+    frame = FrameMeta(0, 0, 100 * SECOND + MS, 50 * SECOND + 2 * MS, 1.0, "Mono12", 12)
+    assert latched.is_of_arm(frame, arm)
+    for back_ns in (2 * MS, SECOND):
+        left = FrameMeta(1, 1, 100 * SECOND - back_ns, 50 * SECOND + 3 * MS, 1.0, "Mono12", 12)
+        assert not latched.is_of_arm(left, arm)
+    mute = TriggerMatch(2 * SECOND)
+    assert mute.is_of_arm(FrameMeta(0, 0, 100 * SECOND + MS, 50 * SECOND + 2 * MS, 1.0, "Mono12", 12),
+                          Shot(None, 50 * SECOND, 50 * SECOND + 1000))  # fmt: skip
+    again = Shot(None, 60 * SECOND, 60 * SECOND + 1000)
+    left = FrameMeta(1, 1, 108 * SECOND, 60 * SECOND + 3 * MS, 1.0, "Mono12", 12)
+    assert not mute.is_of_arm(left, again)
+
+
+@pytest.mark.parametrize("reset_at", [1, 4])
+def test_a_camera_that_lost_power_between_two_triggers_is_verified_before_its_frame_is_handed_over(play, reset_at):
+    """Its clock has begun anew and its settings are gone; its frames look as they always do."""
+    session = play(Script(), stops=0)
+    camera = ScriptedCamera(Script(reset_at=reset_at), session.time)
+    clock_ns = camera.clock_ns
+    camera.clock_ns = lambda: clock_ns() - (10 * SECOND if len(camera.sent) >= reset_at else 0)
+    stamped = camera._frame
+
+    def from_the_new_clock(coming):
+        frame = stamped(coming)
+        if coming.trigger >= reset_at:
+            meta = replace(frame.meta, timestamp_ns=frame.meta.timestamp_ns - 10 * SECOND)
+            return Frame(frame.pixels, meta)
+        return frame
+
+    camera._frame = from_the_new_clock
+    exposures, frames = Exposures(camera, SECTION), []
+    exposures.set_up()
+    with pytest.raises(SettingsChanged):
+        frames.extend(int(frame.pixels[0, 0]) for _, frame in exposures.frames(8))
+    assert frames == list(range(reset_at))

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from daq.acquisition.runs.run_check import check_run
-from daq.acquisition.runs.seal import write_record
+from daq.acquisition.runs.seal import sealed, write_record
 from daq.cli import DEVICE, DONE, main
 from tests.daq.small_run import make_old
 
@@ -182,3 +182,19 @@ def test_a_run_folder_of_the_first_layout_is_read_as_it_is(done_run):
     found = check_run(done_run.path)
     assert found.is_sound, found.findings
     assert said(found, "done.json") == "made before runs had a hash"
+
+
+@pytest.mark.parametrize("more", [1, -1])
+def test_frames_that_a_session_says_it_wrote_are_counted_in_the_journal(done_run, more):
+    """Books that balance by themselves, of another number of frames than there are."""
+    lines = done_run.journal_path.read_bytes().splitlines(keepends=True)
+    for number, line in enumerate(lines):
+        entry = json.loads(line)
+        if entry["kind"] == "counts":
+            entry.pop("seal")
+            entry["books"] = {**entry["books"], "triggered": 8 + more, "written": 8 + more}
+            lines[number] = sealed(json.dumps(entry, separators=(",", ":")).encode()) + b"\n"
+    done_run.journal_path.write_bytes(b"".join(lines))
+    found = check_run(done_run.path)
+    assert "books" in parts(found)
+    assert "with 8 frames in the journal" in said(found, "books")

@@ -78,3 +78,13 @@ def test_sigma_is_held_to_its_claim(sigma, claim):
     if claim == "as claimed":
         assert found.within_1 == pytest.approx((0.683, 0.683), abs=0.04)
         assert found.within_2 == pytest.approx((0.954, 0.954), abs=0.02)
+
+
+def test_what_the_map_is_unsure_of_counts_for_the_coverage():
+    """Errors of which half come from the map: random sigma alone is too small, both together are as claimed."""
+    made = evaluation(noise=0.04, sigma=0.024, moved=0.032)
+    found = coverage_of(made, np.ones((39, 39), bool))
+    assert found.claim == "as claimed"
+    assert found.ratio == pytest.approx((1.0, 1.0), rel=0.1)
+    made.map_sigma = None
+    assert coverage_of(made, np.ones((39, 39), bool)).claim == "too small"
