@@ -124,6 +124,11 @@ class Evaluation:
     tracks: Tracked | None
     no_tracks: str
 
+    def __str__(self) -> str:
+        """Its name, and how many vectors are what."""
+        counts = ", ".join(f"{count} {name}" for name, count in self.field.counts.items())
+        return f"{self.task.name}: {counts}"
+
 
 def evaluate_task(
     task: Task,

@@ -3,13 +3,14 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from correction.errors import PairError
 from correction.light_sheet.disparities import Pair
 from correction.light_sheet.self_calibration import SheetFound, find_sheet
+from daq.acquisition.frames.source import is_source, source_of
 from daq.acquisition.runs.acquired import read_acquired
 from daq.acquisition.runs.glass_place import glass_place_mm, with_glass_at
 from daq.acquisition.runs.pairs import pairs_of
@@ -18,6 +19,7 @@ from daq.terminal import progress
 from tracer.light_sheet import LightSheet
 from tracer.scene import Scene
 
+T = TypeVar("T")
 MOST_PAIRS = 200  # evenly from the whole run; more are not needed
 
 
@@ -38,7 +40,7 @@ class FlowFrames:
 
 
 def flow_frames(paths: Sequence[Path], fitted: Scene) -> FlowFrames:
-    """Collect frames: of one run, or A, B, A, B ... as given.
+    """Collect frames: of one run, of a source of pairs (`daq.acquisition.frames`), or A, B, A, B ... as given.
 
     Raises
     ------
@@ -48,8 +50,13 @@ def flow_frames(paths: Sequence[Path], fitted: Scene) -> FlowFrames:
         The run cannot be read.
     """
     if len(paths) != 1 or not is_run(paths[0]):
+        if len(paths) == 1 and is_source(paths[0]):
+            places = [(first, second) for _, first, second in source_of(paths[0]).pairs()]
+            return FlowFrames(tuple(_spread(places)), fitted)
         if not paths or len(paths) % 2:
-            raise PairError("give a flow run, or frames of pairs in order: A, B, A, B ...")
+            raise PairError(
+                "give a flow run, a folder or pattern of frames in pairs, or these in order: A, B, A, B ..."
+            )
         frames = list(paths)
         return FlowFrames(tuple(zip(frames[::2], frames[1::2], strict=True)), fitted)
     run = paths[0]
@@ -59,12 +66,15 @@ def flow_frames(paths: Sequence[Path], fitted: Scene) -> FlowFrames:
     pairs = [pair for pair in pairs if pair.glass]
     if not pairs:
         raise PairError(f"{run}: was taken without the glass, and only glass shows particles twice; give another")
-    chosen = [
-        pairs[k]
-        for k in np.unique(np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).round().astype(int))
-    ]
+    chosen = _spread(pairs)
     scene = with_glass_at(fitted, glass_place_mm(run, [pair.frames[0] for pair in chosen]))
     return FlowFrames(tuple(pair.frames for pair in chosen), scene)
+
+
+def _spread(pairs: Sequence[T]) -> list[T]:
+    """As many as are needed, evenly from all."""
+    chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_PAIRS)).round().astype(int)
+    return [pairs[k] for k in np.unique(chosen)]
 
 
 def sheet_of(given: FlowFrames) -> SheetFound:

@@ -14,6 +14,7 @@ from daq.acquisition.runs.pairs import FramePair, RunPairs, pairs_of
 from daq.acquisition.runs.run_views import is_run, scene_file
 from daq.acquisition.runs.shown_plane import shows_light_sheet, where_lit
 from daq.analysis.evaluation import Task
+from daq.analysis.series.series_pairs import dt_of
 from ground.errors import GroundError
 from tracer.errors import TracerError
 from tracer.scene import Scene
@@ -54,18 +55,20 @@ def tasks_of(
     square_mm: float | None = None,
     disc_mm: float | None = None,
     shift_mm: tuple[float, float] | None = None,
+    dt_us: float | None = None,
 ) -> Tasks:
     """Collect what is to be evaluated, and read every frame once: a damaged one is found now, not after an hour.
 
     Parameters
     ----------
-    paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm
+    paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, dt_us
         As for the verb `evaluate`.
 
     Raises
     ------
     PairError
-        Neither two frames with a scene nor one run; or the run holds no pair.
+        Neither two frames with a scene nor one run; or the run holds no pair, or has no or another time between
+        its frames.
     ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
         What scene, frames, target or run make impossible.
     """
@@ -73,7 +76,9 @@ def tasks_of(
     if run is None and (len(paths) != 2 or scene is None):
         raise PairError("give two frames and --scene, or the folder of a run whose frames form pairs")
     given = pairs_of(run) if run is not None else RunPairs((), ())
-    given = RunPairs(tuple(pair for pair in given.pairs if not pair.is_background), given.alone)
+    given = RunPairs(
+        tuple(_timed(run, pair, dt_us) for pair in given.pairs if not pair.is_background), given.alone
+    )
     if scene is None:
         scene = scene_file(paths[0], out)
     fitted = load_scene(scene)
@@ -82,7 +87,7 @@ def tasks_of(
     frames = [path for pair in given.pairs for path in pair.frames] or paths
     lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
     seen = fitted.in_light_sheet() if lit else fitted
-    tasks = [_task(pair, seen, out) for pair in given.pairs] or [_two_frames(paths, seen, out, shift_mm)]
+    tasks = [_task(pair, seen, out) for pair in given.pairs] or [_two_frames(paths, seen, out, shift_mm, dt_us)]
     if lit:
         tasks = [replace(task, note=where_lit(fitted)) for task in tasks]
     for path in frames:
@@ -91,10 +96,24 @@ def tasks_of(
     return Tasks(tuple(tasks), dewarp, sigma, len(given.alone))
 
 
-def _two_frames(paths: list[Path], scene: Scene, out: Path, shift_mm: tuple[float, float] | None) -> Task:
+def _two_frames(
+    paths: list[Path], scene: Scene, out: Path, shift_mm: tuple[float, float] | None, dt_us: float | None
+) -> Task:
     """Task of two frames."""
     first, second = paths
-    return Task(f"{first.stem}, {second.stem}", (first, second), scene, out, shift_mm)
+    dt_s = None if dt_us is None else 1e-6 * dt_us
+    return Task(f"{first.stem}, {second.stem}", (first, second), scene, out, shift_mm, dt_s=dt_s)
+
+
+def _timed(run: Path | None, pair: FramePair, dt_us: float | None) -> FramePair:
+    """The pair of a run with the time between its frames, as known or as given."""
+    if dt_us is None or run is None:
+        return pair
+    if pair.measured_mm is not None:
+        raise PairError(
+            f"{run}: a stage moved its particles, so there is no time between frames; leave --dt-us out"
+        )
+    return replace(pair, dt_s=dt_of(run, pair, dt_us))
 
 
 def _task(pair: FramePair, scene: Scene, out: Path) -> Task:

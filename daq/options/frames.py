@@ -103,7 +103,13 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     focus.add_argument("-o", "--out", type=Path, help="folder for its page (default: the run's)")
 
     sheet = verbs.add_parser("sheet", help="where the light sheet is, from particles that are seen twice")
-    sheet.add_argument("paths", type=Path, nargs="+", metavar="PATH", help="flow run, or frames A, B, A, B ...")
+    sheet.add_argument(
+        "paths",
+        type=Path,
+        nargs="+",
+        metavar="PATH",
+        help="flow run, frames in pairs (folder, pattern, stack), or A, B, A, B ...",
+    )
     sheet.add_argument("--scene", type=Path, required=True, help="scene.yaml, fitted")
     sheet.add_argument("-o", "--out", type=Path, help="folder (default: sheet, or sheet-2 ...)")
 
@@ -115,7 +121,12 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     join.add_argument("-o", "--out", type=Path, help="folder (default: joined, or joined-2 ...)")
 
     mean = verbs.add_parser("mean", help="mean flow, Reynolds stresses and their uncertainty from many pairs")
-    mean.add_argument("path", type=Path, metavar="RUN_OR_SERIES", help="flow run, or the folder of its series")
+    mean.add_argument(
+        "path",
+        type=Path,
+        metavar="RUN_OR_SERIES",
+        help="flow run, frames in pairs (folder, pattern, stack), or a series",
+    )
     mean.add_argument("--scene", type=Path, help="scene.yaml, best a fitted one (default: the run's own)")
     mean.add_argument("-o", "--out", type=Path, help="folder of the series (default: RUN/series)")
     mean.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")

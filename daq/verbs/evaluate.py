@@ -56,7 +56,7 @@ def evaluate(
 
     A flow run, or a stream of more than ten pairs, becomes a series (`daq.analysis.series`): files of chunks in
     m/s and one page.  The same call goes on where an earlier one stopped.  What only concerns single pairs
-    (shift_mm, route, vtk, tracking) is refused for a series, dt_us and workers for single pairs.
+    (shift_mm, route, vtk, tracking) is refused for a series, workers for single pairs.
 
     Parameters
     ----------
@@ -85,7 +85,8 @@ def evaluate(
     figures : bool
         Write every figure as SVG and as PNG, not only as it stands in the page.
     dt_us : float, optional
-        Time between the frames of a pair, for a run that does not know it.
+        Time between the frames of a pair, for frames of others and a run that does not know it: velocities in
+        place of displacements.
     workers : int, optional
         Processes that evaluate a series; default one a core.
     tracking : bool
@@ -121,19 +122,19 @@ def evaluate(
                 " them out"
             )
         name = run.resolve().name
-        out = folder_for(out, USUAL, lambda folder: _holds_series_of(folder, name))
+        out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, name))
         dewarping = (target_clear, dewarp_order, square_mm, disc_mm)
         series = series_input(run, out, choice, scene, *dewarping, dt_us, sigma_limit_px)
         return _series(name, out, series, workers, figures, pictures)
-    if dt_us is not None or workers is not None:
-        raise PairError("--dt-us and --workers belong to a series, and this is none; leave them out")
+    if workers is not None:
+        raise PairError("--workers belongs to a series of many pairs, and this is none; leave it out")
     if target_clear is not None and (route != "image" or tracking):
         raise PairError(
             f"{'the velocity route' if route != 'image' else 'tracking'} traces raw pixels; give the camera's lens"
             " terms in the scene, no dewarp"
         )
     out = folder_for(out, USUAL)
-    given = tasks_of(paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm)
+    given = tasks_of(paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, dt_us)
 
     def measured(task: Task, prepared: PreparedCorrection) -> Evaluation:
         evaluation = evaluate_task(
@@ -158,7 +159,7 @@ def evaluate(
         return _each(screen, given, _limit(given, sigma_limit_px), measured)
 
 
-def _holds_series_of(folder: Path, name: str) -> bool:
+def holds_series_of(folder: Path, name: str) -> bool:
     """Whether the series of this run was begun in a folder."""
     try:
         return SeriesFolder(folder).about["run"] == name

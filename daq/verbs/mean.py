@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Unpack
 
 from correction.errors import PairError
+from daq.acquisition.frames.source import is_source
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import is_run
 from daq.acquisition.runs.shown_plane import where_lit
@@ -17,7 +18,8 @@ from daq.analysis.series.series_input import series_input
 from daq.analysis.series.series_mean import mean_of_series, standing_of
 from daq.errors import RunUnsuitable
 from daq.terminal import console
-from daq.verbs.output import require_folder
+from daq.verbs.evaluate import USUAL, holds_series_of
+from daq.verbs.output import folder_for, require_folder
 from daq.verbs.paths import Named, path_of
 from daq.verbs.show import show_mean, show_series
 
@@ -40,11 +42,11 @@ def mean(
     Parameters
     ----------
     path : path
-        A flow run, whose pairs are evaluated where that has not been done with these settings; or the folder of a
-        series that `evaluate` has made.
+        A flow run, or frames of others in pairs (`daq.acquisition.frames.source`), evaluated where that has not
+        been done with these settings; or the folder of a series that `evaluate` has made.
     out : path, optional
-        Folder of the series, default ``series`` inside the run: ``mean.nc`` and ``mean.html``, beside what
-        `evaluate` writes there.
+        Folder of the series, default ``series`` in the run or, of frames of others, ``evaluation``: ``mean.nc``
+        and ``mean.html``, beside what `evaluate` writes there.
     scene, target_clear, dewarp_order, figures, dt_us, workers, sigma_limit_px
         As for `evaluate`; of a run only.
     ensemble : {8, 16, 32}, optional
@@ -70,13 +72,16 @@ def mean(
     screen = console()
     path, out, scene, target_clear = Path(path), path_of(out), path_of(scene), path_of(target_clear)
     series = None
-    if is_run(path):
-        folder = require_folder(out if out is not None else RunFolder(path).own("series"))
-        choice = piv_choice(**options)
+    if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
+        name, choice = path.resolve().name, piv_choice(**options)
+        if is_run(path):
+            folder = require_folder(out if out is not None else RunFolder(path).own("series"))
+        else:
+            folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
         given = series_input(
             path, folder, choice, scene, target_clear, dewarp_order, None, None, dt_us, sigma_limit_px
         )
-        books = run_series(path.resolve().name, folder, given.given, given.method, workers)
+        books = run_series(name, folder, given.given, given.method, workers)
         show_series(screen, books)
         series = given, books
     elif (path / FILE).is_file():
@@ -92,7 +97,7 @@ def mean(
         ):
             raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
     else:
-        raise RunUnsuitable(f"{path}: is neither a run nor the folder of a series; evaluate a flow run first")
+        raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
     found = mean_of_series(folder)
     by_ensemble = None
     if series is not None and ensemble is not None:

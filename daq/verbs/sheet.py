@@ -22,7 +22,8 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None
     Parameters
     ----------
     paths : path, or list of path
-        The folder of a flow run, or frames of pairs in order: A, B, A, B ...; some 50 pairs.
+        The folder of a flow run; frames of others in pairs, see `daq.acquisition.frames.source`; or frames in
+        order: A, B, A, B ...; some 50 pairs.
     scene : path
         scene.yaml, fitted; what it says of its `sheet` is where the search begins.
     out : path, optional

@@ -38,8 +38,7 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         track_rows,
     )
 
-    counts = ", ".join(f"{count} {name}" for name, count in evaluation.field.counts.items())
-    screen.print(f"{evaluation.task.name}: {counts}")
+    screen.print(str(evaluation))
     if evaluation.field.doubt:
         screen.print(evaluation.field.doubt, style="bold red")
     tables: list[tuple[str, tuple[str, ...], list[Row]]] = []

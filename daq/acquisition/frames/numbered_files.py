@@ -16,6 +16,15 @@ _NUMBER = re.compile(r"%0?(\d*)d")
 _FIRST = re.compile(r"(?<![A-Za-z0-9])([aA])(?=\.[^.]+$)|(?<=d)([aA])(?=\.[^.]+$)")
 
 
+def second_of(pattern: str) -> str | None:
+    """Pattern of second frames, ``_b``, that belongs to one of first frames, ``_a``; None if it has no letter."""
+    letter = _FIRST.search(pattern)
+    if letter is None:
+        return None
+    at = letter.start()
+    return f"{pattern[:at]}{chr(ord(pattern[at]) + 1)}{pattern[at + 1 :]}"
+
+
 class NumberedFiles:
     """Files whose names differ by a number.
 

@@ -18,6 +18,7 @@ from correction.errors import PairError
 
 KINDS = (  # the first that takes a name
     "daq.acquisition.frames.numbered_files:NumberedFiles",
+    "daq.acquisition.frames.frame_folder:FrameFolder",
     "daq.acquisition.frames.tiff_pages:TiffPages",
     "daq.acquisition.frames.hdf5_stack:Hdf5Stack",
 )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from correction.errors import FrameError
 from correction.frame_file import read_frame
+from daq.acquisition.frames.hdf5_stack import is_image, read_image
 from daq.acquisition.frames.named_frame import read_named
 from daq.acquisition.runs.run_file import FILE
 from daq.acquisition.runs.run_folder import RunFolder, frame_entries
@@ -27,7 +28,7 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     Parameters
     ----------
     path : Path
-        A frame of a run, or any file that `read_frame` takes.
+        A frame of a run, any file that `read_frame` takes, or an image of a stack by its name.
     shape : (int, int), optional
         Rows and columns that the frame must have.
 
@@ -44,7 +45,7 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     """
     run = run_of(path)
     if run is None:
-        return _finite(path, read_frame(path, shape))
+        return _finite(path, read_image(path, shape, None) if is_image(path) else read_frame(path, shape))
     _require(path)
     known = _checksums(run, _stamp(run.journal_path))
     if path.name not in known:

@@ -134,7 +134,7 @@ def ask_for(
         load_scene(scene)
     for run in runs:
         if not scenes and not is_run(run) and is_source(run):
-            raise PairError(f"{run}: nobody says what its camera looked through; give --scene")
+            raise PairError(f"{run}: what its camera looked through is not known; give --scene")
     names = _names(runs)
     for place, (name, run) in enumerate(zip(names, runs, strict=True)):
         out = folder.series(name).path

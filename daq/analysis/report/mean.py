@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from correction.evaluate.regions import Region, Regions
 from daq.acquisition.runs.run_folder import RunFolder
+from daq.acquisition.runs.run_views import is_run
 from daq.analysis.digits import with_sigma
 from daq.analysis.report.calibration import calibration_chapter
 from daq.analysis.report.figures import vector_figure
@@ -78,7 +79,8 @@ def write_mean_page(
     left_out_chapter(page, mean)
     if series is not None:
         self_check_chapter(page, series[0])
-        books_chapter(page, RunFolder.open(series[0].run))
+        if is_run(series[0].run):  # frames of others have no books
+            books_chapter(page, RunFolder.open(series[0].run))
     scene_chapter(page, scene)
     light_sheet_line(page, standing_of(folder))
     calibration_chapter(page, folder / FIT_FILE, scene)

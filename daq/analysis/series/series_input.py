@@ -81,7 +81,7 @@ def series_input(
     """
     foreign = not is_run(run) and is_source(run)
     if foreign and scene is None:
-        raise PairError(f"{run}: nobody says what its camera looked through; give --scene")
+        raise PairError(f"{run}: what its camera looked through is not known; give --scene")
     given = None if foreign else pairs_of_series(run, pairs_of(run), dt_us)
     try:
         out.mkdir(parents=True, exist_ok=True)

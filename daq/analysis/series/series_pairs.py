@@ -89,20 +89,24 @@ def folder_name(entry: Entry) -> str:
     return str(entry["file"]).rpartition("/")[2]
 
 
-def _series_pair(run: Path, pair: FramePair, entries: dict[str, Entry], dt_us: float | None) -> SeriesPair:
+def dt_of(run: Path, pair: FramePair, dt_us: float | None) -> float | None:
+    """Time between the frames of a pair [s], by the run or as given; PairError if these contradict each other."""
     given_s = None if dt_us is None else dt_us * 1e-6
-    if pair.dt_s is None and given_s is None:
-        raise PairError(
-            f"{run}: nobody knows the time between the frames of {pair.tag}, as the camera has no clock; "
-            "say it with --dt-us"
-        )
     if pair.dt_s is not None and given_s is not None and not isclose(pair.dt_s, given_s, rel_tol=0.01):
         raise PairError(
             f"{run}: the frames of {pair.tag} are {1e6 * pair.dt_s:g} us apart by the run, and {dt_us:g} us by "
             "--dt-us; leave that out"
         )
-    dt_s = pair.dt_s if pair.dt_s is not None else given_s
-    assert dt_s is not None
+    return pair.dt_s if pair.dt_s is not None else given_s
+
+
+def _series_pair(run: Path, pair: FramePair, entries: dict[str, Entry], dt_us: float | None) -> SeriesPair:
+    dt_s = dt_of(run, pair, dt_us)
+    if dt_s is None:
+        raise PairError(
+            f"{run}: the time between the frames of {pair.tag} is not known, as the camera has no clock; "
+            "say it with --dt-us"
+        )
     first, second = (entries[path.name]["crc32"] for path in pair.frames)
     return SeriesPair(pair.tag, pair.frames, (first, second), dt_s, pair.dt_sigma_s, pair.time_s)
 

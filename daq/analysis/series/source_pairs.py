@@ -46,7 +46,7 @@ def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float 
         The list of checksums cannot be written.
     """
     if dt_us is None:
-        raise PairError(f"{path}: nobody knows the time between the frames of a pair; say it with --dt-us")
+        raise PairError(f"{path}: the time between the frames of a pair is not known; say it with --dt-us")
     source = source_of(path)
     known, now = _known(out / FILE), Known()
     pairs = []

@@ -64,7 +64,7 @@ def test_evaluate_of_a_flow_run_leaves_one_page_that_shows_every_step(run, tmp_p
 def test_an_empty_series_and_a_stranger_are_no_series(tmp_path, run, capsys):
     for path in (tmp_path, tmp_path / "nothing"):
         assert main(["mean", str(path)]) == USAGE
-        assert "is neither a run nor the folder of a series" in capsys.readouterr().err
+        assert "is neither a run, nor frames in pairs, nor the folder of a series" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_options_of_single_pairs_and_of_series_are_not_mixed(run, tmp_path, caps
     (tmp_path / "scene.yaml").write_text(SCENE)
     scene = ("--scene", str(tmp_path / "scene.yaml"))
     assert main(["evaluate", *frames, *scene, *out, "--workers", "2"]) == USAGE
-    assert "belong to a series" in capsys.readouterr().err
+    assert "belongs to a series" in capsys.readouterr().err
     assert main(["evaluate", *frames, *scene, *out, "--prepare", "sliding-minimum"]) == USAGE
     assert "needs a series of pairs" in capsys.readouterr().err
     assert main(["mean", str(run), *WINDOWS]) == DONE

@@ -58,6 +58,9 @@ def test_what_shows_no_light_sheet_is_refused(lab, monkeypatch):
     scene = load_scene(folder / "scene.yaml")
     with pytest.raises(PairError, match="A, B, A, B"):
         flow_frames(paths[:3], scene)
+    pairs = flow_frames(paths, scene).pairs
+    assert flow_frames([folder / "%03da.tif"], scene).pairs == pairs
+    assert flow_frames([folder], scene).pairs == pairs
     monkeypatch.setattr(light_sheet, "is_run", lambda path: True)
     pairs = [_Pair(measured_mm=(0.1, 0.0, 0.0))]
     monkeypatch.setattr(light_sheet, "pairs_of", lambda path: _Pairs(pairs))

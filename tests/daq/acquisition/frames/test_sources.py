@@ -9,6 +9,7 @@ import tifffile
 
 from correction.errors import FrameDamaged, FrameError, PairError
 from correction.frame_file import checksum
+from daq.acquisition.frames.frame_folder import pattern_in
 from daq.acquisition.frames.named_frame import read_named
 from daq.acquisition.frames.source import KINDS, is_source, source_of
 
@@ -58,7 +59,12 @@ def by_name(folder, stack):
     return Path(f"{nexus(folder, stack)}@/entry/dark/frames")
 
 
-ALL = [letters, numbers, pages, in_pairs, nexus, by_name]
+def folder(folder, stack):
+    tifffile.imwrite(folder / "target_clear.tif", stack[0, 0])  # has no number
+    return letters(folder, stack).parent
+
+
+ALL = [letters, numbers, pages, in_pairs, nexus, by_name, folder]
 
 
 def test_every_kind_is_under_contract(tmp_path):
@@ -127,6 +133,34 @@ def test_numbers_of_more_digits_and_other_names_are_told_apart(tmp_path):
     for letter in "ab":
         tifffile.imwrite(tmp_path / f"B100000_{letter}.tif", frames()[0, 0])
     assert [n for n, *_ in source_of(tmp_path / "B%05d_a.tif").pairs()] == [0, 1, 2, 100000]
+
+
+@pytest.mark.parametrize(
+    ("names", "pattern"),
+    [
+        (["im0007.tif", "im0008.tif"], "im%04d.tif"),
+        (["im9.tif", "im10.tif"], "im%d.tif"),
+        (["d2_B00001_A.png", "d2_B00001_B.png"], "d2_B%05d_A.png"),
+        (["im00001_cam1.tif", "im00002_cam1.tif", "im00003_cam1.tif"], "im%05d_cam1.tif"),
+        (["007a.bmp", "007b.bmp"], "%03da.bmp"),
+    ],
+)
+def test_a_folder_is_the_one_pattern_of_its_frames(tmp_path, names, pattern):
+    for name in (*names, "notes.txt", "mask.tif"):
+        (tmp_path / name).write_bytes(b"")
+    assert is_source(tmp_path)
+    assert pattern_in(tmp_path) == pattern
+    assert source_of(tmp_path).pairs() == source_of(tmp_path / pattern).pairs()
+
+
+def test_a_folder_with_several_numberings_asks_which(tmp_path):
+    for name in ("im001.tif", "im002.tif", "B00001_a.tif", "B00001_b.tif"):
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(PairError, match=r"name one of them, in quotes: .*B%05d_a.tif, .*im%03d.tif"):
+        source_of(tmp_path)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "frame.tif").write_bytes(b"")
+    assert not is_source(tmp_path / "other")
 
 
 def test_a_tiff_of_one_page_is_a_frame_and_no_source(tmp_path):

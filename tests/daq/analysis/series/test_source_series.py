@@ -47,6 +47,39 @@ def test_the_vectors_are_those_of_a_run_with_the_same_frames(recorded, tmp_path,
     assert mean_of_series(tmp_path / "out").used == PAIRS
 
 
+def test_two_frames_with_a_time_have_velocities(recorded, tmp_path, capsys):
+    frames = [str(recorded / f"B00000_{letter}.tif") for letter in "ab"]
+    words = ["evaluate", *frames, "--scene", str(recorded / "scene.yaml"), *WINDOWS, "--no-pictures"]
+    for name, more in (("moved", ()), ("timed", ("--dt-us", "50"))):
+        assert main([*words, *more, "-o", str(tmp_path / name)]) == DONE
+    found = {}
+    for name in ("moved", "timed"):
+        with netcdf_file(tmp_path / name / "vectors.nc", mmap=False) as file:
+            found[name] = np.array(file.variables["u"][:]), file.variables["u"].units
+    assert (found["moved"][1], found["timed"][1]) == (b"mm", b"mm/s")
+    np.testing.assert_allclose(found["timed"][0], found["moved"][0] / 50e-6, rtol=1e-6)
+    assert main([*words, "--workers", "2", "-o", str(tmp_path / "no")]) == USAGE
+    assert "--workers belongs to a series" in capsys.readouterr().err
+
+
+def test_a_folder_is_evaluated_and_a_pattern_averaged(recorded, tmp_path, monkeypatch, capsys):
+    """Mean of the folder, of its pattern and of the run that recorded these frames; by ensembles too."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "day1").mkdir()
+    for path in recorded.glob("B*.tif"):
+        (tmp_path / "day1" / path.name).write_bytes(path.read_bytes())
+    more = ("--scene", str(recorded / "scene.yaml"), "--dt-us", str(DT_US), *WINDOWS, "--workers", "1")
+    assert main(["evaluate", "day1", *more, "--no-pictures"]) == DONE
+    assert vectors(tmp_path / "evaluation") == vectors(recorded / "run")
+    assert main(["evaluate", "day1", *more, "--no-pictures"]) == DONE  # goes on in its folder
+    assert f"{PAIRS} of them had been evaluated before" in capsys.readouterr().out
+    assert main(["mean", "day1/B%05d_a.tif", *more, "-o", "averaged", "--ensemble", "16"]) == DONE
+    assert f"mean of {PAIRS} pairs" in capsys.readouterr().out
+    assert vectors(tmp_path / "averaged") == vectors(recorded / "run")
+    for name in ("mean.nc", "mean_ensemble.nc", "mean.html"):
+        assert (tmp_path / "averaged" / name).is_file()
+
+
 def test_a_frame_that_changes_is_read_again_and_its_chunk_made_anew(recorded, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(LocalProcesses, "opened", lambda self: Threads(self.slots).opened())
     for path in recorded.glob("B*.tif"):
