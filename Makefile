@@ -40,7 +40,7 @@ test-slow: $(STAMP)
 # Hundreds of drawn labs, right and wrong ones: is the wrong model named, is one sigma one sigma?
 LABS ?= 100
 labs: $(STAMP)
-	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_many_labs.py
+	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_many_labs.py tests/correction/fit/test_strangers.py
 
 # Random sequences of commands, faults, stops and restarts before the judge: make fuzz SEQUENCES=100000 SEED=1
 SEQUENCES ?= 10000

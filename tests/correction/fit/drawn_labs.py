@@ -63,6 +63,7 @@ class Drawn:
     pixels: np.ndarray  # (M, 2) behind glass
     error_px: np.ndarray  # (M, 2) of the map, corrected px
     sigma_px: np.ndarray  # (M, 2)
+    beside: tuple[np.ndarray, np.ndarray, np.ndarray]  # the same three of what is seen directly
 
     @property
     def cost_px(self) -> float:
@@ -70,7 +71,19 @@ class Drawn:
         return float(np.sqrt(np.mean(np.sum(self.error_px**2, axis=1))))
 
 
-def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: float | None = None) -> Drawn:
+def home_lab(rng: np.random.Generator, seed: int) -> tuple[Scene, Scene, Chessboard]:
+    """Nominal scene, true scene and board of a lab like the paper's."""
+    nominal = at_size(named_scene(SCENES[rng.integers(len(SCENES))]), SIZE_PX)
+    return nominal, misaligned(nominal, 1000 + seed), BOARD
+
+
+def drawn_lab(
+    seed: int,
+    fault: str = "",
+    noise_px: float | None = None,
+    size: float | None = None,
+    draw: Callable[[np.random.Generator, int], tuple[Scene, Scene, Chessboard]] = home_lab,
+) -> Drawn:
     """Draw a lab, take its corners, fit it.
 
     Parameters
@@ -83,12 +96,12 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
         Noise of a corner; drawn from 0.003 (clean) to 0.03 if not given.
     size : float, optional
         Of the fault, as in SIZES; drawn if not given.
+    draw : callable
+        Gives nominal scene, true scene and board of a seed.
     """
     rng = np.random.default_rng((16, seed))
     noise = float(rng.choice([0.003, 0.006, 0.015, 0.03])) if noise_px is None else noise_px
-    name = SCENES[rng.integers(len(SCENES))]
-    nominal = at_size(named_scene(name), SIZE_PX)
-    truth = misaligned(nominal, 1000 + seed)
+    nominal, truth, board = draw(rng, seed)
     priors = FitTable()
     ball = truth.spheres[rng.integers(len(truth.spheres))].name
     if size is None:
@@ -106,7 +119,7 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
         priors = priors.model_copy(update={"n": 0.0})
         nominal = with_index(nominal, truth, size * float(rng.choice([-1.0, 1.0])))
     elif fault == "bent board":
-        half = float(0.5 * SIZE_PX * grid_of(truth.camera).pitch_mm)
+        half = float(0.5 * truth.camera.sensor_px[0] * grid_of(truth.camera).pitch_mm)
         a, b, c = rng.uniform(-1.0, 1.0, 3)
         sag = size / (0.5 * half**2 * max(abs(a), abs(c)))
         bend = (a * sag, b * sag, c * sag)
@@ -147,14 +160,14 @@ def drawn_lab(seed: int, fault: str = "", noise_px: float | None = None, size: f
         balls = balls_with(lamp.index if lamp else as_measured) if glass else ()
         scene = truth if glass else truth.with_bodies(())
         lab = Lab(truth.camera, balls, bend)
-        frames.append(photographed(scene, lab, glass, noise, lock_px, rng, hidden, colours))
+        frames.append(photographed(scene, lab, board, glass, noise, lock_px, rng, hidden, colours))
     bench = unknowns_of(nominal, [0.0], priors)
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     if lamp is not None:
         fit = replace(fit, light=doubt_of(nominal, None))
-    pixels, error = map_error(fit, truth, Lab(truth.camera, balls_with(as_measured)), rng)
-    sigma = sigma_at(fit, pixels, True) / grid_of(truth.camera).pitch_mm
-    return Drawn(fault, size, noise, ball, fit, pixels, error, sigma)
+    true_lab = Lab(truth.camera, balls_with(as_measured))
+    behind, beside = (map_error(fit, truth, true_lab, rng, through) for through in (True, False))
+    return Drawn(fault, size, noise, ball, fit, *behind, beside)
 
 
 def of_glass(scene: Scene) -> Scene:
@@ -181,6 +194,7 @@ def lifted(truth: Scene, ball: str, up_mm: float) -> Scene:
 def photographed(
     truth: Scene,
     lab: Lab,
+    board: Chessboard,
     glass: bool,
     noise_px: float,
     lock_px: float,
@@ -192,8 +206,8 @@ def photographed(
 
     Each colour of the light is a lab of its own, with its share.
     """
-    shown = expect(truth, TargetPose(), BOARD)
-    node = BOARD.corner_mm(shown.index)
+    shown = expect(truth, TargetPose(), board)
+    node = board.corner_mm(shown.index)
     pixel = corners_px(lab, shown.pixel, node)
     way = np.array([" > ".join(names) for names in shown.branches])[shown.branch]
     names, counts = np.unique(way[way != ""], return_counts=True)
@@ -207,7 +221,7 @@ def photographed(
     pixel, shown, way = pixel[seen], shown.take(seen), way[seen]
     sigma = noise_px * np.exp(0.3 * rng.normal(size=pixel.shape))
     pixel = pixel + sigma * rng.normal(size=pixel.shape) + lock_px * locked(pixel, shown.axes_px)
-    corners = Corners(0, glass, pixel, BOARD.corner_mm(shown.index), whitening(sigma))
+    corners = Corners(0, glass, pixel, board.corner_mm(shown.index), whitening(sigma))
     variance = EDGE_PX2 + np.hypot(EDGE_NOISE_PX2, sigma) * rng.spawn(1)[0].normal(size=pixel.shape)
     if colours:
         variance = variance + TAKEN_UP * smear_px2(lab, colours, pixel, shown.axes_px)
@@ -244,13 +258,17 @@ def locked(pixel: np.ndarray, axes_px: np.ndarray) -> np.ndarray:
     return out
 
 
-def map_error(fit: SceneFit, truth: Scene, lab: Lab, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (M, 2) that show nodes behind glass, and the error (M, 2) [corrected px] of the fitted map there."""
+def map_error(
+    fit: SceneFit, truth: Scene, lab: Lab, rng: np.random.Generator, behind: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels (M, 2) that show nodes behind or beside glass, error and sigma (M, 2) [corrected px] of the map."""
     grid = grid_of(truth.camera)
     coarse = PlaneGrid(grid.origin_mm, 4 * grid.pitch_mm, (grid.shape[0] // 4, grid.shape[1] // 4))
     seen = build_correction_map(truth, build_ray_map(truth), coarse, min_magnification=2.0, max_magnification=64.0)
-    pixels = seen.pixel[0][seen.behind_glass]
+    pixels = seen.pixel[0][seen.behind_glass if behind else seen.recovered & ~seen.behind_glass]
     pixels = pixels[rng.permutation(len(pixels))[: 2 * NODES]]
+    if not len(pixels):
+        return pixels, np.zeros((0, 2)), np.zeros((0, 2))
     found = trace(fit.scene, pixels)
     true_mm, through = shown_mm(lab, pixels)
     order = {sphere.name: number for number, sphere in enumerate(truth.spheres, start=1)}
@@ -260,4 +278,5 @@ def map_error(fit: SceneFit, truth: Scene, lab: Lab, rng: np.random.Generator) -
             codes[key] = codes[key] * (len(lab.balls) + 1) + order[event]
     same = np.array([codes[int(key)] for key in found.rays["key"]]) == through
     chosen = np.flatnonzero(same & found.recovered & np.isfinite(true_mm[:, 0]))[:NODES]
-    return pixels[chosen], (found.plane_mm - true_mm)[chosen] / grid.pitch_mm
+    error = (found.plane_mm - true_mm)[chosen] / grid.pitch_mm
+    return pixels[chosen], error, sigma_at(fit, pixels[chosen], behind) / grid.pitch_mm
