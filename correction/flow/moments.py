@@ -167,6 +167,16 @@ class Moments:
             sigma_squares=self.sigma_squares + other.sigma_squares,
         )
 
+    def only(self, where: NDArray[np.bool_]) -> "Moments":
+        """These moments where `where` (ny, nx) is True, and nothing elsewhere."""
+        empty = Moments.nothing((self.count.shape[0], self.count.shape[1])).to_arrays()
+        return Moments(
+            **{
+                name: np.where(where.reshape(where.shape + (1,) * (values.ndim - 2)), values, empty[name])
+                for name, values in self.to_arrays().items()
+            }
+        )
+
     @property
     def mean_uv(self) -> Floats:
         """Mean (ny, nx, 2); NaN where there is none."""

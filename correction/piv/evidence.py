@@ -8,6 +8,10 @@ is kept if its peak stands out (`PROVEN` times the second one) and if it lies no
 from the median of its 3 x 3 neighbours, where chance would put one in thirty. Only what was rejected is asked for
 its second peak: a field without suspects pays nothing.
 
+A jet of one or two windows in a fluid at rest is an outlier to every median, in all of its vectors, and so is
+its shear layer. But it goes on along its axis: of three suspects in a row, in any of four directions, whose
+peaks stand out a little (`WEAK`) and that agree to a tenth of a window, none is there by chance.
+
 **Against.** Two frames that are no pair have vectors that support each other by chance. A peak that hardly stands
 out (`WEAK`) and whose correlation statistics make no sense (no sigma) is no measurement. Right vectors show both
 only where there is next to nothing in the window.
@@ -18,6 +22,7 @@ from numpy.typing import NDArray
 
 PROVEN, WEAK = 2.0, 1.5  # highest peak over the second one
 REACH = 0.1  # of the window's side
+ROWS_OF_THREE = (0, 1), (1, 0), (1, 1), (1, -1)  # steps along rows and columns
 
 
 def proven(
@@ -42,14 +47,32 @@ def proven(
     """
     clear = suspects & (peak_ratio > PROVEN)
     rows, columns = np.nonzero(clear)
+    in_rows = _in_rows(vectors, suspects & (peak_ratio > WEAK), REACH * window_px)
     if not len(rows):
-        return clear
+        return in_rows
     known = np.full((vectors.shape[0] + 2, vectors.shape[1] + 2, 2), np.nan)
     known[1:-1, 1:-1][candidates] = vectors[candidates]
     around = np.stack([known[rows + i, columns + j] for i in range(3) for j in range(3)])
     off_px = np.linalg.norm(vectors[rows, columns] - np.nanmedian(around, axis=0), axis=-1)
     clear[rows, columns] = off_px <= REACH * window_px
-    return clear
+    return clear | in_rows
+
+
+def _in_rows(vectors: NDArray[np.float64], which: NDArray[np.bool_], near_px: float) -> NDArray[np.bool_]:
+    """Those of `which` (ny, nx) that are one of three in a row of which the middle one is near both others."""
+    found = np.zeros_like(which)
+    ny, nx = which.shape
+    for j, i in ROWS_OF_THREE:
+        ends = [
+            (slice(k * j, ny - (2 - k) * j), slice(max(k * i, (k - 2) * i), nx + min(k * i, (k - 2) * i)))
+            for k in range(3)
+        ]
+        first, middle, last = (np.where(which[part][..., None], vectors[part], np.nan) for part in ends)
+        off_px = [np.linalg.norm(end - middle, axis=-1) for end in (first, last)]
+        agree = np.maximum(*off_px) <= near_px
+        for part in ends:
+            found[part] |= agree
+    return found
 
 
 def unproven(peak_ratio: NDArray[np.float64], sigma_px: NDArray[np.float64]) -> NDArray[np.bool_]:

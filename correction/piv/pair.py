@@ -29,20 +29,21 @@ from correction.piv.deform import DeformedPair, deform_pair
 from correction.piv.denoise import kept_share, split
 from correction.piv.evidence import unproven
 from correction.piv.outliers import filled, smoothed
-from correction.piv.passes import LEAST_CORRELATION, Measured, moved, refine_pass, search
+from correction.piv.passes import Measured, moved, refine_pass, search
 from correction.piv.prepare import Pair, prepared
 from correction.piv.refine import window_weights
-from correction.piv.resolution import unresolved_px
+from correction.piv.resolution import matched_share, unmatched_px, unresolved_px
 from correction.piv.response import COARSE, last_filter, noise_growth, smoothing_after, transfers_between
 from correction.piv.settings import PivSettings
 from correction.piv.static import static_share, still_correlation
-from correction.piv.uncertainty import correlation_statistics, sampling_error_px
+from correction.piv.uncertainty import LARGEST_PX, correlation_statistics, sampling_error_px
 from correction.piv.vector_field import VectorField, VectorFlag
 from correction.piv.windows import WindowGrid, window_grid
 from ground.memory import require_memory
 
 BYTES_PER_PX = 32  # that all passes hold at most; measured 30 at 2016 x 2016 and 4032 x 4032
 DOUBTFUL_SHARE, GAIN = 0.6, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
+LEAST_MATCHED, OTHERWISE_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
 CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time
 
 Floats = NDArray[np.float64]
@@ -129,8 +130,7 @@ def _evaluated(pair: Pair, sides: list[int], settings: PivSettings, threads: int
         known = doubt if number >= COARSE else None  # frames complete each other where they are known to match
         deformed = deform_pair(coefficients, valid, predictor, before, floor, threads, known)
         predictor = moved(predictor, before, grid)
-        least = LEAST_CORRELATION if number == 1 else 0.0
-        found = refine_pass(deformed, grid, predictor, least, settings, threads)
+        found = refine_pass(deformed, grid, predictor, number == 1, settings, threads)
         if number + 1 == len(grids) and added < settings.extra_passes and _changes(found, settings):
             added += 1
             grids.append(grid)
@@ -168,9 +168,13 @@ def _result(
             deformed, grid, settings.window_sigma, found.refined, left, spread_px2, threads
         )
         good = good & ~_empty(found, one, deformed, grid, settings, threads)
+        good = good & ~_beside_the_point(found, good)
+        # A clear peak of a whole window, but none where frames were deformed to: it is known to a pixel.
+        one = np.where(good[..., None] & np.isnan(one), LARGEST_PX, one)
         vectors, sigma, taken = _denoised(vectors, good, one, grids, settings)
         sigma = np.hypot(sigma, sampling_error_px(spread_px2))
         resolution = unresolved_px(filled(vectors, good)[0], taken, pieces, grid, settings)
+        resolution = np.maximum(resolution, unmatched_px(vectors, found.seen_px, found.correlation, good))
     fill, near = filled(vectors, good)
     flags = np.full(grid.shape, VectorFlag.REJECTED, np.uint8)
     flags[near] = VectorFlag.REPLACED
@@ -214,6 +218,13 @@ def _empty(
     if not (found.good & ~empty).any():
         raise PairError("no window gave a vector that its own correlation supports; check exposure and pairing")
     return empty
+
+
+def _beside_the_point(found: Measured, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Windows (ny, nx) most of whose light moves otherwise than their vector says, and by much."""
+    little = matched_share(found.correlation, good) < LEAST_MATCHED
+    apart_px = unmatched_px(found.vectors_px, found.seen_px, found.correlation, good)
+    return np.asarray(little & (apart_px > OTHERWISE_PX))
 
 
 def _denoised(

@@ -16,15 +16,22 @@ from correction.piv.settings import PivSettings
 from correction.piv.windows import WindowGrid, interpolated
 
 HALVED_PX = 64  # first windows of this side are looked at in frames of half the resolution
-LEAST_CORRELATION = 0.5  # of the second pass: with less, what lies in the middle may be there by chance
+LEAST_CORRELATION = (
+    0.5  # with less, what lies in the middle may be there by chance; later passes: times the usual one
+)
 
 Floats = NDArray[np.float64]
 
 
 class Measured(NamedTuple):
-    """What a pass has found: vectors_px (ny, nx, 2), the others (ny, nx); `refined` unless it has searched."""
+    """What a pass has found: vectors_px, seen_px, left_px (ny, nx, 2), the others (ny, nx).
+
+    seen_px is what whole windows showed where they were asked, even if their peak was one of many, and elsewhere
+    the vectors. `refined` is None of a pass that has searched.
+    """
 
     vectors_px: Floats
+    seen_px: Floats
     correlation: Floats
     peak_ratio: Floats
     valid_fraction: Floats
@@ -42,32 +49,41 @@ def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | N
     raw = correlate_windows(frames, half, settings.min_valid, threads)
     good, ratio = _accepted(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
     shift = raw.shift_px * (2.0 if halves else 1.0)
-    return Measured(shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)
+    return Measured(shift, shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)
 
 
 def refine_pass(
     pair: DeformedPair,
     grid: WindowGrid,
     predictor: Floats,
-    least: float,
+    is_first: bool,
     settings: PivSettings,
     threads: int | None,
 ) -> Measured:
-    """Look within a pixel, and at whole windows where no peak is there or less than `least` correlates."""
+    """Look within a pixel, and at whole windows where no peak is there or little correlates.
+
+    What is little depends on the frames, but in the first pass of this kind nothing is known of them: a predictor
+    may be wrong everywhere.
+    """
     raw = refine(pair, grid, settings.window_sigma, threads)
     shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
     dense = raw.valid_fraction >= settings.min_valid
     shift[~dense] = np.nan
+    least = LEAST_CORRELATION * (1.0 if is_first or not dense.any() else np.nanmedian(raw.correlation[dense]))
     lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
+    seen = predictor + shift
     if lost.any() and pair.worth is None:  # frames that complete each other match in the middle, always
         found, ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
-        found[ratio[lost] < WEAK] = np.nan  # not where it was expected, and one of many
+        seen[lost] = predictor[lost] + found
+        # Not where it was expected, and one of many; what lies in the middle may be right in later passes.
+        doubtful = ratio[lost] < WEAK
+        found[doubtful] = np.nan if is_first else shift[lost][doubtful]
         shift[lost] = found
     if dense.any() and not np.isfinite(shift).any():
         raise PairError("no window shows a peak that stands out; check exposure, seeding and pairing")
     vectors = predictor + shift
     good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads)
-    return Measured(vectors, raw.correlation, ratio, raw.valid_fraction, good, shift, raw)
+    return Measured(vectors, seen, raw.correlation, ratio, raw.valid_fraction, good, shift, raw)
 
 
 def _accepted(

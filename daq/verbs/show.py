@@ -164,6 +164,8 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
         screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
     if not mean.effective.converged:
         screen.print("the series is too short for its slowest motion: sigma is a lower limit", style="bold red")
+    if mean.gaps:
+        screen.print(mean.gaps)
     screen.print(f"look at {page}")
 
 

@@ -27,7 +27,7 @@ from daq.analysis.campaign.campaign_folder import CampaignFolder
 from daq.analysis.campaign.status import campaign_status
 from daq.analysis.series.marker import marker_of
 from daq.analysis.series.mean_file import write_mean
-from daq.analysis.series.mean_flow import MeanFlow
+from daq.analysis.series.mean_flow import MeanFlow, too_few_of
 from daq.analysis.series.series_mean import mean_of_series
 from daq.analysis.series.series_plan import chunk_path
 from daq.errors import Unfinished
@@ -151,6 +151,7 @@ def merged_means(names: Sequence[str], means: Sequence[MeanFlow]) -> CampaignMea
         map_sigma_m_s=_rms([mean.map_sigma_m_s for mean in means], weights) if has_maps else None,
         map_sigma_position_mm=_rms([mean.map_sigma_position_mm for mean in means], weights) if has_maps else None,
         no_map_sigma=nothing,
+        too_few=too_few_of(means, moments.count == 0),
     )
     return CampaignMean(
         merged, {name: _apart(mean, merged.moments) for name, mean in zip(names, means, strict=True)}

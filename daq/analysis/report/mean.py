@@ -196,6 +196,8 @@ def left_out_chapter(page: Page, mean: MeanFlow) -> None:
     """Every pair that is not in the mean, and why."""
     page.heading("Every pair accounted for")
     page.text(f"{mean.used} pairs are in the mean, {len(mean.left_out)} are not.")
+    if mean.gaps:
+        page.text(mean.gaps.capitalize() + ".")
     if mean.left_out:
         unseen = len(mean.left_out) - SHOWN_PAIRS
         more = f"; {unseen} more are in mean.nc" if unseen > 0 else ""

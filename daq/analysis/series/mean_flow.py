@@ -10,9 +10,10 @@ Effective samples come from the autocorrelation of each vector while the whole s
 from blocking beyond that.
 
 **Four errors, kept apart**, since only the first becomes smaller with more pairs: the random one; what windows do
-not resolve of the mean (`correction.flow.unresolved`); the time between the pulses, which is measured once for a
-run, so that its relative error is one factor for all vectors (and two for stresses); and the fitted map
-(`map_sigma`).
+not resolve of the mean (`correction.flow.unresolved`), together with what dropped vectors take from it where some
+pairs have none (`correction.flow.survivors`; where most have none there is no mean); the time between the
+pulses, which is measured once for a run, so that its relative error is one factor for all vectors (and two for
+stresses); and the fitted map (`map_sigma`).
 """
 
 from collections.abc import Iterable
@@ -25,7 +26,9 @@ from correction.errors import SeriesError
 from correction.flow.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
 from correction.flow.merge_tree import MergeTree
 from correction.flow.moments import Moments
+from correction.flow.survivors import measured_often, selection_sigma
 from correction.flow.unresolved import Unresolved
+from correction.piv.vector_field import VectorFlag
 from daq.analysis.series.chunk_file import ChunkContent, SeriesField
 from ground.short_repr import short_repr
 
@@ -60,7 +63,8 @@ class MeanFlow:
     usual_share : float
         Median over the pairs of the share of vectors that were measured, of those outside the mask.
     resolution_m_s : (ny, nx) float64
-        Standard uncertainty of a component of the mean by what windows do not resolve; NaN where not known.
+        Standard uncertainty of a component of the mean by what windows do not resolve, and by the vectors that
+        were lost; NaN where not known.
     stress_resolution_m2_s2 : (ny, nx, 3) float64
         By how much stresses may be too small for the same reason: an upper limit.
     dt_sigma_share : float
@@ -74,6 +78,8 @@ class MeanFlow:
         That of the places.
     no_map_sigma : str
         Why these two are None.
+    too_few : (ny, nx) bool or None
+        Places without a mean because fewer than half of the pairs that looked at them have a vector there.
     """
 
     x_mm: Floats
@@ -93,6 +99,7 @@ class MeanFlow:
     map_sigma_m_s: Floats | None = None
     map_sigma_position_mm: Floats | None = None
     no_map_sigma: str = ""
+    too_few: NDArray[np.bool_] | None = None
 
     @property
     def doubt(self) -> str:
@@ -102,6 +109,17 @@ class MeanFlow:
         return (
             f"only {100 * self.usual_share:.0f} % of the vectors of a usual pair were measured; check seeding, "
             "focus, background and dt before this mean is believed"
+        )
+
+    @property
+    def gaps(self) -> str:
+        """Where there is no mean although there are vectors, in a sentence; empty if that is nowhere."""
+        places = 0 if self.too_few is None else int(np.count_nonzero(self.too_few))
+        if not places:
+            return ""
+        return (
+            f"{places} places have no mean: fewer than half of the pairs have a vector there, and these are not "
+            "like the others; smaller windows or a shorter dt may resolve what moves there"
         )
 
     @property
@@ -176,6 +194,7 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
     kept: list[NDArray[np.float32]] = []
     left_out: list[tuple[str, str]] = []
     used = number = 0
+    looked: NDArray[np.int64] | None = None
     first: ChunkContent | None = None
     for chunk in chunks:
         first = chunk if first is None else first
@@ -192,6 +211,8 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
                 unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
             else:
                 used += 1
+                seen = (field.flags != VectorFlag.MASKED).astype(np.int64)
+                looked = seen if looked is None else looked + seen
                 moments.add(number, Moments.of(field.velocity_m_s, field.valid, field.sigma_m_s))
                 blocks.add(number, Blocking.of(field.velocity_m_s, field.valid))
                 unresolved.add(number, Unresolved.of(field.velocity_m_s, field.valid, field.resolution_m_s, apart))
@@ -201,12 +222,24 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
             number += 1
     assert first is not None  # `_usual` has refused a series without chunks
     total, missing = moments.result(), unresolved.result()
+    looked = np.zeros(total.count.shape, np.int64) if looked is None else looked
+    often = measured_often(total, looked)
+    too_few, total = (total.count > 0) & ~often, total.only(often)
     shared = missing.shared(total.mean_uv)
+    lost = selection_sigma(total, looked)
+    unsure = np.where(lost > 0.0, np.hypot(np.nan_to_num(shared), lost), shared)
     return MeanFlow(
         first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, total,
         _of_series(kept) if kept else blocks.result().effective(), used, usual,
-        shared, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
+        unsure, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
+        too_few=too_few,
     )  # fmt: skip
+
+
+def too_few_of(means: Iterable[MeanFlow], without_mean: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Places (ny, nx) of several means together that have none because too few pairs had a vector there."""
+    known = [mean.too_few for mean in means if mean.too_few is not None]
+    return np.logical_or.reduce(known) & without_mean if known else None
 
 
 def left_out_because(field: SeriesField, usual_share: float) -> str:

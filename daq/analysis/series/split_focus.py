@@ -25,7 +25,7 @@ from correction.flow.moments import Moments
 from correction.prepared import prepare
 from daq.analysis.series.image_field import image_field
 from daq.analysis.series.mean_file import write_mean
-from daq.analysis.series.mean_flow import MeanFlow
+from daq.analysis.series.mean_flow import MeanFlow, too_few_of
 from daq.analysis.series.series_folder import MEAN, SeriesFolder
 from daq.analysis.series.series_mean import grid_of_series, mean_of_series, scene_of, windows_of
 from ground.short_repr import short_repr
@@ -122,8 +122,6 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
             first.moments.to_arrays().items(), second.moments.to_arrays().values(), strict=True
         )
     }
-    nothing = Moments.nothing((len(first.y_mm), len(first.x_mm))).to_arrays()
-    arrays = {name: np.where(_fit(source == 0, each), nothing[name], each) for name, each in arrays.items()}
     samples = np.where((source == BEHIND)[..., None], second.effective.samples, first.effective.samples)
     both = first.effective, second.effective
     way = " and ".join(dict.fromkeys(each.way for each in both))
@@ -132,7 +130,7 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
     left_out += [(f"behind: {tag}", why) for tag, why in second.left_out]
     mean = replace(
         first,
-        moments=Moments.from_arrays(arrays),
+        moments=Moments.from_arrays(arrays).only(source != 0),
         effective=effective,
         used=first.used + second.used,
         usual_share=min(first.usual_share, second.usual_share),
@@ -143,6 +141,7 @@ def joined_mean(first: MeanFlow, second: MeanFlow, region: NDArray[np.uint8]) ->
         map_sigma_m_s=None,
         map_sigma_position_mm=None,
         no_map_sigma="of two runs: see their own means",
+        too_few=too_few_of((first, second), source == 0),
     )
     return JoinedMean(mean, source, _apart(first, second))
 

@@ -57,3 +57,44 @@ def turbulence(seed, rms_px=3.0, largest_px=300.0, smallest_px=40.0, modes=400):
         return du, dv
 
     return field
+
+
+def plane_jet(peak_px=12.0, width_px=31.0, edge_px=4.0, angle_rad=0.0, centre_px=256.0):
+    """Core of full width `width_px` that moves along itself over a fluid at rest; edges as tanh(n/edge)."""
+    along, across = np.cos(angle_rad), np.sin(angle_rad)
+
+    def field(u, v):
+        n = (np.asarray(v, float) - centre_px) * along - (np.asarray(u, float) - centre_px) * across
+        core = 0.5 * peak_px * (np.tanh((n + width_px / 2) / edge_px) - np.tanh((n - width_px / 2) / edge_px))
+        return core * along, core * across
+
+    return field
+
+
+def gaussian_jet(peak_px=12.0, width_px=31.0, angle_rad=0.0, centre_px=256.0):
+    """The same with a Gaussian profile of this full width at half its height."""
+    along, across = np.cos(angle_rad), np.sin(angle_rad)
+
+    def field(u, v):
+        n = (np.asarray(v, float) - centre_px) * along - (np.asarray(u, float) - centre_px) * across
+        core = peak_px * np.exp(-4.0 * np.log(2.0) * (n / width_px) ** 2)
+        return core * along, core * across
+
+    return field
+
+
+def shaken_jet(seed, peak_px=12.0, width_px=31.0, centre_px=128.0):
+    """A jet along u out of a pipe 60 px before the frame: it widens, pulses by 10 %, sways and is turbulent."""
+    rng = np.random.default_rng(seed)
+    strength, sway, phase = 1.0 + 0.1 * rng.normal(), 3.0 * rng.normal(), rng.uniform(0.0, 2.0 * np.pi)
+    swirls = turbulence(seed, 0.5, 100, 25, 80)
+
+    def field(u, v):
+        from_pipe = np.maximum(np.asarray(u, float) + 60.0, 0.0)
+        n = v - centre_px - sway * np.sin(2.0 * np.pi * u / 180.0 + phase) * np.minimum(from_pipe / 200.0, 1.0)
+        edge = np.hypot(3.0, 0.068 * from_pipe)
+        core = 0.5 * (np.tanh((n + width_px / 2) / edge) - np.tanh((n - width_px / 2) / edge))
+        du, dv = swirls(u, v)
+        return peak_px * strength * core + (0.15 + core) * du, (0.15 + core) * dv
+
+    return field

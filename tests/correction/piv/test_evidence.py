@@ -60,6 +60,24 @@ def test_what_is_acquitted_has_a_clear_peak_and_a_neighbourhood():
     assert not proven(vectors, everywhere, ~everywhere, ratio, 32).any()
 
 
+@pytest.mark.parametrize(("row", "column"), [(0, 1), (1, 0), (1, 1), (1, -1)])
+def test_three_in_a_row_acquit_each_other_and_two_do_not(row, column):
+    """Against a fluid at rest on both sides, which every median is made of."""
+    vectors = np.zeros((7, 7, 2))
+    places = [(3 + k * row, 3 + k * column) for k in (-1, 0, 1)]
+    suspects, everywhere = np.zeros((7, 7), bool), np.ones((7, 7), bool)
+    for place, speed in zip(places, (12.0, 11.0, 9.0), strict=True):
+        vectors[place], suspects[place] = (speed, 0.0), True
+    ratio = np.where(suspects, WEAK + 0.1, np.nan)
+    assert (proven(vectors, everywhere, suspects, ratio, 32) == suspects).all()
+    weak = ratio.copy()
+    weak[places[0]] = WEAK - 0.1
+    assert not proven(vectors, everywhere, suspects, weak, 32).any()
+    apart = vectors.copy()
+    apart[places[2]] = 4.0, 0.0
+    assert not proven(apart, everywhere, suspects, ratio, 32).any()
+
+
 def test_nothing_is_measured_without_a_peak_and_without_a_sigma():
     ratio = np.array([WEAK - 0.1, WEAK - 0.1, WEAK + 0.1])
     sigma = np.array([[np.nan, 0.1], [0.1, 0.1], [np.nan, np.nan]])
