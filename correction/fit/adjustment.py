@@ -16,7 +16,8 @@ from correction.fit.contact import largest_overlap_mm
 from correction.fit.correlation import with_correlation
 from correction.fit.held import doubted
 from correction.fit.measurement import MeasuredFrame, whitening
-from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
+from correction.fit.pixel_lock import NAMES as LOCK
+from correction.fit.pixel_lock import unlocked, with_lock, without_lock
 from correction.fit.result import FitStep, FittedCorners, SceneFit
 from correction.fit.room_contact import pushed_clear
 from correction.fit.shape_doubt import SIZES_MM, ShapeRoot, doubted_shapes, likely_scale, shape_parts, with_shapes
@@ -45,45 +46,40 @@ class Adjustment:
 
     def __init__(self) -> None:
         self.scales = {False: 1.0, True: 1.0}
-        self.lock_px = np.zeros(2 * TERMS)
+        self.lock = np.zeros(len(LOCK))
 
     def solve(self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]) -> Solution:
         """Fit measured corners; then again with the sigmas that their residuals ask for."""
+        locked, at = with_lock(unknowns), np.concatenate((x, self.lock))
         for _ in range(2):
             data = [self.weighted(frame) for frame in frames]
 
             def evaluate(at: NDArray[np.float64], data: list[Corners] = data) -> list[Residuals]:
-                return [residuals(unknowns, at, corners) for corners in data]
+                pairs = zip(data, frames, strict=True)
+                return [unlocked(locked, at, one, frame, residuals(locked, at, one)) for one, frame in pairs]
 
-            solution = minimise(unknowns, evaluate, x, knee=KNEE)
-            x = solution.x
-            self.rescale(frames, evaluate(x))
-            self.lock_px, _ = self.locked(unknowns, x, frames)
-        return solution
+            solution = minimise(locked, evaluate, at, knee=KNEE)
+            at = solution.x
+            self.rescale(frames, evaluate(at))
+        self.lock = at[len(x) :]
+        return replace(solution, x=at[: len(x)], normal=without_lock(locked, solution.normal))
 
-    def locked(
+    def left(
         self,
         unknowns: Unknowns,
         x: NDArray[np.float64],
-        frames: Sequence[MeasuredFrame],
-        parts: Sequence[Residuals] | None = None,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Find the lock on the rows of pixels; and what not knowing it takes of the information on x (P, P)."""
-        asked = []
-        for number, frame in enumerate(frames):
-            corners = self.weighted(frame)
-            left = parts[number] if parts else residuals(unknowns, x, corners)
-            good = np.linalg.norm(left.value, axis=1) < OUTLIER  # False for NaN
-            terms = np.asarray(corners.whiten) @ lock_terms(frame.corners.pixel, frame.axes_px, frame.behind)
-            asked.append(LockedCorners(terms[good], left.value[good], left.rate[good]))
-        return better_lock(self.lock_px, x, asked)
+        frame: MeasuredFrame,
+        corners: Corners | None = None,
+    ) -> Residuals:
+        """Residuals of a frame as weighted, or of its corners with other weights, the lock on pixels taken off."""
+        locked, at = with_lock(unknowns), np.concatenate((x, self.lock))
+        corners = corners or self.weighted(frame)
+        return unlocked(locked, at, corners, frame, residuals(locked, at, corners))
 
     def weighted(self, frame: MeasuredFrame) -> Corners:
-        """Corners with their present sigmas, the lock on pixels taken off."""
+        """Corners with their present sigmas."""
         scale = np.where(frame.behind, self.scales[True], self.scales[False])
-        pull = lock_terms(frame.corners.pixel, frame.axes_px, frame.behind) @ self.lock_px
-        pixel = frame.corners.pixel - pull
-        return replace(frame.corners, pixel=pixel, whiten=whitening(frame.sigma_px, scale))
+        return replace(frame.corners, whiten=whitening(frame.sigma_px, scale))
 
     def rescale(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> None:
         """Let the median residual of each region be what its sigmas say (Rayleigh: median r^2 = 2 ln 2)."""
@@ -98,8 +94,9 @@ class Adjustment:
         self, unknowns: Unknowns, x: NDArray[np.float64], frames: Sequence[MeasuredFrame]
     ) -> NDArray[np.float64]:
         """Residuals (N, 2) in raw px."""
-        eye = [replace(self.weighted(f), whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
-        return np.concatenate([residuals(unknowns, x, corners).value for corners in eye])
+        eye = [replace(f.corners, whiten=np.broadcast_to(np.eye(2), (len(f), 2, 2))) for f in frames]
+        parts = [self.left(unknowns, x, frame, corners) for frame, corners in zip(frames, eye, strict=True)]
+        return np.concatenate([part.value for part in parts])
 
     def step(
         self,
@@ -119,7 +116,7 @@ class Adjustment:
 
     def inliers(self, unknowns: Unknowns, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:
         """Corners within OUTLIER sigmas."""
-        value = residuals(unknowns, x, self.weighted(frame)).value
+        value = self.left(unknowns, x, frame).value
         return np.asarray(np.linalg.norm(value, axis=1) < OUTLIER)  # False for NaN
 
     def corners(
@@ -173,16 +170,15 @@ class Adjustment:
         used = [frame.taken(which) for frame, which in zip(measured, kept, strict=True)]
         solution = self.solve(unknowns, solution.x, used)
         # The loss halves the say of honest corners at the edge of it; their information counts in full.
-        free, balls = len(solution.x), doubted_shapes(unknowns)
-        wide = with_shapes(doubted(unknowns), balls)
-        at = np.concatenate((solution.x, np.zeros(len(wide.names) - free)))
+        locked, balls = with_lock(unknowns), doubted_shapes(unknowns)
+        wide, free = with_shapes(doubted(locked), balls), len(locked.names)
+        at = np.concatenate((solution.x, self.lock, np.zeros(len(wide.names) - free)))
         parts = [self.doubted_part(unknowns, wide, at, frame) for frame in used]
         _, slope, normal = normal_equations(wide, at, parts, FULL_WEIGHT)
-        normal = normal - self.locked(wide, at, used, parts)[1]
         slope = pull_of_doubted(slope, normal, free)
         weighted = [self.weighted(frame) for frame in measured]
         left = [self.doubted_part(unknowns, wide, at, frame) for frame in measured]
-        verdict, lattices = judge_model(unknowns, wide, at, measured, weighted, left)
+        verdict, lattices = judge_model(locked, wide, at, measured, weighted, left)
         of_shapes = np.tile(SIZES_MM, len(balls))
         unit = np.ones(len(at))
         unit[len(at) - len(of_shapes) :] = 0.0 if verdict.alarms else likely_scale(normal, slope, len(of_shapes))
@@ -206,8 +202,8 @@ class Adjustment:
             scene,
             unknowns,
             solution.x,
-            covariance[:free, :free],
-            normal[:free, :free],
+            covariance[: len(solution.x), : len(solution.x)],
+            without_lock(locked, normal[:free, :free]),
             root,
             tuple(frame.name for frame in measured),
             corners,
@@ -225,8 +221,8 @@ class Adjustment:
     ) -> Residuals:
         """Residuals of a frame with derivatives by what is free, held and doubted, shapes of balls the last."""
         corners = self.weighted(frame)
-        full = wide.full(at)
-        return shape_parts(unknowns, full, corners, frame.branch_name, residuals(wide, at, corners))
+        part = unlocked(wide, at, corners, frame, residuals(wide, at, corners))
+        return shape_parts(unknowns, wide.full(at), corners, frame.branch_name, part)
 
 
 def pull_of_doubted(slope: NDArray[np.float64], normal: NDArray[np.float64], free: int) -> NDArray[np.float64]:

@@ -8,7 +8,6 @@ from correction.fit.ball_shape import SHAPES, shape_rates
 from correction.fit.correlation import FURTHEST, Lattice, correlation_of, with_correlation
 from correction.fit.measurement import TargetFrame, glass_frame
 from correction.fit.model_test import FALSE_ALARMS, Remainder, ways_tested
-from correction.fit.pixel_lock import TERMS, LockedCorners, better_lock, lock_terms
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
@@ -106,23 +105,6 @@ def test_the_covariance_holds_the_scatter_of_means_of_corners_that_err_alike():
         said.append(with_correlation(np.array([[1.0 / value.size]]), [seen], found)[0, 0])
     assert np.std(means) > 1.5 / np.sqrt(2 * len(PIXEL))
     assert np.std(means) == pytest.approx(np.sqrt(np.mean(said)), rel=0.35)
-
-
-def test_the_lock_on_pixels_is_found_and_fades_where_edges_lean():
-    rng = np.random.default_rng(6)
-    axes = np.tile(22.0 * np.array([[1.0, 0.01], [0.01, -1.0]]), (len(PIXEL), 1, 1))
-    pixel = PIXEL + rng.uniform(0.0, 1.0, PIXEL.shape)
-    behind = np.zeros(len(pixel), bool)
-    terms = lock_terms(pixel, axes, behind)
-    true = np.zeros(2 * TERMS)
-    true[[0, TERMS // 2]] = -0.017, 0.012
-    value = terms @ true / 0.004 + rng.normal(size=pixel.shape)
-    asked = [LockedCorners(terms / 0.004, value, np.ones((*pixel.shape, 1)) * np.array([[[1.0], [0.0]]]))]
-    found, taken = better_lock(np.zeros(2 * TERMS), np.zeros(1), asked)
-    np.testing.assert_allclose(found, true, atol=0.0015)
-    assert 0.0 <= taken[0, 0] < len(pixel)
-    leaning = np.tile(22.0 * np.array([[1.0, 0.3], [0.3, -1.0]]), (len(PIXEL), 1, 1))
-    assert np.abs(lock_terms(pixel, leaning, behind)).max() < 0.1 * np.abs(terms).max()
 
 
 def test_landing_points_move_with_a_balls_shape_as_optics_of_another_hand_say():
