@@ -2,7 +2,7 @@
 
 Corners weigh by their own sigma, times one factor for each region (direct, behind glass) that makes the
 median residual agree with it: behind glass ghosts and curved edges add errors that no single window shows.
-Corners beyond OUTLIER sigmas are put aside and reported; those beyond KNEE weigh less and less.  The
+Corners beyond OUTLIER sigmas are rejected and reported; those beyond KNEE weigh less and less.  The
 covariance is (N + 1)^-1 in units of the prior's sigmas, N the normal matrix of the corners used.
 """
 
@@ -106,12 +106,12 @@ class Adjustment:
         frames: Sequence[MeasuredFrame],
         kept: Sequence[NDArray[np.bool_]] | None = None,
     ) -> FitStep:
-        """Say how well frames are fitted: rms per axis of the corners that are not put aside."""
+        """Say how well frames are fitted: rms per axis of the corners that are not rejected."""
         off = self.reprojection(unknowns, x, frames)
         near = np.concatenate(kept or [self.inliers(unknowns, x, frame) for frame in frames])
         per_axis = float(np.sqrt(np.mean(off[near] ** 2))) if near.any() else float("nan")
         return FitStep(
-            name, len(off), per_axis, f"{len(off) - np.count_nonzero(near)} put aside beyond {OUTLIER:g} sigma"
+            name, len(off), per_axis, f"{len(off) - np.count_nonzero(near)} rejected beyond {OUTLIER:g} sigma"
         )
 
     def inliers(self, unknowns: Unknowns, x: NDArray[np.float64], frame: MeasuredFrame) -> NDArray[np.bool_]:

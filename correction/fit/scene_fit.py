@@ -329,7 +329,7 @@ class _Fit:
         best = found[0]
         self.explained = best.share
         self.full = coarse.full(best.solution.x)
-        remark = f"{best.candidates - best.inliers} saddles on none, {len(found)} start(s)"
+        remark = f"{best.candidates - best.inliers} saddles unmatched; starts: {len(found)}"
         name = f"pairing on {self.glass_frames[0].name}"
         self.note(FitStep(name, best.inliers, float(np.sqrt(0.5)) * best.rms_px, remark))
 

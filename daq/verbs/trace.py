@@ -65,7 +65,7 @@ def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True)
         scene.yaml, or what `load_scene` made of it.
     out : path, optional
         Folder, default ``trace`` (or ``trace-2`` ... where that has results), for ``plane.png`` (what is recovered
-        of the plane, why the rest is not, and how large it is seen), ``camera_view.png`` (a board with markers as
+        of the plane, why the rest is not, and the magnification), ``camera_view.png`` (a board with markers as
         the camera sees it), ``scene.png`` (the scene to scale, cut where the rays lie), of spheres in a row only
         ``radial_curve.png``, and ``blur.png`` if the scene says the camera's aperture.
     pictures : bool
@@ -182,11 +182,11 @@ def _body_table(share: PlaneShare) -> Table:
     """What each body hides, what of that is recovered all the same, and what is seen through it."""
     unseen = len(share.bodies) - SHOWN_BODIES
     more = f"; {unseen} smaller ones are left out" if unseen > 0 else ""
-    table = Table(title="bodies, by their outline on the plane" + more)
+    table = Table(title="what each body hides of the plane" + more)
     for name in (
-        "body", "outline [mm\u00b2]", "recovered", "lost [mm\u00b2]", "mostly", "shows [mm\u00b2]",
+        "body", "hides [mm\u00b2]", "recovered", "lost [mm\u00b2]", "mainly lost", "seen through it [mm\u00b2]",
     ):  # fmt: skip
-        table.add_column(name, justify="left" if name in ("body", "mostly") else "right")
+        table.add_column(name, justify="left" if name in ("body", "mainly lost") else "right")
     largest = sorted(share.bodies, key=lambda body: -body.outline_mm2)[:SHOWN_BODIES]
     for body in largest:
         table.add_row(*_body_row(body))

@@ -67,12 +67,13 @@ class Ledger:
         return cls(**{f.name: int(counts[f.name]) for f in fields(cls)})
 
     def sentence(self) -> str:
-        """The balance in one line."""
+        """The balance in one line; what did not happen is left out."""
+        if not any((self.triggered, self.written, self.incomplete, self.rejected, self.lost)):
+            return "no frame triggered yet"
         sign = "=" if self.imbalance == 0 else "!="
-        return (
-            f"{self.triggered} triggered {sign} {self.written} written + {self.incomplete} incomplete "
-            f"+ {self.rejected} rejected + {self.lost} lost"
-        )
+        others = ((self.incomplete, "incomplete"), (self.rejected, "rejected"), (self.lost, "lost"))
+        failed = "".join(f" + {count} {name}" for count, name in others if count)
+        return f"{self.triggered} triggered {sign} {self.written} written{failed}"
 
 
 class Bookkeeper:

@@ -1,4 +1,4 @@
-"""What a scene shows of the plane: recovered or not and why, and how large it is seen."""
+"""What a scene shows of the plane: recovered or not and why, and at which magnification."""
 
 from pathlib import Path
 
@@ -48,19 +48,24 @@ def draw_plane(path: Path, scene: Scene, found: ShownPlane, share: PlaneShare, t
     extent = (x0 - half, x0 - half + width, y0 + half - height, y0 + half)
     mask.imshow(colours, extent=extent, interpolation="nearest")
     figure.legend(handles=_swatches(share), loc="outside lower center", ncols=3, frameon=False)
-    mask.set_title(f"recovered: {area_text(share.recovered_mm2)} of {area_text(share.whole_mm2)} mm\u00b2")
+    mask.set_title(
+        f"recovered of the whole plane: {area_text(share.recovered_mm2)} of {area_text(share.whole_mm2)} mm\u00b2"
+    )
     shown = scale.imshow(
         found.magnification, extent=extent, interpolation="nearest", cmap=SIZES, norm=LogNorm(LEAST, MOST)
     )
     bar = colour_bar(shown, scale, "magnification [sensor px per corrected px]", "both")
     bar.set_ticks([0.25, 0.5, 1.0, 2.0, 4.0], labels=["1/4", "1/2", "1", "2", "4"])
     bar.minorticks_off()
-    scale.set_title(f"how large it is seen: 1 is {found.grid.px_per_mm:.4g} px/mm")
+    scale.set_title(f"magnification: 1 is {found.grid.px_per_mm:.4g} px/mm")
     for axes in (mask, scale):
         draw_outlines(axes, scene, names=axes is mask)
         bare(axes)
         axes.set(xlabel="x [mm]", ylabel="y [mm]", xlim=extent[:2], ylim=extent[2:])
-    figure.suptitle(short(title, 60), parse_math=False)
+    through = (
+        "" if share.through is None else f": {share.through.percent} {share.through.name} is seen through glass"
+    )
+    figure.suptitle(f"{short(title, 60)}{through}", parse_math=False)
     save_picture(figure, path, 110)
 
 

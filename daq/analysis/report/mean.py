@@ -131,7 +131,7 @@ def _medians(values: NDArray[np.float64], where: NDArray[np.bool_], scale: float
     if not where.any():
         return "-", "-"
     u, v = scale * np.nanmedian(values[where], axis=0)
-    return f"{u:.4g}", f"{v:.4g}"
+    return f"{u:.2g}", f"{v:.2g}"
 
 
 def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:

@@ -221,12 +221,12 @@ def _uncertainty(page: Page, evaluation: Evaluation) -> None:
     )
     page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
     if evaluation.map_sigma is None:
-        page.text(f"What the map itself is unsure of is not known: {evaluation.no_map_sigma}.")
+        page.text(f"The uncertainty of the correction map is not known: {evaluation.no_map_sigma}.")
         return
     page.text(
-        "Random: correlation statistics of each vector. Map: the covariance of the scene fit, carried through the "
-        "traced rays. A position can be off by more than a displacement, because what both ends of a vector share "
-        "cancels; the map's share is the same in every pair and does not average out."
+        "Random: from the correlation statistics of each vector. Map: the covariance of the scene fit, carried "
+        "through the traced rays. A position can be off by more than a displacement, because what both ends of a "
+        "vector share cancels; the map's share is the same in every pair and does not average out."
     )
 
 

@@ -67,7 +67,7 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
 
 
 def moved_chapter(page: Page, folder: RunFolder) -> None:
-    """What the stages were told, what they reported, and (simulated bench only) what they did."""
+    """What was commanded, what the stages reported, and (simulated bench only) what they did."""
     if not (folder.path / MOVED).is_file():
         return
     moved = read_displacements(folder)

@@ -30,7 +30,7 @@ def show_self_check(page: Page, found: SelfCheck) -> None:
     rows = [
         (
             one.name,
-            ", ".join(f"{1e3 * mm:+.0f}" for mm in one.move_mm) if one.is_told else "not told",
+            ", ".join(f"{1e3 * mm:+.0f}" for mm in one.move_mm) if one.is_told else "not determined",
             ", ".join(f"{1e3 * mm:.0f}" for mm in one.sigma_mm),
             f"{one.probability:.1g}",
             f"{one.explains:.0f}",

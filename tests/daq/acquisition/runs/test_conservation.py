@@ -77,7 +77,10 @@ def test_ledgers_add_and_travel():
     total = Ledger(triggered=3, written=2, silent=1) + Ledger(triggered=1, incomplete=1)
     assert (total.triggered, total.lost, total.imbalance) == (4, 1, 0)
     assert Ledger.from_dict(total.to_dict()) == total
-    assert total.sentence() == "4 triggered = 2 written + 1 incomplete + 0 rejected + 1 lost"
+    assert total.sentence() == "4 triggered = 2 written + 1 incomplete + 1 lost"
+    assert Ledger(triggered=3, written=3).sentence() == "3 triggered = 3 written"
+    assert Ledger(triggered=3, written=2, rejected=2).sentence() == "3 triggered != 2 written + 2 rejected"
+    assert Ledger(triggered=0, written=0).sentence() == "no frame triggered yet"
     assert "!=" in Ledger(triggered=1).sentence()
 
 

@@ -1,4 +1,4 @@
-"""The chapter on spheres that have moved: a warning where one has; what is not told is no number."""
+"""The chapter on spheres that have moved: a warning where one has; what is not determined is no number."""
 
 from dataclasses import replace
 
@@ -32,4 +32,4 @@ def test_spheres_that_stand_still_are_said_to(tmp_path):
     by_sphere[:, :, :3] = 0.0
     text = written(tmp_path, replace(seen, by_sphere=by_sphere))
     assert "no sphere has moved" in text
-    assert "not told" in text
+    assert "not determined" in text
