@@ -140,6 +140,10 @@ class SceneSigma(SceneBound):
         shapes = self.shapes.turned(axes)
         return replace(self, scene_hash=seen, root=root, plane_root=scene.lit.pose_root(), shapes=shapes)
 
+    def of_glass(self) -> "SceneSigma":
+        """Return the same in a plane that is known exactly."""
+        return replace(self, plane_root=np.zeros((len(TARGET), 0)))
+
     def _vectors(self) -> list[int]:
         """Where three numbers in a row are the parts of one vector."""
         if self.numbers:

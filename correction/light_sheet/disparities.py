@@ -38,6 +38,7 @@ HEIGHT, SHIFT, SPREAD, SIZE = range(4)  # numbers of a `Match`
 USUAL_MM = 0.18  # spread of the light of a sheet of 1 mm
 USUAL_SPREAD2, USUAL_SIZE = (USUAL_MM**2, 0.1), (0.45, 1.0)  # and how far they may be from that
 MODELLED, LEAST_MODELLED = 2000, 30  # places, and of a cell
+MODELLED_TO = 0.3  # of what bend and fading make of a height; simulated flows behind two balls leave so much
 
 
 @dataclass(frozen=True)
@@ -88,14 +89,17 @@ class Disparities:
     ----------
     place_mm : (C, 2) float64
         Middle of the cell.
+    number : (C,) int64
+        Of the cell, among all that were asked for.
     kind : (C,) int64
         Which two views.
     parallax : (C,) float64
         |D|.
     height_mm, height_sigma_mm : (C,) float64
         Height of the particles over the plane of the map, and its standard deviation.
-    modelled_mm : (C,) float64
-        What of the height the bend and the fading of the views make by themselves.
+    common_mm : (C, Q) float64
+        Errors of the heights that cells share, one standard deviation a column: what the model of bend and fading
+        makes of each kind, and what the scene is unsure of.
     across_px, across_sigma_px : (C,) float64
         Disparity across D [corrected px].
     width_px : (C,) float64
@@ -109,11 +113,12 @@ class Disparities:
     """
 
     place_mm: NDArray[np.float64]
+    number: NDArray[np.int64]
     kind: NDArray[np.int64]
     parallax: NDArray[np.float64]
     height_mm: NDArray[np.float64]
     height_sigma_mm: NDArray[np.float64]
-    modelled_mm: NDArray[np.float64]
+    common_mm: NDArray[np.float64]
     across_px: NDArray[np.float64]
     across_sigma_px: NDArray[np.float64]
     width_px: NDArray[np.float64]
@@ -193,8 +198,9 @@ def _measured(
     models = _models(scene, views, cell, weight, planes.shape[2] // 2, reach_mm)
     blocks = planes.reshape(BLOCKS, len(places), -1)
     _, first = np.unique(cell, return_index=True)
-    kind_of, units = views.kind[first], views.units()[first]
-    found, modelled = np.full((len(places), 4), np.nan), np.zeros(len(places))
+    units_of = views.units()
+    kind_of, units = views.kind[first], units_of[first]
+    found = np.full((len(places), 4), np.nan)
     kinds: Kinds = {}
     for kind in np.unique(kind_of):
         here = np.nonzero(kind_of == kind)[0]
@@ -212,27 +218,30 @@ def _measured(
     kinds = _with(kinds, SIZE, usual[0], [HEIGHT, SHIFT, SPREAD])
     spread2 = _common(kinds, SPREAD, USUAL_SPREAD2)
     kinds = _with(kinds, SPREAD, spread2[0], [HEIGHT, SHIFT])
-    for kind, (_, _, match) in kinds.items():
+    parallax, across = (np.bincount(cell, part) / places for part in (views.parallax, units_of[:, 1] / UNIT))
+    common = np.zeros((len(places), 2 * len(kinds)))
+    for number, (kind, (whole_model, summed, match)) in enumerate(kinds.items()):
         here = np.nonzero(kind_of == kind)[0]
+        # Kinds are alike: what the model leaves of one, it leaves of all, and their number does not make it less.
+        misfit = whole_model.left_out(summed, match, [HEIGHT, SHIFT])[1, 0] * np.sqrt(len(kinds))
+        common[here, 2 * number + 1] = misfit
         for one in here:
             whole = blocks[:, one].sum(axis=0)
-            modelled[one] = models[one].offset(*match.values[[SPREAD, SIZE]]) * units[one, 0]
+            lags = models[one].offset(*match.values[[SPREAD, SIZE]]) * units[one, 0]
+            common[one, 2 * number] = MODELLED_TO * lags * views.pitch_mm / parallax[one]
             alone = models[one].fit(whole, match.values, [HEIGHT, SHIFT])
             if alone is None:
                 continue
-            sigma = models[one].left_out(blocks[:, one], alone, [HEIGHT, SHIFT])
+            sigma = np.hypot(*models[one].left_out(blocks[:, one], alone, [HEIGHT, SHIFT]))
             if (sigma < LEAST_SURE * np.array([reach_mm, ACROSS])).all():
                 found[one] = (*alone.values[:2], *np.maximum(sigma, 1e-4)) * np.array([1.0, units[one, 1]] * 2)
         _even(found, here, places)
     good = np.isfinite(found).all(axis=1)
-    many = np.maximum(places, 1)
-    middle = np.stack([np.bincount(cell, views.place_mm[:, k]) / many for k in (0, 1)], axis=-1)
-    parallax, across = (np.bincount(cell, part) / many for part in (views.parallax, units[cell, 1] / UNIT))
+    middle = np.stack([np.bincount(cell, views.place_mm[:, k]) / places for k in (0, 1)], axis=-1)
     height, aside, height_sigma, aside_sigma = found[good].T
-    modelled_mm = (modelled * views.pitch_mm / parallax)[good]
     return Disparities(
-        middle[good], kind_of[good], parallax[good], height, height_sigma, modelled_mm, aside, aside_sigma,
-        across[good], places[good], spread2, views.pitch_mm,
+        middle[good], np.nonzero(good)[0], kind_of[good], parallax[good], height, height_sigma, common[good],
+        aside, aside_sigma, across[good], places[good], spread2, views.pitch_mm,
     )  # fmt: skip
 
 
@@ -246,7 +255,7 @@ def _common(kinds: Kinds, number: int, usual: tuple[float, float]) -> tuple[floa
     """
     values, weights = [], []
     for model, blocks, match in kinds.values():
-        sigma = float(model.left_out(blocks, match, [HEIGHT, SHIFT, number])[-1])
+        sigma = float(np.hypot(*model.left_out(blocks, match, [HEIGHT, SHIFT, number]))[-1])
         values.append(float(match.values[number]))
         weights.append(1.0 / max(sigma, 1e-3 * usual[1]) ** 2)
     value, weight = np.array(values), np.array(weights)

@@ -56,6 +56,8 @@ class DoubleViews:
         Raw pixels u, v of the two views; where the scene has an aperture, of their centroids.
     along_px, across_px : (N, 2) float64
         What the second pixel moves by for a step of one corrected pixel along D, and across it.
+    towards : (N, 2) float64
+        Direction of D on the plane, x and y.
     parallax : (N,) float64
         |D| [mm on the plane per mm of height].
     blob : (N, 2) float64
@@ -85,6 +87,7 @@ class DoubleViews:
     second_px: NDArray[np.float64]
     along_px: NDArray[np.float64]
     across_px: NDArray[np.float64]
+    towards: NDArray[np.float64]
     parallax: NDArray[np.float64]
     blob: NDArray[np.float64]
     smear: NDArray[np.float64]
@@ -238,8 +241,8 @@ def _with_pictures(
     middle = pair.pixel + shift
     kept = area_mm2 * float(good.mean()) if len(good) else 0.0
     views = DoubleViews(
-        pair.place_mm, middle[:, 0], middle[:, 1], steps[0], steps[1], pair.parallax, blob, smear, pair.pixel,
-        spread, pair.alone, pair.kind, kinds, pitch_mm, step, kept,
+        pair.place_mm, middle[:, 0], middle[:, 1], steps[0], steps[1], pair.along * (1.0, -1.0), pair.parallax,
+        blob, smear, pair.pixel, spread, pair.alone, pair.kind, kinds, pitch_mm, step, kept,
     )  # fmt: skip
     return views.at(good)
 

@@ -119,9 +119,10 @@ class Model:
         return Match(values, light) if light > 0.0 and inside else None
 
     def left_out(self, blocks: NDArray[np.float64], match: Match, free: list[int]) -> NDArray[np.float64]:
-        """Standard deviations (len(free),) of the numbers, told by leaving blocks (B, R * K) out one by one.
+        """Standard deviations (2, len(free)) of the numbers: by chance, and by what the model does not explain.
 
-        Where the model leaves more of the plane than blocks differ by, they are so many times larger.
+        Chance is told by leaving blocks (B, R * K) out one by one.  Where the model leaves more of the plane than
+        blocks differ by, the rest is taken to lie as chance does, and moves numbers by so many times more.
         """
         count = len(blocks)
         bell = self.plane(match.values)
@@ -135,7 +136,8 @@ class Model:
         variance = (count - 1.0) / count * np.sum((steps - steps.mean(axis=1)[:, None]) ** 2, axis=1)
         chance = count * blocks.var(axis=0, ddof=1).sum()
         off = whole - whole.mean() - match.light * (bell - bell.mean())
-        return np.asarray(np.sqrt(variance * max(1.0, float(off @ off) / max(float(chance), 1e-300))))
+        more = max(0.0, float(off @ off) / max(float(chance), 1e-300) - 1.0)
+        return np.asarray(np.sqrt(np.stack((variance, more * variance))), np.float64)
 
     def offset(self, spread2: float, size: float) -> float:
         """Lags along D by which bend and fading alone move the peak of a sheet at height 0."""

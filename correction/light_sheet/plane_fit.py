@@ -2,9 +2,9 @@
 
 Unknown are corrections of z and of the two slopes; each cell says  dz + x da + y db = height +- sigma.  Cells that
 lie off by more than they may are given less weight (Huber).  If the rest scatters more than its sigmas say, all of
-these are enlarged.  What bend and fading of the views make of heights is modelled to a share of itself; what is
-left of it is common to all cells of a kind.  If kinds of views disagree, or something moved across D, the sheet
-alone is not what is off.
+these are enlarged.  Errors that cells share (`Disparities.common_mm`) are unknowns beside the plane, each 0 +- 1:
+so what they make of the plane stays in its covariance however many cells there are.  If kinds of views disagree,
+or something moved across D, the sheet alone is not what is off.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,6 @@ TUNING, FARTHEST = 1.5, 5.0  # usual deviations from which on a cell counts less
 FALSE_ALARMS = 0.001
 ROUNDS = 20
 LEAST_ACROSS_PX, LEAST_APART_MM = 0.08, 0.03  # what corner and particle models leave; less is no finding
-MODELLED_TO = 0.3  # simulated flows behind two balls leave so much
 LEAST_SHARE = 0.05  # the same, of the width of the peaks
 
 
@@ -36,7 +35,7 @@ class PlaneFit:
     scatter : float
         Root of chi^2 a degree of freedom of the cells' heights; sigmas are enlarged by it if it is above 1.
     residual_mm : (C,) float64
-        Heights of cells minus the plane.
+        Heights of cells minus the plane, and minus what is common to them.
     weight : (C,) float64
         1, or less for cells that lie off.
     across_px : float
@@ -74,30 +73,30 @@ def fit_plane(found: Disparities, known: NDArray[np.float64], covariance: NDArra
     covariance : (3, 3) float64
         Of what was known.
     """
-    design = np.column_stack((np.ones(len(found.kind)), found.place_mm))
+    design = np.column_stack((np.ones(len(found.kind)), found.place_mm, found.common_mm))
     height, sigma = found.height_mm, found.height_sigma_mm
-    before = np.linalg.inv(covariance)
-    share, scatter, answer = np.ones(len(height)), 1.0, np.asarray(known)
+    before = np.eye(design.shape[1])
+    before[:3, :3] = np.linalg.inv(covariance)
+    expected = np.concatenate((known, np.zeros(len(before) - 3)))
+    share, scatter, answer = np.ones(len(height)), 1.0, expected
     for _ in range(ROUNDS):
         weight = share / (sigma * scatter) ** 2
         normal = design.T @ (weight[:, None] * design) + before
-        answer = np.asarray(np.linalg.solve(normal, design.T @ (weight * height) + before @ known), np.float64)
+        answer = np.asarray(np.linalg.solve(normal, design.T @ (weight * height) + before @ expected), np.float64)
         off = np.abs(height - design @ answer) / sigma
         usual = max(1.0, 1.4826 * float(np.median(off)))
         share = np.where(off < FARTHEST * usual, np.minimum(1.0, TUNING * usual / np.maximum(off, 1e-9)), 0.0)
         freedom = max(1.0, float(share.sum()) - 3.0)
         scatter = max(1.0, float(np.sqrt(np.sum(share * off**2) / freedom)))
     residual = height - design @ answer
-    kinds, covered = {}, np.linalg.inv(normal)
+    kinds = {}
     for kind in np.unique(found.kind):
         here = found.kind == kind
-        left = MODELLED_TO * (weight * found.modelled_mm)[here]
-        common = np.linalg.solve(normal, design[here].T @ left)
-        covered += np.outer(common, common)
         trust = share[here] / (sigma[here] * scatter) ** 2
         if trust.sum() > 0.0:
             kinds[int(kind)] = (float(trust @ residual[here] / trust.sum()), float(1.0 / np.sqrt(trust.sum())))
-    return PlaneFit(answer, covered, scatter, residual, share, _across(found, share), kinds)
+    covered = np.asarray(np.linalg.inv(normal)[:3, :3], np.float64)
+    return PlaneFit(answer[:3], covered, scatter, residual, share, _across(found, share), kinds)
 
 
 def _across(found: Disparities, share: NDArray[np.float64]) -> float:

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import SheetError
+from correction.fit.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import BLOCKS, Disparities, Light, Pairs, disparities
 from correction.light_sheet.double_views import AROUND, DoubleViews, double_views
 from correction.light_sheet.plane_fit import PlaneFit, fit_plane
+from correction.light_sheet.scene_doubt import scene_doubt
 from tracer.light_sheet import LightSheet
 from tracer.scene import Scene
 
@@ -65,7 +67,7 @@ class SheetFound:
     verdicts: tuple[str, ...]
 
 
-def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
+def find_sheet(scene: Scene, pairs: Pairs, sigma: SceneSigma | None = None) -> SheetFound:
     """Find the light sheet of a scene.
 
     Parameters
@@ -74,6 +76,8 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
         As the camera saw it, fitted; its `sheet` says what is known, nothing: z = 0 within half a millimetre.
     pairs : callable
         Gives the raw pairs of frames of a flow, the same ones at each call.
+    sigma : SceneSigma, optional
+        What the scene's fit is unsure of; without it the scene is taken to be exact.
 
     Raises
     ------
@@ -98,6 +102,9 @@ def find_sheet(scene: Scene, pairs: Pairs) -> SheetFound:
         cells = disparities(seen, views, cell, pairs, light, count, reach, reach_mm) if len(cell) else None
         if cells is None or not len(cells.kind):
             return _nothing(known, views, count, rounds)
+        if sigma is not None:
+            doubt = scene_doubt(seen, views, cell, sigma.in_light_sheet(replace(scene, sheet=now)))
+            cells = replace(cells, common_mm=np.column_stack((cells.common_mm, doubt[cells.number])))
         fit = fit_plane(cells, _numbers(known) - _numbers(now), _covariance(known))
         before, now = now, _moved(now, fit, known)
         step = np.abs(_numbers(now) - _numbers(before))

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from correction.errors import PairError
+from correction.fit.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import Pair
 from correction.light_sheet.self_calibration import SheetFound, find_sheet
 from daq.acquisition.frames.source import is_source, source_of
@@ -77,8 +78,8 @@ def _spread(pairs: Sequence[T]) -> list[T]:
     return [pairs[k] for k in np.unique(chosen)]
 
 
-def sheet_of(given: FlowFrames) -> SheetFound:
-    """Find the light sheet.
+def sheet_of(given: FlowFrames, sigma: SceneSigma | None = None) -> SheetFound:
+    """Find the light sheet; `sigma` is that of the scene, if its fit is there.
 
     Raises
     ------
@@ -87,7 +88,7 @@ def sheet_of(given: FlowFrames) -> SheetFound:
     FrameError, RunDamaged
         A frame cannot be read.
     """
-    return find_sheet(given.scene, lambda: read_pairs(given, given.pairs, "looking at particles"))
+    return find_sheet(given.scene, lambda: read_pairs(given, given.pairs, "looking at particles"), sigma)
 
 
 def read_pairs(given: FlowFrames, pairs: Sequence[tuple[Path, Path]], what: str) -> Iterator[Pair]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from correction.light_sheet.self_calibration import SheetFound
 from daq.analysis.light_sheet import about_sheet, flow_frames, sheet_of
-from daq.analysis.tasks import FIT_FILE
+from daq.analysis.tasks import FIT_FILE, scene_sigma_beside
 from daq.terminal import console
 from daq.verbs.output import folder_for
 from daq.verbs.paths import Named, file_of, paths_of
@@ -25,7 +25,8 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None
         The folder of a flow run; frames of others in pairs, see `daq.acquisition.frames.source`; or frames in
         order: A, B, A, B ...; some 50 pairs.
     scene : path
-        scene.yaml, fitted; what it says of its `sheet` is where the search begins.
+        scene.yaml, fitted; what it says of its `sheet` is where the search begins.  With the fit's ``fit.npz``
+        beside it the sheet's sigma holds what the scene is unsure of.
     out : path, optional
         Folder, default ``sheet`` (or ``sheet-2`` ... where that has results): ``scene.yaml`` with the sheet, a
         copy of ``fit.npz`` if one lies beside `scene`, ``sheet.json`` and ``sheet.png``.
@@ -45,7 +46,10 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None
     screen, scene, given = console(), file_of(scene), paths_of(paths)
     fitted, folder = load_scene(scene), folder_for(out, "sheet")
     frames = flow_frames(given, fitted)
-    found = sheet_of(frames)
+    sigma = scene_sigma_beside(scene, fitted, dewarped=False, in_light_sheet=False)
+    if isinstance(sigma, str):
+        screen.print(f"the scene is taken to be exact: {sigma}")
+    found = sheet_of(frames, None if isinstance(sigma, str) else sigma)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet)))
     if scene.with_name(FIT_FILE).is_file():

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from correction.errors import SheetError
+from correction.fit.scene_sigma import SceneSigma
 from correction.light_sheet import disparities, self_calibration
 from correction.light_sheet.self_calibration import find_sheet
 from tests.correction.light_sheet.particle_frames import camera, frames_of, moved
 from tracer.light_sheet import LightSheet
+from tracer.sensitivity import CAMERA, SPHERE
 
 TRUTH = (0.3, 0.2, -0.15)
 SIZE_PX, PAIRS = 400, 12
@@ -85,6 +87,19 @@ def test_a_ball_moved_along_the_view_makes_no_sheet_up(three, step_mm):
         assert found.sheet.sigma_mm == 0.5 or abs(found.sheet.z_mm - TRUTH[0]) < 3.5 * found.sheet.sigma_mm
     else:
         assert (np.abs(numbers(found.sheet) - TRUTH) < 3.5 * sigmas(found.sheet)).all()
+
+
+def test_a_scene_that_is_unsure_makes_the_sheet_unsure(three):
+    """A ball 0.08 mm beside its place along the view, and a fit that knew it to 0.08 mm."""
+    scene, pairs = three
+    step = 0.08
+    beside = moved(scene, 2, (0.0, 0.0, step))
+    root = np.zeros((len(CAMERA) + len(SPHERE) * len(scene.spheres), 1))
+    root[len(CAMERA) + 2 * len(SPHERE) + 2, 0] = step
+    exact = find_sheet(beside, pairs)
+    told = find_sheet(beside, pairs, SceneSigma(beside.content_hash(), root))
+    assert abs(exact.sheet.z_mm - TRUTH[0]) > 3.0 * exact.sheet.sigma_mm
+    assert abs(told.sheet.z_mm - TRUTH[0]) < 2.0 * told.sheet.sigma_mm < 0.8
 
 
 def test_nothing_seen_twice_is_said(three):
