@@ -5,10 +5,12 @@
 The judge hangs on the Q-switch outputs of the emulated box and knows the state of the laser at the moment of
 every pulse. A pulse is allowed while it is FIRING or ALIGNING, at most as many for each Q-switch as were asked
 for; and in UNKNOWN only what is left of a burst whose cable has been pulled, until somebody opens the port again:
-nobody can stop that but the box.  Whoever leaves the bench opens it again; nothing is on after that.
+nobody can stop that but the box.  Whoever leaves the bench opens it again, also one whose cable is put back
+meanwhile; nothing is on after that.
 """
 
 import argparse
+import math
 import random
 import time
 from collections import Counter
@@ -75,7 +77,7 @@ class Story:
         self.line = Line(self.emulator, self.clock)
         self.address = f"fuzz-{id(self):x}"
         LINES[self.address] = self.line
-        self.clock.lives = self.emulator.advance
+        self.clock.lives = self.lives
         pumped_us = (180.0, 182.0) if self.kind == "lamps" else None
         head = LaserHead(15.0 if pumped_us else 200.0, lamp_to_q_switch_us=pumped_us)
         self.laser = Laser("laser", driver("laser", wiring, self.clock), head, RULES, self.clock)
@@ -83,8 +85,16 @@ class Story:
         self.emulator.outputs.listen(self.judge)
         self.left = Counter()
         self.cut = False  # the cable was pulled while a burst went on
+        self.put_back_s = math.inf  # when somebody puts the cable back while the bench is left
         self.log, self.found = [], []
         self.pulses = self.firings = 0
+
+    def lives(self):
+        """Time has passed: the timing unit does what is due, and so does a person."""
+        self.emulator.advance()
+        if self.clock.now_s() >= self.put_back_s:
+            self.put_back_s = math.inf
+            self.line.plug_in()
 
     def judge(self, pulse):
         if pulse.output not in self.q_switches:
@@ -258,8 +268,12 @@ class Story:
 
     def end(self):
         self.line.hooks.clear()
+        if self.line.dead and self.rng.random() < 0.5:
+            self.put_back_s = self.clock.now_s() + self.rng.uniform(0.0, 8.0)
         with suppress(DaqError, StageError):
             self.laser.close()
+        if math.isfinite(self.put_back_s):
+            self.clock.sleep_s(8.0)
         if not self.line.dead and not self.line.faults.met and self.emulator.is_on:
             on = self.kind == "oltSync" and self.emulator.is_running
             on = on or (self.kind != "oltSync" and any(channel.on for channel in self.emulator._all))

@@ -52,17 +52,12 @@ class LightStory(laser_fuzz.Story):
         super().__init__(seed, bench.clock)
         self.laser.rules = RULES
         self.bench, self.glides, self.stage = bench, glides, bench.stage
-        self.bench.clock.lives = self.lives
         self.laser.keep_still(self.stage)
         hardware = OpenBench(bench_of(SCENE), {"stages": self.stage}, {}, bench.clock, None)
         self.light = Light(hardware, SimpleNamespace(path="."), None, None)
         self.vigil = None
         self.lit_s = []  # when something was lit
         self.lit = self.moves = 0
-
-    def lives(self):
-        """Time has passed: the timing unit does what is due."""
-        self.emulator.advance()
 
     def judge(self, pulse):
         super().judge(pulse)
