@@ -24,6 +24,8 @@ from daq.exit_codes import exit_code, sentence
 from daq.options import parser
 from daq.orderly_end import SIGNALLED, flush_or_leave, orderly_end
 from daq.printable import printable
+from ground.errors import UntrustedProgram
+from ground.named_program import VARIABLE, trust
 
 THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
 # Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
@@ -54,7 +56,12 @@ def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     options = _options(arguments)
-    verb, threads = options.pop("verb"), options.pop("threads")
+    verb, threads, trusted = options.pop("verb"), options.pop("threads"), options.pop("trust")
+    if verb is None:
+        parser().print_help()
+        return USAGE
+    if trusted is not None:  # for children as well
+        os.environ[VARIABLE] = ",".join(filter(None, (os.environ.get(VARIABLE), trusted)))
     os.environ.update(ONE_THREAD | os.environ)
     if threads is not None:
         os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
@@ -66,6 +73,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warnings.showwarning = print_warning
         try:
             code = _carried_out(verb, options)
+            if code is None:  # the person has said that the programs of the bench file may be called
+                code = _carried_out(verb, options) or DONE
         except SystemExit as end:
             if isinstance(end.code, int) and end.code > SIGNALLED:
                 print(f"rtpiv {verb}: ended by {signal.Signals(end.code - SIGNALLED).name}", file=sys.stderr)
@@ -105,13 +114,19 @@ def _without_helper() -> Iterator[None]:
         compile_news.make_helper = compile_news.helper = None
 
 
-def _carried_out(verb: str, options: dict[str, Any]) -> int:
+def _carried_out(verb: str, options: dict[str, Any]) -> int | None:
+    """Run a verb; exit code, or None if it may be run anew, for a person trusts now what its bench file names."""
     try:
         function = getattr(importlib.import_module(f"daq.verbs.{verb}"), verb)
         function(**options)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
+    except UntrustedProgram as error:
+        if _is_trusted_now(error):
+            return None
+        print(f"rtpiv {verb}: {sentence(error)}", file=sys.stderr)
+        return USAGE
     except Exception as error:
         code = exit_code(error)
         if code is None:
@@ -119,6 +134,19 @@ def _carried_out(verb: str, options: dict[str, Any]) -> int:
         print(f"rtpiv {verb}: {sentence(error, options.get('out'))}", file=sys.stderr)
         return code
     return DONE
+
+
+def _is_trusted_now(error: UntrustedProgram) -> bool:
+    """Ask the person at the terminal whether programs may be called; a yes is kept, and holds from then on."""
+    if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    names = printable(", ".join(error.names))
+    print(f"The bench file names {names}. It would be called, and can do whatever you can.", file=sys.stderr)
+    print("Do you trust who wrote the file? Type yes: ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().casefold() != "yes":
+        return False
+    trust(error.names)
+    return True
 
 
 def print_warning(

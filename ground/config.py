@@ -67,6 +67,14 @@ class Document:
     lines: dict[Place, int] = field(default_factory=dict)
     doubtful: dict[Place, Problem] = field(default_factory=dict)
 
+    def inside(self, *place: str | int) -> "Document":
+        """Return a part as a document of its own, with the lines of the file."""
+        tree = self.tree
+        for part in place:
+            tree = tree[part]
+        lines = {at[len(place) :]: line for at, line in self.lines.items() if at[: len(place)] == place}
+        return Document(self.path, tree, lines)
+
     def line(self, place: Place) -> int:
         """Line of a place in the tree, or of the nearest place around it that exists."""
         for end in range(len(place), -1, -1):

@@ -2,6 +2,7 @@
 
 GroundError
 +-- ConfigError      a YAML file cannot be read as what it should be (file, line, every problem at once)
++-- UntrustedProgram a file names a program of this computer that the person has not said to trust
 +-- MapFileError     a stored map is damaged, of an unknown layout, or not a map at all
 +-- MemoryShort      what is asked for needs more memory than is free
 """
@@ -42,6 +43,17 @@ class ConfigError(GroundError):
         same = [problem for error in others if error.path == first.path for problem in error.problems]
         rest = [error for error in others if error.path != first.path]
         return cls(first.path, [*first.problems, *same], rest)
+
+
+class UntrustedProgram(GroundError):  # noqa: N818 - says what it is
+    """A file names programs that would be imported and called; `names` are they."""
+
+    def __init__(self, names: Sequence[str], file: Path) -> None:
+        self.names = tuple(names)
+        super().__init__(
+            f"the bench file names {', '.join(names)}, a program that would be called and can do whatever you can;"
+            f" if you trust who wrote the file, give --trust {','.join(names)}, or add the name to {file}"
+        )
 
 
 class MapFileError(GroundError):

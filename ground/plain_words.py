@@ -7,6 +7,7 @@ reports each that it is not; that becomes one sentence.
 """
 
 import difflib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -35,6 +36,17 @@ _KINDS = {
     "finite_number": "a finite number",
     "none_required": "left out",
 }
+_SLIPS = {  # by the unit of a key: what a number in another unit has to be multiplied with
+    "nm": {"um for nm": 1e3},
+    "um": {"mm for um": 1e3, "nm for um": 1e-3},
+    "mm": {"m for mm": 1e3, "um for mm": 1e-3, "cm for mm": 10.0},
+    "deg": {"rad for deg": 57.29577951308232},
+    "ns": {"us for ns": 1e3},
+    "us": {"ms for us": 1e3, "s for us": 1e6, "ns for us": 1e-3},
+    "s": {"ms for s": 1e-3, "us for s": 1e-6},
+    "hz": {"kHz for Hz": 1e3},
+}
+_TENFOLD = {"ten times too small": 10.0, "ten times too large": 0.1}
 _BOUNDS = {
     "greater_than": "greater than {gt}",
     "greater_than_equal": "{ge} or more",
@@ -55,6 +67,24 @@ def exactly(count: int) -> BeforeValidator:
         return value
 
     return BeforeValidator(holds)
+
+
+def slip(key: str, number: float, low: float, high: float) -> str:
+    """Return the slip that takes a number out of a range, as a question; empty if no common one does.
+
+    Parameters
+    ----------
+    key : str
+        It ends with the unit, as in ``f_mm``.
+    number : float
+        Outside of the range.
+    low, high : float
+        The range.
+    """
+    for words, factor in (_SLIPS.get(key.rpartition("_")[2].casefold(), {}) | _TENFOLD).items():
+        if low <= number * factor <= high:
+            return f"; {words}?"
+    return ""
 
 
 def is_of_a_kind(details: Mapping[str, Any]) -> bool:
@@ -104,7 +134,8 @@ def sentence(name: str, several: Sequence[Mapping[str, Any]], known_keys: Callab
         tag, key = str(context.get("tag", "")), str(context.get("discriminator", "")).strip("'")
         hint = near(tag, [word.strip("' ") for word in expected.split(",")])
         return f"{name}.{key}: should be one of {expected}, not {tag!r}{hint}"
-    return f"{name or 'the file'}: {_said(kind, str(details['msg']), context, details.get('input'))}"
+    said = _said(kind, str(details["msg"]), context, details.get("input"))
+    return f"{name or 'the file'}: {said}{_bound_slip(key, kind, context, details.get('input'))}"
 
 
 def _said(kind: str, message: str, context: Mapping[str, Any], given: Any) -> str:  # noqa: ANN401
@@ -131,6 +162,16 @@ def _said(kind: str, message: str, context: Mapping[str, Any], given: Any) -> st
     if kind == "too_long":
         return f"should have {context.get('max_length')} entries or fewer, not {context.get('actual_length')}"
     return message[:1].lower() + message[1:]
+
+
+def _bound_slip(key: str, kind: str, context: Mapping[str, Any], given: Any) -> str:  # noqa: ANN401
+    """The slip behind a number out of bounds: of a unit, since the bounds are far from all that is usual."""
+    unit = key.rpartition("_")[2].casefold()
+    if kind not in _BOUNDS or unit not in _SLIPS or not isinstance(given, int | float) or not given:
+        return ""
+    limit = next(iter(context.values()))
+    low, high = (limit, math.inf) if kind.startswith("greater") else (-math.inf, limit)
+    return "" if given * limit < 0.0 else slip(key, given, low, high)
 
 
 def _but(given: Any) -> str:  # noqa: ANN401 - YAML holds anything

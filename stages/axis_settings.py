@@ -39,6 +39,11 @@ class AxisSettings:
             raise StageUsageError(f"in_position_um must be above 0 and at most {LONGEST_TOLERANCE_UM:g}")
         if self.steps_per_mm is not None and 500.0 / self.steps_per_mm > self.in_position_um:
             raise StageUsageError("half a step is more than in_position_um; no target could be reached for sure")
+        if self.approach and self.approach.speed_mm_s > self.speed_mm_s:
+            raise StageUsageError(
+                f"the approach at {self.approach.speed_mm_s:g} mm/s is faster than the axis at"
+                f" {self.speed_mm_s:g} mm/s; is one of both speed_mm_s a slip?"
+            )
         if self.approach and not 0 < self.approach.distance_mm < high - low:
             raise StageUsageError(
                 "the approach distance must be positive and shorter than the way between the limits"

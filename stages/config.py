@@ -40,9 +40,10 @@ from pydantic import Field, model_validator
 
 from ground.config import Pair, Table
 from ground.plain_words import NAME_PATTERN
+from ground.usual import Usual
 from stages.axis_settings import AxisSettings
 from stages.controller_tables import AnyControllerTable, ForeignTable
-from stages.drivers import controller_class
+from stages.drivers import check_driver
 from stages.errors import StageUsageError
 from stages.profile import Approach
 
@@ -54,8 +55,8 @@ class ApproachTable(Table):
     """From which side an axis arrives."""
 
     side: Literal["from_below", "from_above"]
-    distance_mm: Positive
-    speed_mm_s: Positive
+    distance_mm: Annotated[Positive, Usual(0.06, 4.9)]
+    speed_mm_s: Annotated[Positive, Usual(0.02, 50.0)]
 
 
 class AxisTable(Table):
@@ -66,16 +67,16 @@ class AxisTable(Table):
     carries: Name
     along: Literal["x", "y", "z"]
     limits_mm: Pair
-    speed_mm_s: Positive
-    acceleration_mm_s2: Positive
-    steps_per_mm: Positive | None = None
+    speed_mm_s: Annotated[Positive, Usual(0.2, 250.0)]
+    acceleration_mm_s2: Annotated[Positive, Usual(1.0, 5000.0)]
+    steps_per_mm: Annotated[Positive | None, Usual(20.0, 1e6)] = None
     sign: Literal[1, -1] = 1
     offset_mm: float = 0.0
     approach: ApproachTable | None = None
-    settle_s: Annotated[float, Field(ge=0.0, le=60.0)] = 0.1
-    in_position_um: Annotated[float, Field(gt=0.0, le=10.0)] = 10.0
+    settle_s: Annotated[Annotated[float, Field(ge=0.0, le=60.0)], Usual(0.0, 5.0)] = 0.1
+    in_position_um: Annotated[Annotated[float, Field(gt=0.0, le=10.0)], Usual(0.2, 10.0)] = 10.0
     retries: Annotated[int, Field(ge=0, le=10)] = 2
-    home_timeout_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 180.0
+    home_timeout_s: Annotated[Annotated[float, Field(gt=0.0, le=3600.0)], Usual(10.0, 1200.0)] = 180.0
     homed_at_mm: float | None = None
 
     @model_validator(mode="after")
@@ -133,7 +134,7 @@ class StagesTable(Table):
                     problems.append(f"after_home: {name} {mm:g} mm is outside its limits")
         for name, controller in self.controllers.items():
             try:
-                controller_class(controller.driver)
+                check_driver(controller.driver)
             except StageUsageError as error:
                 problems.append(f"controller {name}: {error}")
             channels = {str(axis.channel) for axis in self.axes.values() if axis.controller == name}

@@ -24,13 +24,13 @@ Moved by objects with ``set``, ``stop`` and ``position``, as Bluesky's; channels
 """
 
 import re
-from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from ground.config import Table
+from ground.named_program import is_installed
 
 Text = Annotated[str, Field(min_length=1)]
 Dotted = Annotated[str, Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$")]
@@ -45,6 +45,7 @@ class ControllerTable(Table):
     port: Text
     baud: Annotated[int, Field(ge=300, le=4_000_000)] | None = None
     identity: Text | None = None
+    programs: ClassVar[tuple[str, ...]] = ()  # what is called by the name in the file, beside the driver
 
     @property
     def place(self) -> str:
@@ -72,6 +73,11 @@ class ForeignTable(Table):
     def problem(self, channels: set[str]) -> str | None:
         """Say which of the channels that axes use cannot be."""
         return None
+
+    @property
+    def programs(self) -> tuple[str, ...]:
+        """What is called by the name in the file."""
+        return ()
 
     def lacks(self) -> str | None:
         """Say what this computer lacks for it, as far as can be seen without loading anything."""
@@ -132,9 +138,14 @@ class MicroManagerTable(ForeignTable):
                 return f"channel {channel!r} is no device; there are {known}, or LABEL/x and LABEL/y of a pair"
         return None
 
+    @property
+    def programs(self) -> tuple[str, ...]:
+        """The core."""
+        return (self.core,)
+
     def lacks(self) -> str | None:
         """The core, the folder of adapters, the configuration file."""
-        if not _installed(self.core):
+        if not is_installed(self.core):
             return f"{self.core} is not installed; install the extra rtpiv[micromanager]"
         if self.adapters is not None and not Path(self.adapters).is_dir():
             return f"adapters: there is no folder {self.adapters}"
@@ -168,17 +179,17 @@ class PositionersTable(ForeignTable):
             return f"channel {strange[0]!r} is no object; there are {', '.join(self.objects)}"
         return None
 
+    @property
+    def programs(self) -> tuple[str, ...]:
+        """What makes the objects."""
+        return tuple(one.object for one in self.objects.values())
+
     def lacks(self) -> str | None:
         """The packages of the objects."""
         for one in self.objects.values():
-            if not _installed(one.object):
+            if not is_installed(one.object):
                 return f"{one.object} is not installed here"
         return None
-
-
-def _installed(dotted: str) -> bool:
-    """Whether the package of a dotted name is there; it is not imported."""
-    return find_spec(dotted.partition(":")[0].partition(".")[0]) is not None
 
 
 def _kind(said: Any) -> str:  # noqa: ANN401 - whatever a file holds

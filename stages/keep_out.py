@@ -22,7 +22,7 @@ named in `contact` may touch the target: for them CONTACT_MM of overlap is allow
 be off. Homing is not judged, because nobody knows yet where anything is.
 """
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ground.config import Table
+from ground.usual import Usual
 from stages.errors import Obstructed, StageUsageError
 from stages.stage import Piece
 from tracer.bodies import Room
@@ -52,7 +53,7 @@ Length = Annotated[float, Field(ge=0.0, le=1e4)]
 class KeepOutTable(Table):
     """The ``keep_out:`` part of a bench file."""
 
-    clearance_mm: Annotated[float, Field(gt=0.0, le=1000.0)]
+    clearance_mm: Annotated[Annotated[float, Field(gt=0.0, le=1000.0)], Usual(0.4, 15.0)]
     target_size_mm: Annotated[list[Length], Field(min_length=3, max_length=3)]  # x, y, and z behind the plane
     camera_radius_mm: Length
     camera_ahead_mm: Length  # the lens, from the pinhole towards the target
@@ -132,15 +133,21 @@ class KeepOut:
 
     def _refuse_cut(self, walls: Set[str]) -> None:
         """Refuse sizes by which camera or target stand in one of some walls."""
-        for one in self._shapes[:2]:
-            for wall in (shape for shape in self._shapes if shape.name in walls):
-                gap = one.start_mm - wall.start_mm
-                deep_mm = one.radius_mm + wall.radius_mm - _distance(gap, one.edges_mm, wall.edges_mm)
+        for one, wall, deep_mm in self.overlaps():
+            if wall in walls:
+                raise StageUsageError(
+                    f"keep_out: where the scene file holds, {one} stands {deep_mm:.2f} mm deep in"
+                    f" {wall!r}; correct the sizes in keep_out, or the scene"
+                )
+
+    def overlaps(self) -> Iterator[tuple[str, str, float]]:
+        """Yield what camera or target stand in where the scene file holds: two names, and how deep [mm]."""
+        for number, one in enumerate(self._shapes[:2]):
+            for other in self._shapes[number + 1 :]:
+                gap = one.start_mm - other.start_mm
+                deep_mm = one.radius_mm + other.radius_mm - _distance(gap, one.edges_mm, other.edges_mm)
                 if deep_mm > CONTACT_MM:
-                    raise StageUsageError(
-                        f"keep_out: where the scene file holds, {one.name} stands {deep_mm:.2f} mm deep in"
-                        f" {wall.name!r}; correct the sizes in keep_out, or the scene"
-                    )
+                    yield one.name, other.name, deep_mm
 
     def check(self, way: Sequence[Piece]) -> None:
         """Raise if a way brings shapes too close.

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Protocol, Self
 
+from ground.named_program import require_trust
 from stages.axis import Arrival, Axis, Turn
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
@@ -65,6 +66,7 @@ class Stage:
         self._controllers: dict[str, MotionController] = {}
         self._axes: dict[str, Axis] = {}
         self._said_mm: dict[str, float] = {}
+        require_trust(program for table in config.controllers.values() for program in table.programs)
         for name, table in config.controllers.items():
             used = [axis.settings() for axis in config.axes.values() if axis.controller == name]
             channels = {axis.channel: Channel(axis.channel, axis.steps_per_mm) for axis in used}

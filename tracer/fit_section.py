@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ground.config import Table
+from ground.usual import Usual
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST, up_to
 from tracer.light_table import LightTable
 
@@ -36,11 +37,11 @@ FOCAL_SHARE = 0.003  # of the focal length, when a z-stack can tell it from the 
 class FitCameraTable(Table):
     """Standard deviations of the camera's numbers."""
 
-    position_mm: Sigma = 2.0
-    rotation_deg: Sigma = 2.0
+    position_mm: Annotated[Sigma, Usual(0.0, 20.0)] = 2.0
+    rotation_deg: Annotated[Sigma, Usual(0.0, 10.0)] = 2.0
     focal_px: Sigma | None = None
     principal_px: Sigma = 0.0
-    k1: Sigma = 1.0
+    k1: Annotated[Sigma, Usual(0.0, 5.0)] = 1.0
     k2: Sigma = 0.0
     k3: Sigma = 0.0
     p1: Sigma = 0.0
@@ -50,8 +51,8 @@ class FitCameraTable(Table):
 class FitSphereTable(Table):
     """Standard deviations of a sphere's numbers."""
 
-    centre_mm: Sigma = 1.0
-    radius_mm: Sigma = 0.02
+    centre_mm: Annotated[Sigma, Usual(0.0, 5.0)] = 1.0
+    radius_mm: Annotated[Sigma, Usual(0.0, 0.5)] = 0.02
     out_of_round_um: Sigma = 0.0
     out_of_round_degree: Degree = 2
 
@@ -68,8 +69,8 @@ class FitSphereTable(Table):
 class FitWallTable(Table):
     """Standard deviations of the numbers of a window or tube."""
 
-    place_mm: Sigma = 1.0
-    tilt_deg: Sigma = 1.0
+    place_mm: Annotated[Sigma, Usual(0.0, 5.0)] = 1.0
+    tilt_deg: Annotated[Sigma, Usual(0.0, 5.0)] = 1.0
     thickness_mm: Sigma = 0.1
     radius_mm: Sigma = 0.3
 
@@ -89,8 +90,8 @@ class FitNamedTable(Table):
 class FitTargetTable(Table):
     """Standard deviations of the target's pose at heights other than 0 (there it defines the world)."""
 
-    sideways_mm: Sigma = 0.02
-    z_mm: Sigma = 0.01
+    sideways_mm: Annotated[Sigma, Usual(0.0, 1.0)] = 0.02
+    z_mm: Annotated[Sigma, Usual(0.0, 1.0)] = 0.01
     rotation_deg: Sigma = 0.0
 
 
@@ -101,8 +102,8 @@ class FitTable(Table):
     spheres: FitSphereTable = FitSphereTable()
     walls: FitWallTable = FitWallTable()
     named: dict[str, FitNamedTable] = Field(default_factory=dict)
-    n: Sigma = 0.005
-    glasses: dict[str, Sigma] = Field(default_factory=dict)
+    n: Annotated[Sigma, Usual(0.0, 0.02)] = 0.005
+    glasses: Annotated[dict[str, Sigma], Usual(0.0, 0.02)] = Field(default_factory=dict)
     target: FitTargetTable = FitTargetTable()
     light: LightTable | None = None
 

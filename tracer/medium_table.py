@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from ground.config import Table
 from ground.plain_words import near
+from ground.usual import Usual
 from tracer.camera import LONGEST_MM
 from tracer.errors import SceneError
 from tracer.media import (
@@ -41,10 +42,10 @@ class SellmeierTable(Table):
 class MediumTable(Table):
     """A medium by number, by formula, or as another one with a measured offset."""
 
-    n: Annotated[float, Field(ge=1.0, le=5.0)] | None = None
+    n: Annotated[Annotated[float, Field(ge=1.0, le=5.0)] | None, Usual(1.0, 2.1)] = None
     sellmeier: SellmeierTable | None = None
     base: str | None = None
-    offset: Annotated[float, Field(ge=-1.0, le=1.0)] | None = None
+    offset: Annotated[Annotated[float, Field(ge=-1.0, le=1.0)] | None, Usual(-0.05, 0.05)] = None
 
     @model_validator(mode="after")
     def _one_of(self) -> "MediumTable":

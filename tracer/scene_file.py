@@ -52,7 +52,11 @@ from tracer.scene_tables import SceneTable
 from tracer.view import view_problems
 
 T = TypeVar("T")
-ANY_CAMERA: dict[str, Any] = {"focal_px": 1.0, "sensor_px": [1, 1], "position_mm": [0.0, 0.0, 0.9e6]}  # above all
+ANY_CAMERA: dict[str, Any] = {
+    "focal_px": 1e3,
+    "sensor_px": [2016, 2016],
+    "position_mm": [0.0, 0.0, 9e4],
+}  # above all
 
 
 def scene_from(document: Document, table: SceneTable) -> Scene:

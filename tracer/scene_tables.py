@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Literal, Union
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from ground.config import Pair, Table, Triple
-from ground.plain_words import exactly
+from ground.config import Table, Triple
+from ground.plain_words import exactly, slip
+from ground.usual import Usual
 from tracer.bodies import KINDS, BodySection, vector3
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.fit_section import FitTable, Sigma
@@ -16,6 +17,7 @@ from tracer.medium_table import MediumTable, Positive
 from tracer.pupil import Pupil
 
 MOST_PX = 1 << 28  # of a sensor; the largest have half of that
+MOST_OFF_PX = 1e5  # from pixel (0, 0) to the optical axis, of a part of the longest line camera as well
 
 
 class LensTable(Table):
@@ -28,23 +30,26 @@ class LensTable(Table):
     p2: float = 0.0
 
 
+PlacePx = Annotated[float, Field(ge=-MOST_OFF_PX, le=MOST_OFF_PX)]
+
+
 class CameraTable(Table):
     """The camera section."""
 
-    f_mm: Positive | None = None
-    L_mm: Positive | None = None
+    f_mm: Annotated[Annotated[float, Field(ge=0.1, le=1e5)] | None, Usual(4.0, 1500.0)] = None
+    L_mm: Annotated[Positive | None, Usual(5.0, 20000.0)] = None
     focal_px: Positive | None = None
-    pixel_pitch_um: Annotated[float, Field(ge=1e-3, le=1e6)] | None = None
+    pixel_pitch_um: Annotated[Annotated[float, Field(ge=0.1, le=1000.0)] | None, Usual(1.4, 30.0)] = None
     sensor_px: Annotated[
         list[Annotated[int, Field(ge=1, le=65535)]], Field(min_length=2, max_length=2), exactly(2)
     ]
-    principal_px: Pair | None = None
+    principal_px: Annotated[list[PlacePx], Field(min_length=2, max_length=2), exactly(2)] | None = None
     position_mm: Triple | None = None
     look_at_mm: Triple | None = None
-    roll_deg: float | None = None
+    roll_deg: Annotated[Annotated[float, Field(ge=-360.0, le=360.0)] | None, Usual(-180.0, 180.0)] = None
     rotation: Annotated[list[Triple], Field(min_length=3, max_length=3), exactly(3)] | None = None
     lens: LensTable = LensTable()
-    f_number: Annotated[float, Field(ge=0.5, le=1000.0)] | None = None
+    f_number: Annotated[Annotated[float, Field(ge=0.5, le=1000.0)] | None, Usual(0.95, 64.0)] = None
     pupil_mm: Positive | None = None
     focus_mm: Positive | None = None
 
@@ -64,6 +69,9 @@ class CameraTable(Table):
             raise ValueError("f_mm, L_mm and pixel_pitch_um belong together")
         if self.position_mm is None and self.L_mm is None:
             raise ValueError("position_mm is missing, and there is no L_mm to put the camera at")
+        if self.f_mm is not None and self.focus_mm is not None and self.focus_mm <= self.f_mm:
+            hint = slip("focus_mm", self.focus_mm, 2.0 * self.f_mm, 100.0 * self.f_mm)
+            raise ValueError(f"a lens of {self.f_mm:g} mm is never in focus at focus_mm {self.focus_mm:g}{hint}")
         if self.rotation is not None and (self.look_at_mm is not None or self.roll_deg is not None):
             raise ValueError("give either rotation, or look_at_mm and roll_deg")
         if self.f_number is not None and (self.f_mm is None or self.pupil_mm is not None):
@@ -126,10 +134,10 @@ class SheetTable(Table):
     """The light sheet: where particles are lit."""
 
     z_mm: Annotated[float, Field(ge=-1e4, le=1e4)] = 0.0
-    tilt_x_deg: Tilt = 0.0
-    tilt_y_deg: Tilt = 0.0
-    sigma_mm: Sigma = UNMEASURED_MM
-    tilt_sigma_deg: Sigma = UNMEASURED_DEG
+    tilt_x_deg: Annotated[Tilt, Usual(-5.0, 5.0)] = 0.0
+    tilt_y_deg: Annotated[Tilt, Usual(-5.0, 5.0)] = 0.0
+    sigma_mm: Annotated[Sigma, Usual(0.0, 2.0)] = UNMEASURED_MM
+    tilt_sigma_deg: Annotated[Sigma, Usual(0.0, 2.0)] = UNMEASURED_DEG
     correlation: Annotated[list[Correlation], Field(min_length=3, max_length=3), exactly(3)] | None = None
     thickness_mm: Positive | None = None
 

@@ -16,6 +16,9 @@ from tracer.camera import Camera
 COARSEST_PX = 0.1  # what a mesh may be off in the picture of the plane
 LEAST_ANGLE_DEG = 5.0  # between axis and plane; PIV through glass is rarely done below 45
 REACHES_MM = 1e-6
+FARTHEST_MM = 1e5  # a hundred metres: no lab is longer
+FEWEST_PX = 16  # along the longer side of a sensor
+MOST_DISTORTED = 100.0  # distances from the axis by which lens terms may move a corner: far above any lens
 NM = 550.0  # any light will do for an estimate
 
 
@@ -41,7 +44,17 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
             f"the camera sees the investigation plane edge-on: its axis is {angle_deg:.2g} degrees off the plane"
         )
         problems.append(("", f"{text}, and {LEAST_ANGLE_DEG:g} are the least"))
+    if max(camera.sensor_px) < FEWEST_PX:
+        text = f"a sensor of {camera.sensor_px[0]} x {camera.sensor_px[1]} px shows nothing; is sensor_px right?"
+        problems.append(("", text))
+    if float(np.abs(pinhole_mm).max()) > FARTHEST_MM:
+        problems.append(("", f"the camera is farther than {FARTHEST_MM:g} mm away; um for mm?"))
+    if (share := distortion(camera)) > MOST_DISTORTED:
+        text = f"the lens terms move a corner of the picture by {100.0 * share:.3g} %, which no lens does"
+        problems.append(("", f"{text}; they belong to radii in units of the focal length"))
     for body in bodies:
+        if float(np.abs([body.capsule.start_mm, body.capsule.end_mm]).max()) > FARTHEST_MM:
+            problems.append((body.name, f"body {body.name!r} is farther than {FARTHEST_MM:g} mm away; um for mm?"))
         if not body.media:
             continue
         if (expected_px := surface_error_px(camera, body)) > COARSEST_PX:
@@ -58,6 +71,16 @@ def view_problems(camera: Camera, bodies: Iterable[Body]) -> list[tuple[str, str
             text = f"body {body.name!r} lies behind the camera, which cannot see through it; move one of them"
             problems.append((body.name, text))
     return problems
+
+
+def distortion(camera: Camera) -> float:
+    """How far lens terms move a corner of the picture, over its distance from the axis."""
+    if camera.lens.is_ideal:
+        return 0.0
+    axis_px, (width, height) = np.array(camera.principal_px), camera.sensor_px
+    corners = np.array([(u, v) for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])
+    moved_px = np.linalg.norm(camera.ideal(corners) - corners, axis=-1)
+    return float(moved_px.max() / np.linalg.norm(corners - axis_px, axis=-1).max())
 
 
 def surface_error_px(camera: Camera, body: Body) -> float:

@@ -16,6 +16,9 @@ PICTURES = {  # what a verb draws when all else is written and said
 }
 
 
+TRUST = "programs named by the bench file that may be called, as package.module:name, with commas between"
+
+
 class _Version(argparse.Action):
     """Looked up only when asked for: the library that knows it is slow to import."""
 
@@ -33,7 +36,8 @@ def parser() -> argparse.ArgumentParser:
     )
     words.add_argument("--version", action=_Version, nargs=0, default=argparse.SUPPRESS, help="say which and end")
     words.add_argument("--threads", type=count, metavar="N", help="cores to use (default: all)")
-    verbs = words.add_subparsers(dest="verb", metavar="VERB", required=True)
+    words.add_argument("--trust", metavar="NAMES", help=TRUST)
+    verbs = words.add_subparsers(dest="verb", metavar="VERB")
     first_hour(verbs)
     frames(verbs)
     bench(verbs)
@@ -45,4 +49,5 @@ def parser() -> argparse.ArgumentParser:
         verb.add_argument(
             "--threads", type=count, metavar="N", default=argparse.SUPPRESS, help="cores to use (default: all)"
         )
+        verb.add_argument("--trust", metavar="NAMES", default=argparse.SUPPRESS, help=TRUST)
     return words

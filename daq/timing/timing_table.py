@@ -11,6 +11,7 @@ from daq.timing.laser_head import TRIGGER_US, LaserHead
 from daq.timing.pulses import LAMPS, Q_SWITCHES, PairExposures, Role
 from daq.timing.rules import Rules
 from ground.config import Pair, Table
+from ground.usual import Usual
 
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
@@ -20,15 +21,15 @@ OFF_BEST = 0.2  # share by which a Q-switch must be off its best delay to be cal
 class HeadTable(Table):
     """What the laser can do; see `LaserHead`."""
 
-    max_rate_hz: Positive
-    min_dt_us: NotNegative = 0.0
-    max_dt_us: Positive = 1e6
-    lamp_to_q_switch_us: Pair | None = None
-    q_switch_to_light_us: Pair = [0.0, 0.0]  # noqa: RUF012 - pydantic copies it
-    pulse_us: Positive = TRIGGER_US
-    lamp_rate_hz: Positive | None = None
+    max_rate_hz: Annotated[Positive, Usual(0.5, 1e4)]
+    min_dt_us: Annotated[NotNegative, Usual(0.0, 1e3)] = 0.0
+    max_dt_us: Annotated[Positive, Usual(1.0, 1e6)] = 1e6
+    lamp_to_q_switch_us: Annotated[Pair | None, Usual(40.0, 1e3)] = None
+    q_switch_to_light_us: Annotated[Pair, Usual(0.0, 0.9)] = [0.0, 0.0]  # noqa: RUF012 - pydantic copies it
+    pulse_us: Annotated[Positive, Usual(0.5, 90.0)] = TRIGGER_US
+    lamp_rate_hz: Annotated[Positive | None, Usual(0.5, 200.0)] = None
     max_duty: Annotated[float, Field(gt=0.0, le=0.5)] = 0.5
-    warmup_s: NotNegative = 600.0
+    warmup_s: Annotated[NotNegative, Usual(0.0, 3600.0)] = 600.0
 
     def head(self) -> LaserHead:
         """Return the same as the laser wants it."""
@@ -81,7 +82,7 @@ class TimingTable(Table):
     head: HeadTable
     exposures: ExposuresTable | None = None
     chunk_s: Annotated[float, Field(gt=0.0, le=10.0)] = 10.0
-    clear_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = CLEAR_MM
+    clear_mm: Annotated[Annotated[float, Field(ge=0.0, le=1000.0)], Usual(0.5, 30.0)] = CLEAR_MM
     dark_us: Positive | None = None
     uncounted: bool = False
     align: AlignTable | None = None

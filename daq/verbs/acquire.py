@@ -13,7 +13,7 @@ from correction.resample.sample import Method
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import Bench, Vector
 from daq.acquisition.bench.kinds.stage import idle_stage
-from daq.acquisition.bench.opened import check_views
+from daq.acquisition.bench.opened import check_devices, check_views
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
 from daq.acquisition.plans.forecast import Forecast, forecast
@@ -108,6 +108,7 @@ def acquire(
     given = path_of(scene), path_of(target_clear)
     request = Request(bench, plan, simulate, correct, *given, dewarp_order, method, live_queue)
     loaded = _bench_of(bench, plan)
+    check_devices(loaded)
     if not dry_run:
         require_libraries(loaded.table.camera.backend)
     steps = load_plan(plan, loaded)

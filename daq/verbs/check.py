@@ -7,9 +7,11 @@ from pathlib import Path
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.bench.kinds.stage import idle_stage
-from daq.acquisition.bench.opened import check_simulation
+from daq.acquisition.bench.opened import check_devices, check_simulation
+from daq.acquisition.bench.unusual import bench_questions
 from daq.acquisition.plans.plan import load_plan, read_plan
 from daq.acquisition.plans.plan_table import px_per_mm
+from daq.acquisition.plans.unusual import plan_questions
 from daq.acquisition.plans.way_out import forecast_from_home
 from daq.acquisition.runner.session import MAPS
 from daq.acquisition.runs.run_check import RunCheck, check_run
@@ -25,6 +27,7 @@ from stages.errors import StageError
 from tracer.errors import TracerError
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
+from tracer.unusual import scene_questions
 
 WRONG = (GroundError, TracerError, DaqError, StageError)
 TELLING = {  # keys that only one kind of file has
@@ -37,11 +40,12 @@ TELLING = {  # keys that only one kind of file has
 
 @dataclass(frozen=True)
 class FileCheck:
-    """A file that is right: which kind it is, and what it says in one sentence."""
+    """A file that is right: which kind it is, what it says in one sentence, and what is unusual in it."""
 
     path: Path
     kind: str
     said: str
+    questions: tuple[str, ...] = ()  # about what it may say and few labs have, with file and line
 
 
 def check(paths: Sequence[Named] | Named, bench: Named | None = None) -> list[FileCheck | RunCheck]:
@@ -88,6 +92,8 @@ def check(paths: Sequence[Named] | Named, bench: Named | None = None) -> list[Fi
     for file in checks:
         if isinstance(file, FileCheck):
             console().print(f"{file.path}  ok  {file.kind}: {file.said}", soft_wrap=True)
+            for question in file.questions:
+                console().print(f"  {question}", soft_wrap=True, highlight=False)
     if runs:
         checks += _check_runs(runs)
     if wrong is not None:
@@ -109,7 +115,8 @@ def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCh
     for path, kind in kinds.items():
         beside = path.parent / "bench.yaml"
         try:
-            found.append(FileCheck(path, kind, _said(path, kind, benches or [beside] * beside.is_file())))
+            said, questions = _said(path, kind, benches or [beside] * beside.is_file())
+            found.append(FileCheck(path, kind, said, tuple(questions)))
         except WRONG as error:
             problems.append(str(error))
     if problems:
@@ -133,25 +140,29 @@ def _kind_of(path: Path) -> str:
     return best
 
 
-def _said(path: Path, kind: str, benches: Sequence[Path]) -> str:
+def _said(path: Path, kind: str, benches: Sequence[Path]) -> tuple[str, list[str]]:
+    """What a file says in one sentence, and questions about it."""
     if kind == "scene":
-        return _scene_said(load_scene(path))
+        return _scene_said(load_scene(path)), scene_questions(path)
     if kind == "bench":
-        return _bench_said(load_bench(path))
+        bench = load_bench(path)
+        return _bench_said(bench), bench_questions(bench)
     if kind == "piv":
-        return f"last windows of {piv_choice(piv=path).settings.windows_px[-1]} px"
+        return f"last windows of {piv_choice(piv=path).settings.windows_px[-1]} px", []
     _, table = read_plan(path)
     if not benches:
-        return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)"
-    fitting, reasons = [], []
-    for bench in benches:
+        return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)", []
+    fitting, reasons, questions = [], [], []
+    for named in benches:
         try:
-            fitting.append(f"{_plan_said(path, load_bench(bench))} on {bench.name}")
+            bench = load_bench(named)
+            fitting.append(f"{_plan_said(path, bench)} on {named.name}")
+            questions += plan_questions(load_plan(path, bench), bench)
         except WRONG as error:
             reasons.append(error)
     if not fitting:
         raise reasons[0]
-    return "; ".join(fitting)
+    return "; ".join(fitting), list(dict.fromkeys(questions))
 
 
 def _scene_said(scene: Scene) -> str:
@@ -169,6 +180,7 @@ def _scene_said(scene: Scene) -> str:
 
 
 def _bench_said(bench: Bench) -> str:
+    check_devices(bench)
     stages = bench.table.stages
     more = ", ".join(name for name in bench.more)
     simulated = "can be simulated" if check_simulation(bench) else "has no simulation"

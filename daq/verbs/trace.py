@@ -24,6 +24,7 @@ from tracer.fov import FieldOfView, field_of_view
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
+from tracer.unusual import scene_questions
 
 if TYPE_CHECKING:
     from correction.aperture import BlurMap
@@ -85,6 +86,8 @@ def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True)
     """
     loaded, name = (scene, "scene") if isinstance(scene, Scene) else (load_scene(scene), Path(scene).stem)
     out, screen = folder_for(out, "trace"), console()
+    for question in [] if isinstance(scene, Scene) else scene_questions(scene):
+        screen.print(question, soft_wrap=True, highlight=False)
     ray_map = build_ray_map(loaded)
     correction_map = without_masked(build_correction_map(loaded, ray_map), loaded)
     share = plane_share(loaded, correction_map)

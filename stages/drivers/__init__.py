@@ -7,6 +7,7 @@ only when it is asked for. Contract tests run on every line.
 
 import importlib
 
+from ground.named_program import is_installed, is_trusted, named_program
 from stages.controller import Controller
 from stages.errors import StageUsageError
 from stages.motion_controller import MotionController
@@ -40,6 +41,20 @@ def controller_class(name: str) -> type[MotionController]:
     return found
 
 
+def check_driver(name: str) -> None:
+    """Refuse a driver that is not there; one of another project is imported only if it is trusted.
+
+    Raises
+    ------
+    StageUsageError
+        There is none of that name.
+    """
+    if name in FOREIGN or ":" not in name or is_trusted(name):
+        controller_class(name)
+    elif not is_installed(name):
+        raise StageUsageError(f"driver {name!r} cannot be imported: its package is not installed here")
+
+
 def driver_class(name: str) -> type[Controller]:
     """Class of a serial driver.
 
@@ -47,14 +62,15 @@ def driver_class(name: str) -> type[Controller]:
     ------
     StageUsageError
         There is no such driver.
+    UntrustedProgram
+        It is a driver of another project, and not trusted.
     """
-    dotted = DRIVERS.get(name, name)
-    module, colon, attribute = dotted.partition(":")
+    module, colon, attribute = DRIVERS.get(name, name).partition(":")
     if not colon:
         known = ", ".join([*DRIVERS, *FOREIGN])
         raise StageUsageError(f"driver {name!r} is unknown; known are {known}, or give module:Class")
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        found = getattr(importlib.import_module(module), attribute) if name in DRIVERS else named_program(name)
     except (ImportError, AttributeError) as error:
         raise StageUsageError(f"driver {name!r} cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Controller)):

@@ -12,13 +12,13 @@ A configuration file may do whatever its author wanted, also move stages on load
 """
 
 import hashlib
-import importlib
 import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ground.named_program import named_program
 from stages.controller_tables import AdapterTable, ForeignTable, MicroManagerTable
 from stages.errors import PortUnavailable, StageUsageError, WrongDevice
 from stages.foreign.foreign_controller import THERE_MM, ForeignController
@@ -118,9 +118,8 @@ def _parted(channel: str) -> tuple[str, str]:
 
 
 def _class_of(dotted: str) -> Any:  # noqa: ANN401 - somebody else's
-    module, _, name = dotted.partition(":")
     try:
-        return getattr(importlib.import_module(module), name)
+        return named_program(dotted)
     except (ImportError, AttributeError) as error:
         raise PortUnavailable(f"{dotted} cannot be imported ({error}); install rtpiv[micromanager]") from error
 

@@ -7,9 +7,9 @@ loop (ophyd-async) cannot be driven this way.
 """
 
 import contextlib
-import importlib
 from typing import Any
 
+from ground.named_program import named_program
 from stages.controller_tables import ForeignTable, PositionersTable
 from stages.errors import DeviceError, PortUnavailable, StageUsageError, WrongDevice
 from stages.foreign.foreign_controller import ForeignController
@@ -88,9 +88,8 @@ def _failure(status: Any) -> BaseException | None:  # noqa: ANN401 - somebody el
 
 
 def _made(dotted: str, arguments: dict[str, Any]) -> Any:  # noqa: ANN401
-    module, _, name = dotted.partition(":")
     try:
-        made = getattr(importlib.import_module(module), name)
+        made = named_program(dotted)
     except (ImportError, AttributeError) as error:
         raise PortUnavailable(f"{dotted} cannot be imported: {error}") from error
     return made(**arguments)

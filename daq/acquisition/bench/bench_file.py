@@ -155,5 +155,4 @@ def _device(document: Document, name: str, section: Mapping[str, Any]) -> Device
     except RunUsageError as error:
         raise ConfigError(document.path, [Problem(document.line((*place, "kind")), str(error))]) from None
     own = {key: value for key, value in section.items() if key != "kind"}
-    lines = {at[2:]: line for at, line in document.lines.items() if at[:2] == place}
-    return Device(section["kind"], validate(Document(document.path, own, lines), model))
+    return Device(section["kind"], validate(replace(document.inside(*place), tree=own), model))

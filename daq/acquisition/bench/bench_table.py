@@ -17,6 +17,8 @@ from daq.acquisition.cameras.link import LinkName
 from daq.acquisition.cameras.trigger_presets import Preset, needs_line, settings_of
 from daq.errors import PlanError, SettingRefused
 from ground.config import Document, Table
+from ground.plain_words import slip
+from ground.usual import Usual
 from stages.config import AxisTable, Name, Positive, StagesTable
 from stages.keep_out import KeepOutTable
 from tracer.scene import Scene
@@ -52,9 +54,11 @@ class CameraSection(Table):
     trigger: TriggerSection | None = None  # its settings join those above
     buffers: Annotated[int, Field(ge=2, le=1000)] = 24
     chunks: Annotated[list[ChunkName], Field(max_length=32)] = Field(default_factory=list)  # kept of every frame
-    timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0
+    timeout_s: Annotated[Annotated[float, Field(gt=0.0, le=600.0)], Usual(0.6, 120.0)] = 5.0
     retakes: Annotated[int, Field(ge=0, le=100)] = 3  # of a software-triggered frame that did not arrive whole
-    back_within_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 20.0  # patience with a camera that was lost
+    back_within_s: Annotated[Annotated[float, Field(ge=0.0, le=3600.0)], Usual(0.0, 180.0)] = (
+        20.0  # patience with a camera that was lost
+    )
     pairs: PairsSection | None = None  # of double-frame cameras
     scene_shows: Literal["image", "sensor"] = "image"  # which of the two its file says
     link: LinkName | None = None  # the cable, where the camera does not tell its speed
@@ -129,6 +133,9 @@ class BenchTable(Table):
             for name in named:
                 if name not in self.stages.axes:
                     problems.append(f"{key} names an unknown axis {name!r}")
+                elif not (limits := self.stages.axes[name].limits_mm)[0] <= named[name] <= limits[1]:
+                    hint = slip("_mm", named[name], *limits)
+                    problems.append(f"{key}: {name} {named[name]:g} mm is outside its limits_mm{hint}")
                 elif key.startswith("glass") and self.stages.axes[name].carries != GLASS:
                     problems.append(f"{key}: axis {name!r} does not carry the glass")
         for name in {STAGES, CAMERA} & set(self.devices):

@@ -8,19 +8,23 @@ backend and everything above them stay the same, and never know.
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from typing import Protocol, cast
 
 from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
 from daq.acquisition.bench.kinds import kind_of
-from daq.acquisition.cameras import require_libraries
+from daq.acquisition.bench.kinds.stage import idle_stage
+from daq.acquisition.cameras import BACKENDS, backend_class, require_libraries
 from daq.acquisition.cameras.camera import Camera
 from daq.acquisition.plans.steps import Step
 from daq.errors import PlanError
+from daq.timing.drivers import driver_class
 from daq.timing.laser import Laser
+from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
+from ground.named_program import named_program, require_trust
 from stages.clock import SYSTEM_CLOCK, Clock
+from stages.config import StagesTable
 from stages.stage import Stage
 
 
@@ -94,6 +98,37 @@ class OpenBench:
         return cast("CameraSection", self.sections[CAMERA])
 
 
+def check_devices(bench: Bench, only: Collection[str] = ()) -> None:
+    """Refuse a bench whose devices could not be opened on any computer; nothing is opened.
+
+    Parameters
+    ----------
+    bench : Bench
+        What the file says.
+    only : collection of str
+        Names of the devices that are needed; all if none is named.
+
+    Raises
+    ------
+    StageUsageError, CameraSetupError, TimingUsageError
+        A controller, camera or box cannot be as the file says, or is not there.
+    UntrustedProgram
+        The file names programs that the person does not trust.
+    """
+    sections = [device.section for name, device in bench.devices.items() if not only or name in only]
+    boxes = {section.box for section in sections if isinstance(section, TimingTable)}
+    cameras = [section for section in sections if isinstance(section, CameraSection)]
+    backends = {camera.backend for camera in cameras} - BACKENDS.keys()  # ours are known to be there
+    cores = {str(camera.options["core"]) for camera in cameras if "core" in camera.options}
+    require_trust(sorted(name for name in boxes | backends | cores if ":" in name))
+    for backend in sorted(backends):
+        backend_class(backend)
+    for box in sorted(boxes):
+        driver_class(box)
+    if any(isinstance(section, StagesTable) for section in sections):
+        idle_stage(bench)
+
+
 def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: int = 0) -> Simulation:
     """Set the simulated hardware of a bench file up.
 
@@ -149,12 +184,11 @@ def _simulation_class(bench: Bench) -> Callable[..., object]:
     section = bench.table.simulation
     line = bench.document.line(("simulation", "bench"))
     dotted = str((section or {}).get("bench", ""))
-    module, colon, name = dotted.partition(":")
-    if not colon:
+    if ":" not in dotted:
         text = 'the bench has no simulation; say simulation: {bench: "package.module:Class"}'
         raise ConfigError(bench.path, [Problem(line, text)])
     try:
-        return cast("Callable[..., object]", getattr(import_module(module), name))
+        return cast("Callable[..., object]", named_program(dotted))
     except (ImportError, AttributeError) as error:
         raise ConfigError(bench.path, [Problem(line, f"{dotted} cannot be loaded: {error}")]) from error
 
@@ -198,6 +232,7 @@ def open_bench(
     StageError, CameraError
         Something is not there; what was opened before is closed again.
     """
+    check_devices(bench, only)
     wanted = {name: device for name, device in bench.devices.items() if not only or name in only}
     for device in wanted.values():
         if isinstance(device.section, CameraSection):

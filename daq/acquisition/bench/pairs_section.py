@@ -27,6 +27,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from ground.config import Table
+from ground.usual import Usual
 from stages.config import Positive
 
 Shape = Literal["double_height", "two_blocks", "straddling", "burst"]
@@ -43,11 +44,17 @@ class PairsSection(Table):
     line: Annotated[int, Field(ge=0, le=63)] | None = None
     counter: Annotated[str, Field(min_length=1)] | None = None
     first: Annotated[int, Field(ge=0, le=1_000_000)] = 1
-    dead_us: Annotated[float, Field(ge=0.0, le=1e6)]  # from the end of exposure A to the start of exposure B
-    start_delay_us: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0  # from the trigger to the start of exposure A
-    margin_us: Annotated[float, Field(ge=0.0, le=1e5)] = 2.0  # between light and either end of an exposure
+    dead_us: Annotated[
+        Annotated[float, Field(ge=0.0, le=1e6)], Usual(0.0, 1e3)
+    ]  # from the end of exposure A to the start of exposure B
+    start_delay_us: Annotated[Annotated[float, Field(ge=0.0, le=1e6)], Usual(0.0, 1e3)] = (
+        0.0  # from the trigger to the start of exposure A
+    )
+    margin_us: Annotated[Annotated[float, Field(ge=0.0, le=1e5)], Usual(0.0, 100.0)] = (
+        2.0  # between light and either end of an exposure
+    )
     second_exposure_us: Positive | None = None  # of B, where the camera decides it
-    most_hz: Positive | None = None  # pairs a second that the camera can take
+    most_hz: Annotated[Positive | None, Usual(0.5, 1e4)] = None  # pairs a second that the camera can take
 
     @model_validator(mode="after")
     def _can_be_told_apart(self) -> "PairsSection":

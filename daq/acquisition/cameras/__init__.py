@@ -5,12 +5,15 @@ project, a dotted "package.module:Class".  A backend is imported only when it is
 libraries for cameras that stand elsewhere.
 """
 
+from collections.abc import Callable
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, cast
 
 from daq.acquisition.cameras.camera import Camera
 from daq.errors import CameraSetupError
+from ground.named_program import named_program
+from ground.plain_words import near
 
 BACKENDS = {
     "harvesters": "daq.acquisition.cameras.harvesters:HarvestersCamera",
@@ -36,6 +39,28 @@ def require_libraries(backend: str) -> None:
         )
 
 
+def backend_class(backend: str) -> Callable[..., Camera]:
+    """What makes a camera of the named backend.
+
+    Raises
+    ------
+    CameraSetupError
+        The backend is unknown, or cannot be imported.
+    UntrustedProgram
+        It is of another project, and not trusted.
+    """
+    module_name, colon, class_name = BACKENDS.get(backend, backend).partition(":")
+    if not colon:
+        hint = near(backend, list(BACKENDS))
+        raise CameraSetupError(f"camera backend {backend!r} is unknown; use one of {', '.join(BACKENDS)}{hint}")
+    try:
+        known = backend in BACKENDS
+        found = getattr(import_module(module_name), class_name) if known else named_program(backend)
+    except (ImportError, AttributeError) as error:
+        raise CameraSetupError(f"camera backend {backend!r} cannot be loaded: {error}") from error
+    return cast("Callable[..., Camera]", found)
+
+
 def make_camera(backend: str, **options: Any) -> Camera:  # noqa: ANN401 - each backend checks its own options
     """Return a closed camera of the named backend.
 
@@ -44,15 +69,7 @@ def make_camera(backend: str, **options: Any) -> Camera:  # noqa: ANN401 - each 
     CameraSetupError
         If the backend is unknown or does not take these options.
     """
-    dotted = BACKENDS.get(backend, backend)
-    module_name, colon, class_name = dotted.partition(":")
-    if not colon:
-        raise CameraSetupError(f"camera backend {backend!r} is unknown; use one of {', '.join(BACKENDS)}")
     try:
-        make = getattr(import_module(module_name), class_name)
-    except (ImportError, AttributeError) as error:
-        raise CameraSetupError(f"camera backend {backend!r} cannot be loaded: {error}") from error
-    try:
-        return cast("Camera", make(**options))
+        return backend_class(backend)(**options)
     except TypeError as error:
         raise CameraSetupError(f"camera backend {backend!r}: {error}") from error

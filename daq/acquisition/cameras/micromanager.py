@@ -42,6 +42,7 @@ from daq.errors import (
     SettingRefused,
     SettingsChanged,
 )
+from ground.named_program import named_program
 from stages.errors import DeviceLost
 from stages.foreign.calls import Calls
 
@@ -328,8 +329,7 @@ class MicroManagerCamera:
 
 
 def _class_of(dotted: str) -> Any:  # noqa: ANN401 - somebody else's
-    module, _, name = dotted.partition(":")
     try:
-        return getattr(importlib.import_module(module), name)
+        return named_program(dotted)
     except (ImportError, AttributeError) as error:
         raise CameraSetupError(f"{dotted} cannot be imported ({error}); install rtpiv[micromanager]") from error

@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from daq.acquisition.bench.bench_table import Bench, trigger_is_software
+from daq.acquisition.bench.sheet_clearance import sheet_clearance_mm
 from daq.acquisition.cameras.camera import Setting
 from daq.acquisition.plans.link_budget import link_excess, link_said
 from daq.acquisition.plans.steps import Step, frame_count, route
+from daq.timing.timing_table import TimingTable
 from stages.errors import StageUsageError
 from stages.stage import Stage
 
@@ -89,14 +91,31 @@ def forecast(
                 travel[piece.axis] += abs(piece.end_mm - piece.start_mm)
             duration_s += stage.duration_s(here, move)
             here |= move
-        if said := link_excess(bench, step):
-            violations.append(Violation(step.index, step.tag, said))
+        for said in (link_excess(bench, step), _sheet_blocked(bench, step)):
+            if said:
+                violations.append(Violation(step.index, step.tag, said))
         duration_s += step.settle_s + STEP_OVERHEAD_S + _frames_s(bench, step)
     duration_s += max((step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0)
     frames, frame_bytes = frame_count(steps), _frame_bytes(bench)
     on_plane = sum(step.frames for step in steps if step.on_plane)
     disk = frames * frame_bytes, on_plane * frame_bytes
     return Forecast(frames, travel, duration_s, *disk, tuple(violations), link_said(bench, steps))
+
+
+def _sheet_blocked(bench: Bench, step: Step) -> str:
+    """Why the laser would refuse to fire where a step has everything; "" if it would not."""
+    if step.pulses is None:
+        return ""
+    laser = bench.more.get(step.pulses.laser)
+    if laser is None or not isinstance(laser.section, TimingTable):
+        return ""
+    free_mm, wanted_mm = sheet_clearance_mm(bench, step.targets_mm), laser.section.clear_mm
+    if free_mm >= wanted_mm:
+        return ""
+    return (
+        f"glass or target would be {free_mm:.3g} mm from the light sheet, and {wanted_mm:g} mm must be free"
+        f" (clear_mm of {step.pulses.laser}); say glass_z_mm and target_z_mm in the plan"
+    )
 
 
 def _frames_s(bench: Bench, step: Step) -> float:

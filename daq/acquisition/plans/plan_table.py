@@ -11,6 +11,7 @@ from daq.acquisition.bench.bench_table import Bench, Vector
 from daq.acquisition.plans.pulse_order import PulseOrder
 from daq.acquisition.plans.steps import CLEAR
 from ground.config import Table
+from ground.usual import Usual
 
 View = Literal["clear", "glass"]
 
@@ -54,7 +55,7 @@ class PlanTable(Table):
 
     experiment: str
     frames: Annotated[int, Field(ge=1, le=1_000_000)] = 1  # at each stop
-    settle_s: Annotated[float, Field(ge=0.0, le=600.0)] = 0.0
+    settle_s: Annotated[Annotated[float, Field(ge=0.0, le=600.0)], Usual(0.0, 60.0)] = 0.0
 
     @property
     @abstractmethod

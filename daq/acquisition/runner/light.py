@@ -11,10 +11,10 @@ from itertools import cycle
 from typing import Protocol, cast
 
 from daq.acquisition.bench.opened import OpenBench, known_positions
+from daq.acquisition.bench.sheet_clearance import sheet_clearance_mm
 from daq.acquisition.cameras.camera import Setting
 from daq.acquisition.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
 from daq.acquisition.runner.interrupts import Interrupts
-from daq.acquisition.runner.sheet_clearance import sheet_clearance_mm
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.errors import DaqError, PlanError, RunInterrupted, RunUsageError
 from daq.timing.conditions import Conditions

@@ -5,6 +5,7 @@ from typing import cast
 
 from daq.timing.box import TimingBox
 from daq.timing.errors import TimingUsageError
+from ground.named_program import named_program
 
 _QC = "daq.timing.drivers.quantum_composers:QuantumComposersBox"
 DRIVERS = {
@@ -30,6 +31,7 @@ def driver_class(name: str) -> type[TimingBox]:
     if not colon:
         raise TimingUsageError(f"there is no timing unit {name!r}; there are {', '.join(DRIVERS)}")
     try:
-        return cast("type[TimingBox]", getattr(import_module(module), attribute))
+        found = getattr(import_module(module), attribute) if name in DRIVERS else named_program(name)
     except (ImportError, AttributeError) as error:
         raise TimingUsageError(f"the timing unit {name!r} cannot be loaded: {error}") from error
+    return cast("type[TimingBox]", found)

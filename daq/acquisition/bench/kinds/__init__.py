@@ -17,6 +17,7 @@ from typing import Any, Protocol, cast
 from daq.acquisition.bench.bench_table import Bench
 from daq.errors import RunUsageError
 from ground.config import Table
+from ground.named_program import named_program
 from stages.clock import Clock
 
 KINDS = {
@@ -66,6 +67,7 @@ def kind_of(name: str) -> Kind:
     if not colon:
         raise RunUsageError(f"there is no kind of device {name!r}; there are {', '.join(KINDS)}")
     try:
-        return cast("Kind", getattr(import_module(module), attribute)())
+        kind = getattr(import_module(module), attribute) if name in KINDS else named_program(name)
+        return cast("Kind", kind())
     except (ImportError, AttributeError) as error:
         raise RunUsageError(f"the kind of device {name!r} cannot be loaded: {error}") from error

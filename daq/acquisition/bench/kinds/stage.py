@@ -39,8 +39,8 @@ def guard_of(bench: Bench) -> Guard | None:
     if bench.table.keep_out is None:
         return None
     if bench.scenes:
-        return _Guards([_guard(bench, scene) for scene in (bench.scene, *bench.scenes.values())])
-    return _guard(bench, bench.scene)
+        return _Guards([keep_out_of(bench, scene) for scene in (bench.scene, *bench.scenes.values())])
+    return keep_out_of(bench, bench.scene)
 
 
 class _Guards:
@@ -54,7 +54,8 @@ class _Guards:
             guard.check(way)
 
 
-def _guard(bench: Bench, scene: Scene) -> Guard:
+def keep_out_of(bench: Bench, scene: Scene) -> KeepOut:
+    """What judges ways for a scene; the bench file has a section keep_out."""
     assert bench.table.keep_out is not None
     home = bench.home_mm
     carriers = {

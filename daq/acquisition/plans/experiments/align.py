@@ -19,6 +19,7 @@ from daq.acquisition.bench.bench_table import GLASS, Bench
 from daq.acquisition.plans.plan_table import PlanTable, Pose
 from daq.acquisition.plans.steps import BEHIND_GLASS
 from daq.errors import PlanError
+from ground.usual import Usual
 
 LOOK = "look"
 
@@ -29,7 +30,7 @@ class AlignPlan(PlanTable):
     experiment: Literal["align"]
     target: bool = True
     moves: Annotated[int, Field(ge=0, le=10)] = 3
-    back_mm: Annotated[float, Field(ge=0.0, le=100.0)] = 3.0
+    back_mm: Annotated[Annotated[float, Field(ge=0.0, le=100.0)], Usual(0.5, 20.0)] = 3.0
     frames: Annotated[int, Field(ge=1, le=100)] = 1
 
     @property

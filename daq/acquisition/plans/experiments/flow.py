@@ -31,6 +31,8 @@ from daq.acquisition.bench.bench_table import CAMERA, Bench
 from daq.acquisition.plans.plan_table import PlanTable, Pose, View
 from daq.acquisition.plans.pulse_order import PulseOrder, check_pulses, check_same_trigger
 from ground.config import Table
+from ground.plain_words import slip
+from ground.usual import Usual
 from stages.config import Name, Positive
 
 MOST_PAIRS = 1_000_000
@@ -51,10 +53,10 @@ class FlowPlan(PlanTable):
     laser: Name
     cameras: Annotated[list[Name], Field(max_length=8)] = Field(default_factory=list)
     pairs: Annotated[int, Field(ge=1, le=MOST_PAIRS)]
-    dt_us: Positive
-    rate_hz: Positive
+    dt_us: Annotated[Positive, Usual(0.2, 1e5)]
+    rate_hz: Annotated[Positive, Usual(0.2, 1e4)]
     chunk: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    warm_up_s: Annotated[float, Field(ge=0.0, le=7200.0)] = 0.0
+    warm_up_s: Annotated[Annotated[float, Field(ge=0.0, le=7200.0)], Usual(0.0, 3600.0)] = 0.0
     background: BackgroundTable | None = None
     target_z_mm: float = 0.0
     glass_z_mm: float = 0.0
@@ -68,6 +70,11 @@ class FlowPlan(PlanTable):
             raise ValueError("a flow is planned in pairs; say pairs instead of frames")
         if self.dt_sigma_us is not None and self.dt_measured_us is None:
             raise ValueError("dt_sigma_us belongs to a dt_measured_us; say both or none")
+        if self.dt_measured_us is not None and not 0.5 <= self.dt_measured_us / self.dt_us <= 2.0:
+            hint = slip("dt_measured_us", self.dt_measured_us, 0.5 * self.dt_us, 2.0 * self.dt_us)
+            raise ValueError(
+                f"dt_measured_us {self.dt_measured_us:g} is another time than dt_us {self.dt_us:g}{hint}"
+            )
         if len(set(self.cameras)) < len(self.cameras) or CAMERA in self.cameras:
             raise ValueError(f"cameras names a camera twice; {CAMERA} itself always takes part")
         return self

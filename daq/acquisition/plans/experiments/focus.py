@@ -22,6 +22,7 @@ from pydantic import Field, model_validator
 
 from daq.acquisition.bench.bench_table import Bench
 from daq.acquisition.plans.plan_table import PlanTable, Pose, View
+from ground.usual import Usual
 from stages.config import Positive
 
 FEWEST = 5  # places that a best one can be found from
@@ -34,8 +35,8 @@ class FocusPlan(PlanTable):
     view: View = "glass"
     moves: Literal["camera", "target"] = "camera"
     z_mm: Annotated[list[float], Field(min_length=FEWEST, max_length=10_000)]
-    f_number: Positive = 22.0
-    pixel_pitch_um: Positive
+    f_number: Annotated[Positive, Usual(0.95, 64.0)] = 22.0
+    pixel_pitch_um: Annotated[Annotated[float, Field(ge=0.1, le=1000.0)], Usual(1.4, 30.0)]
     frames: Annotated[int, Field(ge=1, le=1000)] = 2
 
     @model_validator(mode="after")

@@ -10,7 +10,7 @@ import pytest
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import GLASS
 from daq.acquisition.bench.kinds.stage import guard_of
-from daq.acquisition.runner.sheet_clearance import sheet_clearance_mm
+from daq.acquisition.bench.sheet_clearance import sheet_clearance_mm
 from daq.acquisition.runs.glass_place import glass_off_scene_mm, with_glass_at
 from ground.errors import ConfigError
 from sim.arranged import arranged

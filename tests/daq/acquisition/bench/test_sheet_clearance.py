@@ -3,7 +3,7 @@
 import pytest
 
 from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.runner.sheet_clearance import sheet_clearance_mm
+from daq.acquisition.bench.sheet_clearance import sheet_clearance_mm
 from tests.daq.small_bench import write_bench
 
 
