@@ -22,7 +22,7 @@ from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
 from daq.terminal import console, progress
 from daq.verbs.paths import Named, paths_of
 from ground.config import open_document
-from ground.errors import ConfigError, GroundError, Problem
+from ground.errors import ConfigError, GroundError, Problem, UntrustedProgram
 from stages.errors import StageError
 from tracer.errors import TracerError
 from tracer.scene import Scene
@@ -117,6 +117,8 @@ def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCh
         try:
             said, questions = _said(path, kind, benches or [beside] * beside.is_file())
             found.append(FileCheck(path, kind, said, tuple(questions)))
+        except UntrustedProgram:  # a person may be asked
+            raise
         except WRONG as error:
             problems.append(str(error))
     if problems:

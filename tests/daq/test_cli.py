@@ -70,7 +70,7 @@ def test_a_missing_extra_is_named_before_anything_is_done(verb, monkeypatch, tmp
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("arguments", [[], ["nonsense"], ["correct"], ["trace"], ["correct", "a.tif"]])
+@pytest.mark.parametrize("arguments", [["nonsense"], ["correct"], ["trace"], ["correct", "a.tif"]])
 def test_usage_errors_exit_with_2(arguments, capsys):
     with pytest.raises(SystemExit) as caught:
         main(arguments)

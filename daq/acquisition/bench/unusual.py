@@ -10,6 +10,7 @@ from daq.acquisition.bench.bench_table import GLASS, Bench
 from daq.acquisition.bench.kinds.stage import keep_out_of
 from ground.config import Place
 from ground.errors import Problem
+from ground.plain_words import slip
 from ground.usual import Usual, question, unusual
 from tracer.bodies import shifted_by
 from tracer.unusual import bodies_in_picture
@@ -55,6 +56,13 @@ def _axes_asked(bench: Bench) -> Asked:
         if zero_mm > FARTHEST_ZERO * way_mm:
             text = f"the controller's zero lies {zero_mm:g} mm outside of limits_mm: is offset_mm right?"
             yield (*at, "offset_mm"), f"{name}: {text}"
+        at_mm = bench.home_mm[name]
+        if not axis.limits_mm[0] <= at_mm <= axis.limits_mm[1]:
+            hint = slip("_mm", at_mm, *axis.limits_mm)
+            yield (
+                ("scene_at_mm",),
+                f"{name}: does the scene hold at {at_mm:g} mm, outside of limits_mm{hint or '?'}",
+            )
         homed_mm = axis.homed_at_mm
         if homed_mm is not None and max(axis.limits_mm[0] - homed_mm, homed_mm - axis.limits_mm[1]) > 0.5 * way_mm:
             yield (*at, "homed_at_mm"), f"{name}: is homed_at_mm {homed_mm:g} right, so far outside of limits_mm?"
