@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Union
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from ground.config import Table, Triple
+from ground.config import Pair, Table, Triple
 from ground.plain_words import exactly, slip
 from ground.usual import Usual
 from tracer.bodies import KINDS, BodySection, vector3
