@@ -16,6 +16,7 @@ from daq.acquisition.bench.kinds.stage import idle_stage
 from daq.acquisition.bench.opened import check_devices, check_views
 from daq.acquisition.cameras import require_libraries
 from daq.acquisition.pipeline.lanes import LIVE_QUEUE
+from daq.acquisition.plans.experiments.focus import FocusPlan
 from daq.acquisition.plans.forecast import Forecast, forecast
 from daq.acquisition.plans.plan import Plan, load_plan, read_plan
 from daq.acquisition.plans.way_out import forecast_from_home
@@ -124,6 +125,7 @@ def acquire(
         )
     if simulate:
         check_views(loaded, steps.steps)
+        require_lens(loaded, steps)
     if dry_run:
         return None
     person = operator_of(operator, simulate)
@@ -135,6 +137,17 @@ def acquire(
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
     run_and_report(screen, request, loaded, steps, folder, home, person, live=live)
     return folder.path
+
+
+def require_lens(bench: Bench, plan: Plan) -> None:
+    """Refuse a focus scan through the pinhole that our simulated camera is unless told otherwise."""
+    simulation = bench.table.simulation or {}
+    ours = str(simulation.get("bench", "")).startswith("sim.")
+    if isinstance(plan.table, FocusPlan) and ours and simulation.get("aperture") is None:
+        raise PlanError(
+            f"{bench.path}: the simulated lens is a pinhole, which is sharp at every distance; give it an"
+            " aperture: simulation: {aperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}}"
+        )
 
 
 def _bench_of(bench: Path, plan: Path) -> Bench:

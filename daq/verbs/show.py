@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for 
     from daq.analysis.series.mean_flow import MeanFlow
     from daq.analysis.series.run_series import SeriesBooks
 
+HIGHEST = 0.99  # of all speeds of a mean: a few outliers are no flow
 SHOWN = 10  # pairs that are named one by one
 
 
@@ -141,7 +142,11 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
     if mean.doubt:
         screen.print(mean.doubt, style="bold red")
     screen.print(f"mean of {mean.used} pairs; {len(mean.left_out)} are left out")
-    table = Table(title="median over the plane")
+    speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
+    highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
+    flows = speed >= 0.5 * highest
+    said = f"speed above half of {highest:.3g} m/s, {int(flows.sum())} of {int(seen.sum())} places"
+    table = Table(title=f"median where it flows: {said}")
     for name in ("", "u", "v"):
         table.add_column(name, justify="right" if name else "left")
     rows = [
@@ -157,8 +162,8 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
     if mean.map_sigma_m_s is not None:
         rows.insert(4, ("sigma by the fitted map [m/s]", mean.map_sigma_m_s))
     for name, values in rows:
-        u, v = np.nanmedian(np.where(seen[..., None], values, np.nan), axis=(0, 1))
-        table.add_row(name, f"{u:.4g}", f"{v:.4g}")
+        there = [values[..., k][flows & np.isfinite(values[..., k])] for k in (0, 1)]
+        table.add_row(name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there))
     screen.print(table)
     if mean.no_map_sigma:
         screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")

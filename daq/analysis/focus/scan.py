@@ -39,6 +39,7 @@ Float64 = NDArray[np.float64]
 WIDEST = 2.5  # of the smallest s^2: farther off blur grows more slowly than the parabola says
 SUREST = 0.02  # of s^2: few places may lie on a parabola by chance
 FAINT = 0.15  # of the highest contrast: twice as wide spots have a quarter of it
+FLAT = 0.12  # of the smallest s^2: a smaller change along a scan is chance, or that of the scale
 FEWEST = 4  # places that a parabola and its uncertainty are taken from
 
 
@@ -130,6 +131,12 @@ def best_focus(part: str, z_mm: Float64, variance_px2: Float64) -> BestFocus:
     if np.count_nonzero(known) < FEWEST:
         return BestFocus(part, nan, nan, nan, "too few places show spots")
     z, s2 = z_mm[known], variance_px2[known]
+    if np.ptp(s2) < FLAT * s2.min():
+        text = (
+            f"it is as sharp everywhere, to {50.0 * np.ptp(s2) / s2.min():.0f} % of its width: open the lens, or"
+            " take places farther apart"
+        )
+        return BestFocus(part, nan, nan, nan, text)
     least = int(np.argmin(s2))
     if least in (0, len(z) - 1):
         return BestFocus(

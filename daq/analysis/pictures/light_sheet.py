@@ -1,5 +1,6 @@
 """Picture of a light sheet that was found: where it was seen, how high, and what is left over."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,17 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from correction.light_sheet.self_calibration import SheetFound
 from daq.analysis.pictures.plane_axes import colour_bar, plane_panels
 from daq.analysis.pictures.saved import save_picture
+from tracer.branches import Branch
 
 MARKERS = "osD^vP*X"
+
+
+def by_words(kinds: Sequence[tuple[Branch, Branch]]) -> dict[str, list[int]]:
+    """Numbers of the kinds of double views by their words, which both sides of a fold share."""
+    found: dict[str, list[int]] = {}
+    for number, ways in enumerate(kinds):
+        found.setdefault(" and ".join(", ".join(way) or "direct" for way in ways), []).append(number)
+    return found
 
 
 def draw_light_sheet(path: Path, found: SheetFound, size_mm: tuple[float, float]) -> None:
@@ -28,13 +38,14 @@ def draw_light_sheet(path: Path, found: SheetFound, size_mm: tuple[float, float]
             values = fit.residual_mm if title == "left over" else on_sheet + fit.residual_mm
             reach = max(float(np.quantile(np.abs(fit.residual_mm), 0.9)), 1e-3)
             limits = (-reach, reach) if title == "left over" else (on_sheet.min() - reach, on_sheet.max() + reach)
-            for kind in np.unique(cells.kind):
-                here = cells.kind == kind
-                ways = " and ".join(", ".join(way) or "direct" for way in found.views.kinds[kind])
+            for number, (ways, kinds) in enumerate(by_words(found.views.kinds).items()):
+                here = np.isin(cells.kind, kinds)
+                if not here.any():
+                    continue
                 shown = axes.scatter(
                     cells.place_mm[here, 0],
                     cells.place_mm[here, 1], c=values[here], vmin=limits[0], vmax=limits[1], cmap="coolwarm", s=60,
-                    marker=MARKERS[kind % len(MARKERS)], edgecolors="#444c5c", linewidths=0.5, label=ways,
+                    marker=MARKERS[number % len(MARKERS)], edgecolors="#444c5c", linewidths=0.5, label=ways,
                 )  # fmt: skip
             colour_bar(shown, axes, "mm")
             axes.legend(fontsize=7, loc="upper left")

@@ -27,9 +27,11 @@ def best_rows(scan: FocusScan) -> list[tuple[str, str, str, str]]:
 
 def said_of(scan: FocusScan) -> str:
     """What it means, in one or two sentences."""
-    has = f"f/{scan.f_number:g} is sharp over {scan.depth_mm:.1f} mm"
+    has = f"at f/{scan.f_number:g} the depth of field by eq. 1 is {scan.depth_mm:.1f} mm"
     if not np.isfinite(scan.needed_mm):
-        return f"{has}; fewer than two parts have a best place, so nothing is known of what the scene needs."
+        return (
+            f"{has}; this scan does not say whether the scene needs more: fewer than two parts have a best place."
+        )
     needs = f"the scene needs {scan.needed_mm:.1f} +- {scan.needed_sigma_mm:.1f} mm"
     if scan.needed_mm <= scan.depth_mm:
         return f"{has}, and {needs}: it is enough."

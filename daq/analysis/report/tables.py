@@ -158,12 +158,19 @@ def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
             name,
             f"{f.particles_per_px:.4f}",
             f"{f.diameter_u_px:.2f}, {f.diameter_v_px:.2f}",
-            f"{f.signal_to_noise:.1f}",
+            _ratio(f.signal_to_noise),
             f"{100 * f.saturated:.3f} %",
             str(f.nan_pixels),
         )
         for name, f in figures.items()
     ]
+
+
+def _ratio(signal_to_noise: float) -> str:
+    """Ratio of a frame, whose noise may be too small to be told from its particles."""
+    if np.isinf(signal_to_noise):
+        return "no noise seen"
+    return "-" if np.isnan(signal_to_noise) else f"{signal_to_noise:.1f}"
 
 
 def lead_of(total: Total) -> tuple[str, str, Row, list[Row]]:

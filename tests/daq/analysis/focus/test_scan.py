@@ -65,6 +65,17 @@ def test_a_scan_that_ends_too_early_says_so():
     assert "too few" in best_focus("x", z, np.full(len(z), np.nan)).why
 
 
+def test_blur_that_does_not_change_is_no_peak_at_an_end():
+    """A pinhole, or a depth of field that is deeper than the scan: more places of the kind tell nothing."""
+    z = np.arange(-12.0, 13.0, 4.0)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        why = best_focus("x", z, 1.0 + 0.02 * rng.standard_normal(len(z))).why
+        assert "as sharp everywhere" in why
+        assert "add places" not in why
+    assert "as sharp everywhere" not in best_focus("x", z, 1.0 + 0.002 * (z - 1.0) ** 2).why
+
+
 def test_eq_1_both_ways():
     best = (BestFocus("beside", 0.1, 0.2, 3.0), BestFocus("balls: centre", 125.1, 0.5, 4.0))
     best += (BestFocus("balls: rim", float("nan"), float("nan"), float("nan"), "no peak"),)
