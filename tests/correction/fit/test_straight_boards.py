@@ -22,7 +22,7 @@ from sim.demo.scenes import at_size, named_scene
 from sim.prints.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tests.correction.fit.drawn_labs import BOARD, photographed
+from tests.correction.fit.drawn_labs import photographed
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
 from tracer.camera import look_at
 from tracer.fit_section import FitTable
@@ -56,17 +56,13 @@ def of_corners(
     """Error and sigma beside the glass of a lab whose corners are drawn, its fit, and who made it."""
     rng = np.random.default_rng((33, seed))
     nominal, truth, square_mm = aligned(square_px, roll_rad, rng)
-    zoom = BOARD.square_mm / square_mm  # the board of drawn labs is what it is: the lens makes its squares so wide
-    nominal, truth = (
-        scene.with_camera(replace(scene.camera, focal_px=scene.camera.focal_px / zoom))
-        for scene in (nominal, truth)
-    )
+    board = Chessboard(square_mm, 0.4 * square_mm)
     balls = tuple(Ball(s.centre_mm, s.radius_mm, s.medium.n(truth.wavelength_nm)) for s in truth.spheres)
     frames = []
     for glass in (False, True):
         lab = Lab(truth.camera, balls * glass)
         scene = truth if glass else truth.with_bodies(())
-        frames.append(photographed(scene, lab, glass, noise_px, lock_px, rng))
+        frames.append(photographed(scene, lab, board, glass, noise_px, lock_px, rng))
     bench = unknowns_of(nominal, [0.0], FitTable())
     work = Adjustment()
     fit = work.estimate(bench, bench.start, frames, ())
