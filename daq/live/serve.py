@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from importlib.resources import files
@@ -68,8 +69,8 @@ class Wish:
     room_px: int = LARGEST_PX
     columns: dict[str, Columns] = field(default_factory=dict)
 
-    def heard(self, said: dict[str, Any]) -> None:
-        """Take what a browser has said."""
+    def heard(self, said: dict[str, Any]) -> bool:
+        """Take what a browser has said; whether it is said out of turn, before the last moment is drawn."""
         self.part, self.room_px = Part.of(said.get("part")), room_px(said.get("room_px"))
         seen = said.get("columns")
         seen = seen if isinstance(seen, dict) else {}
@@ -77,6 +78,7 @@ class Wish:
         asked = said.get("wanted")
         if isinstance(asked, list):
             self.wanted = tuple(name for name in asked[:4] if isinstance(name, str))
+        return said.get("now") is True
 
 
 @dataclass(frozen=True)
@@ -142,29 +144,30 @@ class Page:
 
     def show(self, connection: ServerConnection) -> None:
         """Serve one viewer until it goes."""
-        with self._lock:
-            self.viewers += 1
-            busy = self.viewers > MOST_VIEWERS
-        try:
-            if busy:
-                connection.close(BUSY, "too many viewers")
-                return
+        with suppress(ConnectionClosed, TimeoutError):
             said = _understood(connection.recv(timeout=TOKEN_S))
-            if not hmac.compare_digest(str(said.get("token", "")).encode(), self.token.encode()):
+            token = str(said.get("token", "")).encode("utf-8", "surrogatepass")
+            if not hmac.compare_digest(token, self.token.encode()):
                 connection.close(POLICY, "open the address that the run has printed")
                 return
-            self._show_moments(connection, said)
-        except (ConnectionClosed, TimeoutError):
-            pass
-        finally:
-            with self._lock:
-                self.viewers -= 1
+            with self._lock:  # who knows no token keeps nobody out
+                self.viewers += 1
+                busy = self.viewers > MOST_VIEWERS
+            try:
+                if busy:
+                    connection.close(BUSY, "too many viewers")
+                    return
+                self._show_moments(connection, said)
+            finally:
+                with self._lock:
+                    self.viewers -= 1
 
     def _show_moments(self, connection: ServerConnection, said: dict[str, Any]) -> None:
         seen, missed, wish = 0, 0, Wish()
         wish.heard(said)
         known: dict[str, Any] = {}
-        while self._has_new(seen):
+        while (last := self._waited(seen, connection, wish)) is not None:
+            seen = last
             ready = self.slot.taken(lambda moment: self._ready(moment, wish))
             if ready is None or ready.number <= seen:
                 time.sleep(LOOK_S)
@@ -180,22 +183,31 @@ class Page:
             connection.send(json.dumps(words))
             for picture in ready.pictures.values():
                 connection.send(picture)
-            wish.heard(_understood(connection.recv()))
+            while wish.heard(_understood(connection.recv())):  # it has drawn them, or wants others at once
+                pass
         connection.send(json.dumps({"over": True}))
         connection.close()
 
-    def _has_new(self, seen: int) -> bool:
-        """Wait for a moment that was not seen; False when there will be none."""
+    def _waited(self, seen: int, connection: ServerConnection, wish: Wish) -> int | None:
+        """Wait for a moment that was not seen, or for a viewer who wants the last one in another way.
+
+        Returns
+        -------
+        int or None
+            Number of the last moment that need not be shown again; None when there will be no other.
+        """
         over_s = 0.0
         while True:
             self.slot.ask()
             if self.slot.number != seen:
-                return True
+                return seen
             if time.monotonic() >= over_s:
                 if self.slot.is_over:
-                    return False
+                    return None
                 over_s = time.monotonic() + OVER_S
-            time.sleep(LOOK_S)
+            with suppress(TimeoutError):
+                wish.heard(_understood(connection.recv(timeout=LOOK_S)))
+                return max(seen - 1, 0)
 
     def _ready(self, moment: Moment, wish: Wish) -> Ready:
         """What a viewer is sent of a moment, made where it lies."""

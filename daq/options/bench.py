@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from daq.options.numbers import count, positive
+from daq.options.numbers import count, port, positive
 
 
 def bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -80,7 +80,7 @@ def bench(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     _bench_options(live)
     live.add_argument("--scene", type=Path, help="scene for the correction, such as a fitted one")
     live.add_argument("--no-correct", dest="correct", action="store_false", help="raw frames only")
-    live.add_argument("--port", type=count, default=0, metavar="N", help="of the page (default: a free one)")
+    live.add_argument("--port", type=port, default=0, metavar="N", help="of the page (default: a free one)")
     live.add_argument(
         "--shows", choices=("chessboard", "particles", "flow"), default="chessboard", help="what is to be seen"
     )

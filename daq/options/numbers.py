@@ -34,6 +34,13 @@ def steps(text: str) -> tuple[str, ...]:
     return () if text == "none" else tuple(word.strip() for word in text.split(","))
 
 
+def port(text: str) -> int:
+    """Read a port of TCP; 0 for any that is free."""
+    if not (text.isascii() and text.isdecimal()) or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"should be 0 to 65535, not {text!r}")
+    return int(text)
+
+
 def count(text: str) -> int:
     """Read 1, 2, 3 ..."""
     if not text.isdecimal() or int(text) < 1:

@@ -1,11 +1,12 @@
 // Frames as they come: a text with what is known, then pixels; the next ones are sent when these have been drawn.
 "use strict";
 const at = (id) => document.getElementById(id);
-const HEAD = 44, AROUND = 0.05, SATURATED = 65535, NOTHING = 0;
+const HEAD = 44, AROUND = 0.05, SATURATED = 65535, NOTHING = 0, OLD_MS = 1500;
 const view = { mode: "split", low: 0, high: 1, split: 0.5, part: [0, 0, 0], fit: true, blink: false, lines: true, folds: true, vectors: true };
 const shown = {}; // last picture of each name
 const images = {}, palette = { key: "", table: new Uint32Array(SATURATED + 1) };
 let words = {}, waiting = 0, drawn = 0, begun = performance.now(), socket = null;
+let lost_ms = 0, came_ms = 0, ended = "";
 let changes = 0, marked_as = "", said_ms = -1e9, slid_ms = -1e9, fitted_ms = -1e9, mapped = "";
 window.rtpivLive = { get drawn() { return drawn; }, get words() { return words; }, view, shown, first_ms: null };
 
@@ -15,20 +16,43 @@ function connect() {
   socket.binaryType = "arraybuffer";
   socket.onopen = () => {
     socket.send(JSON.stringify({ token, ...wishes() }));
-    say(at("state"), "waiting for the first frame ...");
+    lost_ms = 0;
   };
   socket.onmessage = (event) => (typeof event.data === "string" ? told(JSON.parse(event.data)) : taken(event.data));
-  socket.onclose = (event) => say(at("state"), words.over ? "the run is over" : event.reason || "the run is gone");
+  socket.onclose = (event) => {
+    if (words.over || event.reason) { ended = words.over ? "the run is over" : event.reason; say(at("state"), ended); return; }
+    lost_ms = lost_ms || performance.now(); // its server may have been started anew
+    setTimeout(connect, 1000);
+  };
+}
+
+// The age of what is shown, twice a second: a run that stands still must not look as if it went on.
+function age() {
+  if (ended) return;
+  const seconds = (since) => `${((performance.now() - since) / 1000).toFixed(0)} s`;
+  let said = words.doing || "running";
+  if (lost_ms) said = `the page has lost the run for ${seconds(lost_ms)}, and tries to reach it; the picture is old`;
+  else if (!came_ms) said = `waiting for the first frame for ${seconds(begun)}: the run starts its devices, homes axes or compiles`;
+  else if (performance.now() - came_ms > OLD_MS) said = `no new picture for ${seconds(came_ms)}; ${said}`;
+  at("state").className = lost_ms || performance.now() - came_ms > OLD_MS ? "old" : "";
+  say(at("state"), said);
+}
+
+// What somebody has chosen is drawn now, and what is missing for it is asked for now.
+function redraw(anew) {
+  if (shown.raw || shown.corrected) { const blink = view.blink; draw(); view.blink = blink; }
+  if (anew && socket && socket.readyState === 1) socket.send(JSON.stringify({ now: true, ...wishes() }));
 }
 
 function say(element, text) { if (element.textContent !== text) element.textContent = text; } // never as HTML
 
 function told(said) {
-  if (said.over) { words.over = true; say(at("state"), "the run is over"); return; }
+  if (said.over) { words.over = true; ended = "the run is over"; say(at("state"), ended); return; }
   for (const name of ["lines", "figures", "arrows"]) { // sent when they have changed
     if (name in said) changes += 1;
     else said[name] = words[name];
   }
+  if (said.number !== words.number || lost_ms) came_ms = performance.now();
   words = said;
   waiting = said.shown.length;
   for (const name of Object.keys(shown)) if (!said.has.includes(name)) delete shown[name]; // of an earlier frame
@@ -206,7 +230,6 @@ function figures() {
   const worth = words.figures || {};
   say(at("run"), words.run || "rtpiv live");
   const seconds = (performance.now() - begun) / 1000;
-  say(at("state"), words.doing || "running");
   const [light, wrong] = words.laser || ["", false];
   at("laser").hidden = !light;
   at("laser").className = wrong ? "wrong" : "";
@@ -293,14 +316,15 @@ function map(rows) {
 function choose(mode) {
   view.mode = mode;
   document.querySelectorAll("button[data-mode]").forEach((button) => button.setAttribute("aria-pressed", button.dataset.mode === mode));
+  redraw(true);
 }
 
 document.querySelectorAll("button[data-mode]").forEach((button) => { button.onclick = () => choose(button.dataset.mode); });
-at("fit").onclick = () => { view.fit = true; fitted_ms = -1e9; };
+at("fit").onclick = () => { view.fit = true; fitted_ms = -1e9; redraw(false); };
 const toggle = (id) => { view[id] = !view[id]; at(id).setAttribute("aria-pressed", view[id]); draw(); };
 for (const id of ["lines", "folds", "vectors"]) at(id).onclick = () => toggle(id);
-at("whole").onclick = () => { view.part = [0, 0, 0]; };
-for (const id of ["low", "high"]) at(id).oninput = () => { view.fit = false; view[id] = at(id).value / 1000; };
+at("whole").onclick = () => { view.part = [0, 0, 0]; redraw(true); };
+for (const id of ["low", "high"]) at(id).oninput = () => { view.fit = false; view[id] = at(id).value / 1000; redraw(false); };
 at("stage").onpointermove = (event) => { if (event.buttons & 1 && view.mode === "split") slide(event); };
 at("stage").ondblclick = (event) => {
   const box = at("stage").getBoundingClientRect(), picture = shown.raw || shown.corrected;
@@ -310,6 +334,7 @@ at("stage").ondblclick = (event) => {
   const u = picture.left + ((event.clientX - box.left - beside) / scale) * picture.block;
   const v = picture.top + ((event.clientY - box.top - above) / scale) * picture.block;
   view.part = [Math.max(0, Math.round(u - size / 2)), Math.max(0, Math.round(v - size / 2)), size];
+  redraw(true);
 };
 function slide(event) {
   const box = at("stage").getBoundingClientRect();
@@ -328,9 +353,11 @@ document.onkeydown = (event) => {
   else if (event.key === "f") toggle("folds");
   else if (event.key === "v") toggle("vectors");
   else if (event.key === "a") at("fit").onclick();
-  else if (event.key === "w") view.part = [0, 0, 0];
+  else if (event.key === "w") at("whole").onclick();
   else if (event.key === "ArrowLeft") slide_to(view.split - 0.02);
   else if (event.key === "ArrowRight") slide_to(view.split + 0.02);
 };
 choose("split");
 connect();
+age();
+setInterval(age, 500);
