@@ -159,5 +159,6 @@ def _single_frame(
         page.heading("Target")
         page.table(TARGET_HEAD, errors.rows(), "Position error of target corners, corrected minus grid [px]")
     slider_chapter(page, seen, f"Frame {view.path.name}, {view.tag}.")
-    image_table(page, seen)
+    if view.shows != "chessboard":  # whose squares are no particles
+        image_table(page, seen)
     scene_chapter(page, through)

@@ -7,7 +7,7 @@ was interrupted finds the same again. Before a move is made, all of its way is j
 for the glass where it was SEEN, not where the scene file has it: that is off by what is being put right.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import cast
@@ -15,8 +15,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.alignment.moves import DIRECTIONS, STEP_MM, Look, Wanted, require_followed, wanted
+from correction.alignment.moves import DIRECTIONS, STEP_MM, SURE, Look, Wanted, require_followed, wanted
 from correction.alignment.seen import REACH_MM, Expected, find_arrangement, usable
+from correction.alignment.spheres_seen import SphereSeen
 from daq.acquisition.bench.bench_table import CAMERA, GLASS, TARGET, Bench
 from daq.acquisition.bench.opened import OpenBench
 from daq.acquisition.plans.experiments.align import AlignPlan
@@ -104,7 +105,9 @@ class Aiming:
             remarks=list(look.seen.remarks),
             **({} if look.seen.camera_mm is None else {"camera_mm": look.seen.camera_mm.tolist()}),
         )
-        self._say(f"{step.tag}: {look_in_words(look, want)}")
+        back_mm = self._table.back_mm if step.index == 0 else 0.0
+        wish = f"; {back_mm:g} mm of z are the back_mm of the plan, for safety" if back_mm else ""
+        self._say(f"{step.tag}: {look_in_words(look, want)}{wish}")
         if step.index == 0:
             for remark in look.seen.remarks:
                 self._say(remark)
@@ -220,12 +223,34 @@ def look_in_words(look: Look, want: Wanted) -> str:
 def move_in_words(before_mm: Mapping[str, float], targets_mm: Mapping[str, float]) -> str:
     """Say which axes are moved, and by how much."""
     ways = {name: mm - before_mm[name] for name, mm in targets_mm.items() if mm != before_mm[name]}
-    return "moving " + (", ".join(f"{name} {way:+.4f} mm" for name, way in ways.items()) or "nothing")
+    if not ways:
+        return "no axis needs to move; the next frame looks once more"
+    return "moving " + ", ".join(f"{name} {way:+.4f} mm" for name, way in ways.items())
 
 
-def end_in_words(want: Wanted) -> list[str]:
-    """Say what an alignment has come to."""
+def _balls_in_words(spheres: Sequence[SphereSeen], glass_left_mm: NDArray[np.float64]) -> list[str]:
+    """Say which balls the place of the glass is measured by, and which of them stand elsewhere."""
+    rims = [one for one in spheres if one.own_rim]
     said = []
+    if len(rims) < len(spheres):
+        shown = ", ".join(one.name for one in rims)
+        said.append(
+            f"measured by {len(rims)} of {len(spheres)} balls, whose rims are seen ({shown}); nothing is said of"
+            " the others, which are taken to stand as these do"
+        )
+    for one in rims:
+        off, sure = float(np.hypot(*(one.off_mm - glass_left_mm)[:2])), float(np.hypot(*one.sigma_mm[:2]))
+        if off > max(SURE * sure, 2.0 * STEP_MM):
+            said.append(
+                f"{one.name} itself stands {1e3 * off:.0f} +- {1e3 * sure:.0f} um off its place in the glass,"
+                " sideways: no move of the glass cures that; `rtpiv calibrate` finds it"
+            )
+    return said
+
+
+def end_in_words(want: Wanted, spheres: Sequence[SphereSeen] = ()) -> list[str]:
+    """Say what an alignment has come to, with the balls that the last look has seen."""
+    said = _balls_in_words(spheres, want.glass_left_mm)
     sure = float(np.hypot(*want.glass_sigma_mm[:2]))
     if want.sideways_mm <= STEP_MM:
         said.append(f"aligned: {1e3 * want.sideways_mm:.0f} um off sideways, +- {1e3 * sure:.0f} um")

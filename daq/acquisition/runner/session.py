@@ -335,6 +335,6 @@ def carry_out(
         )  # fmt: skip
         done = runner.run()
         if aiming is not None and end is not None and say is not None and aiming.looks:
-            for sentence in end(aiming.wanted()):
+            for sentence in end(aiming.wanted(), aiming.looks[-1].seen.spheres):
                 say(sentence)
         return done

@@ -133,13 +133,18 @@ def target_views(path: Path) -> list[TargetView]:
 
 
 def first_view(folder: RunFolder) -> View | None:
-    """First frame through the glass with the print in the plane, else what comes nearest to that."""
+    """First frame through the glass with the print in the plane, else what comes nearest to that.
+
+    Of an alignment it is the last look, which shows what it has come to.
+    """
     files = _files(folder)
     views = [
         View(files[s["first_frame"]], s["tag"], s["shows"], s["view"] == "glass", s["on_plane"])
         for s in folder.about["steps"]
         if s["first_frame"] in files
     ]
+    if views and views[0].tag.startswith("look_"):
+        return views[-1]
     return max(views, key=lambda view: (view.glass, view.on_plane), default=None)
 
 
