@@ -3,10 +3,12 @@
 In the search for the whole scene such a sphere has no say: its three or five corners drown among hundreds,
 and saddles that are none (rims, ghosts) outnumber them.  Alone it is found by trying: from every place of a
 raster the sphere is moved by Gauss-Newton steps to where its own candidates lie nearest to corners of their
-kind, and what counts is how many lie on one, to SHARP_PX.  Places that fall behind on the way are left (successive
-halving): the right one is begun from a dozen neighbours, so that it is never the only one of its kind.  With
-three coordinates to please them and hundreds of tries, two or three do so by chance; the best places are
-therefore measured, one after the other, until the corners themselves are where the place shows them.
+kind, and what counts is how many more lie on one, to SHARP_PX, than if it were not there at all: a place beside
+all saddles explains none, and one before a neighbour's hides what that explains.  Places that fall behind on the
+way are left (successive halving), by how much dearer or cheaper they make their candidates: the right one is
+begun from a dozen neighbours, so that it is never the only one of its kind.  With three coordinates to please them
+and hundreds of tries, two or three do so by chance; the best places are therefore measured, one after the other,
+until the corners themselves are where the place shows them.
 
 First of all comes the place that was believed: where squares fill a ball, most saddles on it are of its rim, and
 the search for the whole scene has taken it away from where its few corners would have been found.
@@ -35,7 +37,7 @@ STRIDE, STRIDE_Z = 0.16, 0.6  # of the raster sideways and along z, in squares
 REACH = 1.6  # of the raster, in sigmas of the prior
 BEYOND = 0.5  # squares that a place may move by while it has the same candidates
 MOST = 7  # steps of the raster each way at most
-SAME_MM = 0.05
+SAME_MM, NOTHING_MM = 0.05, 1e-6  # places that are one; radius of a sphere that is not there
 TRIES = 6  # places that are measured
 
 
@@ -93,7 +95,8 @@ def likely_places(
     tries: list[_Try] = []
     for across in product(*raster[:2]):
         own = _own(alone, np.array([*across, 0.0]), frames, number, BEYOND * board.square_mm)
-        tries += [_Try(np.array([*across, along]), own) for along in raster[2]]
+        bare = [_squares_without(alone, one, board, pitch_mm, number) for one in own]
+        tries += [_Try(np.array([*across, along]), own, bare) for along in raster[2]]
     for knee, left in zip(KNEES_PX, LEFT, strict=True):
         tries = [one.step(alone, board, pitch_mm, knee) for one in tries]
         if left < 1.0:
@@ -101,7 +104,11 @@ def likely_places(
     found: list[tuple[int, float, NDArray[np.float64]]] = []
     for one in tries:
         vector = alone.full(one.x)
-        found.append((-_on_corners(alone, vector, one.own, board, pitch_mm), float(one.x @ one.x), vector))
+        more = sum(
+            _on_corners(_squares(alone, vector, frame, board, pitch_mm), frame) - _on_corners(square, frame)
+            for frame, square in zip(one.own, one.without, strict=True)
+        )
+        found.append((-more, float(one.x @ one.x), vector))
     found.sort(key=lambda one: one[:2])
     places = [believed]
     for score, _, vector in found:
@@ -115,17 +122,20 @@ def likely_places(
 class _Try:
     """A place on its way: the free vector (3,), the candidates that may be seen through the sphere there.
 
-    The cost is that of the place before the last step.
+    Their squares `without` the sphere are those of `_squares`.  The cost, above that without it, is that of the
+    place before the last step.
     """
 
     x: NDArray[np.float64]
     own: Sequence[Candidates]
+    without: Sequence[NDArray[np.float64]]
     cost: float = np.inf
 
     def step(self, unknowns: Unknowns, board: Chessboard, pitch_mm: float, knee: float) -> "_Try":
         """One Gauss-Newton step on."""
         move, cost = _step(unknowns, self.x, self.own, board, pitch_mm, knee)
-        return replace(self, x=self.x + move, cost=cost)
+        alone = sum(_cost(square, frame, knee) for square, frame in zip(self.without, self.own, strict=True))
+        return replace(self, x=self.x + move, cost=cost - alone)
 
 
 def _own(
@@ -144,15 +154,33 @@ def _crosses(unknowns: Unknowns, full: NDArray[np.float64], frame: Candidates, n
     return np.asarray(rays.recovered & np.any(rate != 0.0, axis=(1, 2)))
 
 
-def _on_corners(
-    unknowns: Unknowns, full: NDArray[np.float64], frames: Sequence[Candidates], board: Chessboard, pitch_mm: float
-) -> int:
+def _squares(
+    unknowns: Unknowns, full: NDArray[np.float64], frame: Candidates, board: Chessboard, pitch_mm: float
+) -> NDArray[np.float64]:
+    """Squared distances (N,) [px^2] of candidates from their corners; NaN where a ray lands nowhere."""
+    off, *_ = distances(unknowns, full, frame, board, pitch_mm)
+    return np.asarray((off**2).sum(axis=1))
+
+
+def _squares_without(
+    unknowns: Unknowns, frame: Candidates, board: Chessboard, pitch_mm: float, number: int
+) -> NDArray[np.float64]:
+    """Squared distances as `_squares`, as if the sphere were not there."""
+    absent = np.array(unknowns.start)
+    absent[unknowns.glass.start + number * len(SPHERE) + 3] = NOTHING_MM
+    return _squares(unknowns, absent, frame, board, pitch_mm)
+
+
+def _on_corners(square: NDArray[np.float64], frame: Candidates) -> int:
     """How many candidates lie on a corner that the bare lattice does not explain."""
-    count = 0
-    for frame in frames:
-        off, *_ = distances(unknowns, full, frame, board, pitch_mm)
-        count += int(np.count_nonzero((np.hypot(*off.T) < SHARP_PX) & ~frame.bare))  # False for NaN
-    return count
+    return int(np.count_nonzero((square < SHARP_PX**2) & ~frame.bare))  # False for NaN
+
+
+def _cost(square: NDArray[np.float64], frame: Candidates, knee: float) -> float:
+    """Cauchy loss of all candidates of a frame; what lands nowhere costs as if it lay LOST beside its corner."""
+    seen = np.isfinite(square) & ~frame.bare
+    nowhere = int(np.count_nonzero(~seen & ~frame.bare))
+    return knee**2 * float(np.sum(np.log1p(square[seen] / knee**2)) + nowhere * np.log1p(LOST**2 / knee**2))
 
 
 def _step(
@@ -169,8 +197,7 @@ def _step(
         part = paired_residuals(unknowns, x, frame, board, pitch_mm)
         square = (part.value**2).sum(axis=1)
         seen = np.isfinite(square) & ~frame.bare
-        cost += knee**2 * float(np.sum(np.log1p(square[seen] / knee**2)))
-        cost += knee**2 * float(np.log1p(LOST**2 / knee**2)) * int(np.count_nonzero(~seen & ~frame.bare))
+        cost += _cost(square, frame, knee)
         rate = part.rate[seen] / np.sqrt(1.0 + square[seen] / knee**2)[:, None, None]
         value = part.value[seen] / np.sqrt(1.0 + square[seen] / knee**2)[:, None]
         flat = rate.reshape(-1, len(x))

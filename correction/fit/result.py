@@ -8,17 +8,16 @@ from numpy.typing import NDArray
 from correction.fit.errors import FitFailed
 from correction.fit.light import LightDoubt
 from correction.fit.shape_doubt import ShapeRoot
+from correction.fit.unconfirmed import BRANCH_LIMIT
 from correction.fit.unknowns import Unknowns
 from correction.fit.verdict import Verdict
 from ground.short_repr import short_repr
-from tracer.branches import branch_of
+from tracer.branches import text_of
 from tracer.scene import Scene
 
 RMS_TIMES = 20.0  # residuals behind glass over those beside it: right fits 1-5, an ellipsoid of 50 um 5-10
 RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves more than either
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
-BRANCH_LIMIT = 0.5  # the same of one branch, if the scene shows at least so many corners on it
-BRANCH_CORNERS = 5
 OVERLAP_LIMIT_MM = 0.02
 PRIOR_LIMIT = 5.0  # sigmas
 
@@ -179,8 +178,17 @@ class SceneFit:
 
     @property
     def share(self) -> float:
-        """Share of the visible corners behind glass that were measured and used."""
-        return self.paired_behind / max(self.expected_behind, 1)
+        """Share of the visible corners behind glass that were measured and used, where the target confirms any."""
+        lost = self.verdict.unconfirmed
+        expected = self.expected_behind - sum(one.expected for one in lost)
+        return (self.paired_behind - sum(one.paired for one in lost)) / max(expected, 1)
+
+    @property
+    def rms_confirmed_px(self) -> NDArray[np.float64]:
+        """Root mean square residual per axis (2,) behind glass, of the ways that the target confirms."""
+        lost = {text_of(part.through) for one in self.verdict.unconfirmed for part in one.masked if part.through}
+        kept = self.corners.inlier & self.corners.behind & ~np.isin(self.corners.branch_name, list(lost))
+        return np.asarray(np.sqrt((self.corners.residual_px[kept] ** 2).mean(axis=0)))
 
 
 def rms_limit_px(able_px: float) -> float:
@@ -203,27 +211,22 @@ def check(fit: SceneFit) -> None:
     if fit.verdict.alarms:
         cure = f"{fit.verdict.sentences[0]}; {cure}"
     if fit.corners.behind.any():
-        rms = float(fit.corners.rms_px(behind=True).max())
+        lost = fit.verdict.unconfirmed
+        if lost and sum(one.expected for one in lost) > (1.0 - SHARE_LIMIT) * fit.expected_behind:
+            worst = min(lost, key=lambda one: (not one.is_ball, one.share))
+            raise FitFailed(
+                f"share of corners paired through {worst.name}",
+                worst.share,
+                BRANCH_LIMIT,
+                f"corners through {worst.name} are not where it would show them; check its place, radius and"
+                f" glass, or hold it fixed in the fit section, and {cure}",
+            )
+        rms = float(fit.rms_confirmed_px.max())
         limit = rms_limit_px(fit.verdict.able_px)
         if not rms <= limit:
             raise FitFailed("rms behind glass [px]", rms, limit, cure)
         if fit.share < SHARE_LIMIT:
             raise FitFailed("share of visible corners paired", fit.share, SHARE_LIMIT, cure)
-        for branch_name, count in fit.expected.items():
-            share = fit.paired(branch_name) / count
-            if count >= BRANCH_CORNERS and share < BRANCH_LIMIT:
-                text = f"corners through {branch_name} are not where it would show them; start its centre nearer"
-                raise FitFailed(
-                    f"share of corners paired through {branch_name}", share, BRANCH_LIMIT, f"{text}, and {cure}"
-                )
-        for sphere in fit.unknowns.scene.spheres:
-            branch_names = [branch_name for branch_name in fit.expected if sphere.is_on(branch_of(branch_name))]
-            count = sum(fit.expected[branch_name] for branch_name in branch_names)
-            held = not any(name.startswith(f"{sphere.name}.") for name in fit.names)
-            if count and not held and not any(fit.paired(branch_name) for branch_name in branch_names):
-                text = f"none of the {count} corners seen through {sphere.name} is where it would show them"
-                cure = "start its centre nearer, use smaller squares, or hold it fixed in the fit section"
-                raise FitFailed(f"corners paired through {sphere.name}", 0.0, 1.0, f"{text}; {cure}")
     if fit.pushed_mm > OVERLAP_LIMIT_MM:
         raise FitFailed("overlap of bodies [mm]", fit.pushed_mm, OVERLAP_LIMIT_MM, cure)
     pull = float(np.abs(fit.x).max(initial=0.0))

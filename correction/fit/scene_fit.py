@@ -42,10 +42,13 @@ from correction.fit.result import PRIOR_LIMIT, SHARE_LIMIT, FitStep, SceneFit, c
 from correction.fit.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
+from correction.fit.unconfirmed import unconfirmed_ways
 from correction.fit.unknowns import Unknowns, unknowns_of
 from correction.fit.unlisted import unlisted_parts
+from tracer.branches import branch_of
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
+from tracer.sensitivity import SPHERE
 
 WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
 FEWEST = 12  # corners behind glass from which a fit may begin
@@ -53,6 +56,9 @@ ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or 
 FOLLOW = 1.0
 DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
 HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
+LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of it may be in each
+AGAIN, STAYS_MM = 3, 0.02  # times that a place is measured, while corners move the ball that stands there
+WORSE = 1.2  # times, that corners of others may fit worse when a lost ball has been found
 FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
@@ -169,14 +175,18 @@ class _Fit:
         return self.found_saddles[frame.name]
 
     def looked_through(self, fit: SceneFit) -> SceneFit:
-        """Look in all frames with glass whether they show what the fitted scene shows."""
+        """Look in all frames with glass whether they show, and corners confirm, what the fitted scene shows."""
         full = fit.unknowns.full(fit.x)
         views = [
             (frame.name, frame.image, fit.unknowns.pose(full, self.height_number(frame)))
             for frame in self.glass_frames
         ]
         unlisted = unlisted_parts(fit.scene, views, self.board, [frame.index for frame in self.bare])
-        return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted))
+        sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
+        place = {name[:-2]: size for name, size in sigma.items() if name.endswith(".x")}
+        paired = {way: fit.paired(way) for way in fit.expected}
+        lost = unconfirmed_ways(fit.scene, fit.expected, paired, place)
+        return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted, unconfirmed=lost))
 
     def blamed(self, reason: str) -> str:
         """Say what the rims of the balls show, then the reason of a failure."""
@@ -275,14 +285,13 @@ class _Fit:
         prefixes += [f"{body.name}." for body, _ in self.unknowns.other_bodies.bodies if not body.stays]
         unknowns = self.unknowns.around(self.full).only(prefixes)
         coarse = unknowns.only([f"{s.name}.{part}" for s in unknowns.scene.spheres for part in "xyz"] + ["glass "])
-        candidates = self.candidates(coarse)
+        candidates = self.candidates(coarse, self.glass_frames[0])
+        self.check_glass(self.glass_frames[0], candidates)
         self.pair(coarse, candidates)
         self.fit_glass(unknowns, "pass 1", only_behind=True)
         lost = self.lost()
-        for number in (
-            lost if self.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres) else ()
-        ):
-            self.find_lost(unknowns, coarse, candidates, number)
+        if lost and (self.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
+            self.find_all_lost(unknowns, coarse, candidates)
         self.fit_glass(unknowns, "pass 2", only_behind=False)
 
     def follow_outlines(self) -> None:
@@ -313,15 +322,10 @@ class _Fit:
         self.full = unknowns.full(solution.x)
         self.note(self.fits.step(f"glass, {name}", unknowns, solution.x, behind))
 
-    def candidates(self, coarse: Unknowns) -> Candidates:
-        """Saddles of the first frame with glass that may be seen through it."""
-        frame = self.glass_frames[0]
-        saddles = self.saddles(frame)
-        usual = float(np.median(self.saddles(self.bare_frames[0]).strength))
-        least = WEAKEST * usual
-        found = candidates_of(saddles, least, coarse, self.full, self.height_number(frame), self.board)
-        self.check_glass(frame, found)
-        return found
+    def candidates(self, coarse: Unknowns, frame: TargetFrame) -> Candidates:
+        """Saddles of a frame that may be seen through glass."""
+        least = WEAKEST * float(np.median(self.saddles(self.bare_frames[0]).strength))
+        return candidates_of(self.saddles(frame), least, coarse, self.full, self.height_number(frame), self.board)
 
     def pair(self, coarse: Unknowns, candidates: Candidates) -> None:
         """Find out which corner each saddle shows."""
@@ -339,15 +343,56 @@ class _Fit:
         kept = [self.fits.inliers(self.unknowns, x, frame) for frame in self.behind]
         return lost_spheres(self.unknowns, self.behind, kept)
 
-    def find_lost(self, unknowns: Unknowns, coarse: Unknowns, candidates: Candidates, number: int) -> None:
-        """Try a lost sphere in other places until the corners seen through it are where the scene says."""
-        name, before = self.unknowns.scene.spheres[number].name, self.full
-        for place in likely_places(coarse, before, [candidates], self.board, self.pitch_mm, number):
+    def find_all_lost(self, unknowns: Unknowns, coarse: Unknowns, first: Candidates) -> None:
+        """Look for every lost sphere, and again for those that are still lost once others have been found.
+
+        A sphere is looked for among the others where they are believed to stand: seen through one that is lost
+        itself, or touching it, it is found only after that one.
+        """
+        frames = [first, *(self.candidates(coarse, frame) for frame in self.glass_frames[1:LOOKED_THROUGH])]
+        lost, before = self.lost(), len(self.unknowns.scene.spheres) + 1
+        while 0 < len(lost) < before:
+            before = len(lost)
+            for number in lost:
+                if number in self.lost():
+                    self.find_lost(unknowns, coarse, frames, number)
+            lost = self.lost()
+
+    def find_lost(self, unknowns: Unknowns, coarse: Unknowns, frames: Sequence[Candidates], number: int) -> None:
+        """Try a lost sphere in other places until the corners seen through it are where the scene says.
+
+        Where only some of them could be measured they move it, and the others are found from there: a place is
+        measured again while that moves it, but not back to where it was believed, which is where no corner does.
+        A place that makes the corners of others fit worse, or loses another sphere, is not its place.
+        """
+        name, before, behind = self.unknowns.scene.spheres[number].name, self.full, self.behind
+        scales, off_px, lost = dict(self.fits.scales), self.off_px(number), set(self.lost())
+        centre = slice(row := self.unknowns.glass.start + number * len(SPHERE), row + 3)
+        believed = self.unknowns.start[centre]
+        for place in likely_places(coarse, before, frames, self.board, self.pitch_mm, number):
             self.full = place
-            self.fit_glass(unknowns, f"{name} elsewhere", only_behind=True)
-            if number not in self.lost():
-                return
-        self.full = before
+            for _ in range(AGAIN):
+                stood = self.full[centre]
+                self.fit_glass(unknowns, f"{name} elsewhere", only_behind=True)
+                still = set(self.lost())
+                if number not in still:
+                    if still < lost and self.off_px(number) <= WORSE * off_px:
+                        return
+                    break
+                stands = self.full[centre]
+                if min(np.linalg.norm(stands - stood), np.linalg.norm(stands - believed)) < STAYS_MM:
+                    break
+            self.fits.scales = dict(scales)
+        self.full, self.behind = before, behind
+
+    def off_px(self, number: int) -> float:
+        """Median distance of corners from where the scene shows them [px], of those not seen through a sphere."""
+        sphere = self.unknowns.scene.spheres[number]
+        behind = [_behind(frame) for frame in self.behind]
+        off = np.linalg.norm(self.fits.reprojection(self.unknowns, self.unknowns.free(self.full), behind), axis=1)
+        ways = np.concatenate([frame.branch_name for frame in behind])
+        others = ~np.isin(ways, [way for way in np.unique(ways).tolist() if sphere.is_on(branch_of(way))])
+        return float(np.nanmedian(off[others])) if np.isfinite(off[others]).any() else 0.0
 
     @property
     def pitch_mm(self) -> float:

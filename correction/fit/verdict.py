@@ -20,6 +20,7 @@ from correction.fit.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_p
 from correction.fit.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
 from correction.fit.solver import Corners, Residuals, landed
 from correction.fit.suspects import Evidence, Suspect, likely_cause, suspects
+from correction.fit.unconfirmed import Unconfirmed
 from correction.fit.unknowns import Unknowns
 from correction.fit.unlisted import Unlisted
 from correction.grid import grid_of
@@ -47,6 +48,8 @@ class Verdict:
         Patches of corners that should be seen and are not.
     unlisted : tuple of Unlisted
         Parts of frames that are not what the scene shows.
+    unconfirmed : tuple of Unconfirmed
+        Ways through the glass, and balls, on which too few corners are where the scene shows them.
     smear : ColourSmear or None
         Colours that smear corners beyond what is told; None where too few corners tell.
     """
@@ -57,6 +60,7 @@ class Verdict:
     smooth_px: NDArray[np.float64]
     hidden: tuple[Hidden, ...] = ()
     unlisted: tuple[Unlisted, ...] = ()
+    unconfirmed: tuple[Unconfirmed, ...] = ()
     smear: ColourSmear | None = None
 
     @property
@@ -90,18 +94,23 @@ class Verdict:
         """The verdict in words."""
         bodies = map(str, (*self.unlisted, *self.hidden))
         found = (*bodies, *([str(self.smear)] if self.many_colours else []))
-        return (*self._of_residuals(), *found) if self.alarms or not found else (*found, *self._of_residuals())
+        ways = map(str, self.unconfirmed)
+        if self.alarms or not found:
+            return (*self._of_residuals(), *found, *ways)
+        return (*found, *self._of_residuals(), *ways)
 
     @property
     def is_right(self) -> bool:
         """Whether nothing speaks against the model."""
-        return not (self.alarms or self.hidden or self.unlisted or self.many_colours)
+        balls = any(one.is_ball for one in self.unconfirmed)
+        return not (self.alarms or self.hidden or self.unlisted or self.many_colours or balls)
 
     @property
     def masked(self) -> tuple[MaskedPart, ...]:
         """What no map is to use."""
-        bodies = [part for one in self.unlisted for part in one.masked]
-        return (*bodies, *(one.masked for one in self.hidden))
+        unlisted = [part for one in self.unlisted for part in one.masked]
+        unconfirmed = [part for one in self.unconfirmed for part in one.masked]
+        return (*unlisted, *unconfirmed, *(one.masked for one in self.hidden))
 
     @property
     def many_colours(self) -> bool:
@@ -148,6 +157,7 @@ class Verdict:
             "ways": [asdict(way) for way in self.ways],
             "hidden": [asdict(patch) for patch in self.hidden],
             "unlisted": [asdict(part) for part in self.unlisted],
+            "unconfirmed": [asdict(one) for one in self.unconfirmed],
             "smear": asdict(self.smear) if self.smear else None,
             "suspects": [one.to_dict() for one in self.suspects],
             "independent_corners": {

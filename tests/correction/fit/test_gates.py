@@ -1,0 +1,112 @@
+"""Gates of a fit, way by way: what fails is masked with its reason, the rest is delivered."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from correction.correction_map import build_correction_map
+from correction.fit.errors import FitFailed
+from correction.fit.result import SceneFit, check
+from correction.fit.unconfirmed import unconfirmed_ways
+from correction.masked import without_masked
+from correction.node_status import NodeStatus
+from sim.demo.scenes import at_size, named_scene
+from tracer.bodies import Sphere
+from tracer.media import ConstantMedium
+from tracer.ray_map import build_ray_map
+
+GLASS = ConstantMedium(1.5)
+SPHERES = tuple(Sphere(name, (30.0 * k - 30.0, 0.0, 20.0), 10.0, GLASS) for k, name in enumerate("abc"))
+SCENE = at_size(named_scene("two_spheres_500"), 252).with_bodies(SPHERES)
+PLACE_MM = {"a": 0.1, "b": 0.1, "c": 0.1}
+
+
+class Fitted(SimpleNamespace):
+    """What `check` asks of a fit."""
+
+    share = SceneFit.share
+    rms_confirmed_px = SceneFit.rms_confirmed_px
+
+
+def fitted(rms_px: float = 0.02, **ways: tuple[int, int]) -> Any:
+    """A fit that shows (paired, expected) corners a way, `a_b` for a > b, and is right otherwise."""
+    counts = {name.replace("_", " > "): numbers for name, numbers in ways.items()}
+    expected = {name: count for name, (_, count) in counts.items()}
+    paired = {name: count for name, (count, _) in counts.items()}
+    names = np.repeat(list(paired), list(paired.values()))
+    wrong = np.isin(names, [name for name in expected if paired[name] < 0.5 * expected[name]])
+    residual = np.where(wrong, 3.0, rms_px)[:, None] * np.ones(2)
+    corners = SimpleNamespace(
+        behind=np.ones(len(names), bool), inlier=np.ones(len(names), bool), branch_name=names, residual_px=residual
+    )
+    lost = unconfirmed_ways(SCENE, expected, paired, PLACE_MM)
+    return Fitted(
+        verdict=SimpleNamespace(alarms=(), able_px=0.02, sentences=(), unconfirmed=lost),
+        corners=corners,
+        expected_behind=sum(expected.values()),
+        paired_behind=sum(paired.values()),
+        pushed_mm=0.0,
+        x=np.zeros(9),
+    )
+
+
+def lost_of(fit: Any) -> list[tuple[str, bool]]:
+    return [(one.name, one.is_ball) for one in fit.verdict.unconfirmed]
+
+
+@pytest.mark.parametrize(
+    ("ways", "lost"),
+    [
+        ({"a": (60, 65), "c": (58, 60)}, []),
+        ({"a": (60, 65), "c": (58, 60), "a_b": (2, 6), "b": (30, 32)}, [("a > b", False)]),
+        ({"a": (60, 65), "c": (58, 60), "b": (3, 12)}, [("b", True)]),
+        ({"a": (60, 65), "c": (58, 60), "b": (0, 3)}, [("b", True)]),
+        ({"a": (60, 65), "c": (58, 60), "b": (1, 8), "a_b": (2, 7)}, [("b", True)]),
+        ({"a": (60, 65), "c": (58, 60), "b": (2, 4)}, []),
+    ],
+)
+def test_one_ball_refuses_no_lab(ways: dict[str, tuple[int, int]], lost: list[tuple[str, bool]]) -> None:
+    fit = fitted(**ways)
+    assert lost_of(fit) == lost
+    check(fit)
+
+
+@pytest.mark.parametrize(
+    "ways",
+    [
+        {"a": (60, 65), "b": (10, 40), "c": (10, 40)},  # most of the glass
+        {"a": (2, 65)},
+        {"a": (60, 65), "b": (30, 60)},  # each above its limit, all together below
+    ],
+)
+def test_a_fit_of_which_little_is_confirmed_is_refused(ways: dict[str, tuple[int, int]]) -> None:
+    with pytest.raises(FitFailed, match="share of"):
+        check(fitted(**ways))
+
+
+def test_what_is_confirmed_must_fit_by_itself() -> None:
+    with pytest.raises(FitFailed, match="rms behind glass"):
+        check(fitted(rms_px=0.9, a=(60, 65), c=(58, 60), b=(3, 12)))
+
+
+def test_a_ball_held_in_the_fit_section_is_not_asked() -> None:
+    assert not unconfirmed_ways(SCENE, {"a": 60, "b": 3}, {"a": 60}, {"a": 0.1})
+
+
+def test_a_lost_ball_is_masked_with_all_around_it() -> None:
+    (ball,) = fitted(a=(60, 65), c=(58, 60), b=(3, 12)).verdict.unconfirmed
+    scene = replace(SCENE, masked=ball.masked)
+    whole = build_correction_map(scene, build_ray_map(scene))
+    found = without_masked(whole, scene)
+    ways = np.array([("b" in names) for names in whole.branches])
+    through = whole.recovered & ways[whole.branch[0]]
+    assert through.any()
+    assert (found.status[through] == NodeStatus.UNCONFIRMED).all()
+    others = whole.recovered & (whole.branch[0] != 0) & ~through
+    assert np.mean(found.recovered[others]) > 0.95
+    x, y = np.moveaxis(SCENE.camera.project(np.array([[0.0, 10.2, 20.0], [0.0, 11.5, 20.0]])), -1, 0)
+    inside = ball.masked[0].within((252, 252))[np.rint(y).astype(int), np.rint(x).astype(int)]
+    assert inside.tolist() == [True, False]
