@@ -58,7 +58,7 @@ DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where
 HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
 LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of it may be in each
 AGAIN, STAYS_MM = 3, 0.02  # times that a place is measured, while corners move the ball that stands there
-WORSE = 1.2  # times, that corners of others may fit worse when a lost ball has been found
+WORSE, OWN_WORSE = 1.2, 3.0  # times, that corners of others may fit worse than before, and its own than others
 FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
@@ -363,10 +363,11 @@ class _Fit:
 
         Where only some of them could be measured they move it, and the others are found from there: a place is
         measured again while that moves it, but not back to where it was believed, which is where no corner does.
-        A place that makes the corners of others fit worse, or loses another sphere, is not its place.
+        A place that makes the corners of others fit worse, or loses another sphere, is not its place, nor is one
+        whose own corners do not fit as well as those: three numbers please three wrong corners, but not quite.
         """
         name, before, behind = self.unknowns.scene.spheres[number].name, self.full, self.behind
-        scales, off_px, lost = dict(self.fits.scales), self.off_px(number), set(self.lost())
+        scales, before_px, lost = dict(self.fits.scales), self.off_px(number)[1], set(self.lost())
         centre = slice(row := self.unknowns.glass.start + number * len(SPHERE), row + 3)
         believed = self.unknowns.start[centre]
         for place in likely_places(coarse, before, frames, self.board, self.pitch_mm, number):
@@ -376,7 +377,9 @@ class _Fit:
                 self.fit_glass(unknowns, f"{name} elsewhere", only_behind=True)
                 still = set(self.lost())
                 if number not in still:
-                    if still < lost and self.off_px(number) <= WORSE * off_px:
+                    own_px, others_px = self.off_px(number)
+                    alike = own_px <= OWN_WORSE * max(others_px, FLOOR_PX)
+                    if still < lost and alike and others_px <= WORSE * before_px:
                         return
                     break
                 stands = self.full[centre]
@@ -385,14 +388,19 @@ class _Fit:
             self.fits.scales = dict(scales)
         self.full, self.behind = before, behind
 
-    def off_px(self, number: int) -> float:
-        """Median distance of corners from where the scene shows them [px], of those not seen through a sphere."""
+    def off_px(self, number: int) -> tuple[float, float]:
+        """Root mean square distance of corners from where they should be [px]: of a sphere, of all others."""
         sphere = self.unknowns.scene.spheres[number]
-        behind = [_behind(frame) for frame in self.behind]
-        off = np.linalg.norm(self.fits.reprojection(self.unknowns, self.unknowns.free(self.full), behind), axis=1)
+        behind, x = [_behind(frame) for frame in self.behind], self.unknowns.free(self.full)
+        off = np.linalg.norm(self.fits.reprojection(self.unknowns, x, behind), axis=1)
+        near = np.concatenate([self.fits.inliers(self.unknowns, x, frame) for frame in behind])
         ways = np.concatenate([frame.branch_name for frame in behind])
-        others = ~np.isin(ways, [way for way in np.unique(ways).tolist() if sphere.is_on(branch_of(way))])
-        return float(np.nanmedian(off[others])) if np.isfinite(off[others]).any() else 0.0
+        through = np.isin(ways, [way for way in np.unique(ways).tolist() if sphere.is_on(branch_of(way))])
+        own, others = (off[near & chosen] for chosen in (through, ~through))
+        return (
+            float(np.sqrt(np.mean(own**2))) if len(own) else 0.0,
+            float(np.sqrt(np.mean(others**2))) if len(others) else 0.0,
+        )
 
     @property
     def pitch_mm(self) -> float:

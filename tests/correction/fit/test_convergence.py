@@ -56,10 +56,13 @@ def test_random_starts_converge_or_say_so(name, seed):
 
 
 @pytest.mark.slow
-def test_a_ball_that_shows_three_corners_is_found():
-    """Start 4 of the pyramid: alone, three corners do not weigh enough to be missed among four hundred."""
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("start", [4, 35])
+def test_a_ball_that_shows_three_corners_is_found(start):
+    """Alone, three corners are not missed among four hundred; of start 35 wrong ones nearly fit."""
     made = bench("pyramid_500", 5)
-    fit = fit_scene(disturbed(made.truth, made.nominal, np.random.default_rng((2, 4))), made.frames, made.board)
+    nominal = disturbed(made.truth, made.nominal, np.random.default_rng((2, start)))
+    fit = fit_scene(nominal, made.frames, made.board)
     assert [line for line in fit.history if "elsewhere" in line.name]
     for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
         assert np.abs(np.subtract(found.centre_mm, true.centre_mm)[:2]).max() < 0.03
