@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.light_sheet.double_views import ACROSS, UNIT, DoubleViews
+from correction.light_sheet.double_views import ACROSS, UNIT, DoubleViews, some_of_each
 from correction.light_sheet.kernels.lagged import add_products
 from correction.light_sheet.layers import layers
 from correction.light_sheet.matched import SIZES, Match, Model
@@ -287,9 +287,7 @@ def _models(
     reach_mm: float,
 ) -> list[Model]:
     """What layers make of the planes of cells; some places of each are enough."""
-    rank = np.argsort(np.argsort(cell, kind="stable")) - np.searchsorted(np.sort(cell), cell)
-    every = np.ceil(np.bincount(cell) / max(MODELLED // (int(cell.max()) + 1), LEAST_MODELLED)).astype(np.int64)
-    chosen = rank % every[cell] == 0
+    chosen = some_of_each(cell, max(MODELLED // (int(cell.max()) + 1), LEAST_MODELLED))
     some, cells = views.at(chosen), cell[chosen]
     planes = []
     for size in SIZES:

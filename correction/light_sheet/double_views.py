@@ -247,6 +247,14 @@ def _with_pictures(
     return views.at(good)
 
 
+def some_of_each(cell: NDArray[np.int64], most: int) -> NDArray[np.bool_]:
+    """Choose (N,) some `most` places of each cell, evenly from all of them."""
+    order = np.argsort(cell, kind="stable")
+    rank = np.empty(len(cell), np.int64)
+    rank[order] = np.arange(len(cell)) - np.searchsorted(cell[order], cell[order])
+    return np.asarray(rank % np.ceil(np.bincount(cell) / most).astype(np.int64)[cell] == 0)
+
+
 def _followed(
     scene: Scene,
     pitch_mm: float,

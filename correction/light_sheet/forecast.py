@@ -6,19 +6,27 @@ a corrected pixel, and pictures whose product covers A = 4 pi times the root of 
 
     sigma^2 = w^2 (1 + lambda A)
 
-for each.  All particles of all pairs together then tell height and slopes like a weighted straight line.  Behind
-three balls (pinhole, f/22) and a pyramid at 2016 px what was found was unsure by 0.7 to 1.3 of this.  Behind two
-balls it was by 2 to 3 times, behind a pyramid at 1008 px by 2: what bends the second view is not in it.
+for each.  All particles of all pairs together then tell height and slopes like a weighted straight line.  Beside
+chance stands what bend and fading of the views make of a height, by traced layers and to the share that is not
+modelled, and what the scene's fit is unsure of: both as unknowns that places share, as in `plane_fit`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from correction.light_sheet.double_views import AROUND, PARTICLE_PX2, DoubleViews
+from correction.fit.scene_sigma import SceneSigma
+from correction.light_sheet.disparities import MODELLED_TO
+from correction.light_sheet.double_views import AROUND, PARTICLE_PX2, DoubleViews, some_of_each
+from correction.light_sheet.layers import layers
+from correction.light_sheet.matched import SIZES, Model
+from correction.light_sheet.scene_doubt import scene_doubt
 from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
+from tracer.scene import Scene
 
 PAIRS, PER_PX, SPREAD_MM = 50, 0.03, 0.18  # usual ones; of particles in a sheet of 1 mm
+TRACED_PLACES, DEPTH_MM = 40, 0.7  # places of a kind, heights to either side
 LITTLE_MM, LITTLE_DEG = 0.3 * UNMEASURED_MM, 0.3 * UNMEASURED_DEG
 
 
@@ -53,10 +61,26 @@ class SheetForecast:
         )
 
 
-def sheet_forecast(views: DoubleViews) -> SheetForecast:
-    """Forecast from the places seen twice."""
+def sheet_forecast(scene: Scene, views: DoubleViews, sigma: SceneSigma | None = None) -> SheetForecast:
+    """Forecast from the places seen twice.
+
+    Parameters
+    ----------
+    scene : Scene
+        That of the views, in the plane of the map.
+    views : DoubleViews
+        The places.
+    sigma : SceneSigma, optional
+        Of the scene, as seen in this plane; without it the scene is taken to be exact.
+    """
     views = views.at(views.free(AROUND))
-    design = np.column_stack((np.ones(len(views.kind)), views.place_mm))
+    kinds, kind = np.unique(views.kind, return_inverse=True)
+    shared = np.zeros((len(views.kind), len(kinds)))
+    for number, height_mm in enumerate(_bend_mm(scene, views, kind, len(kinds))):
+        shared[kind == number, number] = MODELLED_TO * height_mm
+    if sigma is not None and len(kinds):
+        shared = np.column_stack((shared, scene_doubt(scene, views, kind, sigma)[kind]))
+    design = np.column_stack((np.ones(len(views.kind)), views.place_mm, shared))
     rate = (views.parallax / views.pitch_mm) ** 2
     pictures = PARTICLE_PX2 * views.blob + views.smear
     peak_px2 = pictures[:, 0] + rate * SPREAD_MM**2
@@ -64,7 +88,23 @@ def sheet_forecast(views: DoubleViews) -> SheetForecast:
     met = np.minimum(1.0, 0.25 * covered)  # much magnified: between places
     told = PAIRS * PER_PX * views.step**2 / (1.0 + PER_PX * covered)
     weight = told * met * rate / peak_px2
-    before = np.diag([UNMEASURED_MM**-2.0, *[float(np.deg2rad(UNMEASURED_DEG)) ** -2.0] * 2])
-    known = np.linalg.inv(design.T @ (weight[:, None] * design) + before)
-    sigma = np.sqrt(np.diag(known))
-    return SheetForecast(views.area_mm2, float(sigma[0]), float(np.rad2deg(sigma[1:].max())))
+    before = [UNMEASURED_MM**-2.0, *[float(np.deg2rad(UNMEASURED_DEG)) ** -2.0] * 2, *[1.0] * shared.shape[1]]
+    known = np.linalg.inv(design.T @ (weight[:, None] * design) + np.diag(before))
+    unsure = np.sqrt(np.diag(known)[:3])
+    return SheetForecast(views.area_mm2, float(unsure[0]), float(np.rad2deg(unsure[1:].max())))
+
+
+def _bend_mm(scene: Scene, views: DoubleViews, kind: NDArray[np.int64], kinds: int) -> list[float]:
+    """What bend and fading make of the height of a sheet at z = 0, of each kind, by some of its places."""
+    if not kinds:
+        return []
+    some = some_of_each(kind, TRACED_PLACES)
+    seen, units = views.at(some), views.units()[some]
+    bells = layers(scene, seen, DEPTH_MM, SIZES[0])
+    planes = bells.planes(seen, units, kind[some], AROUND)
+    out = []
+    for number in range(kinds):
+        model, here = Model(bells.height_mm, planes[number], planes[number]), kind[some] == number
+        lag_mm = float(np.median(units[here, 0] * views.pitch_mm / seen.parallax[here]))
+        out.append(model.offset(SPREAD_MM**2, 0.0) * lag_mm)
+    return out

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.scene_sigma import SceneSigma
-from correction.light_sheet.double_views import DoubleViews
+from correction.light_sheet.double_views import DoubleViews, some_of_each
 from tracer.scene import Scene
 
 PLACES = 12  # of a cell
@@ -35,11 +35,7 @@ def scene_doubt(
     sigma : SceneSigma
         Of the scene, as seen in this plane (`SceneSigma.in_light_sheet`); the plane's own is left out.
     """
-    rank = np.empty(len(cell), np.int64)
-    order = np.argsort(cell, kind="stable")
-    rank[order] = np.arange(len(cell)) - np.searchsorted(cell[order], cell[order])
-    every = np.ceil(np.bincount(cell) / PLACES).astype(np.int64)
-    some = rank % every[cell] == 0
+    some = some_of_each(cell, PLACES)
     seen, cells = views.at(some), cell[some]
     glass = sigma.of_glass()
     first, second = (glass.spread(scene, np.ascontiguousarray(seen.chief_px[:, view])) for view in (0, 1))

@@ -114,7 +114,7 @@ def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True)
             f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
             f" {100.0 * blur.left_out:.1f} % of the view behind glass"
         )
-    forecast = _sheet_forecast(loaded, ray_map)
+    forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
     if forecast is not None:
         screen.print(forecast.sentence)
     names: list[str] = []
@@ -157,13 +157,17 @@ def _draw(
     return names
 
 
-def _sheet_forecast(scene: Scene, ray_map: RayMap) -> SheetForecast | None:
+def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetForecast | None:
     """What frames of a flow will tell of the sheet, where glass can stand before it at all."""
+    from daq.analysis.tasks import scene_sigma_beside
+
+    sigma = "no file" if path is None else scene_sigma_beside(path, scene, dewarped=False)
     try:
         lit = scene.in_light_sheet()
     except SceneError:  # said by whoever corrects frames: the glass may stand elsewhere then
         return None
-    return sheet_forecast(double_views(lit, ray_map if lit is scene else None, SHEET_STEP))
+    views = double_views(lit, ray_map if lit is scene else None, SHEET_STEP)
+    return sheet_forecast(lit, views, None if isinstance(sigma, str) else sigma)
 
 
 def _plane_table(title: str, share: PlaneShare) -> Table:

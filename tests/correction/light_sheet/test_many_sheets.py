@@ -58,7 +58,7 @@ def test_the_sheet_is_found_within_its_sigma(name, size_px, z_mm, tilts_deg, mor
         lens = flow_camera.aperture
         pupil = Pupil(lens.pupil_radius_mm, lens.focus_mm)
         scene = scene.with_camera(replace(scene.camera, pupil=pupil))
-    foreseen = sheet_forecast(double_views(scene, step=2))
+    foreseen = sheet_forecast(scene, double_views(scene, step=2))
     found = find_sheet(scene, frames_of(flow_camera, PAIRS))
     truth = LightSheet(z_mm, *tilts_deg)
     off = np.array(
