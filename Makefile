@@ -91,7 +91,7 @@ lint: $(STAMP)
 # The picture in the README: the demo's report in a headless browser (needs chromium).
 picture: demo
 	chromium --headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking \
-	  --hide-scrollbars --window-size=900,1560 --user-data-dir=demo/browser \
+	  --hide-scrollbars --window-size=900,1130 --user-data-dir=demo/browser \
 	  --screenshot=docs/images/report.png "file://$(CURDIR)/demo/report/report.html"
 	cp demo/fitted/overview.png docs/images/overview.png
 	rm -rf demo/browser

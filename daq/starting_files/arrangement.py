@@ -6,13 +6,17 @@ The plane is z = 0, the camera far above it.
     side       beside each other, along x
     triangle   three beside each other, parallel to the plane, the camera's axis in the hole between them
     pyramid    four (three and one) or five (four and one) balls, the tip towards the camera
+    sc         a bed, simple cubic: n balls along each side, n^3 in all
+    bcc        a bed, body-centred: n^3 balls that do not touch, and one in contact with eight in each gap of them
+    hcp        a bed, closest packing: layers of a hexagon, of a triangle between them, of the hexagon again
 """
 
 import math
 from collections.abc import Sequence
 
 Vector = tuple[float, float, float]
-ARRANGEMENTS = ("row", "side", "triangle", "pyramid")
+ARRANGEMENTS = ("row", "side", "triangle", "pyramid", "sc", "bcc", "hcp")
+BEDS = {"sc": (8, 27, 64), "bcc": (9, 35, 91), "hcp": (10, 17)}  # numbers of balls
 AIR_MM = 0.01  # between balls: what is rounded must not overlap
 ROD_LENGTH_MM = 60.0
 ROD_GAP_MM = 0.01  # what is rounded must not overlap
@@ -20,7 +24,7 @@ ROD_GAP_MM = 0.01  # what is rounded must not overlap
 
 def most_balls(arrangement: str) -> Sequence[int]:
     """Return how many balls an arrangement may have."""
-    return {"triangle": (3,), "pyramid": (4, 5)}.get(arrangement, range(1, 9))
+    return {"triangle": (3,), "pyramid": (4, 5), **BEDS}.get(arrangement, range(1, 9))
 
 
 def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
@@ -40,6 +44,8 @@ def centres_mm(arrangement: str, balls: int, ball_mm: float, gap_mm: float) -> l
         found = [(0.0, 0.0, low + apart * index) for index in range(balls)]
     elif arrangement == "side":
         found = [(apart * (index - (balls - 1) / 2.0), 0.0, low) for index in range(balls)]
+    elif arrangement in BEDS:
+        found = [(x, y, low + z) for x, y, z in _bed(arrangement, balls, apart)]
     elif arrangement == "triangle" or balls == 4:
         out = apart / math.sqrt(3.0)
         found = [(*_polar(out, degrees), low) for degrees in (90.0, 210.0, 330.0)]
@@ -85,6 +91,25 @@ def rods_mm(centres: Sequence[Vector], ball_mm: float, support_mm: float) -> lis
     lowest = min(y for _, y, _ in centres)
     held = [centre for centre in centres if centre[1] < lowest + 1e-3]
     return [((x, round(y - reach, 4), z), (x, round(y - reach - ROD_LENGTH_MM, 4), z)) for x, y, z in held]
+
+
+def _bed(arrangement: str, balls: int, apart: float) -> list[Vector]:
+    """Centres of a packed bed about the axis, the lowest layer at z = 0, neighbours `apart`."""
+    if arrangement == "hcp":  # a hexagon, and over every other of its hollows a ball
+        up = apart * math.sqrt(2.0 / 3.0)
+        hexagon = [(0.0, 0.0), *(_polar(apart, 60.0 * k) for k in range(6))]
+        hollows = [_polar(apart / math.sqrt(3.0), 30.0 + 120.0 * k) for k in range(3)]
+        layers = [hexagon, hollows, hexagon][: 2 if balls == 10 else 3]
+        return [(x, y, k * up) for k, layer in enumerate(layers) for x, y in layer]
+    side = round(balls ** (1.0 / 3.0)) if arrangement == "sc" else BEDS["bcc"].index(balls) + 2
+    cell = apart if arrangement == "sc" else 2.0 * apart / math.sqrt(3.0)
+    found = _cubes(side, cell, 0.0)
+    return found if arrangement == "sc" else [*found, *_cubes(side - 1, cell, 0.5 * cell)]
+
+
+def _cubes(side: int, cell: float, low: float) -> list[Vector]:
+    places = [cell * (k - 0.5 * (side - 1)) for k in range(side)]
+    return [(x, y, low + cell * k) for k in range(side) for y in places for x in places]
 
 
 def _polar(radius: float, degrees: float) -> tuple[float, float]:

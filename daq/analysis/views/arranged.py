@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from daq.analysis.through_glass import coarse_share, percent
 from daq.errors import RunUsageError
-from daq.starting_files.arrangement import AIR_MM, ARRANGEMENTS, most_balls
+from daq.starting_files.arrangement import AIR_MM, ARRANGEMENTS, BEDS, most_balls
 from daq.starting_files.bench_room import room_of
 from daq.starting_files.lab import Lab
 from daq.starting_files.lab_scene import scene_of
@@ -94,7 +94,7 @@ def others(lab: Lab, lens: bool) -> list[Arranged]:
     """
     found = []
     for shape in ARRANGEMENTS:
-        for count in list(most_balls(shape))[:4]:
+        for count in list(most_balls(shape))[: 1 if shape in BEDS else 4]:
             if (shape, count) == (lab.arrangement, lab.balls) or (shape == "side" and count == 1):
                 continue
             if (best := best_gap(replace(lab, arrangement=shape, balls=count), lens)) is not None:

@@ -33,6 +33,8 @@ LABS = {
     "triangle on rods": {"balls": 3, "support_mm": 8.0, "sensor_px": (1024, 1024), "pixel_pitch_um": 5.5},
     "pyramid of five": {"arrangement": "pyramid", "glass": "borosilicate"},
     "pyramid of four that touches": {"balls": 4, "gap_mm": 0.0, "support_mm": 6.0},
+    "body-centred bed": {"arrangement": "bcc", "ball_mm": 20.0, "glass": "BK7"},
+    "closest packing on rods": {"arrangement": "hcp", "balls": 17, "ball_mm": 16.0, "support_mm": 3.0},
     "near": {"balls": 1, "distance_mm": 250.0, "ball_mm": 20.0, "glass": "BK7"},
     "far": {"balls": 2, "distance_mm": 1500.0, "lens_mm": 105.0, "ball_mm": 100.0, "wavelength_nm": 527.0},
     "five megapixels": {"balls": 1, "sensor_px": (2448, 2048), "pixel_pitch_um": 3.45},
@@ -50,7 +52,7 @@ def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
         assert "#" in file.read_text()
         assert max(map(len, file.read_text().splitlines())) < 140
     scene = load_scene(tmp_path / "lab" / "scene.yaml")
-    assert len(scene.spheres) == lab.get("balls", 5)
+    assert len(scene.spheres) == lab.get("balls", 9 if lab.get("arrangement") == "bcc" else 5)
     assert scene.wavelength_nm == lab.get("wavelength_nm", 532.0)
 
 
@@ -68,7 +70,20 @@ def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("arrangement", "balls"), [("row", 3), ("side", 4), ("triangle", 3), ("pyramid", 4), ("pyramid", 5)]
+    ("arrangement", "balls"),
+    [
+        *(
+            ("row", 3),
+            ("side", 4),
+            ("triangle", 3),
+            ("pyramid", 4),
+            ("pyramid", 5),
+            ("sc", 8),
+            ("sc", 27),
+            ("bcc", 9),
+        ),
+        *(("bcc", 35), ("hcp", 10), ("hcp", 17)),
+    ],
 )
 def test_balls_touch_and_do_not_overlap(arrangement, balls):
     centres = centres_mm(arrangement, balls, 40.0, 4.0)
@@ -126,7 +141,7 @@ def test_by_questions_at_a_terminal(tmp_path):
     os.close(here)
     assert asked.returncode == DONE, said
     assert "width and height" not in said
-    assert "arrangement 'triangel': there are row, side, triangle, pyramid" in said
+    assert "arrangement 'triangel': there are row, side, triangle, pyramid, sc, bcc, hcp" in said
     assert "'thirty' cannot be read" in said
     scene = load_scene(tmp_path / "lab" / "scene.yaml")
     assert [ball.radius_mm for ball in scene.spheres] == [15.0] * 3
