@@ -26,8 +26,8 @@ def first_hour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
     init.add_argument("--balls", type=count, metavar="N", help="how many (default 2)")
     init.add_argument(
         "--arrangement", choices=("row", "side", "triangle", "pyramid", "sc", "bcc", "hcp"),
-        help="one behind the other, beside each other, ...; sc, bcc and hcp are packed beds (default: row; triangle of"
-        " 3, pyramid of 4 or 5)",
+        help="one behind the other, beside each other, ...; sc, bcc, hcp: packed beds"
+        " (default: row; triangle of 3, pyramid of 4 or 5)",
     )  # fmt: skip
     init.add_argument("--ball-mm", type=positive, metavar="MM", help="diameter of a ball (default 40)")
     init.add_argument(

@@ -1,5 +1,7 @@
 """The text of bench.yaml, and of bench-flow.yaml with a laser: nine axes, a camera, and their simulation."""
 
+import textwrap
+
 from daq.starting_files.bench_room import BOARD_MM, CAMERA_RADIUS_MM, CLEARANCE_MM, Room
 from daq.starting_files.lab import Lab
 from daq.starting_files.scene_text import ball_names
@@ -50,7 +52,8 @@ def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
     what = "for a flow, with a laser and a camera of double frames" if laser else "without a laser"
     out, rail, top = room.glass_out_mm, room.rail_homed_mm, room.retract_mm
     touching = [] if lab.gap_mm >= CLEARANCE_MM else list(ball_names(lab))
-    contact = f"\n  contact: [{', '.join(touching)}]   # may touch the board" if touching else ""
+    named = textwrap.fill(", ".join(touching), 100, subsequent_indent=" " * 12)
+    contact = f"\n  contact: [{named}]   # may touch the board" if touching else ""
     disc = 0.4 * lab.square_mm
     return f"""\
 # yaml-language-server: $schema=schemas/bench.schema.json

@@ -24,7 +24,7 @@ from daq.verbs.schema import write_schemas
 from daq.whole_text import write_text
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
-SHOWN = 6  # other arrangements
+SHOWN = 8  # other arrangements
 FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
 Words = dict[str, Any]
 
