@@ -8,6 +8,7 @@ reports each that it is not; that becomes one sentence.
 
 import difflib
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -46,6 +47,8 @@ _SLIPS = {  # by the unit of a key: what a number in another unit has to be mult
     "s": {"ms for s": 1e-3, "us for s": 1e-6},
     "hz": {"kHz for Hz": 1e3},
 }
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+MEDIA_KEYS = ("material", "ambient", "filled", "behind")  # a name, or a table with the index
 _TENFOLD = {"ten times too small": 10.0, "ten times too large": 0.1}
 _BOUNDS = {
     "greater_than": "greater than {gt}",
@@ -53,6 +56,11 @@ _BOUNDS = {
     "less_than": "less than {lt}",
     "less_than_equal": "{le} or less",
 }
+
+
+def key_of(name: str) -> str:
+    """Return the last part of a place."""
+    return name.rpartition(".")[2]
 
 
 def exactly(count: int) -> BeforeValidator:
@@ -119,11 +127,17 @@ def sentence(name: str, several: Sequence[Mapping[str, Any]], known_keys: Callab
     """
     wanted = list(dict.fromkeys(_KINDS[details["type"]] for details in several if is_of_a_kind(details)))
     if wanted:
-        return f"{name or 'the file'}: should be {' or '.join(wanted)}{_but(several[0].get('input'))}"
+        given = several[0].get("input")
+        index = key_of(name) in MEDIA_KEYS and isinstance(given, int | float) and not isinstance(given, bool)
+        hint = f"; an index is written {{n: {given}}}" if index else ""
+        return f"{name or 'the file'}: should be {' or '.join(wanted)}{_but(given)}{hint}"
     details = several[0]
-    kind, context, key = details["type"], details.get("ctx", {}), name.rpartition(".")[2]
+    kind, context, key = details["type"], details.get("ctx", {}), key_of(name)
     if kind == "extra_forbidden":
-        return f"unknown key {name!r}{near(key, [known for known in known_keys() if known != key])}"
+        known, half = known_keys(), key.replace("diameter", "radius")
+        if half != key and half in known:
+            return f"unknown key {name!r}; give {half}, which is half of it"
+        return f"unknown key {name!r}{near(key, [other for other in known if other != key])}"
     if kind == "missing":
         return f"key {name!r} is missing"
     if kind == "union_tag_not_found":
@@ -183,6 +197,8 @@ def _but(given: Any) -> str:  # noqa: ANN401 - YAML holds anything
     if isinstance(given, list):
         return ", not a list"
     quoted = isinstance(given, str) and _is_number(given)
+    if isinstance(given, str) and _DECIMAL_COMMA.fullmatch(given):
+        return f", not {_shown(given)}; write a decimal point: {given.replace(',', '.')}"
     return f", not {_shown(given)}" + ("; leave the quotes out" if quoted else "")
 
 

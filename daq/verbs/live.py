@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from correction.corrector import Corrector
 from daq.acquisition.bench.bench_file import load_bench
 from daq.acquisition.bench.bench_table import CAMERA, Bench
-from daq.acquisition.bench.opened import open_bench
+from daq.acquisition.bench.opened import OpenBench, open_bench
 from daq.acquisition.cameras.frame import Frame
 from daq.acquisition.pipeline.corrections import Corrections
 from daq.acquisition.plans.steps import BEHIND_GLASS
@@ -23,6 +23,7 @@ from daq.verbs.paths import Named
 from tracer.scene import Scene
 from tracer.scene_file import load_scene
 
+NEAR_MM = 0.5  # of the place in the scene file: a correction is near enough to be looked at
 BATCH = 1000  # frames of one arming
 
 
@@ -78,13 +79,17 @@ def live(
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
         exposures = Exposures(hardware.camera, hardware.camera_section)
         exposures.set_up()
+        away = _away(loaded, hardware)
+        if away and corrector is not None:
+            corrector = None
+            screen.print(f"no correction is shown: {away}", soft_wrap=True, highlight=False)
         screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
         screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
         try:
             for frame in _endless(exposures):
                 with frame:
                     corrected = None if corrector is None else corrector(frame.pixels)
-                    words, pictures = _moment(loaded, frame, corrected, shows, seen, begun_s)
+                    words, pictures = _moment(loaded, frame, corrected, shows, seen, begun_s, away)
                     page.show(words, pictures)
                 seen += 1
                 if for_s is not None and time.monotonic() - begun_s > for_s:
@@ -102,6 +107,16 @@ def _corrector(scene: Scene) -> Corrector:
     return corrections.corrector(BEHIND_GLASS)
 
 
+def _away(bench: Bench, hardware: OpenBench) -> str:
+    """Which axes of a simulated bench stand elsewhere than where the scene holds; "" if none is known to."""
+    if hardware.simulation is None:
+        return ""
+    true_mm = hardware.simulation.true_mm()
+    away = [f"{name} by {true_mm[name] - mm:+.1f} mm" for name, mm in bench.home_mm.items()
+            if abs(true_mm[name] - mm) > NEAR_MM]  # fmt: skip
+    return f"simulated axes stand off the place in the scene file: {', '.join(away)}" if away else ""
+
+
 def _endless(exposures: Exposures) -> Iterator[Frame]:
     while True:
         for _, frame in exposures.frames(BATCH, may_lose=BATCH):
@@ -109,16 +124,22 @@ def _endless(exposures: Exposures) -> Iterator[Frame]:
 
 
 def _moment(
-    bench: Bench, frame: Frame, corrected: NDArray[np.float32] | None, shows: str, seen: int, begun_s: float
+    bench: Bench,
+    frame: Frame,
+    corrected: NDArray[np.float32] | None,
+    shows: str,
+    seen: int,
+    begun_s: float,
+    away: str,
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     elapsed_s = max(time.monotonic() - begun_s, 1e-9)
     age_ms = (time.monotonic_ns() - frame.meta.received_ns) / 1e6
     words = {
         "run": f"{bench.table.name}: nothing is kept",
-        "doing": "axes are not asked: the correction is for the place that the scene file gives them",
+        "doing": f"no correction: {away}" if away else "the correction is for axes at the place in the scene file",
         "shows": shows,
-        "view": BEHIND_GLASS,
-        "rims": True,
+        "view": "" if away else BEHIND_GLASS,  # outlines of the scene are elsewhere, too
+        "rims": not away,
         "bits": frame.meta.significant_bits,
         "counters": {
             "frames": [str(seen + 1), False],

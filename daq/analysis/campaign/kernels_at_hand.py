@@ -11,6 +11,7 @@ import atexit
 import io
 import os
 import shutil
+import stat
 import tempfile
 import zipfile
 from functools import lru_cache, partial
@@ -39,6 +40,7 @@ def pack_kernels(path: Path) -> int:
             count += 1
     with whole_file(path) as stream:
         stream.write(buffer.getvalue())
+    path.chmod(0o644)  # workers run what it holds: nobody else may write it
     return count
 
 
@@ -67,7 +69,23 @@ def _made_ready(kernels: Path) -> None:
     atexit.register(shutil.rmtree, place, ignore_errors=True)
     os.environ["RTPIV_CACHE"] = str(place)
     try:
+        if not is_only_mine(kernels):
+            return  # somebody else could have put code there: compiled here
         with zipfile.ZipFile(kernels) as archive:
             archive.extractall(place)
     except (OSError, zipfile.BadZipFile):
         return  # none, or damaged: compiled here
+
+
+def is_only_mine(path: Path) -> bool:
+    """Whether nobody but this user (and root) can have written a file whose content is run as code.
+
+    Raises
+    ------
+    OSError
+        It is not there.
+    """
+    if not hasattr(os, "getuid"):  # Windows: as the folder is shared
+        return True
+    about = path.lstat()
+    return about.st_uid in (os.getuid(), 0) and stat.S_ISREG(about.st_mode) and not about.st_mode & 0o022
