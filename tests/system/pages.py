@@ -28,6 +28,8 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
     "acquire plan-flow.yaml --bench bench-flow.yaml": HARDWARE,
     "laser off": HARDWARE,
     "focus runs/*focus": HARDWARE + "; its run is one of plan-focus.yaml",
+    "calibrate frames/ --scene scene.yaml -o fit": "loose frames: their camera has to stand within half a square"
+    " of the scene file's, and that of a simulated lab does not",
     "campaign run RUN1 RUN2 --scene fit/scene.yaml -o week": NAMES,
     "campaign run -o week --scheduler tcp://10.0.0.1:8786": CLUSTER,
     "campaign run -o week --slurm 64 --slurm-set slurm_partition=long timeout_min=120 mem_gb=4": CLUSTER,
