@@ -10,7 +10,7 @@ from correction.fit.light import LightDoubt
 from correction.fit.shape_doubt import ShapeRoot
 from correction.fit.unconfirmed import BRANCH_LIMIT
 from correction.fit.unknowns import Unknowns
-from correction.fit.verdict import Verdict
+from correction.fit.verdict import PRIOR_LIMIT, Verdict
 from ground.short_repr import short_repr
 from tracer.branches import text_of
 from tracer.scene import Scene
@@ -19,7 +19,6 @@ RMS_TIMES = 20.0  # residuals behind glass over those beside it: right fits 1-5,
 RMS_BOUNDS_PX = (0.15, 0.5)  # of the limit that follows: a wrong pairing leaves more than either
 SHARE_LIMIT = 0.75  # of the corners behind glass; right fits pair 0.85-1, supports that no scene names cost some
 OVERLAP_LIMIT_MM = 0.02
-PRIOR_LIMIT = 5.0  # sigmas
 
 
 @dataclass(frozen=True)
@@ -233,4 +232,6 @@ def check(fit: SceneFit) -> None:
     if pull > PRIOR_LIMIT:
         name = fit.names[int(np.argmax(np.abs(fit.x)))]
         text = f"{name} had to move that many of its sigmas; check its value, or allow more in the fit section"
+        if fit.verdict.cause is not None:
+            text = f"{fit.verdict.cause.sentence}. With that held, {text}"
         raise FitFailed("distance from the prior [sigma]", pull, PRIOR_LIMIT, text)

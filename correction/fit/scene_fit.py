@@ -38,13 +38,14 @@ from correction.fit.measurement import (
 )
 from correction.fit.pairing import pair
 from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
-from correction.fit.result import PRIOR_LIMIT, SHARE_LIMIT, FitStep, SceneFit, check, rms_limit_px
+from correction.fit.result import SHARE_LIMIT, FitStep, SceneFit, check, rms_limit_px
 from correction.fit.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
 from correction.fit.unconfirmed import unconfirmed_ways
 from correction.fit.unknowns import Unknowns, unknowns_of
 from correction.fit.unlisted import unlisted_parts
+from correction.fit.verdict import PRIOR_LIMIT
 from tracer.branches import branch_of
 from tracer.fit_section import FitTable
 from tracer.scene import Scene

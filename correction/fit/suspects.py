@@ -7,10 +7,12 @@ Newton step from the fit would give
 
     a = -D^-1 K^T r,        D = K^T K - K^T J A^-1 J^T K + B,
 
-and lower the squares by g = (K^T r) . (D^-1 K^T r) (Rao's score test): nothing is fitted again.  Balls that touch
-push each other as rows of J and K of their own.  The suspect of the largest g, less ln M for each number
-(Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of what noise does not, or ALONE of it with a
-LEAD over every other; else it is said that nothing on the list does.  Had it been known, the fit would have gone
+and lower the squares by g = (K^T r) . (D^-1 K^T r) (Rao's score test).  Balls that touch push each other as rows
+of J and K of their own.  A large fault is no small step: the RIVALS that do best and are numbers of the scene are
+then fitted with what was free, one at a time, and g is by how much that truly lowers the squares.  The suspect of
+the largest g, less ln M for each number (Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of
+what noise does not, or ALONE of it with a LEAD over every other; else it is said that nothing on the list does.
+Had it been known, the fit would have gone
 elsewhere by -A^-1 J^T K a: with a itself the `change`, an error of the map.
 """
 
@@ -24,13 +26,17 @@ from numpy.typing import NDArray
 from correction.fit.ball_shape import SHAPES, balls_crossed, shape_rates
 from correction.fit.held import WALL
 from correction.fit.measurement import MeasuredFrame
-from correction.fit.solver import free_rates, landed, pushed_step, touching
+from correction.fit.model_test import CLIP
+from correction.fit.pixel_lock import unlocked
+from correction.fit.solver import Residuals, free_rates, landed, minimise, pushed_step, residuals, touching
 from correction.fit.unknowns import LENS, Unknowns, unit_of
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST
 from tracer.sensitivity import TARGET
 
 EXPLAINS = 0.5
 ALONE, LEAD = 0.2, 4.0  # or so much, if no other explains a quarter of it: large faults are cut off with outliers
+RIVALS = 4
+REFIT_STEPS, KNEE = 8, 3.0  # sigmas beyond which a corner weighs less
 UNTOUCHED = 0.8  # weight of what nobody held by hand, which is rarer
 NOTHING_NEW = 1e-6  # of a suspect's columns, when all the rest could be done with what was free
 CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
@@ -119,13 +125,16 @@ class _Candidate:
     by_hand: bool = False
 
 
+_Found = tuple[float, _Candidate, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]
+
+
 def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, excess: float) -> list[Suspect]:
     """Every suspect that lowers the squares by more than its numbers are worth, the most likely first.
 
     Parameters
     ----------
     unknowns : Unknowns
-        What was free.
+        What was free, the lock among it.
     full : (F,) float64
         The fitted full vector.
     seen : Evidence
@@ -138,7 +147,7 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
     own = sum(j.T @ j for j in flat) + np.eye(free)
     slope = sum(j.T @ r for j, r in zip(flat, left, strict=True)) + seen.x
     already = pushed_step(slope, own, depth, wall @ unknowns.columns)[2]  # nearly nothing: it is fitted
-    count, found = sum(map(len, left)), []
+    count, found = sum(map(len, left)), list[_Found]()
     for one in _candidates(unknowns, full, seen):
         size = len(one.ordinary)
         normal, gradient = np.eye(free + size), np.concatenate((slope, np.zeros(size)))
@@ -157,12 +166,51 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
             continue  # the fit could do the same with what was free
         gain -= already + size * np.log(count)
         if gain > 0.0:
-            sentence = one.say(step[free:] * one.ordinary, np.sqrt(np.diag(spread)) * one.ordinary)
-            share = min(gain / max(excess, 1e-12), 1.0)
-            rank = gain if one.by_hand else UNTOUCHED * gain
+            spreads = np.sqrt(np.diag(spread)) * one.ordinary
             change = None if one.moves is None else moves @ step
-            found.append((rank, Suspect(one.ball, sentence, gain, share, change)))
-    return [suspect for _, suspect in sorted(found, key=lambda pair: -pair[0])]
+            found.append((gain, one, step[free:], spreads, change))
+    found.sort(key=_rank)
+    for number, (_, one, values, spreads, _) in enumerate(found[:RIVALS]):
+        if one.moves is not None and one.moves.any():
+            gain, values, change = _refitted(unknowns, full, seen, one.moves * one.ordinary)
+            found[number] = (gain - len(values) * np.log(count), one, values, spreads, change)
+    return [
+        Suspect(
+            one.ball,
+            one.say(values * one.ordinary, spreads),
+            gain,
+            min(gain / max(excess, 1e-12), 1.0),
+            change,
+        )
+        for gain, one, values, spreads, change in sorted(found, key=_rank)
+        if gain > 0.0
+    ]
+
+
+def _rank(found: _Found) -> float:
+    """What suspects are sorted by, the most likely first."""
+    gain, one = found[:2]
+    return -gain if one.by_hand else -UNTOUCHED * gain
+
+
+def _refitted(
+    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, columns: NDArray[np.float64]
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Gain once a suspect's columns (F, q) are free, its values (q,), and the change of the full vector (F,)."""
+    size = columns.shape[1]
+    names = (*unknowns.names, *(f"suspect {number}" for number in range(size)))
+    wider = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, columns)))
+
+    def evaluate(at: NDArray[np.float64]) -> list[Residuals]:
+        return [unlocked(wider, at, f.corners, f, residuals(wider, at, f.corners)) for f in seen.frames]
+
+    def squares(at: NDArray[np.float64]) -> float:
+        lengths = [np.linalg.norm(part.value, axis=1) for part in evaluate(at)]
+        return float(sum(np.sum(np.fmin(length, CLIP) ** 2) for length in lengths) + at @ at)
+
+    start = np.concatenate((seen.x, np.zeros(size)))
+    found = minimise(wider, evaluate, start, knee=KNEE, steps=REFIT_STEPS).x
+    return squares(start) - squares(found), found[-size:], wider.full(found) - full
 
 
 def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:
@@ -212,7 +260,8 @@ def _held_numbers(
         if ordinary is not None and (ball == "camera" or any(sphere.name == ball for sphere in spheres)):
             at = names.index(name)
             of = "" if ball == "camera" else ball
-            yield numbered(of, np.array([ordinary]), [at], partial(_off, name, full[at]), part == "radius")
+            by_hand = ball != "camera" and not unknowns.columns[at].any()  # else it moves with others of its glass
+            yield numbered(of, np.array([ordinary]), [at], partial(_off, name, full[at]), by_hand)
     for body, numbers in unknowns.other_bodies.bodies:
         for number in numbers:
             name = f"{body.name}.{number.name}"

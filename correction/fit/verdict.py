@@ -26,6 +26,7 @@ from correction.fit.unlisted import Unlisted
 from correction.grid import grid_of
 from tracer.masked import MaskedPart
 
+PRIOR_LIMIT = 5.0  # sigmas that a number may be off by what was known of it
 COUNTED = 0.05  # chance of noise below which what bends is counted as an error of the map
 DIRECT = "the view beside the glass"
 
@@ -221,10 +222,11 @@ def judge_model(
     ways = tuple(ways_tested(rests, smooth_parts))
     correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
     found: list[Suspect] = []
-    if any(way.alarm for way in ways):
+    pulled = float(np.abs(x[:free]).max(initial=0.0)) > PRIOR_LIMIT  # what is free may hide what is wrong
+    if pulled or any(way.alarm for way in ways):
         values, rates = [one.value for one in lattices], [one.rate[:, :, :free] for one in lattices]
         seen = Evidence(sighted, values, rates, x[:free])
-        found = suspects(unknowns, full, seen, sum(way.excess for way in ways))
+        found = suspects(unknowns, full, seen, sum(way.excess for way in ways) + float(x @ x) * pulled)
     smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
     verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames), smear=colour_smear(views))
     return verdict, lattices
