@@ -5,6 +5,12 @@ import sys
 
 def main() -> int:
     """Run one verb; return the exit code."""
-    from daq.cli import main as run  # found by now, whatever lies beside it: rtpiv has made room
+    try:
+        from daq.cli import main as run  # found by now, whatever lies beside it: rtpiv has made room
 
-    return run(sys.argv[1:])
+        return run(sys.argv[1:])
+    except KeyboardInterrupt:  # before a verb has begun, or after its end: modules load
+        from daq.exit_codes import INTERRUPTED
+
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED

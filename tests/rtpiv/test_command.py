@@ -1,0 +1,32 @@
+"""The command from its first line on: what a person presses while it loads."""
+
+import subprocess
+import sys
+
+import pytest
+
+from daq.cli import INTERRUPTED
+
+# Ctrl-C at the moment at which a module is looked for.
+PRESSED = """
+import os, signal, sys
+from rtpiv.command import main
+
+class Pressed:
+    loaded = sys.argv.pop(1)
+
+    def find_spec(self, name, path=None, target=None):
+        if name == self.loaded:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Pressed())
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("loaded", ["daq.cli", "daq.options", "daq.analysis.pictures.apart", "daq.verbs.trace"])
+def test_ctrl_c_while_modules_load_is_one_word(loaded, tmp_path):
+    command = [sys.executable, "-c", PRESSED, loaded, "trace", "scene.yaml", "-o", str(tmp_path / "out")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (INTERRUPTED, "interrupted\n")
+    assert not (tmp_path / "out").exists()
