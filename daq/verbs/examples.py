@@ -7,7 +7,7 @@ import daq.example_files as example_files
 from daq.errors import DiskError, RunUsageError
 from daq.terminal import console
 from daq.verbs.output import require_folder
-from daq.whole_text import why
+from daq.whole_text import copy_whole, why
 
 
 def examples(out: Path | str = Path("examples")) -> Path:
@@ -33,11 +33,26 @@ def examples(out: Path | str = Path("examples")) -> Path:
     out = require_folder(out)
     if out.exists() and any(out.iterdir()):
         raise RunUsageError(f"{out}: has files already; give another folder")
+    source, made = example_files.examples(), not out.exists()
     try:
-        shutil.copytree(
-            example_files.examples(), out, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True
-        )
-    except OSError as error:
-        raise DiskError(f"{out}: {why(error)}; give another folder") from None
+        for path in sorted(source.rglob("*")):
+            copy = out / path.relative_to(source)
+            if path.is_file() and "__pycache__" not in path.parts:
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy_whole(path, copy)
+    except BaseException as error:
+        _clear(out, made)
+        if isinstance(error, OSError):
+            raise DiskError(f"{out}: {why(error)}; make room, then give the same command again") from None
+        raise
     console().print(f"{len(list(out.rglob('*.yaml')))} files and tour.py are in {out}", soft_wrap=True)
     return out
+
+
+def _clear(out: Path, made: bool) -> None:
+    """Take away what a copy that failed has left, so that it can be asked for again."""
+    for path in [out] if made else out.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)

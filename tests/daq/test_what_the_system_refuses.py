@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from daq.cli import DEVICE, DONE, USAGE, main
 from daq.options import parser
 from ground.errors import MemoryShort
 from ground.memory import free_bytes, require_memory
-from tests.daq.test_cli import SMALL
+from tests.daq.test_cli import EXAMPLES, SMALL
 
 WORDS = {
     "trace": ["scene.yaml"], "calibrate": ["folder", "-o", "out"],
@@ -79,7 +80,7 @@ SMALL_FILES = """
 import resource, sys
 from daq.cli import main
 limit, verb = int(sys.argv[1]), sys.argv[2:]
-import daq.verbs.trace, daq.verbs.correct, daq.verbs.evaluate
+import daq.verbs.trace, daq.verbs.correct, daq.verbs.evaluate, daq.verbs.examples
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 sys.exit(main(verb))
 """
@@ -133,6 +134,25 @@ def test_a_full_disk_is_one_sentence_and_leaves_no_half_file(lab, tmp_path, word
             json.loads(path.read_text())
         elif path.suffix == ".html":
             assert "</html>" in path.read_text()
+
+
+def test_examples_on_a_full_disk_are_one_sentence_and_can_be_asked_for_again(tmp_path):
+    for before in (False, True):
+        out = tmp_path / f"out{before}"
+        if before:
+            out.mkdir()
+        done = subprocess.run(
+            [sys.executable, "-B", "-c", SMALL_FILES, "600", "examples", str(out)],
+            env=os.environ | {"PYTHONPATH": str(Path.cwd())}, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == DEVICE, done.stderr
+        assert len(done.stderr.splitlines()) == 1
+        assert re.fullmatch(rf"rtpiv examples: {out}\S*: file too large; make room, then .*\n", done.stderr, re.I)
+        assert out.is_dir() == before
+        assert not before or not any(out.iterdir())
+        assert main(["examples", str(out)]) == DONE
+        copied = {path.relative_to(out) for path in out.rglob("*")}
+        assert copied == {path.relative_to(EXAMPLES) for path in EXAMPLES.rglob("*")}
 
 
 # A process of its own that may not take more memory than it has, but for a little.
