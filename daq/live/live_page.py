@@ -56,7 +56,7 @@ class LivePage:
         self._slot = SlotWriter(most_bytes)
         self._token = secrets.token_urlsafe(24)
         self.pace = Pace()
-        command, environment = child("daq.live.serve")
+        command, environment = child("daq.live.serve", str(self._slot.path))
         self._server = subprocess.Popen(
             command,
             env=environment,
@@ -66,7 +66,7 @@ class LivePage:
             start_new_session=True,
         )
         try:
-            orders = {"slot": str(self._slot.path), "token": self._token, "port": port}
+            orders: dict[str, Any] = {"token": self._token, "port": port}
             if scene is not None and board is not None:
                 orders |= {"scene": dump_scene(scene), "board_mm": [board.square_mm, board.disc_mm]}
             self.port = self._said(orders)

@@ -36,6 +36,7 @@ from daq.acquisition.pipeline.live_slot import Moment, NoSlotError, SlotReader
 from daq.acquisition.pipeline.priority import lower_process
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
 from daq.live.worth import Worth
+from daq.orderly_end import flush_or_leave
 
 if TYPE_CHECKING:
     from daq.live.watch import Watch
@@ -294,13 +295,25 @@ def _look_at_scene(page: Page, text: str, board_mm: Sequence[float]) -> None:
 def main() -> int:
     """Serve until whoever started us is gone: its orders come by our input, which ends with it."""
     lower_process()
-    orders = json.loads(sys.stdin.readline())
+    slot = Path(sys.argv[1])  # known before any order: whoever is killed first cannot take it down
     try:
-        server, page = opened(Path(orders["slot"]), orders["token"], orders["port"])
+        return _served(slot)
+    finally:
+        slot.unlink(missing_ok=True)
+
+
+def _served(slot: Path) -> int:
+    """Carry the orders out; there are none, or half of them, from a program that was killed as it gave them."""
+    line = sys.stdin.readline()
+    if not line.endswith("\n"):
+        return 0
+    orders = json.loads(line)
+    try:
+        server, page = opened(slot, orders["token"], orders["port"])
     except (NoSlotError, OSError) as error:
-        print(json.dumps({"error": str(error)}), flush=True)
+        _say({"error": str(error)})
         return 3
-    print(json.dumps({"port": page.port}), flush=True)
+    _say({"port": page.port})
     threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
     if orders.get("scene"):
         told = page, orders["scene"], orders["board_mm"]
@@ -310,8 +323,14 @@ def main() -> int:
     while page.viewers and time.monotonic() < until_s:  # those who can hear it are told that it is over
         time.sleep(LOOK_S)
     server.shutdown()
-    page.slot.path.unlink(missing_ok=True)  # whoever was killed could not take it down
     return 0
+
+
+def _say(words: dict[str, Any]) -> None:
+    """Say it to whoever started us, if somebody is there to hear it."""
+    with suppress(OSError):
+        print(json.dumps(words), flush=True)
+    flush_or_leave()
 
 
 if __name__ == "__main__":

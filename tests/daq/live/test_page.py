@@ -21,6 +21,8 @@ pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from daq.acquisition.pipeline.live_slot import SlotWriter
+from daq.child import child
 from daq.live.live_page import LivePage
 from daq.live.picture import HEAD
 from tests.correction.alignment.drawn import BOARD, scene_of
@@ -339,3 +341,23 @@ def test_whoever_is_killed_leaves_nothing_in_memory(tmp_path: Path) -> None:
     while Path(path).exists() or Path(f"/proc/{server}").exists():
         assert time.monotonic() < end_s
         time.sleep(0.05)
+
+
+@pytest.mark.parametrize("heard", ["all", "half", "nothing"])
+def test_a_server_whose_program_is_killed_as_it_begins_says_nothing_and_gives_memory_back(heard: str) -> None:
+    slot = SlotWriter(1000)
+    command, environment = child("daq.live.serve", str(slot.path))
+    server = subprocess.Popen(
+        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert server.stdin is not None
+    assert server.stdout is not None
+    assert server.stderr is not None
+    orders = json.dumps({"token": "x", "port": 0}).encode() + b"\n"
+    server.stdin.write({"all": orders, "half": orders[:8], "nothing": b""}[heard])
+    server.stdin.close()
+    server.stdout.close()
+    said = server.stderr.read().decode()
+    server.stderr.close()
+    assert (server.wait(20.0), said) == (0, "")
+    assert not slot.path.exists()
