@@ -310,10 +310,13 @@ class Worker:
             self._ring = None
 
     def _close(self) -> None:
+        """Let go of what there is; a camera that does not answer any more cannot be stopped, and nobody asks."""
         if self._acquirer is not None:
-            self._acquirer.destroy()
+            with suppress(*GENICAM_ERRORS):
+                self._acquirer.destroy()
         if self._harvester is not None:
-            self._harvester.reset()
+            with suppress(*GENICAM_ERRORS):
+                self._harvester.reset()
         self._drop_ring()
 
 

@@ -33,7 +33,7 @@ class FrameRing:
         self.slots = slots
         self.pixels = pixels
         size = 2 * slots * pixels
-        self._memory = SharedMemory(create=True, size=size) if name is None else _attached(name)
+        self._memory = _created(size) if name is None else _attached(name)
         if self._memory.size < size:
             self._memory.close()
             raise ValueError(f"shared memory {name} is smaller than {slots} frames of {pixels} px")
@@ -72,6 +72,17 @@ def _let_go(memory: SharedMemory, owner: int) -> None:
         # SharedMemory would try, and complain, again when it is collected.
         memory._mmap = None  # type: ignore[attr-defined]
         memory._buf = None  # type: ignore[attr-defined]
+
+
+def _created(size: int) -> SharedMemory:
+    """Memory that the tracker, a process of its own, gives back if this one is killed: without its warning."""
+    before = list(sys.warnoptions)
+    sys.warnoptions.append("ignore:resource_tracker:UserWarning")  # a process that is started now is given these
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        sys.warnoptions[:] = before
+    return SharedMemory(create=True, size=size)
 
 
 def _attached(name: str) -> SharedMemory:

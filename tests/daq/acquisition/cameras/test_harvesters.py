@@ -14,6 +14,7 @@ from daq.acquisition.cameras import make_camera
 from daq.acquisition.cameras.harvesters import HarvestersCamera
 from daq.errors import CameraLost, CameraSetupError
 from sim.camera.config import CameraConfig
+from sim.camera.faults import FaultPlan
 from sim.camera.gentl import write_producer
 from tests.daq.acquisition.cameras.rigs import need_harvesters
 
@@ -110,17 +111,23 @@ def test_a_script_needs_no_guard_and_may_stand_beside_any_file(tmp_path, ending)
     assert done.stderr == ""
 
 
-def test_the_process_ends_with_a_caller_that_is_killed(tmp_path):
+@pytest.mark.parametrize("lost_at", [None, 1])
+def test_the_process_ends_without_a_word_with_a_caller_that_is_killed(tmp_path, lost_at):
+    """Also with a camera that went before, as a simulated one goes with its world."""
     need_harvesters()
-    cti = write_producer(tmp_path / "sim.cti", [CameraConfig(width=64, height=16)])
-    text = SCRIPT.replace("camera.close()", "print(camera._process.pid, flush=True); sys.stdin.read()")
+    config = CameraConfig(width=64, height=16, faults=FaultPlan(lost_at=lost_at))
+    cti = write_producer(tmp_path / "sim.cti", [config])
+    ends = "camera.trigger(); print(camera._process.pid, flush=True); sys.stdin.read()"
+    text = SCRIPT.replace("camera.close()", ends)
     (tmp_path / "script.py").write_text(text)
     command = [sys.executable, str(tmp_path / "script.py"), str(cti), "stay"]
-    caller = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    pipe = subprocess.PIPE
+    caller = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
     assert caller.stdout.readline().startswith("took")
     number = int(caller.stdout.readline())
+    time.sleep(0.3 if lost_at else 0.0)
     caller.kill()
-    caller.communicate()
+    assert caller.communicate()[1] == ""
     deadline = time.monotonic() + 60
     while Path(f"/proc/{number}").exists() and "Z" not in Path(f"/proc/{number}/stat").read_text().split()[2]:
         assert time.monotonic() < deadline
