@@ -95,10 +95,10 @@ class Verdict:
         """The verdict in words."""
         bodies = map(str, (*self.unlisted, *self.hidden))
         found = (*bodies, *([str(self.smear)] if self.many_colours else []))
-        ways = map(str, self.unconfirmed)
-        if self.alarms or not found:
-            return (*self._of_residuals(), *found, *ways)
-        return (*found, *self._of_residuals(), *ways)
+        balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
+        if self.alarms:
+            return (*self._of_residuals(), *found, *balls, *ways)
+        return (*found, *balls, *self._of_residuals(), *ways)
 
     @property
     def is_right(self) -> bool:
@@ -122,9 +122,11 @@ class Verdict:
         """What residuals say."""
         if not self.alarms:
             worst = max((way.smooth_px for way in self.ways), default=0.0)
+            where = "outside what is masked, " if self.masked else "apart from that, "
             return (
-                f"the model is right as far as the corners tell: residuals bend smoothly by no more than"
-                f" {max(worst, 0.001):.3f} px (chance of a false alarm {100 * FALSE_ALARMS:.0f} %)",
+                f"{'the model is right as far as the corners tell: ' if self.is_right else where}residuals bend"
+                f" smoothly by no more than {max(worst, 0.001):.3f} px (chance of a false alarm"
+                f" {100 * FALSE_ALARMS:.0f} %)",
             )
         worst_way = self.alarms[0]
         best = self.cause

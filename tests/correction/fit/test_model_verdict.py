@@ -6,11 +6,16 @@ import pytest
 from correction.board import Chessboard
 from correction.fit.ball_shape import SHAPES, shape_rates
 from correction.fit.correlation import FURTHEST, Lattice, correlation_of, with_correlation
+from correction.fit.hidden import Hidden
 from correction.fit.measurement import TargetFrame, glass_frame
 from correction.fit.model_test import FALSE_ALARMS, Remainder, ways_tested
+from correction.fit.smear_test import ColourSmear
+from correction.fit.unconfirmed import Unconfirmed
+from correction.fit.verdict import Verdict
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
+from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart
 from tracer.sensitivity import TargetPose
 
 LATTICE = np.stack(np.meshgrid(np.arange(20), np.arange(12)), axis=-1).reshape(-1, 2)
@@ -143,6 +148,33 @@ def test_a_corner_whose_window_leaves_the_frame_is_not_one_that_something_hides(
     assert len(lost.index) > 500
     to_border = np.minimum(lost.pixel, 503.0 - lost.pixel).min(axis=1)
     assert to_border.min() > 2.0
+
+
+HIDDEN = Hidden("glass", "ball", 6, (9.0, 9.0), MaskedPart(UNLISTED, ((0.0, 0.0), (9.0, 0.0), (9.0, 9.0))))
+BALL = Unconfirmed("ball", 1, 9, True, (MaskedPart(UNCONFIRMED, through=("ball",)),))
+WAY = Unconfirmed("ball", 1, 9, False, (MaskedPart(UNCONFIRMED, through=("ball",)),))
+WHITE = ColourSmear(1.0, 0.01, 0.4)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        ({}, "the model is right as far as the corners tell: residuals bend smoothly by no more than 0.0"),
+        ({"unconfirmed": (WAY,)}, "the model is right as far as the corners tell: residuals bend"),
+        ({"hidden": (HIDDEN,)}, "outside what is masked, residuals bend smoothly by no more than 0.0"),
+        ({"unconfirmed": (BALL,)}, "outside what is masked, residuals bend smoothly by no more than 0.0"),
+        ({"smear": WHITE}, "apart from that, residuals bend smoothly by no more than 0.0"),
+    ],
+)
+def test_what_residuals_say_agrees_with_the_verdict_on_the_whole_model(found, words):
+    """A part that is masked, or smeared corners, are no model that is right, however little residuals bend."""
+    noise = 0.02 * np.random.default_rng(2).normal(size=PIXEL.shape)
+    verdict = Verdict(ways_tested([remainder(noise)]), {}, (), noise, **found)
+    said = verdict.sentences
+    assert verdict.is_right == any("the model is right" in one for one in said)
+    assert sum(one.startswith(words) for one in said) == 1
+    assert said[0].startswith("the model is right") == verdict.is_right
+    assert len(said) == 1 + bool(found)
 
 
 @pytest.mark.parametrize(
