@@ -24,6 +24,7 @@ SOCKET_NAME, FRAME_NAME = "frames.sock", "frame.bin"
 DEADLINE_S = 120.0  # a renderer may think for a while
 MAX_LINE_BYTES = 4096
 ASKED = ("trigger_index", "start_ns", "end_ns")
+GONE = "the frame server is gone"
 CONSTANTS = 16  # images that are numbered; both sides keep them
 
 
@@ -123,13 +124,22 @@ class RemoteSource:
     ----------
     folder : path
         Folder of its `FrameServer`.
+
+    Raises
+    ------
+    ConnectionError
+        It is gone.
     """
 
     def __init__(self, folder: Path | str) -> None:
         self._folder = Path(folder)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(DEADLINE_S)
-        self._socket.connect(str(self._folder / SOCKET_NAME))
+        try:
+            self._socket.connect(str(self._folder / SOCKET_NAME))
+        except OSError as error:
+            self._socket.close()
+            raise ConnectionError(GONE) from error
         self._lines = self._socket.makefile("rb")
         self._constants: dict[int, NDArray[np.uint16]] = {}
         with (self._folder / FRAME_NAME).open("rb") as file:
@@ -144,7 +154,7 @@ class RemoteSource:
         request = dict(zip(ASKED, (trigger_index, start_ns, end_ns), strict=True))
         self._socket.sendall(json.dumps(request).encode() + b"\n")
         line = self._lines.readline(MAX_LINE_BYTES)
-        answer = json.loads(line) if line else {"error": "the frame server is gone"}
+        answer = json.loads(line) if line else {"error": GONE}
         if "error" in answer:
             raise OSError(str(answer["error"]))
         number = int(answer.get("constant", -1))

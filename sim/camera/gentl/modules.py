@@ -5,6 +5,7 @@ A handle is a number that finds one of these objects; a number that finds nothin
 
 import fcntl
 import os
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, TypeVar
@@ -87,8 +88,9 @@ class Device:
         if self.config.lock_path:
             self._lock = _lock(self.config.lock_path)
         if self.camera is None:
-            self.camera = SimCamera(self.config)
-        if self.camera.is_lost:
+            with suppress(ConnectionError):  # a world of another process that has ended
+                self.camera = SimCamera(self.config)
+        if self.camera is None or self.camera.is_lost:
             self._unlock()
             raise GenTLError(Status.IO, f"{self.config.serial} does not answer")
         self.is_open = True

@@ -7,8 +7,9 @@ import pytest
 
 from sim.camera.config import CameraConfig
 from sim.camera.gentl import write_producer
-from sim.camera.gentl.abi import SIGNATURES, Kind
+from sim.camera.gentl.abi import SIGNATURES, GenTLError, Kind, Status
 from sim.camera.gentl.elf import MACHINES
+from sim.camera.gentl.modules import Device
 
 pytestmark = pytest.mark.skipif(platform.machine() not in MACHINES, reason="no jump table for this processor")
 
@@ -128,3 +129,14 @@ def test_last_error_tells_what_happened(cti, system):
     assert cti.GCGetLastError(*where) == SUCCESS
     assert code.value == BAD_HANDLE
     assert b"0x3e7" in room.value
+
+
+def test_a_camera_whose_world_has_ended_does_not_answer(tmp_path):
+    """Its program was killed before anybody opened it: an answer of the standard, and no traceback."""
+    world = {"source": "sim.camera.remote:RemoteSource", "source_arguments": {"folder": str(tmp_path)}}
+    device = Device(CameraConfig(width=16, height=8, serial="S", lock_path=str(tmp_path / "lock"), **world))
+    for _ in range(2):
+        with pytest.raises(GenTLError, match="S does not answer") as caught:
+            device.open()
+        assert caught.value.status == Status.IO
+    assert not device.is_open
