@@ -45,7 +45,7 @@ EVERY: Columns = (0.0, 1.0)
 def columns_of(asked: object) -> Columns:
     """Columns that a viewer has asked for; all of them for anything else."""
     if isinstance(asked, list) and len(asked) == 2 and all(type(share) in (int, float) for share in asked):
-        low, high = (round(min(max(float(share), 0.0), 1.0), 2) for share in asked)
+        low, high = (round(float(min(max(share, 0.0), 1.0)), 2) for share in asked)
         return (low, high) if low < high else EVERY
     return EVERY
 

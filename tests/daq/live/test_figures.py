@@ -94,7 +94,7 @@ def test_saturation_survives_averaging() -> None:
         [True, False],
     ):
         assert columns_of(asked) == (0.0, 1.0), asked
-    assert columns_of([0.999, 1]) == columns_of([1, 1e99]) == (0.0, 1.0)
+    assert columns_of([0.999, 1]) == columns_of([1, 1e99]) == columns_of([0, 10**400]) == (0.0, 1.0)
     part = sent("corrected", 8, np.array([[np.nan, 4.0], [0.0, -3.0]], np.float32), 255, Part(0, 0, 2))
     assert np.frombuffer(part, "<u2", offset=HEAD.size).tolist() == [NOTHING, 5, 1, 1]
     for asked in ([0, 0, 10**9], [10**9, 10**9, 5], [-1, -1, -1], None, ["a", 1, 2]):
