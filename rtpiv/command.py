@@ -1,5 +1,6 @@
 """The command `rtpiv`, also as ``python -m rtpiv``; its verbs are in ``daq.cli``."""
 
+import signal
 import sys
 
 
@@ -10,6 +11,7 @@ def main() -> int:
 
         return run(sys.argv[1:])
     except KeyboardInterrupt:  # before a verb has begun, or after its end: modules load
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it may be pressed twice
         from daq.exit_codes import INTERRUPTED
 
         print("interrupted", file=sys.stderr)

@@ -7,16 +7,16 @@ import pytest
 
 from daq.cli import INTERRUPTED
 
-# Ctrl-C at the moment at which a module is looked for.
+# Ctrl-C at the moment at which each of some modules is looked for.
 PRESSED = """
 import os, signal, sys
 from rtpiv.command import main
 
 class Pressed:
-    loaded = sys.argv.pop(1)
+    loaded = sys.argv.pop(1).split()
 
     def find_spec(self, name, path=None, target=None):
-        if name == self.loaded:
+        if name in self.loaded:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Pressed())
@@ -24,7 +24,10 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize("loaded", ["daq.cli", "daq.options", "daq.analysis.pictures.apart", "daq.verbs.trace"])
+@pytest.mark.parametrize(
+    "loaded",
+    ["daq.cli", "daq.cli daq.exit_codes", "daq.options", "daq.analysis.pictures.apart", "daq.verbs.trace"],
+)
 def test_ctrl_c_while_modules_load_is_one_word(loaded, tmp_path):
     command = [sys.executable, "-c", PRESSED, loaded, "trace", "scene.yaml", "-o", str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
