@@ -2,7 +2,7 @@
 
 import textwrap
 
-from daq.starting_files.bench_room import BOARD_MM, CAMERA_RADIUS_MM, CLEARANCE_MM, Room
+from daq.starting_files.bench_room import BOARD_MM, CAMERA_RADIUS_MM, CLEARANCE_MM, SHEET_MM, Room
 from daq.starting_files.lab import Lab
 from daq.starting_files.scene_text import ball_names
 
@@ -35,7 +35,7 @@ devices:
     kind: timing
     box: qc9520                    # the timing unit: qc9520, bnc575, pivlab_oltsync ...
     port: /dev/ttyUSB4
-    clear_mm: 3.5                  # glass and target stand at least so far off the sheet
+    clear_mm: SHEET_MM             # glass and target stand at least so far off the sheet
     channels: {lamp_1: A, q_switch_1: B, lamp_2: C, q_switch_2: D, camera: E, marker: F}
     head: {max_rate_hz: 15.0, lamp_to_q_switch_us: [180.0, 185.0], q_switch_to_light_us: [0.1, 0.1],
            warmup_s: 20.0}
@@ -91,7 +91,7 @@ target: {{square_mm: {lab.square_mm:g}, disc_mm: {disc:g}}}   # the chessboard; 
 camera:
   backend: harvesters              # any GenICam camera; or aravis
   options: {{cti: /opt/vendor/producer.cti}}
-{PAIRS if laser else FRAMES}
+{PAIRS.replace("SHEET_MM", f"{SHEET_MM:<8}") if laser else FRAMES}
 simulation:                        # what --simulate puts in place of all that
   bench: "sim.bench:SimulatedBench"
   seed: 7                          # of the misalignment and the noise

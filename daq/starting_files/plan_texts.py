@@ -1,6 +1,7 @@
 """The texts of the plans that a lab begins with."""
 
-from daq.starting_files.bench_room import Room
+from daq.starting_files.bench_room import SHEET_MM, Room
+from daq.starting_files.lab import Lab
 
 GLASS_HEIGHTS_MM = (0.0, -10.0, -20.0)  # of the board behind the glass; above 0 the glass would be in the way
 
@@ -42,8 +43,10 @@ settle_s: 0.2
 """
 
 
-def flow_plan(dt_us: float) -> str:
-    """A flow in the light of a double-pulse laser."""
+def flow_plan(lab: Lab, dt_us: float) -> str:
+    """A flow in the light of a double-pulse laser; glass that stands too near is moved off the sheet."""
+    off_mm = SHEET_MM + 0.5 - lab.gap_mm
+    glass = f"glass_z_mm: {off_mm:.1f}           # the glass stands so far off its place, out of the sheet\n"
     return f"""\
 # yaml-language-server: $schema=schemas/plan.schema.json
 # A flow behind the glass, lit by a double-pulse laser: a background before the seeding is opened, then pairs.
@@ -56,4 +59,4 @@ rate_hz: 10.0
 chunk: 100                 # fired in one go: no more follow a computer that dies
 background: {{pairs: 20}}
 target_z_mm: -30.0         # the board waits here, out of the sheet
-"""
+{glass if off_mm > 0.0 else ""}"""

@@ -115,7 +115,7 @@ def init(
     lab = _lab(given, placed=True)
     room = room_of(lab)
     dt_us = max(20.0, round(1e6 * FLOW_PX / lab.px_per_mm / FLOW_MM_S, -1))
-    flow = bench_text(lab, room, laser=True), flow_plan(dt_us)
+    flow = bench_text(lab, room, laser=True), flow_plan(lab, dt_us)
     texts = scene_text(lab), bench_text(lab, room), target_plan(room), shift_plan(), *flow
     with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
         _write(Path(trial), texts)

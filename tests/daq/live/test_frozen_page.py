@@ -16,7 +16,7 @@ from tests.daq.live.chromium import chromium, tab_at
 from tests.daq.live.test_page import SIDE, moment, taken, until_closed, viewer
 
 BYTES = 2 * 6 * SIDE * SIDE
-STATE = "document.getElementById('state').textContent"
+STATE = "(document.getElementById('state')?.textContent ?? '')"
 
 
 @pytest.mark.skipif(chromium() is None, reason="there is no Chromium on this computer")
