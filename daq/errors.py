@@ -29,6 +29,8 @@
 The command line prints these as one sentence and exits with code 3 (RunUsageError: 2, RunInterrupted: 4).
 """
 
+from collections.abc import Sequence
+
 
 class DaqError(Exception):
     """Root of everything the bench raises on purpose."""
@@ -79,7 +81,19 @@ class OtherFormat(BadFrame):
 
 
 class BenchLacks(DaqError):  # noqa: N818 - says what is the matter
-    """A port, library or file that a bench needs is not on this computer; the message names it."""
+    """A port, library or file that a bench needs is not on this computer; the message names it.
+
+    Parameters
+    ----------
+    said : str
+        The message.
+    findings : sequence of (str, bool or None, str)
+        All that was looked at, as `daq.verbs.doctor` returns it.
+    """
+
+    def __init__(self, said: str, findings: Sequence[tuple[str, bool | None, str]]) -> None:
+        super().__init__(said)
+        self.findings = tuple(findings)
 
 
 class RunError(DaqError):

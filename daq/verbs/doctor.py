@@ -50,7 +50,7 @@ def doctor(bench: Named | None = None) -> list[Finding]:
     Raises
     ------
     BenchLacks
-        Something that the bench needs is missing; all that was found has been shown.
+        Something that the bench needs is missing; its `findings` are all that was looked at.
     """
     here = [*_software(), *_serial_ports(), *_cameras(), *_disk()]
     needed = [] if bench is None else list(_bench(load_bench(bench)))
@@ -63,7 +63,7 @@ def doctor(bench: Named | None = None) -> list[Finding]:
     console().print(table)
     lacking = [what for what, fine, _ in needed if fine is False]
     if lacking:
-        raise BenchLacks(f"{bench} needs what is missing here: {', '.join(lacking)}; see above")
+        raise BenchLacks(f"{bench} needs what is missing here: {', '.join(lacking)}; see above", found)
     return found
 
 

@@ -11,6 +11,7 @@ import yaml
 
 from daq.acquisition.bench import surroundings
 from daq.cli import DONE, USAGE, main
+from daq.errors import BenchLacks
 from daq.verbs.devices import devices
 from daq.verbs.doctor import doctor
 from stages.drivers import DRIVERS
@@ -184,7 +185,9 @@ def test_the_doctor_tells_per_device_what_it_lacks(surrounded, tmp_path, monkeyp
     path.write_text(f"{text}devices:\n{second}" if "devices:" not in text else text)
     monkeypatch.setattr(surroundings, "find_spec", lambda name: None)
     monkeypatch.setenv("RTPIV_TRUST", "mine:Core")
-    found = {what: (fine, words) for what, fine, words in doctor(path)}
+    with pytest.raises(BenchLacks, match="camera second") as lacks:
+        doctor(path)
+    found = {what: (fine, words) for what, fine, words in lacks.value.findings}
     assert found["controller rail"] == (
         False,
         "there is no /dev/ttyUSB0; is it plugged in and switched on? rtpiv devices lists what is",
