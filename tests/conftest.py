@@ -69,9 +69,15 @@ LONG = (
 )
 
 
+SLOW_S = 3600.0  # what hangs is ended; what waits for a busy core is not
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long files first, all else in its order."""
+    """Long files first, all else in its order; a slow test is not judged by how long a busy machine takes."""
     items.sort(key=_turn)
+    for item in items:
+        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(SLOW_S))
 
 
 def _turn(item: pytest.Item) -> int:

@@ -303,6 +303,8 @@ class HarvestersCamera:
             ring.close()
 
     def _require_armed(self) -> None:
+        if self._pipe is not None and self._process is None:  # whoever found out need not be the one who waits
+            raise self._lost("its process has ended")
         if self._ring is None:
             raise CameraUsageError("the camera is not armed; call arm first")
 

@@ -12,6 +12,7 @@ import pytest
 
 from daq.acquisition.cameras import make_camera
 from daq.acquisition.cameras.harvesters import HarvestersCamera
+from daq.acquisition.runner.camera_watch import camera_facts
 from daq.errors import CameraLost, CameraSetupError
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
@@ -63,6 +64,18 @@ def test_a_process_that_dies_is_a_lost_camera(make):
     with pytest.raises(CameraLost, match="process has ended"):  # noqa: PT012
         while True:  # some may have come before
             camera.next_frame(1.0).release()
+
+
+@pytest.mark.parametrize("wait", [HarvestersCamera.trigger, lambda camera: camera.poll(0.1)])
+def test_a_camera_that_was_lost_between_steps_is_still_lost_when_frames_are_waited_for(make, wait):
+    """A run asks for the clock between steps and lets it pass: who waits for frames is to find out."""
+    camera = make()
+    camera.configure(SOFTWARE)
+    camera.arm()
+    camera._process.kill()
+    assert camera_facts(camera) == {}
+    with pytest.raises(CameraLost, match="process has ended"):
+        wait(camera)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
