@@ -111,7 +111,7 @@ EVALUATE = ["evaluate", "a.tif", "b.tif", "--scene", "scene.yaml"]
     [
         (TRACE, 5000),
         (CORRECT, 0),
-        (EVALUATE, 5000),
+        pytest.param(EVALUATE, 5000, marks=pytest.mark.slow),
         pytest.param(TRACE, 0, marks=pytest.mark.slow),
         pytest.param(CORRECT, 5000, marks=pytest.mark.slow),
         pytest.param(EVALUATE, 0, marks=pytest.mark.slow),

@@ -93,7 +93,7 @@ def test_one_fault_anywhere_ends_right_or_in_an_error(bench, driver, fault):
     What is not repeated by itself is a reference run, because nobody asked for two.
     """
     made = bench(driver)
-    answers, successes, met = range(1, 70, 5), 0, 0
+    answers, successes, met = range(1, 70, 8), 0, 0
     for answer in answers:
         made.line.plug_in()
         made.line.faults = FaultSchedule([Fault(fault, answer, delay_s=0.8)], seed=answer)

@@ -12,7 +12,7 @@ from sim.emulators.faults import Fault, FaultSchedule
 from stages.drivers import DRIVERS
 from stages.errors import NoReply, ProtocolViolation, StageError
 
-SCHEDULES = 1000 // len(DRIVERS)
+SCHEDULES = 400 // len(DRIVERS)
 
 
 def schedule(seed):

@@ -70,7 +70,7 @@ def of_corners(
 
 
 @pytest.mark.parametrize("roll_rad", TURNS_RAD)
-@pytest.mark.parametrize("lock_px", [0.0, 0.017])
+@pytest.mark.parametrize("lock_px", [pytest.param(0.0, marks=pytest.mark.slow), 0.017])
 def test_a_straight_board_with_squares_of_whole_pixels_leaves_the_map_true(roll_rad, lock_px):
     error, _, fit, _ = of_corners(1, SQUARE_PX, roll_rad, lock_px, 0.015)
     used = fit.corners.inlier[~fit.corners.behind]

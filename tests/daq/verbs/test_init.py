@@ -41,7 +41,12 @@ LABS = {
 }
 
 
-@pytest.mark.parametrize("lab", LABS.values(), ids=LABS)
+# The others differ from these by a number of balls or a distance.
+FAST = ("one ball", "two in a row", "triangle on rods", "pyramid of five", "body-centred bed", "five megapixels")
+FEW = [pytest.param(lab, id=name, marks=[pytest.mark.slow] * (name not in FAST)) for name, lab in LABS.items()]
+
+
+@pytest.mark.parametrize("lab", FEW)
 def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
     files = init(tmp_path / "lab", **lab)
     assert [file.name for file in files] == list(FILES)

@@ -12,7 +12,7 @@ from tracer.trace import trace_from
 LEVEL = 0.05
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_rays_through_walls_are_those_of_the_tracer(seed: int) -> None:
     rng, judged, other = np.random.default_rng(seed), 0, 0
     for _ in range(45):
