@@ -106,10 +106,7 @@ def track_board(
             if len(placed) == 1:
                 predicted = _corrected(index, predicted, patch, placing)
     if not placed:
-        raise TargetNotFound(
-            "the lattice in the frame lies more than half a square from its prediction and no disc is seen; give a"
-            " better start, or bring the discs into view"
-        )
+        raise TargetNotFound(_why_not_placed(index, predicted, patches[0], board))
     return measure_lattice(frame, board, placed, mask, discs_count=False)
 
 
@@ -192,6 +189,26 @@ def _plausible(index: NDArray[np.int64], predicted: NDArray[np.float64], patch: 
             along.append(float(own[:, 0] @ expected[:, 0]) > 0.0)
     low, high = SCALES
     return bool(scale) and low**2 < float(np.median(scale)) < high**2 and float(np.mean(along)) > 0.5
+
+
+def _why_not_placed(
+    index: NDArray[np.int64], predicted: NDArray[np.float64], patch: Patch, board: Chessboard
+) -> str:
+    """Say why the largest patch lies on no predicted corners: squares of another size, or too far off."""
+    place = {(i, j): p for (i, j), p in zip(index.tolist(), predicted, strict=True)}
+    steps = [np.hypot(*(place[i + 1, j] - p)) for (i, j), p in place.items() if (i + 1, j) in place]
+    seen = float(np.median(np.linalg.norm(patch.axes_px, axis=1)))
+    expected = float(np.median(steps)) if steps else seen
+    if abs(seen / expected - 1.0) * np.sqrt(len(patch.index)) > 1.0:  # half a square at the ends of the patch
+        return (
+            f"the squares in the frame are {seen:.1f} px wide, where the camera should see those of"
+            f" {board.square_mm:g} mm with {expected:.1f} px; give the right square_mm (about"
+            f" {board.square_mm * seen / expected:.2g}), or correct focal length and distance of the camera"
+        )
+    return (
+        "the lattice in the frame lies more than half a square from its prediction and no disc is seen; give a"
+        " better start, or bring the discs into view"
+    )
 
 
 def _corrected(

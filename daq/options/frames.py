@@ -51,7 +51,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
         "-o", "--out", type=Path, help="folder for scene and report (default: fit, or fit-2 ...)"
     )
     calibrate.add_argument("--square-mm", type=positive, help="square of the board; a run knows it (default 2.5)")
-    calibrate.add_argument("--disc-mm", type=positive, help="its discs; a run knows it (default 1.0)")
+    calibrate.add_argument("--disc-mm", type=positive, help="its discs; a run knows it (default 0.4 of a square)")
 
     correct = verbs.add_parser("correct", help="frames as if the glass were not there")
     correct.add_argument(
@@ -66,7 +66,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     correct.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     correct.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     correct.add_argument("--square-mm", type=positive, help="square of the board; a run knows it (default 2.5)")
-    correct.add_argument("--disc-mm", type=positive, help="its discs; a run knows it (default 1.0)")
+    correct.add_argument("--disc-mm", type=positive, help="its discs; a run knows it (default 0.4 of a square)")
     correct.add_argument("--method", choices=("quintic", "bilinear"), default="quintic", help="interpolation")
     correct.add_argument("--blend", type=count, default=1, metavar="K", help="join the K best views of a node")
     correct.add_argument("--float", dest="as_float", action="store_true", help="write float32, not offset uint16")
@@ -83,7 +83,7 @@ def frames(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None
     evaluate.add_argument("--target-clear", type=Path, metavar="T", help="bare target, for the dewarp")
     evaluate.add_argument("--dewarp-order", type=int, choices=(2, 3, 4, 5), default=2, help="its order")
     evaluate.add_argument("--square-mm", type=positive, help="square of the board; a run knows it (default 2.5)")
-    evaluate.add_argument("--disc-mm", type=positive, help="its discs; a run knows it (default 1.0)")
+    evaluate.add_argument("--disc-mm", type=positive, help="its discs; a run knows it (default 0.4 of a square)")
     evaluate.add_argument("--shift-mm", type=finite, nargs=2, metavar=("X", "Y"), help="true shift, y up")
     evaluate.add_argument(
         "--stage-sigma-um", type=positive, default=10.0, help="standard error of the stage (default 10)"

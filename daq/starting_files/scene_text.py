@@ -56,7 +56,9 @@ camera:                     # sees {field} mm of the plane without glass, {lab.p
 bodies:
 {lines}
 {hold}# sheet: {{z_mm: 0.0, sigma_mm: 0.5}}  # the light sheet, where it is not quite the plane of the target
-# fit:                      # what `rtpiv calibrate` may change: standard deviations; the defaults are
-#   spheres: {{centre_mm: 1.0, radius_mm: 0.02}}
-#   n: 0.005
+fit:                        # what `rtpiv calibrate` goes by
+  light: {{mean_nm: {lab.wavelength_nm:g}}}     # what lights the target: here light of the laser's colour, as on the simulated bench;
+                            # of a white lamp {{colour_temperature_k: 5000}}: glass shows another index in it
+  # spheres: {{centre_mm: 1.0, radius_mm: 0.02}}   # what it may change: standard deviations, the defaults
+  # n: 0.005
 """

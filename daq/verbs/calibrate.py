@@ -55,7 +55,7 @@ def calibrate(
         the test of the model looks at), ``convergence.png``, ``calibration.html`` (verdict and numbers),
         ``calibration.json``.
     square_mm, disc_mm : float, optional
-        The board, of a folder that is no run (default 2.5 and 1.0): a run knows its own.
+        The board, of a folder that is no run (default 2.5, and 0.4 of a square): a run knows its own.
     pictures : bool
         Draw pictures, after all else is written.
 

@@ -18,7 +18,7 @@ def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: flo
     paths : iterable of Path
         Run folders and frames.
     square_mm, disc_mm : float, optional
-        What somebody says of the board; what neither a run nor anybody says is that of `Chessboard`.
+        What somebody says of the board; otherwise squares are those of `Chessboard`, and discs as wide in them.
 
     Raises
     ------
@@ -43,4 +43,5 @@ def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: flo
                 )
             said[name], by[name] = value, f"{path} says"
     usual = Chessboard()
-    return Chessboard(said["square_mm"] or usual.square_mm, said["disc_mm"] or usual.disc_mm)
+    square = said["square_mm"] or usual.square_mm
+    return Chessboard(square, said["disc_mm"] or usual.disc_mm / usual.square_mm * square)

@@ -129,6 +129,16 @@ def test_without_discs_in_view_the_prediction_decides(turn_deg):
         find_board(image, BOARD)
 
 
+def test_squares_of_another_size_than_described_are_named_with_their_size():
+    """A lab's board, described as the usual one: the camera tells how large it is."""
+
+    def predict(points):
+        return (231.4, 208.7) + 5.6 * points * (1.0, -1.0)
+
+    with pytest.raises(TargetNotFound, match=r"22\.\d px wide.*2\.5 mm with 14\.0 px.*square_mm \(about 4\)"):
+        track_board(rendered(view()), BOARD, predict)
+
+
 def test_a_prediction_out_of_the_frame_is_said():
     with pytest.raises(TargetNotFound, match="nominal camera"):
         track_board(rendered(view()), BOARD, lambda points: np.full(points.shape, np.nan))
