@@ -31,7 +31,7 @@
 What each section may hold stands in ``tracer.scene_tables``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
@@ -241,9 +241,21 @@ def _lines_of(document: Document, start: Place) -> set[int]:
     return {line for place, line in document.lines.items() if place[: len(start)] == start}
 
 
-def dump_scene(scene: Scene) -> str:
-    """Return the scene as the text of a scene file; `load_scene` of it gives the same content hash."""
+def dump_scene(scene: Scene, fit: FitTable | None = None) -> str:
+    """Return the scene as the text of a scene file; `load_scene` of it gives the same content hash.
+
+    Parameters
+    ----------
+    scene : Scene
+    fit : FitTable, optional
+        What a fit may change, to stand beside it; glasses of its own that it names keep their names.
+    """
     camera = scene.camera
+    media = {medium.name: medium for body in scene.bodies for _, medium in body.media}
+    named = [name for name in (fit.glasses if fit else ()) if name in MEDIA or name in media]
+    own = {name: written(media[name]) for name in named if name not in MEDIA}
+    section = {} if fit is None else fit.model_dump(mode="json", exclude_defaults=True, exclude={"glasses"})
+    section |= {"glasses": {name: fit.glasses[name] for name in named}} if fit and named else {}
     pupil = camera.pupil
     aperture = {} if pupil is None else {"pupil_mm": 2.0 * pupil.radius_mm, "focus_mm": pupil.focus_mm}
     tree = {
@@ -258,11 +270,20 @@ def dump_scene(scene: Scene) -> str:
             "lens": dict(zip(("k1", "k2", "k3", "p1", "p2"), camera.lens.terms().tolist(), strict=True)),
             **aperture,
         },
-        "bodies": [body.section() for body in scene.bodies],
+        **({"glasses": own} if own else {}),
+        "bodies": [_by_name(body.section(), own) for body in scene.bodies],
         **({} if scene.sheet is None else {"sheet": _sheet_section(scene.sheet)}),
         **({"masked": [_masked_section(part) for part in scene.masked]} if scene.masked else {}),
+        **({"fit": section} if section else {}),
     }
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=110)
+
+
+def _by_name(section: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """A section in which glasses that have a name of their own stand by it."""
+    names = {key: name for key, value in section.items() for name, text in own.items() if text == value}
+    inner = {k: _by_name(v, own) for k, v in section.items() if isinstance(v, dict)}
+    return {**section, **inner, **names}
 
 
 def _sheet_section(sheet: LightSheet) -> dict[str, Any]:

@@ -95,7 +95,7 @@ def calibrate(
     save_fit(out / "fit.npz", fit)
     sigma.save(out / "map_sigma.npz")
     write_json(out / "calibration.json", found.to_dict())
-    write_text(out / "scene.yaml", dump_scene(fit.measured_scene))
+    write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
     show_calibration(console(), found)
     if pictures:
         _draw(out, found, nominal.camera.shape, folder.resolve().name)

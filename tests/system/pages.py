@@ -27,9 +27,7 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
     "acquire plan-shift.yaml --live": HARDWARE,
     "acquire plan-flow.yaml --bench bench-flow.yaml": HARDWARE,
     "laser off": HARDWARE,
-    "focus runs/*focus": HARDWARE + "; its run is one of plan-focus.yaml",
-    "calibrate frames/ --scene scene.yaml -o fit": "loose frames: their camera has to stand within half a square"
-    " of the scene file's, and that of a simulated lab does not",
+    "focus runs/*focus": "its run is one of plan-focus.yaml, with a lens of its own: tests/system/test_focus.py",
     "campaign run RUN1 RUN2 --scene fit/scene.yaml -o week": NAMES,
     "campaign run -o week --scheduler tcp://10.0.0.1:8786": CLUSTER,
     "campaign run -o week --slurm 64 --slurm-set slurm_partition=long timeout_min=120 mem_gb=4": CLUSTER,
@@ -42,6 +40,12 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
 def commands(page: Path) -> list[str]:
     """What stands behind `rtpiv` on a page, without comments, in order."""
     return [line.rstrip() for line in re.findall(r"^    rtpiv ([^#\n]+)", page.read_text("utf-8"), re.MULTILINE)]
+
+
+def in_files(folder: Path) -> list[str]:
+    """Commands that the files of a folder have in their comments, in the order of the files."""
+    files = sorted(folder.glob("*.yaml"))
+    return [found for file in files for found in re.findall(r"`rtpiv ([^`]*--[^`{]*)`", file.read_text("utf-8"))]
 
 
 def words(command: str) -> list[str]:

@@ -17,7 +17,7 @@ from tests.tracer.scenes import HOLLOW, TILTED, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.errors import SceneError
 from tracer.media import MEDIA, SellmeierMedium
-from tracer.scene_file import dump_scene, load_scene
+from tracer.scene_file import dump_scene, load_priors, load_scene
 from tracer.trace import trace
 
 GOOD = """\
@@ -251,6 +251,33 @@ def test_round_trip_of_random_scenes(seed: int, tmp_path: Path) -> None:
     first = first.with_bodies([*first.bodies, rod])
     again = load_scene(write(tmp_path, dump_scene(first)))
     assert again.content_hash() == first.content_hash()
+
+
+FREE = """\
+glasses: {crown: {n: 1.53}, other: {n: 1.6}}
+camera: {f_mm: 60.0, L_mm: 500.0, pixel_pitch_um: 11.0, sensor_px: [64, 64]}
+bodies:
+  - {name: near, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: crown}
+  - {name: far, kind: sphere, centre_mm: [0.0, 0.0, 75.0], radius_mm: 25.0, material: BK7}
+  - {name: last, kind: sphere, centre_mm: [0.0, 0.0, 125.0], radius_mm: 25.0, material: other}
+fit:
+  light: {points: [[500.0, 0.0], [532.0, 1.0], [560.0, 0.0]], unsure_nm: 3.0}
+  spheres: {radius_mm: 0.05}
+  named: {far: {centre_mm: 2.0}}
+  glasses: {crown: 0.001, BK7: 0.0002}
+"""
+
+
+def test_round_trip_keeps_what_a_fit_may_change(tmp_path: Path) -> None:
+    file = write(tmp_path, FREE)
+    scene, free = load_scene(file), load_priors(file)
+    text = dump_scene(scene, free)
+    again = write(tmp_path, text)
+    assert load_scene(again).content_hash() == scene.content_hash()
+    assert load_priors(again) == free
+    assert free.glasses == {"crown": 0.001, "N-BK7": 0.0002}
+    assert [ball.medium.name for ball in load_scene(again).spheres if ball.medium][:2] == ["crown", "N-BK7"]
+    assert "fit:" not in dump_scene(scene)
 
 
 def test_the_hash_sees_every_number_and_no_name(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from correction.alignment.moves import DIRECTIONS, STEP_MM, SURE, Look, Wanted, require_followed, wanted
 from correction.alignment.seen import REACH_MM, Expected, find_arrangement, usable
-from correction.alignment.spheres_seen import SphereSeen
+from correction.alignment.spheres_seen import OWN_MM, SphereSeen
 from daq.acquisition.bench.bench_table import CAMERA, GLASS, TARGET, Bench
 from daq.acquisition.bench.opened import OpenBench
 from daq.acquisition.plans.experiments.align import AlignPlan
@@ -59,6 +59,7 @@ class Aiming:
         self._say = say
         self._priors = load_priors(hardware.bench.path.parent / hardware.bench.table.scene)
         self.looks: list[Look] = []
+        self.is_settled = False  # nothing need move after the last look
 
     def before(self, step: Step) -> Step:
         """Return a step with the places that the looks before it ask for.
@@ -111,9 +112,10 @@ class Aiming:
         if step.index == 0:
             for remark in look.seen.remarks:
                 self._say(remark)
+        planned = self._entry("step", step.index)["planned_mm"]
+        targets = next_targets(self._hardware.bench, planned, look, want)
+        self.is_settled = targets == planned
         if self._table.moves == 0:
-            planned = self._entry("step", step.index)["planned_mm"]
-            targets = next_targets(self._hardware.bench, planned, look, want)
             self._say(f"with moves allowed: {move_in_words(planned, targets)}")
 
     def wanted(self) -> Wanted:
@@ -224,26 +226,28 @@ def move_in_words(before_mm: Mapping[str, float], targets_mm: Mapping[str, float
     """Say which axes are moved, and by how much."""
     ways = {name: mm - before_mm[name] for name, mm in targets_mm.items() if mm != before_mm[name]}
     if not ways:
-        return "no axis needs to move; the next frame looks once more"
+        return "no axis needs to move"
     return "moving " + ", ".join(f"{name} {way:+.4f} mm" for name, way in ways.items())
 
 
 def _balls_in_words(spheres: Sequence[SphereSeen], glass_left_mm: NDArray[np.float64]) -> list[str]:
-    """Say which balls the place of the glass is measured by, and which of them stand elsewhere."""
-    rims = [one for one in spheres if one.own_rim]
+    """Say of every ball what is known of its place in the glass, sideways."""
     said = []
-    if len(rims) < len(spheres):
-        shown = ", ".join(one.name for one in rims)
-        said.append(
-            f"measured by {len(rims)} of {len(spheres)} balls, whose rims are seen ({shown}); nothing is said of"
-            " the others, which are taken to stand as these do"
-        )
-    for one in rims:
+    for one in spheres:
         off, sure = float(np.hypot(*(one.off_mm - glass_left_mm)[:2])), float(np.hypot(*one.sigma_mm[:2]))
-        if off > max(SURE * sure, 2.0 * STEP_MM):
+        if not one.own_rim:
+            said.append(
+                f"{one.name}: not judged, no rim of its own is seen; it may stand {1e3 * OWN_MM:.0f} um beside its"
+                " place in the glass, which `rtpiv calibrate` finds"
+            )
+        elif off > max(SURE * sure, 2.0 * STEP_MM):
             said.append(
                 f"{one.name} itself stands {1e3 * off:.0f} +- {1e3 * sure:.0f} um off its place in the glass,"
                 " sideways: no move of the glass cures that; `rtpiv calibrate` finds it"
+            )
+        else:
+            said.append(
+                f"{one.name}: at its place in the glass, {1e3 * off:.0f} +- {1e3 * sure:.0f} um off sideways"
             )
     return said
 
@@ -252,13 +256,16 @@ def end_in_words(want: Wanted, spheres: Sequence[SphereSeen] = ()) -> list[str]:
     """Say what an alignment has come to, with the balls that the last look has seen."""
     said = _balls_in_words(spheres, want.glass_left_mm)
     sure = float(np.hypot(*want.glass_sigma_mm[:2]))
+    rims, hidden = ([one.name for one in spheres if one.own_rim is own] for own in (True, False))
+    by = f" by {', '.join(rims)}" if hidden else ""
     if want.sideways_mm <= STEP_MM:
-        said.append(f"aligned: {1e3 * want.sideways_mm:.0f} um off sideways, +- {1e3 * sure:.0f} um")
+        last = f"aligned{by}: {1e3 * want.sideways_mm:.0f} um off sideways, +- {1e3 * sure:.0f} um"
     else:
-        said.append(
-            f"not aligned to a step of {1e3 * STEP_MM:.0f} um: {1e3 * want.sideways_mm:.0f} um off sideways,"
+        last = (
+            f"not aligned to a step of {1e3 * STEP_MM:.0f} um{by}: {1e3 * want.sideways_mm:.0f} um off sideways,"
             f" +- {1e3 * sure:.0f} um; look again, with more moves or more frames"
         )
+    said.append(f"{last}; not judged: {', '.join(hidden)} (+- {1e3 * OWN_MM:.0f} um)" if hidden else last)
     left, sigma = float(want.glass_left_mm[2]), float(want.glass_sigma_mm[2])
     said.append(
         f"along z the glass stands {left:+.2f} mm off its place, and one frame tells it to +- {sigma:.2f} mm"

@@ -219,6 +219,9 @@ class Runner:
                 self._note_camera(journal)
                 if self._aiming is not None:
                     self._aiming.after(aimed, journal)
+                    if self._aiming.is_settled:  # the looks that are left would show the same
+                        self._steps = self._steps[: step.index + 1]
+                        break
         except BaseException as error:
             why, error_text = type(error).__name__, str(error)
             raise

@@ -39,7 +39,7 @@ from daq.acquisition.runs.session_books import doubts
 from daq.acquisition.runs.unclaimed import unclaimed
 from daq.errors import DiskError, ResumeRefused, RunDamaged
 from daq.whole_text import write_text
-from tracer.scene_file import dump_scene, load_scene
+from tracer.scene_file import dump_scene, load_priors, load_scene
 
 DISK_MARGIN = 1.05
 MAPS = "maps"  # beside the runs: maps by the hash of their scene
@@ -137,6 +137,7 @@ def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder
 def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
     """What run.json says of a camera's run."""
     board = bench.table.target.board
+    scene_file = getattr(bench.table.camera, "scene", None) or bench.table.scene
     return {
         "name": plan.name,
         "request": request.to_dict(),
@@ -144,7 +145,7 @@ def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
         "versions": versions(),
         "plan": plan.path.read_text(encoding="utf-8"),
         "bench": bench.path.read_text(encoding="utf-8"),
-        "scene": dump_scene(bench.scene),
+        "scene": dump_scene(bench.scene, load_priors(bench.path.parent / scene_file)),
         "square_mm": board.square_mm,
         "disc_mm": board.disc_mm,
         "steps": [{"index": s.index, "tag": s.tag, "first_frame": s.first_frame, "frames": s.frames,

@@ -31,6 +31,7 @@ from correction.fit.light import doubt_of
 from correction.fit.scene_sigma import SceneSigma
 from daq.analysis.through_glass import behind, coarse_map, hiding, reach
 from daq.analysis.views.expected_sigma import expected_sigma
+from daq.errors import RunUsageError
 from daq.starting_files.bench_room import room_of
 from daq.starting_files.lab import Lab
 from daq.starting_files.lab_scene import scene_of
@@ -114,7 +115,7 @@ def view_figures(lab: Lab, f_number: float, error_px: float) -> ViewFigures:
     Raises
     ------
     RunUsageError
-        There is no room for the glass before the lens.
+        There is no room for the glass before the lens, or the camera sees the balls smaller than a node of a map.
     """
     scene = scene_of(lab)
     room_of(lab)
@@ -122,6 +123,11 @@ def view_figures(lab: Lab, f_number: float, error_px: float) -> ViewFigures:
     seen = _Seen.of(scene, found, lab, f_number)
     noise = NOISE_PX * np.hypot(1.0, 4.0 * seen.blur_px / PARTICLE_PX) / seen.least
     hidden, everywhere = _hidden(scene, found)
+    if everywhere == 0:
+        raise RunUsageError(
+            f"a lens of {lab.lens_mm:g} mm at {lab.distance_mm:g} mm sees balls of {lab.ball_mm:g} mm with no more"
+            " than a few pixels; take a longer lens, or go nearer"
+        )
     counted = noise[hidden[seen.node]]
     recovered = float(np.count_nonzero(found.recovered & hidden)) / everywhere
     radial = _radial(

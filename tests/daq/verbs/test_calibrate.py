@@ -12,12 +12,17 @@ from correction.fit.map_sigma import MapSigma
 from correction.fit.scene_sigma import SceneSigma
 from correction.frame_file import write_frame
 from correction.grid import grid_of
+from daq.acquisition.bench.bench_file import load_bench
+from daq.acquisition.plans.plan import load_plan
+from daq.acquisition.runner.session import Request, begin
 from daq.cli import main
+from daq.verbs.calibrate import nominal_scene
 from ground.map_file import load_arrays
 from sim.demo.frames import make_frames
 from tests.correction.fit.benches import SQUARE_MM, bench
+from tests.daq.small_bench import TARGET, write_bench
 from tracer.ray_map import build_ray_map
-from tracer.scene_file import dump_scene, load_scene
+from tracer.scene_file import dump_scene, load_priors, load_scene
 from tracer.trace import trace
 
 
@@ -94,6 +99,20 @@ def test_a_folder_that_is_no_run_needs_a_scene(tmp_path, capsys):
     folder = folder_of("two_spheres_500", 6, tmp_path)
     assert main(["calibrate", str(folder), "-o", str(tmp_path / "out")]) == 2
     assert "give the nominal one with --scene" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_run_is_calibrated_by_what_the_scene_file_of_its_bench_lets_change(tmp_path):
+    path = write_bench(tmp_path)
+    with (tmp_path / "scene.yaml").open("a") as file:
+        file.write("fit: {light: {mean_nm: 532.0}, n: 0.001}\n")
+    (tmp_path / "plan.yaml").write_text(TARGET)
+    bench = load_bench(path)
+    plan = load_plan(tmp_path / "plan.yaml", bench)
+    run = begin(Request(path, plan.path, correct=False), bench, plan, tmp_path / "runs").path
+    scene, priors = nominal_scene(run, None)
+    assert scene.content_hash() == bench.scene.content_hash()
+    assert priors == load_priors(tmp_path / "scene.yaml")
+    assert priors.light is not None
 
 
 @pytest.mark.slow

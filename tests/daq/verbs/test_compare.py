@@ -1,15 +1,16 @@
 """`rtpiv compare`: its files, and whether the sigma that it foretells is the one that a fit leaves."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from correction.correction_map import build_correction_map
+from correction.fit.light import doubt_of
 from correction.fit.scene_sigma import SceneSigma
 from daq.analysis.views.figures import view_figures, with_sigma
 from daq.cli import DONE, USAGE, main
+from daq.errors import RunUsageError
 from daq.starting_files.lab import Lab
 from daq.verbs.acquire import acquire
 from daq.verbs.calibrate import calibrate
@@ -66,13 +67,16 @@ def test_sigma_is_what_a_fit_leaves(tmp_path, monkeypatch, lab):
     scene, known = load_scene("fit/scene.yaml"), SceneSigma.load("fit/fit.npz")
     found = build_correction_map(scene, build_ray_map(scene))
     pixel = found.pixel[0][found.behind_glass][::50]
-    fitted = np.nanmedian(np.linalg.norm(known.sigma(scene, pixel), axis=1)) * lab.px_per_mm
     told = with_sigma(view_figures(lab, 22.0, 0.1))
-    assert told.unsaid_px == pytest.approx(fitted, rel=0.3)  # `init` says no light
-    shapes = replace(known.shapes, root=known.shapes.root[:, :-1])
-    alone = SceneSigma(known.scene_hash, known.root[:, :-1], shapes=shapes)  # the light is the last column
-    fitted = np.nanmedian(np.linalg.norm(alone.sigma(scene, pixel), axis=1)) * lab.px_per_mm
-    assert told.sigma_px == pytest.approx(fitted, rel=0.3)
+    unsaid = known.with_draw(doubt_of(scene, None).step)  # `init` says the light
+    for sure, expected in ((known, told.sigma_px), (unsaid, told.unsaid_px)):
+        fitted = np.nanmedian(np.linalg.norm(sure.sigma(scene, pixel), axis=1)) * lab.px_per_mm
+        assert expected == pytest.approx(fitted, rel=0.3)
+
+
+def test_balls_that_the_camera_hardly_sees_are_no_error_of_ours(tmp_path):
+    with pytest.raises(RunUsageError, match=r"a lens of 0\.5 mm at 532 mm sees balls of 8 mm"):
+        compare([0.5], [532.0], [8.0], out=tmp_path, pictures=False)
 
 
 def test_a_python_call_gives_the_figures(tmp_path):

@@ -11,6 +11,7 @@ from daq.acquisition.cameras.files import FilesCamera
 from daq.acquisition.runner.aiming import Aiming
 from daq.acquisition.runner.runner import Runner
 from daq.acquisition.runner.session import Request, begin, reopen
+from daq.acquisition.runs.run_check import check_run
 from daq.acquisition.runs.run_folder import finished_steps
 from daq.errors import PlanError, RunInterrupted
 from tests.correction.alignment.drawn import drawn, moved
@@ -145,6 +146,18 @@ def test_an_interrupted_alignment_goes_on_from_its_frames(run):
     *_, true_mm = carry_out()
     assert len(looks(folder)) == 3
     assert np.hypot(*(OFF_MM + bench.table.offset_mm("glass", true_mm))[:2]) < 0.08
+
+
+def test_no_look_is_taken_once_nothing_need_move(run, monkeypatch):
+    """Two moves are allowed; the first look asks for none, so the run is done, and sound."""
+    monkeypatch.setattr(
+        "daq.acquisition.runner.aiming.next_targets", lambda bench, planned, look, want: dict(planned)
+    )
+    carry_out, *_, folder = run()
+    carry_out()
+    assert [entry["tag"] for entry in looks(folder)] == ["look_0"]
+    assert json.loads((folder.path / "done.json").read_text())["steps"] == 1
+    assert check_run(folder.path).is_sound
 
 
 def test_a_look_alone_says_what_would_be_moved(run):

@@ -15,17 +15,19 @@ def ball(name, off_um, own_rim=True):
 
 def said(*balls):
     want = Wanted(NOTHING, NOTHING, NOTHING, np.full(3, 0.002), NOTHING, NOTHING, 0.0)
-    return "\n".join(end_in_words(want, balls))
+    return end_in_words(want, balls)
 
 
-def test_balls_without_a_rim_are_not_claimed():
-    text = said(ball("near", 0.0), ball("far", 0.0, own_rim=False), ball("last", 0.0, own_rim=False))
-    assert "measured by 1 of 3 balls, whose rims are seen (near)" in text
-    assert "measured by" not in said(ball("near", 0.0), ball("far", 2.0))
+def test_every_ball_has_its_own_word_and_the_last_sentence_covers_only_those_that_were_judged():
+    *balls, last, _ = said(ball("near", 0.0), ball("far", 0.0, own_rim=False), ball("last", 0.0, own_rim=False))
+    assert balls[0] == "near: at its place in the glass, 0 +- 7 um off sideways"
+    assert [line.split(",")[0] for line in balls[1:]] == ["far: not judged", "last: not judged"]
+    assert last.startswith("aligned by near: 0 um off sideways, +- 3 um; not judged: far, last (+- 700 um)")
+    assert said(ball("near", 0.0), ball("far", 2.0))[-2] == "aligned: 0 um off sideways, +- 3 um"
 
 
 def test_a_ball_that_stands_elsewhere_is_named():
-    text = said(ball("near", 0.0), ball("far", 100.0))
+    text = "\n".join(said(ball("near", 0.0), ball("far", 100.0)))
     assert "far itself stands 100 +- 7 um off its place" in text
     assert "near itself" not in text
     left = np.array((0.1, 0.0, 0.0))  # all of the glass is off: of no ball is that its own
