@@ -34,6 +34,7 @@ Wavelength = Annotated[float, Field(ge=VISIBLE_NM[0], le=VISIBLE_NM[1])]
 Width = Annotated[float, Field(ge=0.0, le=500.0)]
 Point = Annotated[list[Annotated[float, Field(ge=0.0, le=1e9)]], Field(min_length=2, max_length=2)]
 Points = Annotated[list[Point], Field(min_length=2, max_length=10_000)]
+VARIANCE_WIDTH = float(np.sqrt(12.0))  # width of a band in its standard deviations
 UNCOVERED = 0.01  # of the light may lie where a response or filter says nothing
 
 
@@ -131,7 +132,31 @@ class LightTable(ShapeTable):
         SceneError
             Nothing is left behind the filters, or a response says nothing about a part of the light.
         """
-        light = self._sent()
+        return self._counted(self._sent())
+
+    def rivals(self) -> tuple[Light, ...]:
+        """Lights that the same width could mean: a band for a Gaussian, a Gaussian for a band.
+
+        One is as wide at half height, one has the same variance; none where the spectrum is given point by point.
+
+        Raises
+        ------
+        SceneError
+            As of `light`.
+        """
+        if self.band_nm is not None:
+            middle, width = 0.5 * sum(self.band_nm), self.band_nm[1] - self.band_nm[0]
+            shapes = [gaussian(middle, width / times) for times in (FULL_WIDTH, VARIANCE_WIDTH)]
+        elif self.mean_nm is not None and self.spread_nm > 0.0:
+            low, high = VISIBLE_NM
+            halves = [0.5 * times * self.spread_nm for times in (FULL_WIDTH, VARIANCE_WIDTH)]
+            shapes = [band(max(self.mean_nm - half, low), min(self.mean_nm + half, high)) for half in halves]
+        else:
+            shapes = []
+        return tuple(self._counted(shape) for shape in shapes)
+
+    def _counted(self, light: Light) -> Light:
+        """Light behind the filters as the camera counts it."""
         for number, one in enumerate(self.filters, start=1):
             if one.points is not None:
                 _covering(light, one.points, f"filter {number}")

@@ -22,6 +22,9 @@ from ground.rows import run_rows
 WINDOW = 0.45  # half length of the arms in squares: 0.25, 0.33, 0.45 gave 0.022, 0.020, 0.0165 px on a bare board
 ARM = 0.15  # half width of the arms in squares, clear of discs of up to half a square
 LEAST_PX = 4.0  # smallest half window: below, twelve numbers are not worth fitting
+DRAWN = 256  # corners drawn at a time: some 8 MB
+CLEAR_PX = 3.0  # of a drawn corner's window from those of the next
+ASIDE_PX = (0.3, 0.2)  # where the fit of a drawn corner starts: exactly in its middle nothing pulls
 SATURATED_LEVELS = (255, 1023, 4095, 16383, 65535, 65520)  # full scale of 8, 10, 12, 14, 16 bit, 12 in 16 bit
 
 
@@ -177,6 +180,55 @@ def refine_corners(
     again = np.flatnonzero((verdict == CornerReason.LOST) | (verdict == CornerReason.MOVED))
     fit(again, 2.0 * start_error_px)
     return _judge(out, verdict, sign, max_residual, max_sigma_px)
+
+
+def blurs_of_smeared(
+    axes_px: NDArray[np.float64],
+    window: NDArray[np.float64],
+    blur_px: NDArray[np.float64],
+    steps_px: NDArray[np.float64],
+    share: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Blurs (N, 2) [px] that `refine_corners` finds at corners that parts of the light show side by side.
+
+    It wishes both edges of a corner to be blurred alike, and where squares are small has its way; a wide smear
+    goes into the shape of the edge as well.  How much, the fit itself says: corners are drawn and fitted.
+
+    Parameters
+    ----------
+    axes_px, window
+        As of `refine_corners`.
+    blur_px : (N,) float64
+        Blur of each part.
+    steps_px : (K, N, 2) float64
+        Where each part shows a corner, from where it is.
+    share : (K, N) float64
+        Of each part, 1 in sum over the parts.
+
+    Returns
+    -------
+    (N, 2) float64
+        NaN where the fit gives up.
+    """
+    found = np.full((len(axes_px), 2), np.nan)
+    extent = np.abs(axes_px).sum(axis=2).max(axis=1, initial=0.0) * window
+    half = int(np.ceil(extent.max(initial=0.0) + CLEAR_PX))
+    for first in range(0, len(axes_px), DRAWN):
+        some = slice(first, first + DRAWN)
+        axes, blur = np.ascontiguousarray(axes_px[some]), np.ascontiguousarray(blur_px[some])
+        steps, parts = np.ascontiguousarray(steps_px[:, some]), np.ascontiguousarray(share[:, some])
+        tiles = np.empty((len(axes), 2 * half + 1, 2 * half + 1))
+        middle = half + len(tiles[0]) * np.arange(len(axes))
+
+        def rows(first: int, last: int) -> None:
+            scratch = np.empty(corner_model.FREE), np.empty(4), np.empty(corner_model.FREE)
+            corner_model.draw_smeared(axes, blur, steps, parts, first, last, *scratch, tiles)  # noqa: B023
+
+        run_rows(rows, len(axes))
+        start = np.column_stack((np.full(len(axes), half), middle)) + ASIDE_PX
+        fit = refine_corners(tiles.reshape(-1, tiles.shape[2]), start, axes, window=window[some])
+        found[some] = np.where(fit.valid[:, None], fit.blurs_px, np.nan)
+    return found
 
 
 def _judge(

@@ -10,8 +10,13 @@ What is not known of the light is not known of the index either, and no frame te
 scene's own, and its sigma holds the most that one of LAMPS would change.  All glasses move together, as they stand
 in one light.  Glass that is a number has no dispersion to count by: it is said that its map holds in the light of
 the target frames.
+
+A width says little of a spectrum's shape, and its mean index goes by the variance: a flat band of 200 nm has half
+that of the Gaussian of 200 nm at half height, 4e-4 in n.  The map's sigma holds what a rival of the same width
+would change, as far as the smear of the edges leaves it open (`smear_test`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -20,7 +25,7 @@ from numpy.typing import NDArray
 
 from correction.fit.errors import ViewsMissing
 from correction.fit.other_bodies import OtherBodies
-from tracer.light import Light
+from tracer.light import Light, line
 from tracer.media import MEDIA, THINNEST_LIQUID, ConstantMedium, Medium
 from tracer.media import shifted as shifted_medium
 from tracer.scene import Scene
@@ -28,6 +33,8 @@ from tracer.sensitivity import CAMERA, SPHERE
 from tracer.white_led import white_led
 
 ORDINARY_GLASS = "N-BK7"
+WORTH_A_WORD = 3e-5  # of n: 0.005 px behind two balls
+Rival = tuple[Light, float]  # a light, and the share (0-1) of its difference from the told one that is left open
 LAMPS_K = (2700.0, 3000.0, 4000.0, 5000.0, 6500.0)  # white LEDs as they are sold
 
 
@@ -63,19 +70,37 @@ def back_from_light(fitted: Scene, nominal: Scene, light: Light | None) -> Scene
     return _moved(fitted, nominal, light, -1.0)
 
 
-def doubt_of(nominal: Scene, light: Light | None) -> LightDoubt:
-    """What a fit with this light leaves open, for the numbers of the scene's camera, spheres and walls."""
-    media = [sphere.medium for sphere in nominal.spheres]
-    sigma = [index_sigma(medium, light, nominal.wavelength_nm) if medium else 0.0 for medium in media]
+def doubt_of(nominal: Scene, light: Light | None, rivals: Sequence[Rival] = ()) -> LightDoubt:
+    """What a fit with this light leaves open, for the numbers of the scene's camera, spheres and walls.
+
+    Parameters
+    ----------
+    nominal : Scene
+    light : Light or None
+        As told.
+    rivals : sequence of Rival
+        What it may be instead.
+    """
+
+    def unsure(medium: Medium | None) -> float:
+        if medium is None or isinstance(medium, ConstantMedium):
+            return 0.0
+        own = index_sigma(medium, light, nominal.wavelength_nm)
+        if light is None or not rivals:
+            return own
+        here = light.index(medium)
+        return -float(np.hypot(own, max(abs(one.index(medium) - here) * open_ for one, open_ in rivals)))
+
+    sigma = [unsure(sphere.medium) for sphere in nominal.spheres]
     others = OtherBodies(nominal)
     walls = [
-        index_sigma(body.media[0][1], light, nominal.wavelength_nm) if number.known == "n" else 0.0
+        unsure(body.media[0][1]) if number.known == "n" else 0.0
         for body, numbers in others.bodies
         for number in numbers
     ]
     if not any(sigma) and not any(walls):
         return LightDoubt() if light else LightDoubt(sentence=_of_numbers(nominal))
-    of_spheres = np.zeros((len(media), len(SPHERE)))
+    of_spheres = np.zeros((len(sigma), len(SPHERE)))
     of_spheres[:, SPHERE.index("n")] = sigma
     rows = others.row_rates(np.array(others.start), glass=True) @ np.array(walls)
     step = np.concatenate((np.zeros(len(CAMERA)), of_spheres.ravel(), rows))
@@ -87,6 +112,13 @@ def doubt_of(nominal: Scene, light: Light | None) -> LightDoubt:
             " holds that. Give fit.light: points from the lamp's data sheet, or colour_temperature_k; mean_nm"
             " alone if it is the light of the measurement"
         )
+    elif rivals:
+        sentence = (
+            "the spectrum of the target's light is not known well: from what is told and from how edges are"
+            f" smeared n is known to {largest:.1g}; the map's sigma holds that. The lamp's spectrum as"
+            " fit.light.points would help"
+        )
+        sentence = sentence if largest > WORTH_A_WORD else ""
     else:
         sentence = (
             f"the mean wavelength of the target's light is known to {light.unsure_nm:g} nm, n to {largest:.1g};"
@@ -123,6 +155,11 @@ def index_sigma(medium: Medium, light: Light | None, wavelength_nm: float) -> fl
         return light.index_sigma(medium)
     here = medium.n(wavelength_nm)
     return -max(float(np.hypot(lamp.index(medium) - here, lamp.index_sigma(medium))) for lamp in _lamps())
+
+
+def any_lamp(wavelength_nm: float) -> tuple[Light, ...]:
+    """Lights that target frames are ordinarily taken in: white lamps, and the light of the measurement."""
+    return (*_lamps(), line(wavelength_nm))
 
 
 @cache

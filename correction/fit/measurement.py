@@ -15,7 +15,16 @@ from correction.board.board_search import track_board
 from correction.board.corners import CornerFit, CornerReason
 from correction.errors import TargetNotFound
 from correction.fit.prediction import Expected, expect, measure
-from correction.fit.smear import UNEVEN, UNSURE, Dispersion, pupil_smear, smear_of, uneven_blur
+from correction.fit.smear import (
+    UNEVEN,
+    UNSURE,
+    Dispersion,
+    colour_steps,
+    pupil_smear,
+    smeared,
+    taken_up_px2,
+    uneven_blur,
+)
 from correction.fit.smear_test import EdgeSpread
 from correction.fit.solver import Corners
 from ground.short_repr import short_repr
@@ -188,7 +197,8 @@ def bare_frame_through_walls(
     """Measure the bare target again where a scene without balls shows it, clear of the edges of its walls."""
     expected = expect(scene, pose, board)
     fit = measure(frame.image, expected, board)
-    spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px))
+    nothing = np.zeros_like(fit.blurs_px)
+    spread = EdgeSpread(fit.blurs_px**2, nothing, nothing)
     found = _measured(frame.name, board, expected, fit, spread, height_number)
     nothing_behind = np.full(len(found), "")
     corners = replace(found.corners, glass=False)
@@ -211,14 +221,17 @@ def glass_frame(
     if only_behind:
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
-    spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px))
+    spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px), np.zeros_like(fit.blurs_px))
     doubt, pupil = np.zeros(len(expected.pixel)), np.zeros_like(expected.pixel)
     if dispersion is not None:
-        smear = smear_of(scene, pose, dispersion, expected.pixel, expected.axes_px, fit.blur_px)
+        steps, share = colour_steps(scene, pose, dispersion, expected.pixel)
+        smear = smeared(steps, share, expected.axes_px, fit.blur_px)
         doubt = UNSURE * smear.width_px
         sigma = np.hypot(fit.sigma_px, doubt[:, None])
         fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
-        spread = replace(spread, variance_px2=spread.variance_px2 - smear.edges_px2)
+        if not only_behind:  # it is asked for once the scene is found
+            added = taken_up_px2(steps, share, expected.axes_px, expected.window, fit.blurs_px)
+            spread = EdgeSpread(spread.variance_px2 - added, spread.by_pupil_px2, added)
     if scene.camera.pupil is not None:
         args = pose, expected.pixel, expected.axes_px, fit.blur_px
         smear = pupil_smear(scene, scene.camera.pupil, *args)
@@ -226,7 +239,7 @@ def glass_frame(
         aside = np.linalg.norm(pupil, axis=1)
         doubt, sigma = np.hypot(doubt, aside), np.hypot(fit.sigma_px, aside[:, None])
         fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
-        spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2)
+        spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2, spread.by_light_px2)
     measured = _measured(frame.name, board, expected, fit, spread, height_number)
     return replace(measured, doubt_px=doubt[fit.valid], pupil_px=pupil[fit.valid])
 

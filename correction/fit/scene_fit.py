@@ -26,7 +26,7 @@ from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.board_pose import in_words, turn_of_bench, turned
 from correction.fit.candidates import Candidates, candidates_of
 from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
-from correction.fit.light import back_from_light, doubt_of, in_light
+from correction.fit.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.fit.lost_sphere import likely_places, lost_spheres
 from correction.fit.measurement import (
     FLOOR_PX,
@@ -48,6 +48,7 @@ from correction.fit.unlisted import unlisted_parts
 from correction.fit.verdict import PRIOR_LIMIT
 from tracer.branches import branch_of
 from tracer.fit_section import FitTable
+from tracer.light import Light
 from tracer.scene import Scene
 from tracer.sensitivity import SPHERE
 
@@ -118,7 +119,7 @@ def fit_scene(
         check(fit)
     except FitFailed as failed:
         raise FitFailed(failed.gate, failed.value, failed.limit, work.blamed(failed.reason)) from None
-    doubt = doubt_of(nominal, light)
+    doubt = doubt_of(nominal, light, _rivals(fit, priors, light))
     measured = replace(back_from_light(fit.scene, nominal, light), masked=fit.verdict.masked)
     return replace(fit, measured_scene=measured, light=doubt)
 
@@ -450,6 +451,20 @@ class _Fit:
             raise GlassNotSeen(
                 "no corner behind glass could be measured; check focus, light and scene, or print smaller squares"
             )
+
+
+def _rivals(fit: SceneFit, priors: FitTable, light: Light | None) -> list[Rival]:
+    """What the told light may be instead, and how far that is left open."""
+    if light is None or priors.light is None:
+        return []
+    if fit.verdict.many_colours:
+        return [(lamp, 1.0) for lamp in any_lamp(fit.scene.wavelength_nm)]
+    media = [sphere.medium for sphere in fit.scene.spheres if sphere.medium is not None]
+    smear = fit.verdict.smear
+    return [
+        (rival, max((smear.open_share(medium, light, rival) for medium in media), default=1.0) if smear else 1.0)
+        for rival in priors.light.rivals()
+    ]
 
 
 def _pull(solution: Solution) -> float:

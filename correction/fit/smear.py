@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.board.corners import blurs_of_smeared
 from tracer.blur import pupil_views
 from tracer.cells import world_from
 from tracer.light import Light
@@ -35,6 +36,7 @@ from tracer.sensitivity import Landings, TargetPose, landings_through
 COLOURS = 12
 UNSURE = 0.03  # of the smear by colour, as a corner's standard deviation
 SLOPE = 0.25  # of the variance of the blur, by which it may draw corners aside
+SHARPEST_PX = 0.35  # blur of a camera without lens
 UNEVEN = 0.1  # of the shift by the pupil: real ones are not quite round, nor as wide as engraved
 
 
@@ -110,15 +112,10 @@ def uneven_blur(
     return np.asarray(SLOPE * np.linalg.solve(axes_px.transpose(0, 2, 1), slope[:, :, None])[:, :, 0])
 
 
-def smear_of(
-    scene: Scene,
-    pose: TargetPose,
-    dispersion: Dispersion,
-    pixels: NDArray[np.float64],
-    axes_px: NDArray[np.float64],
-    blur_px: NDArray[np.float64],
-) -> Smear:
-    """Predict the smear of corners; nothing where a ray does not land.
+def colour_steps(
+    scene: Scene, pose: TargetPose, dispersion: Dispersion, pixels: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where each of K colours shows corners, and its share; nothing where a ray does not land.
 
     Parameters
     ----------
@@ -130,15 +127,42 @@ def smear_of(
         Of the scene in the light.
     pixels : (N, 2) float64
         Corners.
-    axes_px : (N, 2, 2) float64
-        Columns: one square along the board's +x, +y in the frame.
-    blur_px : (N,) float64
-        Measured standard deviation of the edge spread.
+
+    Returns
+    -------
+    (K, N, 2) float64
+        From where the corners are [px].
+    (K, N) float64
     """
     mean = _landed(scene, pose, pixels, np.zeros(len(scene.spheres)))
     steps = np.array([_displaced(_landed(scene, pose, pixels, step), mean) for step in dispersion.index_step])
-    share = np.broadcast_to(dispersion.weight[:, None], steps.shape[:2])
-    return smeared(np.nan_to_num(steps), share, axes_px, blur_px)
+    return np.nan_to_num(steps), np.array(np.broadcast_to(dispersion.weight[:, None], steps.shape[:2]))
+
+
+def taken_up_px2(
+    steps: NDArray[np.float64],
+    share: NDArray[np.float64],
+    axes_px: NDArray[np.float64],
+    window: NDArray[np.float64],
+    blurs_px: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Variance (N, 2) by which a smear widens edges as corners are fitted (`blurs_of_smeared`).
+
+    Parameters
+    ----------
+    steps, share, axes_px
+        As of `smeared`.
+    window : (N,) float64
+        Half length of the window [squares].
+    blurs_px : (N, 2) float64
+        As measured, smear included.
+    """
+    out = np.zeros_like(blurs_px)
+    asked = steps.any(axis=(0, 2)) & np.isfinite(blurs_px).all(axis=1)
+    steps, share, axes, seen = steps[:, asked], share[:, asked], axes_px[asked], blurs_px[asked] ** 2
+    own = np.maximum(np.mean(seen - smeared(steps, share, axes, seen[:, 0]).edges_px2, axis=1), SHARPEST_PX**2)
+    out[asked] = blurs_of_smeared(axes, window[asked], np.sqrt(own), steps, share) ** 2 - own[:, None]
+    return out
 
 
 def smeared(
@@ -155,8 +179,10 @@ def smeared(
         Where each part shows them, from where they are [px].
     share : (K, N) float64
         Of each part, 1 in sum over the parts.
-    axes_px, blur_px
-        As of `smear_of`.
+    axes_px : (N, 2, 2) float64
+        Columns: one square along the board's +x, +y in the frame.
+    blur_px : (N,) float64
+        Measured standard deviation of the edge spread.
     """
     off = steps - np.einsum("kn,kni->ni", share, steps)
     spread = np.einsum("kn,kni,knj->nij", share, off, off)
@@ -181,7 +207,7 @@ def pupil_smear(
     axes_px: NDArray[np.float64],
     blur_px: NDArray[np.float64],
 ) -> Smear:
-    """Predict what the pupil does to corners; arguments as of `smear_of`.
+    """Predict what the pupil does to corners; arguments as of `colour_steps` and `smeared`.
 
     The print has one brightness towards all parts of the pupil, so that each counts by the light it lets through.
     """

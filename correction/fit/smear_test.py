@@ -1,20 +1,26 @@
-"""Whether corners behind glass are smeared by colours that nobody told.
+"""Whether corners behind glass are smeared by the colours that are told, by more of them, or by fewer.
 
 A lamp of many colours, taken for one, leaves no residual: every corner stands where the mean index shows it.  What
 it does is to smear edges behind glass along the way on which glass spreads colours.  With b_k^2 the variance of
-edge k of a corner, as fitted, less what the told light and pupil add, m_k the edge's normal and J the derivative
-of the landing point X by the pixel,
+edge k of a corner, as fitted, less what a fitted edge takes up of the told light (`smear.taken_up_px2`) and what
+the told pupil adds, m_k the edge's normal and J the derivative of the landing point X by the pixel,
 
     b_k^2 = b_way + p P_k + c V_k,        V_k = (m_k . J^-1 dX/dn g)^2,        P_k = |m_k . J^-1 D|^2 / 4,
 
 V_k is the variance that a white lamp would add (g how much the index of each ball spreads in it), P_k that of a
 pupil of 1 mm (D how the landing point moves with the pinhole, while rays meet again in the plane in focus): a
 stop that nobody told, or a print magnified, must not pass for colours.  b_way, p and c come from least squares
-with weights for outliers.  c stands out where it exceeds LEAST by SURE sigmas, which are ALIKE times those of
-corners that err independently.
+with weights for outliers.  c stands out, to either side, where it exceeds LEAST, and of what the told light adds
+UNCERTAIN, by SURE sigmas, which are ALIKE times those of corners that err independently.  It is below zero where
+the told light has too many colours.
 
-An edge takes up 0.2-0.7 of a smear's variance, the rest goes into the shape of its tails: c = LEAST is light of
-some 25-40 nm standard deviation.  A narrower lamp, such as an LED of one colour, shows nowhere what its mean is.
+A fitted edge takes up 0.2-1 of a smear's variance: the fit wishes both edges of a corner to be blurred alike, and
+where squares are small it has its way; of a wide smear the rest goes into the shape of its tails.  So c = LEAST is
+light of some 25-40 nm standard deviation.  A narrower lamp, such as an LED of one colour, shows nowhere what its
+mean is.
+
+Light told by a width may have another shape, which moves its mean index.  What the smear leaves open of that
+(`ColourSmear.open_share`) is counted in the map's sigma.
 """
 
 from collections.abc import Sequence
@@ -26,6 +32,7 @@ from numpy.typing import NDArray
 
 from correction.fit.light import ORDINARY_GLASS
 from tracer.camera import Camera
+from tracer.light import Light
 from tracer.media import MEDIA, THINNEST_LIQUID, ConstantMedium, Medium
 from tracer.scene import Scene
 from tracer.sensitivity import CAMERA, SPHERE, Landings
@@ -34,7 +41,9 @@ from tracer.white_led import white_led
 LAMP_K = 4000.0
 COLOURS = 12
 LEAST = 0.1  # of the white lamp's variance; rendered frames in one colour show up to 0.04
+UNCERTAIN = 0.15  # of what edges take up of the told light: rendered frames in told light show up to 0.13
 SURE = 4.0  # sigmas
+LEAST_SURE = 2.0  # sigmas that a light may be off by without being seen
 ALIKE = 2.0  # neighbours err alike: what a sigma counts more than that of independent corners
 FEWEST = 20  # corners of a way
 ROUNDS = 12
@@ -49,18 +58,19 @@ class EdgeSpread:
     ----------
     variance_px2 : (N, 2) float64
         Of the edges along the board's +x and +y, less what the light that is told adds.
-    by_pupil_px2 : (N, 2) float64
-        What the pupil that is told adds.
+    by_pupil_px2, by_light_px2 : (N, 2) float64
+        What the pupil that is told adds, and the light.
     """
 
     variance_px2: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     by_pupil_px2: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    by_light_px2: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     def taken(self, which: NDArray[np.bool_]) -> "EdgeSpread":
         """Return that of the chosen corners."""
         if not len(self.variance_px2):
             return self
-        return EdgeSpread(self.variance_px2[which], self.by_pupil_px2[which])
+        return EdgeSpread(self.variance_px2[which], self.by_pupil_px2[which], self.by_light_px2[which])
 
 
 @dataclass(frozen=True)
@@ -93,24 +103,37 @@ class ColourSmear:
         c, and its standard deviation.
     width_px : float
         Root mean square of the smear that it is, raw px.
+    told : float
+        What edges take up of the told light, in the same unit as c.
     """
 
     share: float
     sigma: float
     width_px: float
+    told: float = 0.0
 
     @property
     def alarm(self) -> bool:
-        """Whether the light cannot be what it is told to be."""
-        return self.share > LEAST + SURE * self.sigma
+        """Whether the light cannot be what it is told to be; a line cannot have too many colours."""
+        off = abs(self.share) if self.told else self.share
+        return off > LEAST + UNCERTAIN * self.told + SURE * self.sigma
+
+    def open_share(self, medium: Medium, light: Light, rival: Light) -> float:
+        """Share (0-1) of the way from the told light to a rival that the smear leaves open."""
+        white, *shown = (_index_variance(medium, one) for one in (white_led(LAMP_K), light, rival))
+        told, other = shown[0] / white, shown[1] / white
+        taken_up = self.told / told if told > 0.0 else 1.0  # of a smear's variance
+        left = (abs(self.share) + LEAST_SURE * self.sigma) / max(taken_up, LEAST) + UNCERTAIN * told
+        return float(min(1.0, left / max(abs(other - told), 1e-12)))
 
     def __str__(self) -> str:
         """Return one sentence."""
+        many, smeared = ("more", "more") if self.share > 0.0 else ("fewer", "less")
         return (
-            "the light of the target frames has more colours than is told: edges behind glass are smeared by"
-            f" {self.width_px:.2g} px along the way on which glass spreads colours ({self.share / self.sigma:.0f}"
-            " sigma), as in the light of a white lamp; give its spectrum as fit.light, or take these frames in the"
-            " light of the measurement"
+            f"the light of the target frames has {many} colours than is told: edges behind glass are smeared by"
+            f" {self.width_px:.2g} px {smeared} along the way on which glass spreads colours"
+            f" ({abs(self.share) / self.sigma:.0f} sigma); give its spectrum as fit.light, or take these frames in"
+            " the light of the measurement"
         )
 
 
@@ -159,23 +182,25 @@ def smeared_view(
 
 def colour_smear(views: Sequence[SmearedView]) -> ColourSmear | None:
     """Find c in all frames together; None where too few corners tell it."""
-    wide, columns, lamp = [], [], []
+    wide, columns, lamp, told = [], [], [], []
     for number, view in enumerate(views):
         for way in np.unique(view.way):
             here = view.way == way
             if np.count_nonzero(here) >= FEWEST:
                 wide.append(view.spread.variance_px2[here].ravel())
                 lamp.append(view.by_lamp_px2[here].ravel())
+                told.append(view.spread.by_light_px2[here].ravel())
                 own = np.stack((view.by_pupil_px2[here], view.spread.by_pupil_px2[here]), axis=-1)
                 columns.append((f"{number} {way}", own.reshape(-1, 2)))
     if not wide:
         return None
     level = [np.full(len(own), number) for number, (_, own) in enumerate(columns)]
     levels = (np.concatenate(level)[:, None] == np.arange(len(columns))).astype(np.float64)
-    terms = np.column_stack((np.concatenate(lamp), levels, np.concatenate([own for _, own in columns])))
+    of_lamp, of_told = np.concatenate(lamp), np.concatenate(told)
+    terms = np.column_stack((of_lamp, levels, np.concatenate([own for _, own in columns])))
     terms = terms[:, np.ptp(terms, axis=0) + np.abs(terms).max(axis=0) > 0.0]
     seen, weight = np.concatenate(wide), np.ones(len(terms))
-    if not np.concatenate(lamp).any() or len(seen) < 4 * terms.shape[1]:
+    if not of_lamp.any() or len(seen) < 4 * terms.shape[1]:
         return None
     for _ in range(ROUNDS):
         found, *_ = np.linalg.lstsq(terms * weight[:, None], seen * weight, rcond=None)
@@ -184,8 +209,8 @@ def colour_smear(views: Sequence[SmearedView]) -> ColourSmear | None:
         weight = np.sqrt(1.0 / np.maximum(1.0, np.abs(left) / (KNEE * size)))
     used = terms * weight[:, None]
     sigma = ALIKE * size * float(np.sqrt(np.linalg.pinv(used.T @ used)[0, 0]))
-    width = np.sqrt(max(float(found[0]), 0.0) * 2.0 * float(np.mean(np.concatenate(lamp))))
-    return ColourSmear(float(found[0]), sigma, float(width))
+    width = np.sqrt(abs(float(found[0])) * 2.0 * float(np.mean(of_lamp)))
+    return ColourSmear(float(found[0]), sigma, float(width), float(of_told @ of_lamp / (of_lamp @ of_lamp)))
 
 
 @cache
@@ -197,6 +222,11 @@ def index_width(medium: Medium | None) -> float:
         if medium.index < THINNEST_LIQUID:
             return 0.0
         medium = MEDIA[ORDINARY_GLASS]
-    lengths, weight = white_led(LAMP_K).colours(COLOURS)
+    return float(np.sqrt(_index_variance(medium, white_led(LAMP_K))))
+
+
+def _index_variance(medium: Medium, light: Light) -> float:
+    """Variance of a medium's index over the colours of a light."""
+    lengths, weight = light.colours(COLOURS)
     n = np.array([medium.n(float(nm)) for nm in lengths])
-    return float(np.sqrt(weight @ (n - weight @ n) ** 2))
+    return float(weight @ (n - weight @ n) ** 2)

@@ -113,3 +113,17 @@ def test_a_light_without_power_is_none():
     for power in ([0.0, 0.0], [1.0, -1.0], [1.0, np.nan]):
         with pytest.raises(SceneError, match="needs some power"):
             light_of([500.0, 600.0], power)
+
+
+def test_a_width_may_mean_a_band_or_a_gaussian_as_wide_or_of_the_same_variance():
+    table = LightTable(mean_nm=550.0, sigma_nm=30.0)
+    as_wide, as_spread = (light.spread_nm for light in table.rivals())
+    assert as_wide == pytest.approx(30.0 * np.sqrt(8.0 * np.log(2.0) / 12.0), rel=1e-3)
+    assert as_spread == pytest.approx(30.0, rel=1e-3)
+    as_wide, as_spread = (light.spread_nm for light in LightTable(band_nm=[500.0, 600.0]).rivals())
+    assert as_wide == pytest.approx(100.0 / np.sqrt(8.0 * np.log(2.0)), rel=3e-3)
+    assert as_spread == pytest.approx(100.0 / np.sqrt(12.0), rel=3e-3)
+    assert not LightTable(mean_nm=532.0).rivals()
+    assert not LightTable(colour_temperature_k=4000.0).rivals()
+    cut = LightTable(mean_nm=550.0, width_nm=100.0, filters=[{"band_nm": [540.0, 560.0]}])
+    assert max(light.spread_nm for light in cut.rivals()) < 6.0

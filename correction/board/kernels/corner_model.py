@@ -173,3 +173,28 @@ def start_levels(p: Array, pixels: Array, count: int, turn: Array, row: Array) -
         y1 += row[9] * pixels[k, 2]
     p[9] = (y1 - q1 * y0 / count) / (q2 - q1 * q1 / count)
     p[8] = (y0 - p[9] * q1) / count
+
+
+@kernel
+def draw_smeared(
+    axes: Array, blur: Array, steps: Array, share: Array, first: int, last: int, p: Array, turn: Array,
+    row: Array, out: Array,
+) -> None:  # fmt: skip
+    """Draw corners first..last-1, each the sum of displaced ones, about the middles of their tiles.
+
+    axes (N, 2, 2) px per square; blur (N,) px; steps (K, N, 2) where each part shows the corner [px] and share
+    (K, N) of the light; p (FREE,), turn (4,), row (FREE,) are scratch; out (N, S, S), S odd, dark -1, bright 1.
+    """
+    half = out.shape[1] // 2
+    for n in range(first, last):
+        p[:] = 0.0
+        p[2] = np.arctan2(axes[n, 1, 0], axes[n, 0, 0])
+        p[3] = np.arctan2(axes[n, 1, 1], axes[n, 0, 1])
+        p[6], p[7], p[9] = blur[n], blur[n], 1.0
+        set_turn(p, turn)
+        out[n] = 0.0
+        for k in range(len(steps)):
+            p[0], p[1] = steps[k, n, 0], steps[k, n, 1]
+            for j in range(out.shape[1]):
+                for i in range(out.shape[2]):
+                    out[n, j, i] += share[k, n] * gradient(p, turn, float(i - half), float(j - half), row)

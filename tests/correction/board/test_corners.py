@@ -3,7 +3,7 @@ import pytest
 import tifffile
 
 from correction.board import Chessboard
-from correction.board.corners import CornerReason, refine_corners, saturated_fraction
+from correction.board.corners import CornerReason, blurs_of_smeared, refine_corners, saturated_fraction
 from correction.board.kernels import cholesky, corner_covariance, corner_fit, corner_model
 from correction.errors import FrameError
 from tests.correction.frame_truth import FRAMES, true_projection
@@ -188,6 +188,41 @@ def test_compiled_and_interpreted_fits_agree():
     assert verdict[0] == CornerReason.OK
     assert np.allclose(out[0, :2], compiled.position_px[0], atol=1e-6)
     assert np.allclose(np.sqrt(out[0, 2:4]), compiled.sigma_px[0], rtol=1e-4)
+
+
+@pytest.mark.parametrize("squares_px", [12.0, 22.0, 35.0])
+def test_a_smeared_corner_is_as_blurred_as_it_is_found_in_a_frame(squares_px):
+    turn, way, spread, count = 0.3, 1.0, 0.4, 12
+    axes = squares_px * np.array([[np.cos(turn), -np.sin(turn)], [-np.sin(turn), -np.cos(turn)]])
+    steps = np.sqrt(12.0) * spread * ((np.arange(count) + 0.5) / count - 0.5)[:, None]
+    steps = steps * [np.cos(way), np.sin(way)]
+    matrix, shape, origin = axes / SQUARE, (90, 90), np.array([44.8, 45.3])
+    light = [soft_board(affine(matrix, origin + step), shape) for step in (np.zeros(2), *steps)]
+    alone, seen = (
+        refine_corners(image, origin[None] + 0.2, axes[None], window=0.42).blurs_px[0] ** 2
+        for image in (light[0], np.mean(light[1:], axis=0))
+    )
+    share = np.full((count, 1), 1.0 / count)
+    own = np.array([np.sqrt(alone.mean())])
+    found = blurs_of_smeared(axes[None], np.array([0.42]), own, steps[:, None], share)[0] ** 2
+    np.testing.assert_allclose(found - alone.mean(), seen - alone, atol=0.15 * spread**2)
+
+
+def test_compiled_and_interpreted_drawings_agree():
+    axes, steps = np.array([[[9.0, 3.0], [2.0, -8.0]]]), np.array([[[0.2, 0.1]], [[-0.3, 0.0]]])
+    drawn = [np.empty((1, 15, 15)) for _ in range(2)]
+
+    def scratch():
+        return np.empty(13), np.empty(4), np.empty(13)
+
+    with pytest.MonkeyPatch.context() as context:
+        corner_model.draw_smeared(axes, np.array([0.6]), steps, np.full((2, 1), 0.5), 0, 1, *scratch(), drawn[0])
+        plain = corner_model.draw_smeared.py_func
+        for name in ("gradient", "set_turn"):
+            context.setattr(corner_model, name, getattr(corner_model, name).py_func)
+        plain(axes, np.array([0.6]), steps, np.full((2, 1), 0.5), 0, 1, *scratch(), drawn[1])
+    np.testing.assert_allclose(drawn[0], drawn[1], atol=1e-9)
+    assert drawn[0].min() < -0.9 < 0.9 < drawn[0].max()
 
 
 def test_frames_that_are_none_are_refused():

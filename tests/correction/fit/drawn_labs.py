@@ -225,7 +225,7 @@ def photographed(
     variance = EDGE_PX2 + np.hypot(EDGE_NOISE_PX2, sigma) * rng.spawn(1)[0].normal(size=pixel.shape)
     if colours:
         variance = variance + TAKEN_UP * smear_px2(lab, colours, pixel, shown.axes_px)
-    spread = EdgeSpread(variance, np.zeros_like(variance))
+    spread = EdgeSpread(variance, np.zeros_like(variance), np.zeros_like(variance))
     name = "glass" if glass else "bare"
     return MeasuredFrame(
         name, corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, expected, {}, lost, spread

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from correction.fit.smear import SLOPE, Dispersion, Smear, smear_of, smeared, uneven_blur
+from correction.fit.smear import SLOPE, Dispersion, Smear, colour_steps, smeared, uneven_blur
 from sim.prints.patterns import Pose
 from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import tables_of
@@ -92,7 +92,8 @@ def test_colours_show_a_corner_where_independent_optics_do():
     pixels = middle + np.array([[110.0, 0.0], [-60.0, 120.0], [20.0, -150.0]])
     mean = light.index(scene.spheres[0].medium)
     told = with_index(scene, mean)
-    found = smear_of(told, TargetPose(), dispersion, pixels, np.repeat(AXES, 3, axis=0), np.full(3, 0.9))
+    parts = colour_steps(told, TargetPose(), dispersion, pixels)
+    found = smeared(*parts, np.repeat(AXES, 3, axis=0), np.full(3, 0.9))
     for number, pixel in enumerate(pixels):
         point = shown(told, pixel)
         steps = []

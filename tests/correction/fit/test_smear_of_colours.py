@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.smear_test import EdgeSpread, SmearedView, colour_smear, index_width, smeared_view
+from correction.fit.smear_test import ColourSmear, EdgeSpread, SmearedView, colour_smear, index_width, smeared_view
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tracer.blur import pupil_views
+from tracer.light import band, gaussian
 from tracer.media import MEDIA, ConstantMedium
 from tracer.pupil import Pupil
 from tracer.sensitivity import TargetPose, landings
@@ -16,12 +17,16 @@ from tracer.sensitivity import TargetPose, landings
 COUNT = 200
 
 
-def view(rng: np.random.Generator, colours: float, stop: float, told_stop: float = 0.0) -> SmearedView:
+def view(
+    rng: np.random.Generator, colours: float, stop: float, told_stop: float = 0.0, told_colours: float = 0.0
+) -> SmearedView:
     """Corners whose edges are as wide as colours (in white lamps) and stops (in mm^2) make them."""
     lamp, pupil = rng.uniform(0.0, 0.04, (COUNT, 2)), rng.uniform(0.1, 0.5, (COUNT, 2))
     seen = 0.28 + colours * lamp + stop * pupil + rng.normal(0.0, 0.02, (COUNT, 2))
     seen[::40] += 1.0  # dirt
-    return SmearedView(np.full(COUNT, "ball"), EdgeSpread(seen, told_stop * pupil), lamp, pupil)
+    return SmearedView(
+        np.full(COUNT, "ball"), EdgeSpread(seen, told_stop * pupil, told_colours * lamp), lamp, pupil
+    )
 
 
 @pytest.mark.parametrize(("colours", "stop", "told"), [(0.6, 0.0, 0.0), (0.6, 1.8, 0.0), (0.6, 0.2, 1.5)])
@@ -33,6 +38,26 @@ def test_colours_are_told_from_a_stop_and_from_the_print(colours, stop, told):
     without = colour_smear([view(np.random.default_rng(number), 0.0, stop, told) for number in range(3)])
     assert abs(without.share) < 3.0 * without.sigma
     assert not without.alarm
+
+
+def test_a_told_light_that_smears_less_than_was_told_is_named_and_a_line_cannot():
+    frames = [np.random.default_rng(number) for number in range(3)]
+    found = colour_smear([view(rng, -0.9, 0.0, told_colours=1.0) for rng in frames])
+    assert found.told == pytest.approx(1.0)
+    assert found.alarm
+    assert "fewer colours than is told" in str(found)
+    assert not replace(found, told=0.0).alarm
+    assert not replace(found, share=-0.2).alarm  # so little is not known of what edges take up
+
+
+def test_the_smear_leaves_open_which_of_two_lights_it_is_where_they_smear_alike():
+    glass, told = MEDIA["N-BK7"], gaussian(550.0, 85.0)
+    seen = ColourSmear(0.0, 0.02, 0.0, 1.0)
+    assert seen.open_share(glass, told, gaussian(550.0, 80.0)) == 1.0
+    far = seen.open_share(glass, told, band(450.0, 650.0))
+    assert 0.0 < far < 0.5
+    assert replace(seen, share=-0.5).open_share(glass, told, band(450.0, 650.0)) > 2.0 * far
+    assert replace(seen, share=-0.5, told=0.5).open_share(glass, told, band(450.0, 650.0)) == 1.0
 
 
 def test_too_few_corners_tell_nothing():
@@ -55,7 +80,7 @@ def test_the_blur_of_a_stop_is_what_traced_parts_of_it_show():
     pixel = np.random.default_rng(3).uniform(180.0, 320.0, (80, 2))
     rays = landings(scene, pixel)
     axes = np.tile(np.array([[20.0, 0.0], [0.0, -20.0]]), (80, 1, 1))
-    spread = EdgeSpread(np.ones((80, 2)), np.zeros((80, 2)))
+    spread = EdgeSpread(*np.ones((3, 80, 2)))
     way = np.full(80, "way")
     found = smeared_view(scene, scene.camera, way, axes, spread, rays).by_pupil_px2
     focus = scene.camera.position_mm[2]
@@ -71,7 +96,7 @@ def test_a_frame_without_a_corner_behind_glass_has_nothing_to_smear():
     scene = at_size(named_scene("two_spheres_500"), 504)
     pixel = np.random.default_rng(3).uniform(0.0, 40.0, (20, 2))
     axes = np.tile(np.array([[20.0, 0.0], [0.0, -20.0]]), (20, 1, 1))
-    spread = EdgeSpread(np.ones((20, 2)), np.zeros((20, 2)))
+    spread = EdgeSpread(*np.ones((3, 20, 2)))
     found = smeared_view(scene, scene.camera, np.full(20, ""), axes, spread, landings(scene, pixel))
     assert not found.way.size
 
