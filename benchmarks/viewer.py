@@ -54,7 +54,7 @@ def by_socket(url: str) -> dict[str, Any]:
 
 def by_browser(url: str) -> dict[str, Any]:
     """Let Chromium draw it."""
-    state = "(() => ({drawn: rtpivLive.drawn, over: !!rtpivLive.words.over, missed: rtpivLive.words.missed}))()"
+    state = "(() => ({drawn: rtpivLive.drawn, over: !!rtpivLive.ended, missed: rtpivLive.words.missed}))()"
     last, first_s, last_s = {"drawn": 0, "missed": 0}, 0.0, 0.0
     with tab_at(url) as tab:
         tab.ask("Emulation.setDeviceMetricsOverride", width=1400, height=1000, deviceScaleFactor=1, mobile=False)

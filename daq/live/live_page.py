@@ -1,14 +1,21 @@
-"""Start the page, and show it moments: for whoever measures, who is told nothing of viewers and waits for none."""
+"""Start the page, and show it moments: for whoever measures, who is told nothing of viewers and waits for none.
+
+A server that dies is started again under the same address, and pages that are open find it by themselves. What is
+done while no frame comes, and how it ended, goes to the server as lines on its input; a line for which there is no
+room there, because the server is stuck, is dropped. An input that ends without a last word: it was killed.
+"""
 
 import json
+import os
 import secrets
 import subprocess
+import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
 from importlib.util import find_spec
 from types import TracebackType
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from numpy.typing import NDArray
 
@@ -21,6 +28,8 @@ from tracer.scene import Scene
 from tracer.scene_file import dump_scene
 
 ENDS_S = 2.0
+AGAIN_S, SELDOM_S = 0.2, 20.0  # until a server that died is started again, at first and when it dies again at once
+MOST_CHARACTERS = 1000  # of why it has stopped
 BYTES_PER_PX = 12  # of a moment: a frame, and its correction on a plane of up to twice its pixels
 
 
@@ -56,23 +65,21 @@ class LivePage:
         self._slot = SlotWriter(most_bytes)
         self._token = secrets.token_urlsafe(24)
         self.pace = Pace()
-        command, environment = child("daq.live.serve", str(self._slot.path))
-        self._server = subprocess.Popen(
-            command,
-            env=environment,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
+        self._orders: dict[str, Any] = {"token": self._token}
+        if scene is not None and board is not None:
+            self._orders |= {"scene": dump_scene(scene), "board_mm": [board.square_mm, board.disc_mm]}
+        self._server: subprocess.Popen[bytes] | None = None
+        self._input: IO[bytes] | None = None  # of a server that has its orders
+        self._doing, self._over = "", threading.Event()
+        self._starts = threading.Lock()
+        self.say("starting")
+        self._keeper = threading.Thread(target=self._keep, name="page", daemon=True)
         try:
-            orders: dict[str, Any] = {"token": self._token, "port": port}
-            if scene is not None and board is not None:
-                orders |= {"scene": dump_scene(scene), "board_mm": [board.square_mm, board.disc_mm]}
-            self.port = self._said(orders)
+            self.port = self._started(port)
         except BaseException:
             self.close()
             raise
+        self._keeper.start()
 
     def __enter__(self) -> Self:
         """Show the page until the end of the block."""
@@ -81,8 +88,13 @@ class LivePage:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End it."""
-        self.close()
+        """End it, and tell viewers why."""
+        if error is None:
+            self.close()
+        else:
+            self.close(
+                f"stopped: {str(error)[:MOST_CHARACTERS]}" if isinstance(error, Exception) else "stopped by hand"
+            )
 
     @property
     def url(self) -> str:
@@ -92,6 +104,7 @@ class LivePage:
     @property
     def server_pid(self) -> int:
         """Process of the server."""
+        assert self._server is not None
         return self._server.pid
 
     @property
@@ -105,31 +118,78 @@ class LivePage:
             self.pace.shown(time.monotonic(), self._slot.is_watched)
             self._slot.put(words, pictures)
 
-    def close(self) -> None:
-        """Take the page down: viewers are told that it is over."""
+    def say(self, doing: str) -> None:
+        """Say what is done now; a page without a new picture shows it, with how long it has lasted."""
+        if doing != self._doing:
+            self._doing = doing
+            self._orders["doing"] = [doing, time.monotonic_ns()]
+            self._tell({"doing": self._orders["doing"]})
+
+    def close(self, why: str = "ended") -> None:
+        """Take the page down: viewers are told why."""
+        self._tell({"over": why})
+        with self._starts:  # from here on none is started
+            self._over.set()
         self._slot.close()
-        if self._server.stdin is not None:
-            with suppress(OSError):
-                self._server.stdin.close()
+        if self._server is None:
+            return
+        assert self._server.stdin is not None
+        assert self._server.stdout is not None
+        with suppress(OSError):
+            self._server.stdin.close()
         try:
             self._server.wait(ENDS_S)
         except subprocess.TimeoutExpired:
             self._server.kill()
             self._server.wait()
-        if self._server.stdout is not None:
-            self._server.stdout.close()
+        if self._keeper.ident is not None:
+            self._keeper.join()
+        self._server.stdout.close()
 
-    def _said(self, orders: Mapping[str, Any]) -> int:
-        assert self._server.stdin is not None
-        assert self._server.stdout is not None
-        with suppress(OSError):
-            self._server.stdin.write(json.dumps(dict(orders)) + "\n")
-            self._server.stdin.flush()
-        line = self._server.stdout.readline()
+    def _keep(self) -> None:
+        """Start the server again when it has died."""
+        pause_s, begun_s = AGAIN_S, time.monotonic()
+        while True:
+            assert self._server is not None
+            self._server.wait()
+            pause_s = AGAIN_S if time.monotonic() - begun_s > SELDOM_S else min(2.0 * pause_s, SELDOM_S)
+            if self._over.wait(pause_s):
+                return
+            begun_s = time.monotonic()
+            with suppress(PageError, OSError):  # its port is taken, or no process can be started: once more, later
+                self._started(self.port)
+
+    def _started(self, port: int) -> int:
+        """Start the server; the port on which it listens."""
+        command, environment = child("daq.live.serve", str(self._slot.path))
+        pipe = subprocess.PIPE
+        with self._starts:
+            if self._over.is_set():
+                return port
+            before, self._input = self._server, None
+            for stream in () if before is None else (before.stdin, before.stdout):
+                assert stream is not None
+                stream.close()
+            server = self._server = subprocess.Popen(
+                command, bufsize=0, env=environment, stdin=pipe, stdout=pipe, start_new_session=True
+            )
+        assert server.stdin is not None
+        assert server.stdout is not None
+        with suppress(OSError, ValueError):
+            server.stdin.write(json.dumps(self._orders | {"port": port}).encode() + b"\n")
         try:
-            said = json.loads(line)
+            said = json.loads(server.stdout.readline())
         except ValueError:
             said = {}
         if "port" not in said:
             raise PageError(f"the page cannot be shown: {said.get('error', 'its server did not start')}")
+        os.set_blocking(server.stdin.fileno(), False)
+        self._input = server.stdin
+        self._tell({"doing": self._orders["doing"]})  # it may have changed meanwhile
         return int(said["port"])
+
+    def _tell(self, words: Mapping[str, Any]) -> None:
+        """Tell the server, if it lives and listens."""
+        with self._starts, suppress(OSError, ValueError):  # it is gone, it is stuck, its input is closed
+            if self._input is not None:
+                self._input.write(json.dumps(dict(words)).encode() + b"\n")

@@ -45,6 +45,8 @@ class RunShown:
 
         def both(progress: Progress) -> None:
             self._progress = progress
+            waits = progress.doing == "exposing" and not progress.frames
+            self._page.say("waiting for the camera's first frame" if waits else progress.doing)
             watcher(progress)
 
         return both
@@ -102,7 +104,7 @@ def words_of(progress: Progress) -> dict[str, Any]:
         "lost or incomplete": [str(lost), lost > 0],
         "not corrected live": [str(len(flow.skipped)), False],
     }
-    said: dict[str, Any] = {"doing": progress.doing, "counters": counters}
+    said: dict[str, Any] = {"counters": counters}
     if flow.vectors is not None:
         counters["vectors"] = [flow.vectors.sentence(), bool(flow.vectors.remark)]
         said["arrows"] = flow.vectors.arrows

@@ -4,7 +4,8 @@
 
 One thread a viewer: it sends the last moment, waits until the browser says that it has drawn it, and takes the
 last one again; what came meanwhile is counted and never queued. Pictures are made where the frames lie, as large
-as the viewer has room for; what seldom changes is sent when it has. All of it is of lower priority than the run,
+as the viewer has room for; what seldom changes is sent when it has. While nothing new comes, twice a second a word
+says that the server lives, what the run does and for how long. All of it is of lower priority than the run,
 and none of it happens while nobody looks.
 
 Safety.  Only this computer is listened to.  A page of another site can make a browser here ask for anything, under
@@ -16,6 +17,9 @@ bench through here: there are frames in one direction and acknowledgements in th
 
 import hmac
 import json
+import logging
+import os
+import socket
 import sys
 import threading
 import time
@@ -30,6 +34,7 @@ from typing import TYPE_CHECKING, Any
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.server import ServerProtocol
 from websockets.sync.server import Server, ServerConnection, serve
 
 from daq.acquisition.pipeline.live_slot import Moment, NoSlotError, SlotReader
@@ -49,10 +54,15 @@ PAGES = {
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
 }
 MOST_VIEWERS = 64
+MOST_KEPT = 16  # pictures, of up to 2 MB
 MOST_WORDS = 4096  # bytes of a message from a browser
 TOKEN_S, LOOK_S = 5.0, 0.005  # patience with who has said nothing yet; between two looks into the slot
 OVER_S = 0.2  # between two looks whether the run is over
+ALIVE_S = 0.5  # between two signs of life
 FAREWELL_S = 0.5
+MOST_THREADS = 1600  # two and more a socket: fewer than the 1024 files that a process may have open
+OUR_FAULTS = "connection handler failed", "process_request failed"  # what strangers send is not for the terminal
+KILLED = "killed: its program is gone"
 NAMES = "raw", "corrected"  # of pictures
 SELDOM = "lines", "figures", "arrows"  # words that are sent when they have changed
 POLICY, BUSY = 1008, 1013  # close codes
@@ -112,6 +122,8 @@ class Page:
     port: int = 0
     watches: "tuple[Watch, ...]" = ()
     lines: dict[str, Any] = field(default_factory=dict)
+    doing: tuple[str, int] = "", 0
+    over: str = ""
     viewers: int = 0
     worth: Worth = field(init=False)
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -147,8 +159,9 @@ class Page:
         """Serve one viewer until it goes."""
         with suppress(ConnectionClosed, TimeoutError):
             said = _understood(connection.recv(timeout=TOKEN_S))
-            token = str(said.get("token", "")).encode("utf-8", "surrogatepass")
-            if not hmac.compare_digest(token, self.token.encode()):
+            token = said.get("token")
+            known = token.encode("utf-8", "surrogatepass") if isinstance(token, str) else b""
+            if not hmac.compare_digest(known, self.token.encode()):
                 connection.close(POLICY, "open the address that the run has printed")
                 return
             with self._lock:  # who knows no token keeps nobody out
@@ -176,7 +189,7 @@ class Page:
             self._keep(ready)
             missed += ready.number - seen - 1 if seen else 0
             seen = ready.number
-            words = ready.words | {"missed": missed}
+            words = ready.words | self._doing() | {"missed": missed}
             for name in SELDOM:
                 if name in words and words[name] == known.get(name):
                     del words[name]
@@ -186,7 +199,7 @@ class Page:
                 connection.send(picture)
             while wish.heard(_understood(connection.recv())):  # it has drawn them, or wants others at once
                 pass
-        connection.send(json.dumps({"over": True}))
+        connection.send(json.dumps({"over": self.over}))
         connection.close()
 
     def _waited(self, seen: int, connection: ServerConnection, wish: Wish) -> int | None:
@@ -197,18 +210,23 @@ class Page:
         int or None
             Number of the last moment that need not be shown again; None when there will be no other.
         """
-        over_s = 0.0
-        while True:
+        alive_s = 0.0
+        while not self.over:
             self.slot.ask()
             if self.slot.number != seen:
                 return seen
-            if time.monotonic() >= over_s:
-                if self.slot.is_over:
-                    return None
-                over_s = time.monotonic() + OVER_S
+            if time.monotonic() >= alive_s:
+                connection.send(json.dumps(self._doing()))
+                alive_s = time.monotonic() + ALIVE_S
             with suppress(TimeoutError):
                 wish.heard(_understood(connection.recv(timeout=LOOK_S)))
                 return max(seen - 1, 0)
+        return None
+
+    def _doing(self) -> dict[str, Any]:
+        """What is done now, and for how long."""
+        text, since_ns = self.doing
+        return {"doing": text, "doing_s": (time.monotonic_ns() - since_ns) / 1e9}
 
     def _ready(self, moment: Moment, wish: Wish) -> Ready:
         """What a viewer is sent of a moment, made where it lies."""
@@ -224,7 +242,8 @@ class Page:
         counters = dict(said.get("counters", {}))
         for watch in (self.worth, *self.watches):
             counters |= watch.said
-        shown = {"number": moment.number, "shown": [key[1] for key in pictures], "has": list(moment.pictures)}
+        shown: dict[str, Any] = {"age_s": (time.monotonic_ns() - moment.taken_ns) / 1e9, "number": moment.number}
+        shown |= {"shown": [key[1] for key in pictures], "has": list(moment.pictures)}
         seldom = {"lines": self.lines.get(said.get("view", ""), {}), "figures": self.worth.figures, "arrows": []}
         return Ready(moment.number, seldom | said | shown | {"white": white, "counters": counters}, pictures)
 
@@ -235,7 +254,16 @@ class Page:
             if kept < ready.number:
                 self._pictures = ready.pictures
             elif kept == ready.number:
-                self._pictures = self._pictures | ready.pictures
+                self._pictures = dict([*self._pictures.items(), *ready.pictures.items()][-MOST_KEPT:])
+
+
+class Connection(ServerConnection):
+    """A socket, unless there are so many that one more could end the server: it is closed then."""
+
+    def __init__(self, sock: socket.socket, protocol: ServerProtocol, server: Server, **options: Any) -> None:  # noqa: ANN401
+        if threading.active_count() > MOST_THREADS:
+            raise OSError("too many sockets")
+        super().__init__(sock, protocol, server, **options)
 
 
 def _understood(message: str | bytes) -> dict[str, Any]:
@@ -266,9 +294,11 @@ def _response(status: HTTPStatus, body: bytes, kind: str, addresses: tuple[str, 
 def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
     """Listen on this computer; the server is to be run by `serve_forever`."""
     page = Page(SlotReader(slot), token)
+    logging.getLogger("websockets.server").addFilter(lambda record: record.msg in OUR_FAULTS)
     server = serve(
-        page.show, HOST, port, process_request=page.answer, compression=None, max_size=MOST_WORDS, max_queue=4
-    )
+        page.show, HOST, port, process_request=page.answer, compression=None, max_size=MOST_WORDS, max_queue=4,
+        open_timeout=TOKEN_S, create_connection=Connection,
+    )  # fmt: skip
     page.port = server.socket.getsockname()[1]
     page.worth.start()
     return server, page
@@ -293,37 +323,49 @@ def _look_at_scene(page: Page, text: str, board_mm: Sequence[float]) -> None:
 
 
 def main() -> int:
-    """Serve until whoever started us is gone: its orders come by our input, which ends with it."""
+    """Serve until whoever started us is gone: its words come by our input, which ends with it."""
     lower_process()
     slot = Path(sys.argv[1])  # known before any order: whoever is killed first cannot take it down
-    try:
-        return _served(slot)
-    finally:
-        slot.unlink(missing_ok=True)
+    orders = _next_words()
+    if orders:
+        try:
+            server, page = opened(slot, orders["token"], orders["port"])
+        except (NoSlotError, OSError) as error:
+            _say({"error": str(error)})
+            return 3
+        _serve(server, page, orders)
+    slot.unlink(missing_ok=True)
+    return 0
 
 
-def _served(slot: Path) -> int:
-    """Carry the orders out; there are none, or half of them, from a program that was killed as it gave them."""
-    line = sys.stdin.readline()
-    if not line.endswith("\n"):
-        return 0
-    orders = json.loads(line)
-    try:
-        server, page = opened(slot, orders["token"], orders["port"])
-    except (NoSlotError, OSError) as error:
-        _say({"error": str(error)})
-        return 3
+def _serve(server: Server, page: Page, orders: dict[str, Any]) -> None:
+    """Serve until there are no more words."""
+    page.doing = tuple(orders.get("doing", page.doing))
+
+    def accept() -> None:
+        server.serve_forever()
+        if not page.over:  # it can take no more sockets: another process may
+            os._exit(4)
+
+    threading.Thread(target=accept, name="page", daemon=True).start()
     _say({"port": page.port})
-    threading.Thread(target=server.serve_forever, name="page", daemon=True).start()
     if orders.get("scene"):
         told = page, orders["scene"], orders["board_mm"]
         threading.Thread(target=_look_at_scene, args=told, name="scene", daemon=True).start()
-    sys.stdin.read()
+    while not page.over:
+        words = _next_words() or {"over": KILLED}
+        page.doing = tuple(words.get("doing", page.doing))
+        page.over = words.get("over", "")
     until_s = time.monotonic() + FAREWELL_S
     while page.viewers and time.monotonic() < until_s:  # those who can hear it are told that it is over
         time.sleep(LOOK_S)
     server.shutdown()
-    return 0
+
+
+def _next_words() -> dict[str, Any]:
+    """Wait for a line from whoever started us; nothing where the line is cut off, for then it was killed."""
+    line = sys.stdin.readline()
+    return dict(json.loads(line)) if line.endswith("\n") else {}
 
 
 def _say(words: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ A frame is looked at now and then, whichever is there, while somebody looks at t
 import threading
 import time
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import Any
 
 from daq.acquisition.pipeline.live_slot import Moment, SlotReader
@@ -61,4 +62,4 @@ class Watch(ABC):
 def _raw_of(moment: Moment) -> Moment:
     """A moment with its raw frame alone, copied."""
     pictures = {name: pixels.copy() for name, pixels in moment.pictures.items() if name == "raw"}
-    return Moment(moment.number, moment.words, pictures)
+    return replace(moment, pictures=pictures)

@@ -70,12 +70,15 @@ def live(
     screen, loaded = console(), load_bench(bench)
     height, width = loaded.scene.camera.shape
     believed = loaded.scene if scene is None else load_scene(Path(scene))
-    corrector = _corrector(believed) if correct else None
-    seen, begun_s = 0, time.monotonic()
     with ExitStack() as stack:
         page = stack.enter_context(
             LivePage(BYTES_PER_PX * height * width, port, believed, loaded.table.target.board)
         )
+        screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
+        screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
+        page.say("making the correction; the first one on a computer compiles for about a minute")
+        corrector = _corrector(believed) if correct else None
+        page.say("opening the camera")
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
         exposures = Exposures(hardware.camera, hardware.camera_section)
         exposures.set_up()
@@ -83,13 +86,14 @@ def live(
         if away and corrector is not None:
             corrector = None
             screen.print(f"no correction is shown: {away}", soft_wrap=True, highlight=False)
-        screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
-        screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
+        page.say("waiting for the camera's first frame")
+        seen, begun_s = 0, time.monotonic()
         try:
             for frame in _endless(exposures):
                 with frame:
                     corrected = None if corrector is None else corrector(frame.pixels)
                     words, pictures = _moment(loaded, frame, corrected, shows, seen, begun_s, away)
+                    page.say(words["doing"])
                     page.show(words, pictures)
                 seen += 1
                 if for_s is not None and time.monotonic() - begun_s > for_s:

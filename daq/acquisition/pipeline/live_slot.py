@@ -19,7 +19,7 @@ import struct
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -32,7 +32,7 @@ MAGIC = b"rtpivlv1"
 HEAD = struct.Struct("<8sQQQ")  # magic, bytes of a half, moments so far, which half is newest
 ASKED = struct.Struct("<q")  # monotonic clock of whoever looked last [ns]
 HALVES = 64  # bytes before the first half: HEAD, ASKED, nothing
-HALF = struct.Struct("<QII")  # count, bytes of words, number of pictures
+HALF = struct.Struct("<QIIq")  # count, bytes of words, number of pictures, monotonic clock [ns]
 PICTURE = struct.Struct("<16sIIcxxx")  # name, height, width, type
 WORDS_BYTES = 65_536
 MOST_PICTURES = 4
@@ -60,11 +60,14 @@ class Moment:
         What is known beside the pictures.
     pictures : dict
         Name to pixels (H, W), uint16 or float32.
+    taken_ns : int
+        When it was shown, on `time.monotonic_ns`.
     """
 
     number: int
     words: dict[str, Any]
     pictures: dict[str, NDArray[Any]]
+    taken_ns: int = 0
 
 
 class SlotWriter:
@@ -104,12 +107,13 @@ class SlotWriter:
         Pictures that do not fit are left out, and words that are too many: the run goes on.
         """
         self._count += 1
+        now_ns = time.monotonic_ns()
         which = self._count % 2
         start = HALVES + which * self._half
         text = json.dumps(dict(words)).encode()
         text = text if len(text) <= WORDS_BYTES else b"{}"
         shown = [(name, pixels) for name, pixels in pictures.items() if pixels.dtype in CODES][:MOST_PICTURES]
-        self._memory[start : start + HALF.size] = HALF.pack(2 * self._count - 1, len(text), len(shown))
+        self._memory[start : start + HALF.size] = HALF.pack(2 * self._count - 1, len(text), len(shown), now_ns)
         at = start + HALF.size
         self._memory[at : at + len(text)] = text
         at += WORDS_BYTES
@@ -127,7 +131,7 @@ class SlotWriter:
                 name.encode()[:16], height, width, CODES[pixels.dtype]
             )
             at += PICTURE.size
-        self._memory[start : start + HALF.size] = HALF.pack(2 * self._count, len(text), len(shown))
+        self._memory[start : start + HALF.size] = HALF.pack(2 * self._count, len(text), len(shown), now_ns)
         self._memory[: HEAD.size] = HEAD.pack(MAGIC, self._half, self._count, which)
 
     def close(self) -> None:
@@ -198,9 +202,9 @@ class SlotReader:
             if number == 0:
                 return None
             start = HALVES + which * self._half
-            before, words, count = HALF.unpack_from(self._memory, start)
+            before, words, count, taken_ns = HALF.unpack_from(self._memory, start)
             if before % 2 == 0 and words <= WORDS_BYTES and count <= MOST_PICTURES:
-                moment = self._seen(start, before // 2, words, count)
+                moment = self._seen(start, before // 2, words, count, taken_ns)
                 made = None if moment is None else take(moment)
                 del moment
                 if made is not None and HALF.unpack_from(self._memory, start)[0] == before:
@@ -216,7 +220,7 @@ class SlotReader:
         magic, half, number, which = HEAD.unpack_from(self._memory, 0)
         return magic, half, number, which & 1
 
-    def _seen(self, start: int, number: int, words: int, count: int) -> Moment | None:
+    def _seen(self, start: int, number: int, words: int, count: int, taken_ns: int) -> Moment | None:
         """A moment where it lies; None where it cannot be one, because the writer was in it meanwhile."""
         at = start + HALF.size
         text = bytes(self._memory[at : at + words])
@@ -237,7 +241,7 @@ class SlotReader:
             known = json.loads(text)
         except ValueError:
             return None
-        return Moment(number, known, pictures) if isinstance(known, dict) else None
+        return Moment(number, known, pictures, taken_ns) if isinstance(known, dict) else None
 
 
 def _is_watched(memory: mmap.mmap) -> bool:
@@ -247,4 +251,4 @@ def _is_watched(memory: mmap.mmap) -> bool:
 
 def _copied(moment: Moment) -> Moment:
     pictures = {name: pixels.copy() for name, pixels in moment.pictures.items()}
-    return Moment(moment.number, moment.words, pictures)
+    return replace(moment, pictures=pictures)

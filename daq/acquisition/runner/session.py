@@ -282,14 +282,23 @@ def carry_out(
     shapes = [bench.scene.camera.shape, *(bench.seen_by(name).scene.camera.shape for name in beside)]
     pixels = sum(height * width for height, width in shapes)
     check_disk(folder.path, 2 * pixels * frame_count(left) * (2 if request.correct else 1))
+    progress = Progress(len(plan.steps))
+
+    def tell(doing: str) -> None:
+        progress.doing = doing
+        if watcher is not None:
+            watcher(progress)
+
     corrections = make_corrections(request, bench, folder.path.parent / MAPS, left)
     if corrections is not None:
+        tell("making the correction; the first one on a computer compiles for about a minute")
         corrections.prepare(step.view for step in left if step.on_plane)
     shows, exposures_before = plan.table.shows, frame_count(plan.steps)
     if left:
         goes_on = left[0].may_have_gaps and left[0].index not in again
         kept = next_place(left[0], frame_entries(folder.entries())) if goes_on else 0
         exposures_before = left[0].first_frame + kept
+    tell("opening the devices")
     with ExitStack() as stack:
         hardware = stack.enter_context(open_bench(bench, request.simulate, shows, exposures_before))
         boxes = {name: box.identity for name, box in hardware.stage.controllers.items()}
@@ -300,19 +309,13 @@ def carry_out(
         if before is not None:
             before(hardware)
         if home:
-            progress = Progress(len(plan.steps))
-
-            def tell(axis: str) -> None:
-                progress.doing = f"homing {axis}"
-                if watcher is not None:
-                    watcher(progress)
 
             def ask(axis: str) -> float:
                 if hardware.simulation is not None:  # a simulated person reads a simulated scale
                     return hardware.simulation.true_mm()[axis]
                 return (operator or NoOperator()).stands_mm(axis)
 
-            hardware.stage.home(tell=tell, ask=ask)
+            hardware.stage.home(tell=lambda axis: tell(f"homing {axis}"), ask=ask)
         asked = _for_companion(request)
         companions = [
             Companion(

@@ -1,58 +1,68 @@
 // Frames as they come: a text with what is known, then pixels; the next ones are sent when these have been drawn.
 "use strict";
 const at = (id) => document.getElementById(id);
-const HEAD = 44, AROUND = 0.05, SATURATED = 65535, NOTHING = 0, OLD_MS = 1500;
-const view = { mode: "split", low: 0, high: 1, split: 0.5, part: [0, 0, 0], fit: true, blink: false, lines: true, folds: true, vectors: true };
+const HEAD = 44, AROUND = 0.05, SATURATED = 65535, NOTHING = 0, OLD_MS = 1500, SILENT_MS = 3000, GONE_MS = 20000, BLINK_MS = 500;
+const view = { mode: "split", low: 0, high: 1, split: 0.5, part: [0, 0, 0], fit: true, lines: true, folds: true, vectors: true };
 const shown = {}; // last picture of each name
 const images = {}, palette = { key: "", table: new Uint32Array(SATURATED + 1) };
 let words = {}, waiting = 0, drawn = 0, begun = performance.now(), socket = null;
-let lost_ms = 0, came_ms = 0, ended = "";
+let heard_ms = 0, came_ms = 0, doing = "", since_ms = 0, ended = ""; // when anything was heard, the picture was taken, it began
 let changes = 0, marked_as = "", said_ms = -1e9, slid_ms = -1e9, fitted_ms = -1e9, mapped = "";
-window.rtpivLive = { get drawn() { return drawn; }, get words() { return words; }, view, shown, first_ms: null };
+window.rtpivLive = { get drawn() { return drawn; }, get words() { return words; }, get ended() { return ended; }, view, shown, first_ms: null };
 
 function connect() {
   const token = location.hash.slice(1);
   socket = new WebSocket(`ws://${location.host}/frames`);
   socket.binaryType = "arraybuffer";
-  socket.onopen = () => {
-    socket.send(JSON.stringify({ token, ...wishes() }));
-    lost_ms = 0;
+  socket.onopen = () => socket.send(JSON.stringify({ token, ...wishes() }));
+  socket.onmessage = (event) => {
+    heard_ms = performance.now();
+    if (typeof event.data === "string") told(JSON.parse(event.data));
+    else taken(event.data);
   };
-  socket.onmessage = (event) => (typeof event.data === "string" ? told(JSON.parse(event.data)) : taken(event.data));
   socket.onclose = (event) => {
-    if (words.over || event.reason) { ended = words.over ? "the run is over" : event.reason; say(at("state"), ended); return; }
-    lost_ms = lost_ms || performance.now(); // its server may have been started anew
-    setTimeout(connect, 1000);
+    if (event.reason) ended = event.reason;
+    if (!ended) setTimeout(connect, 1000); // its server is started again as long as the run lives
+    age();
   };
 }
 
-// The age of what is shown, twice a second: a run that stands still must not look as if it went on.
+// What is done now and how old the picture is, twice a second: a run that stands still must not look as if it went on.
 function age() {
-  if (ended) return;
-  const seconds = (since) => `${((performance.now() - since) / 1000).toFixed(0)} s`;
-  let said = words.doing || "running";
-  if (lost_ms) said = `the page has lost the run for ${seconds(lost_ms)}, and tries to reach it; the picture is old`;
-  else if (!came_ms) said = `waiting for the first frame for ${seconds(begun)}: the run starts its devices, homes axes or compiles`;
-  else if (performance.now() - came_ms > OLD_MS) said = `no new picture for ${seconds(came_ms)}; ${said}`;
-  at("state").className = lost_ms || performance.now() - came_ms > OLD_MS ? "old" : "";
+  const now = performance.now(), seconds = (since) => `${((now - since) / 1000).toFixed(0)} s`;
+  const silent_ms = now - (heard_ms || begun), old = came_ms && now - came_ms > OLD_MS, step = `${doing}, for ${seconds(since_ms)}`;
+  let said = doing;
+  if (ended) said = ended;
+  else if (silent_ms > GONE_MS) said = `nothing has answered for ${seconds(heard_ms || begun)}: the run has gone with its server, or the way to its computer is cut; this page tries on`;
+  else if (silent_ms > SILENT_MS || (heard_ms && socket.readyState !== 1)) said = `the server of this page has said nothing for ${seconds(heard_ms || begun)}; it is started again, the run goes on without it`;
+  else if (!heard_ms) said = "connecting ...";
+  else if (!came_ms) said = `no picture yet: ${step}`;
+  else if (old) said = step;
+  const worry = ended || old || (!came_ms && heard_ms) || silent_ms > SILENT_MS ? "old" : "";
+  at("state").className = at("stage").className = worry;
   say(at("state"), said);
+  at("age").hidden = !old;
+  say(at("age"), old ? `this picture is ${seconds(came_ms)} old` : "");
+  if (view.mode === "blink" && (shown.raw || shown.corrected)) draw();
 }
 
 // What somebody has chosen is drawn now, and what is missing for it is asked for now.
 function redraw(anew) {
-  if (shown.raw || shown.corrected) { const blink = view.blink; draw(); view.blink = blink; }
+  if (shown.raw || shown.corrected) draw();
   if (anew && socket && socket.readyState === 1) socket.send(JSON.stringify({ now: true, ...wishes() }));
 }
 
 function say(element, text) { if (element.textContent !== text) element.textContent = text; } // never as HTML
 
 function told(said) {
-  if (said.over) { words.over = true; ended = "the run is over"; say(at("state"), ended); return; }
+  if (said.over) { ended = said.over; age(); return; }
+  [doing, since_ms] = [said.doing, performance.now() - 1000 * said.doing_s];
+  if (!said.number) return; // a sign of life
   for (const name of ["lines", "figures", "arrows"]) { // sent when they have changed
     if (name in said) changes += 1;
     else said[name] = words[name];
   }
-  if (said.number !== words.number || lost_ms) came_ms = performance.now();
+  came_ms = performance.now() - 1000 * said.age_s;
   words = said;
   waiting = said.shown.length;
   for (const name of Object.keys(shown)) if (!said.has.includes(name)) delete shown[name]; // of an earlier frame
@@ -92,8 +102,8 @@ function wishes() {
 
 function draw() {
   const two = view.mode === "split" && shown.corrected;
-  if (view.mode === "blink") view.blink = !view.blink;
-  const single = view.mode === "blink" ? (view.blink ? "raw" : "corrected") : view.mode;
+  const blinks = Math.floor(performance.now() / BLINK_MS) % 2 ? "raw" : "corrected";
+  const single = view.mode === "blink" ? blinks : view.mode;
   if (view.fit && shown.raw) fitContrast(shown.raw, words.white || SATURATED);
   for (const name of ["raw", "corrected"]) {
     const canvas = at(name), on = shown[name] && (two || name === single || (!shown.corrected && name === "raw"));
@@ -360,4 +370,4 @@ document.onkeydown = (event) => {
 choose("split");
 connect();
 age();
-setInterval(age, 500);
+setInterval(age, BLINK_MS);

@@ -3,11 +3,15 @@
 import json
 import os
 import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
 
 import pytest
 
 pytest.importorskip("websockets")
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect
 
 from daq.cli import main
@@ -17,26 +21,128 @@ from tests.daq.live.test_page import SIDE, moment, taken, until_closed, viewer
 
 BYTES = 2 * 6 * SIDE * SIDE
 STATE = "(document.getElementById('state')?.textContent ?? '')"
+AGE = "(document.getElementById('age')?.hidden === false && document.getElementById('age').textContent)"
+PROGRAM = f"""
+import sys
+from daq.live.live_page import LivePage
+from tests.daq.live.test_page import moment
+with LivePage({BYTES}) as page:
+    page.show(*moment(1))
+    print(page.url, flush=True)
+    sys.stdin.readline()
+    raise ValueError("the camera was pulled out")
+"""
 
 
+def shown_once(page: LivePage, number: int) -> None:
+    while not page.is_due:
+        time.sleep(0.01)
+    page.show(*moment(number))
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(chromium() is None, reason="there is no Chromium on this computer")
-def test_buttons_draw_at_once_and_the_age_is_said_while_nothing_comes() -> None:
+def test_a_page_says_what_is_waited_for_and_how_old_its_picture_is_and_draws_what_is_chosen_at_once() -> None:
     with LivePage(BYTES) as page, tab_at(page.url) as tab:
-        tab.until(f"{STATE}.startsWith('waiting for the first frame for ')")
-        tab.until("rtpivLive.drawn === 0 && document.readyState === 'complete'")
-        while not page.is_due:
-            pass
-        page.show(*moment(1))
-        tab.until("rtpivLive.drawn >= 1")
-        tab.until(f"{STATE}.startsWith('no new picture for ')", 10.0)
+        page.say("homing glass_y")
+        tab.until(f"{STATE}.startsWith('no picture yet: homing glass_y, for ')")
+        page.say("waiting for the camera's first frame")
+        tab.until(f'{STATE} === "no picture yet: waiting for the camera\'s first frame, for 2 s"')
+        shown_once(page, 1)
+        shown_s = time.monotonic()
+        page.say("exposing")
+        tab.until("window.rtpivLive && rtpivLive.drawn >= 1 && document.getElementById('age').hidden")
+        tab.until(f"{AGE} === 'this picture is 2 s old'")
+        assert time.monotonic() - shown_s < 3.0  # 2.0 s, and half a second between two looks
+        page.say("paused")
+        tab.until(f"{STATE}.startsWith('paused, for ')")
         frozen = tab.value("rtpivLive.words.number")
         tab.value("document.querySelector('[data-mode=raw]').click()")
         assert tab.value("document.getElementById('corrected').hidden && !document.getElementById('raw').hidden")
+        grey = "document.getElementById('raw').getContext('2d').getImageData(5, 5, 1, 1).data[0]"
+        before = tab.value(grey)
+        tab.value("(() => { const high = document.getElementById('high'); high.value = 200; high.oninput(); })()")
+        assert tab.value(grey) != before  # drawn by the slider, not by a frame
+        tab.value("document.querySelector('[data-mode=blink]').click()")
+        for name in ("raw", "corrected", "raw"):
+            tab.until(f"!document.getElementById('{name}').hidden")
         tab.value("document.getElementById('stage').ondblclick({clientX: 300, clientY: 300})")
         tab.until("rtpivLive.shown.raw.width < 600")  # the part is another one, of the same moment
         assert tab.value("rtpivLive.words.number") == frozen
-        os.kill(page.server_pid, signal.SIGKILL)
-        tab.until(f"{STATE}.startsWith('the page has lost the run for ')", 10.0)
+        old_s = time.monotonic() - shown_s
+        tab.ask("Page.reload")  # whoever comes late is told how old it is all the same
+        tab.until("window.rtpivLive && rtpivLive.drawn >= 1")
+        tab.until(f"parseInt(({AGE} || '').replace('this picture is ', '')) >= {int(old_s)}")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium on this computer")
+def test_a_page_finds_its_server_again_and_knows_it_from_a_run_that_is_gone() -> None:
+    with LivePage(BYTES) as page, tab_at(page.url) as tab:
+        shown_once(page, 1)
+        tab.until("window.rtpivLive && rtpivLive.drawn >= 1")
+        killed = page.server_pid
+        os.kill(killed, signal.SIGKILL)
+        tab.until(f"{STATE}.startsWith('the server of this page has said nothing for ')")
+        shown_once(page, 2)
+        tab.until("rtpivLive.words.number === 2 && rtpivLive.drawn >= 2")  # the page was not loaded again
+        assert page.server_pid != killed
+        os.kill(page.server_pid, signal.SIGSTOP)  # it is stuck: the same for who looks, and nothing for the run
+        tab.until(f"{STATE}.startsWith('the server of this page has said nothing for ')")
+        for number in range(3000):
+            page.say(f"step {number}")
+        os.kill(page.server_pid, signal.SIGCONT)
+        tab.until(f"{STATE}.startsWith('step ')")
+        tab.until(f"{AGE}.startsWith('this picture is ')")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("ends", "said"), [("killed", "killed: its program is gone"), ("fails", "stopped: the camera was pulled out")]
+)
+@pytest.mark.skipif(chromium() is None, reason="there is no Chromium on this computer")
+def test_a_page_says_that_its_run_was_killed_or_why_it_stopped(ends: str, said: str) -> None:
+    command = [sys.executable, "-c", PROGRAM]
+    pipe = subprocess.PIPE
+    program = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
+    assert program.stdin is not None
+    assert program.stdout is not None
+    try:
+        with tab_at(program.stdout.readline().strip()) as tab:
+            tab.until("window.rtpivLive && rtpivLive.drawn >= 1")
+            if ends == "killed":
+                program.kill()
+            else:
+                program.stdin.write("\n")
+                program.stdin.flush()
+            tab.until(f"{STATE} === '{said}'")
+            time.sleep(2.0)
+            assert tab.value(STATE) == said  # and stays so: nobody tries to reach what is gone
+    finally:
+        program.kill()
+        program.wait()
+        program.stdin.close()
+        program.stdout.close()
+
+
+def test_a_server_that_dies_is_started_again_under_the_same_address() -> None:
+    with LivePage(BYTES) as page:
+        killed, url = page.server_pid, page.url
+        page.say("paused")
+        shown_once(page, 1)
+        os.kill(killed, signal.SIGKILL)
+        end_s = time.monotonic() + 60.0
+        while True:
+            assert time.monotonic() < end_s
+            with suppress(OSError, WebSocketException), viewer(page) as found:
+                words, pictures = taken(found)
+                break
+            time.sleep(0.05)
+        assert (page.url, page.server_pid != killed) == (url, True)
+        assert (words["number"], len(pictures), words["doing"]) == (1, 2, "paused")
+        assert words["age_s"] <= words["doing_s"] < 60.0
+        path = page._slot.path
+    assert not path.exists()
 
 
 def test_what_is_wished_out_of_turn_is_answered_with_the_same_moment() -> None:

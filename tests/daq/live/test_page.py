@@ -102,7 +102,10 @@ def until_closed(found: ClientConnection) -> None:
 
 
 def taken(found: ClientConnection) -> tuple[dict[str, Any], list[bytes]]:
-    words = json.loads(found.recv(timeout=20.0))
+    """Words and pictures of the next moment; signs of life between are let go."""
+    words: dict[str, Any] = {}
+    while "number" not in words:
+        words = json.loads(found.recv(timeout=20.0))
     return words, [bytes(found.recv(timeout=20.0)) for _ in words.get("shown", ())]
 
 
