@@ -6,6 +6,7 @@ the sphere of the file, or a board that is not flat; arrows that point anywhere 
 """
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib import colormaps
@@ -38,21 +39,22 @@ def draw_smooth(path: Path, fit: SceneFit) -> None:
         save_picture(figure, path, 100)
 
 
-def smooth_figure(found: StoredVerdict, most: int = MOST_WAYS) -> Figure | None:
+def smooth_figure(found: StoredVerdict, which: Literal["all", "first", "others"] = "all") -> Figure | None:
     """Draw the smooth part of the residuals, a panel for each path with many corners; None if there is none.
 
     Parameters
     ----------
     found : StoredVerdict
         Of a fit.
-    most : int
-        Panels; one alone is that behind glass with the most corners, if there is one.
+    which : {"all", "first", "others"}
+        Panels: the first is the path behind glass with the most corners, or beside it where there is none.
     """
     count = np.bincount(found.way, minlength=len(found.ways))
     order = np.argsort(-count, kind="stable")
-    if most == 1:
-        order = np.array(sorted(order, key=lambda way: not found.ways[way]), dtype=np.int64)
-    drawn = [int(way) for way in order[:most] if count[way] >= FEWEST]
+    drawn = [int(way) for way in order[:MOST_WAYS] if count[way] >= FEWEST]
+    first = next((way for way in drawn if found.ways[way]), drawn[0] if drawn else -1)
+    if which != "all":
+        drawn = [way for way in drawn if (way == first) == (which == "first")]
     if not drawn:
         return None
     drawn.sort(key=lambda way: (len(found.ways[way]), found.ways[way]))

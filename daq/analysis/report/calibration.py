@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -48,10 +48,11 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
     with page.row():
         said = "Standard uncertainty of the map [px of a corrected frame], both axes together."
         page.figure("map_sigma", map_sigma_figure(found.sigma, fit.measured_scene), said, dense=True)
-        figure = smooth_figure(StoredVerdict.of(fit), 1)
+        figure = smooth_figure(StoredVerdict.of(fit), "first")
         if figure is not None:
-            page.figure("smooth_behind", figure, "Smooth part of the residuals of the largest view.", dense=True)
-    verdict_chapter(page, StoredVerdict.of(fit))
+            said = "Smooth part of the residuals of the largest view; the other views stand below."
+            page.figure("smooth_first", figure, said, dense=True)
+    verdict_chapter(page, StoredVerdict.of(fit), "others")
     if found.weak:
         page.heading("What these frames cannot determine")
         for weakness in found.weak:
@@ -82,13 +83,13 @@ def calibration_lead(found: Calibration) -> tuple[str, str, tuple[str, ...], lis
     return value, said, head, rows
 
 
-def verdict_chapter(page: Page, found: StoredVerdict) -> None:
-    """The verdict in words and its picture."""
+def verdict_chapter(page: Page, found: StoredVerdict, views: Literal["all", "others"] = "all") -> None:
+    """The verdict in words and its picture, without the view that a page has shown already."""
     page.heading("Calibration: is the model right?")
     for sentence in found.sentences:
         say = page.text if found.right else page.warning
         say(f"{sentence_case(sentence)}.")
-    figure = smooth_figure(found)
+    figure = smooth_figure(found, views)
     if figure is not None:
         page.figure("smooth_residuals", figure, CAPTION, dense=True)
 

@@ -98,40 +98,30 @@ def write_mean_page(
 
 
 def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
-    """The highest mean velocity, behind glass if anything is, and the uncertainty of the mean there, in parts."""
+    """The highest mean velocity, behind glass if anything is, and the parts of its uncertainty, along itself."""
     known = (mean.count > 0) & np.isfinite(mean.total_sigma_m_s).all(axis=-1)
     behind = known & (regions.region == Region.GLASS)
     where, name = (behind, "behind glass") if behind.any() else (known, "seen directly")
-    total = mean.total_sigma_m_s
+    head = ("parts of its uncertainty", "m/s", "px")
+    if not where.any():
+        return "-", f"highest mean velocity {name}", head, []
+    speed = np.where(where, np.linalg.norm(mean.mean_m_s, axis=-1), -1.0)
+    top = np.unravel_index(int(np.argmax(speed)), speed.shape)
+    along = mean.mean_m_s[top] / max(float(speed[top]), 1e-300)
+
+    def of_it(part: NDArray[np.float64]) -> float:
+        return float(np.linalg.norm(along * part[top]))
+
     unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
-    asked = (("random sigma of the mean", mean.sigma_m_s), ("not resolved by the windows", unresolved),
-             ("sigma of dt", mean.dt_sigma_m_s), ("sigma by the fitted map", mean.map_sigma_m_s))  # fmt: skip
-    parts = [(what, part) for what, part in asked if part is not None and np.isfinite(part).any()]
-    rows: list[tuple[str, ...]] = [(what, *_medians(part, where, 1.0)) for what, part in parts]
-    if mean.map_sigma_m_s is None:
-        rows.append(("sigma by the map", "not known", ""))
-    rows.append(("total", *_medians(total, where, 1.0)))
-    rows.append(("total in px", *_medians(total, where, mean.px_per_m_s)))
-    said = f"highest mean velocity {name}, of {int(where.sum())} vectors; their median uncertainty beside it"
-    return _highest(mean, where), said, ("sigma of the mean [m/s]", "u", "v"), rows
-
-
-def _highest(mean: MeanFlow, where: NDArray[np.bool_]) -> str:
-    """The longest mean vector of some, with its standard uncertainty along itself."""
-    if not where.any():
-        return "-"
-    vectors, sigmas = mean.mean_m_s[where], mean.total_sigma_m_s[where]
-    speed = np.linalg.norm(vectors, axis=-1)
-    top = int(np.argmax(speed))
-    along = vectors[top] / max(float(speed[top]), 1e-300)
-    return f"{with_sigma(float(speed[top]), float(np.linalg.norm(along * sigmas[top])))} m/s"
-
-
-def _medians(values: NDArray[np.float64], where: NDArray[np.bool_], scale: float) -> tuple[str, str]:
-    if not where.any():
-        return "-", "-"
-    u, v = scale * np.nanmedian(values[where], axis=0)
-    return f"{u:.2g}", f"{v:.2g}"
+    asked = (("scatter of the pairs", mean.sigma_m_s), ("not resolved by the windows", unresolved),
+             ("dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s))  # fmt: skip
+    rows: list[tuple[str, ...]] = []
+    for what, part in (*asked, ("total", mean.total_sigma_m_s)):
+        size = np.nan if part is None else of_it(part)
+        numbers = (f"{size:.2g}", f"{size * mean.px_per_m_s:.2g}") if np.isfinite(size) else ("not known", "")
+        rows.append((what, *numbers))
+    said = f"highest mean velocity {name}, one vector of {int(where.sum())} there, and its standard uncertainty"
+    return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} m/s", said, head, rows
 
 
 def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:

@@ -8,6 +8,7 @@ import pytest
 from correction.evaluate.regions import Region, Regions
 from correction.piv.vector_field import VectorFlag
 from daq.analysis.report.flow import checks_of, rim_chapter
+from daq.analysis.report.mean import mean_lead
 from daq.analysis.report.page import Page
 from daq.analysis.series.chunk_file import ChunkContent, SeriesField
 from daq.analysis.series.history import history
@@ -129,3 +130,19 @@ def test_the_mean_comes_near_itself_as_independent_pairs_do():
 def test_without_glass_there_is_no_rim_to_judge(tmp_path):
     text, _, _ = page_of(tmp_path, bodies=False)
     assert "Nowhere do vectors seen directly and through glass lie near enough" in text
+
+
+def test_the_uncertainty_at_the_head_and_its_parts_are_of_one_and_the_same_vector():
+    """The parts add up, as squares, to what stands behind the number, and are no medians of other vectors."""
+    mean, _, regions = series()
+    value, said, _, rows = mean_lead(mean, regions)
+    size, sigma = (float(word) for word in value.removesuffix(" m/s").split(" ± "))
+    behind = regions.region == Region.GLASS
+    speed = np.where(behind, np.linalg.norm(mean.mean_m_s, axis=-1), 0.0)
+    assert size == pytest.approx(speed.max(), abs=sigma)
+    parts = {name: numbers for name, *numbers in rows}
+    total, *_ = (float(number) for number in parts.pop("total"))
+    assert total == pytest.approx(sigma, rel=0.06)
+    known = [float(number) for number, *_ in parts.values() if number[0].isdigit()]
+    assert np.linalg.norm(known) == pytest.approx(total, rel=0.1)
+    assert "median" not in said
