@@ -62,8 +62,7 @@ class FlowCamera:
     spot_px : float
         Diameter (e^-2) of a particle's image by diffraction.
     step_px : float
-        Edge of a cell of the ray grid. In the squeezed ring behind two balls at 1008 px cells of 2 px draw
-        particles 0.06 px off, those of 1 px 0.001 px.
+        Edge of a cell of the ray grid; images lie where rays say, whatever it is.
     margin_mm : float
         Seeded beyond the view; particles that go further between pulses leave an empty edge.
     seed : int

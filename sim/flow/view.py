@@ -2,8 +2,8 @@
 
 A point of light at P is seen in pixel (u, v) if a ray of that pixel runs through P behind the last glass.  For
 each of K points of the entrance pupil the rays of a grid of pixels are traced once; at P's height their places
-form a grid of cells in the plane, and every cell that holds P is an image of it: one beside the glass, one or
-several behind it, two that meet at a fold, none behind a rod.
+form a grid of cells in the plane, and every cell near P is searched with rays of its own for an image of it: one
+beside the glass, one or several behind it, two that meet at a fold, none behind a rod.
 
 How bright is it?  The beam between a patch dA_p of the pupil and the pixel's solid angle dW at the lens keeps its
 throughput through glass (etendue), so the patch gathers from P the solid angle
@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 from ground.memory import require_memory
 from ground.rows import run_rows
 from sim.flow.kernels.splat import count_bands, order_by_band, splat
-from sim.flow.kernels.views import NUMBERS, cell_bins, find_images, judge_cells, trace_nodes
+from sim.flow.kernels.views import NUMBERS, ROUGH, cell_bins, find_images, judge_cells, trace_nodes
 from sim.prints.patterns import Pose
-from sim.renderer.render import Aperture, SceneTables, tables_of
+from sim.renderer.render import Aperture, tables_of
 from tracer.errors import SceneError
 from tracer.scene import Scene
 
@@ -38,7 +38,10 @@ Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 
 STEP_PX = 2.0
-BYTES_PER_NODE = 60.0  # of a grid of rays with its bins, chains included while it is traced
+FINER = 4  # cells along an edge of a rough cell
+MARGINS = 0.25, 0.5  # of a cell, by which the linear place of an image may lie outside; of one that is cut
+DIMMEST = 0.01  # light of an image that is looked for, against the bare view
+BYTES_PER_NODE = 60.0  # of a grid of rays with its bins
 BRIGHTEST = 6.0
 BLOCK_POINTS = 4096
 BAND_ROWS = 64
@@ -74,12 +77,25 @@ def pupil_points(count: int) -> Float64:
 
 
 @dataclass(frozen=True)
-class _Table:
-    """The rays of one point of the pupil, and the bins that find their cells."""
+class _Grid:
+    """The rays of one point of the pupil: one patch, the sensor, or many: cells of it, cut finer."""
 
+    lens_mm: tuple[float, float]
+    corners_px: Float64
+    patch_rows: int
+    step_px: float
+    margin: float
     ways: Float32
     tops: Float32
+    chains: NDArray[np.int64]
     cells: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A grid, and the bins that find its cells."""
+
+    grid: _Grid
     starts: NDArray[np.int64]
     entries: NDArray[np.int32]
 
@@ -128,33 +144,36 @@ class ParticleView:
         self._step_px = step_px
         self._tables = tables_of(scene, Pose(), aperture)
         self._spots = _spot_table(0.25 * spot_px)
-        self._camera_z_mm = float(scene.camera.position_mm[2])
         radius_mm = aperture.pupil_radius_mm if aperture is not None else 0.0
         places = radius_mm * pupil_points(points_of_pupil if aperture is not None else 1)
+        self._points = len(places)
         rows, columns = (int(np.ceil((side + 2.0 * MARGIN_PX) / step_px)) + 1 for side in self.shape)
         require_memory(
             BYTES_PER_NODE * rows * columns * len(places),
             f"a view of {columns} x {rows} nodes from {len(places)} points of the pupil",
         )
-        traced = [self._trace(rows, columns, place) for place in places]
-        self.corners_mm = _extent(traced, self._bare_mm(), heights_mm)
+        self._whole = [
+            self._traced(place, np.full((1, 2), -MARGIN_PX), (rows, columns), False) for place in places.tolist()
+        ]
+        fine = [self._traced(whole.lens_mm, _rough(whole), (FINER + 1, FINER + 1), True) for whole in self._whole]
+        self.corners_mm = _extent(self._whole, self._bare_mm(), heights_mm)
         self._edge_mm = BIN_CELLS * step_px * self._tables.px_mm
         (x0, y0), (x1, y1) = self.corners_mm
         counts = [max(1.0, np.ceil((high - low) / self._edge_mm)) for low, high in ((y0, y1), (x0, x1))]
         self._corner = np.array([x0, y0, *counts])
-        self._views = [self._binned(*parts) for parts in traced]
+        self._found_by = [self._binned(grid) for grid in [*self._whole, *fine] if len(grid.corners_px)]
 
     def images(self, points_mm: Float64, shine: Float64) -> Float32:
         """All images (M, 3) of points (N, 3): u, v [px], light; `shine` (N,) is that of each without glass."""
         points, weights = np.ascontiguousarray(points_mm, np.float64), np.ascontiguousarray(shine, np.float64)
-        share = weights / len(self._views)
+        share = weights / self._points
         blocks = -(-len(points) // BLOCK_POINTS)
         found: list[list[Float32]] = [[] for _ in range(blocks)]
 
         def block(first: int, last: int) -> None:
             for index in range(first, last):
                 part = slice(index * BLOCK_POINTS, (index + 1) * BLOCK_POINTS)
-                found[index] = [self._images_by(view, points[part], share[part]) for view in self._views]
+                found[index] = [self._images_by(view, points[part], share[part]) for view in self._found_by]
 
         run_rows(block, blocks, 1)
         return np.concatenate([part for parts in found for part in parts] or [np.empty((0, 3), np.float32)])
@@ -186,7 +205,7 @@ class ParticleView:
         They are those of the pupil's middle and of the nearest node of the ray grid.  A point that rises by dz
         seems to move by -dz times the slope within the plane.
         """
-        ways, tops = self._views[0].ways, self._views[0].tops
+        ways, tops = self._whole[0].ways, self._whole[0].tops
         place = (np.nan_to_num(pixels, nan=-1e9) + MARGIN_PX) / self._step_px
         column, row = np.rint(place).astype(np.int64).T
         inside = (row >= 0) & (row < ways.shape[0]) & (column >= 0) & (column < ways.shape[1])
@@ -198,23 +217,26 @@ class ParticleView:
         """Light on the brightest pixel of a point of shine 1 that is seen bare, in the middle of a pixel."""
         return float(self._spots[0].max() ** 2)
 
-    def _images_by(self, view: _Table, points: Float64, shine: Float64) -> Float32:
-        room = 2 * len(points) + 16
+    def _images_by(self, table: _Table, points: Float64, shine: Float64) -> Float32:
+        room, grid = 2 * len(points) + 16, table.grid
         while True:
             out = np.empty((room, 3), np.float32)
             found = find_images(
                 points,
                 shine,
-                view.ways,
-                view.tops,
-                view.cells,
-                view.starts,
-                view.entries,
+                grid.ways,
+                grid.tops,
+                grid.chains,
+                table.starts,
+                table.entries,
                 self._corner,
                 self._edge_mm,
-                self._camera_z_mm,
-                -MARGIN_PX,
-                self._step_px,
+                grid.margin,
+                grid.corners_px,
+                grid.patch_rows,
+                grid.step_px,
+                *grid.lens_mm,
+                *self._world,
                 BRIGHTEST,
                 out,
             )
@@ -222,31 +244,39 @@ class ParticleView:
                 return out[:found]
             room = found
 
-    def _trace(self, rows: int, columns: int, place_mm: Float64) -> tuple[Float32, Float32, NDArray[np.uint8]]:
+    @property
+    def _world(self) -> tuple[Float64, Float64, Float64, Float64, Float64, Float64]:
+        t = self._tables
+        return t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane
+
+    def _traced(
+        self, lens_mm: tuple[float, float], corners_px: Float64, patch: tuple[int, int], is_fine: bool
+    ) -> _Grid:
+        rows, columns = len(corners_px) * patch[0], patch[1]
+        step_px = self._step_px / FINER if is_fine else self._step_px
         ways = np.empty((rows, columns, NUMBERS), np.float32)
         tops = np.empty((rows, columns), np.float32)
         chains = np.empty((rows, columns), np.int64)
-        t: SceneTables = self._tables
-        world = (t.camera, t.spheres, t.rods, t.walls, t.bounds, t.plane)
 
         def block(first: int, last: int) -> None:
-            grid = (-MARGIN_PX, self._step_px, float(place_mm[0]), float(place_mm[1]))
-            trace_nodes(first, last, *grid, *world, ways, tops, chains)
+            about = (corners_px, patch[0], step_px, *lens_mm)
+            trace_nodes(first, last, *about, *self._world, ways, tops, chains)
 
         run_rows(block, rows, 8)
-        cells = np.empty((rows - 1, columns - 1), np.uint8)
-        judge_cells(chains, cells)
-        return ways, tops, cells
+        widest = (step_px * self._tables.px_mm) ** 2 / DIMMEST if is_fine else np.inf
+        cells = np.zeros((max(rows - 1, 0), columns - 1), np.uint8)
+        judge_cells(chains, ways, max(self.heights_mm, key=abs), patch[0], widest, cells)
+        return _Grid(lens_mm, corners_px, patch[0], step_px, MARGINS[is_fine], ways, tops, chains, cells)
 
-    def _binned(self, ways: Float32, tops: Float32, cells: NDArray[np.uint8]) -> _Table:
+    def _binned(self, grid: _Grid) -> _Table:
         bins = int(self._corner[2] * self._corner[3])
         counts = np.zeros(bins, np.int64)
-        about = (ways, cells, *self.heights_mm, self._corner, self._edge_mm)
+        about = (grid.ways, grid.cells, *self.heights_mm, grid.margin, self._corner, self._edge_mm)
         cell_bins(*about, counts, np.empty(0, np.int32))
         starts = np.concatenate(([0], np.cumsum(counts)))
         entries = np.empty(int(starts[-1]), np.int32)
         cell_bins(*about, starts[:-1].copy(), entries)
-        return _Table(ways, tops, cells, starts, entries)
+        return _Table(grid, starts, entries)
 
     def _bare_mm(self) -> Float64:
         """Corners of the view without glass at z = 0: (2, 2), low and high, x and y."""
@@ -260,14 +290,18 @@ class ParticleView:
         return np.array([places.min(axis=0), places.max(axis=0)])
 
 
-def _extent(
-    traced: list[tuple[Float32, Float32, NDArray[np.uint8]]], bare_mm: Float64, heights_mm: tuple[float, float]
-) -> Float64:
+def _rough(grid: _Grid) -> Float64:
+    """Pixels (K, 2) of the first nodes of cells that must be cut finer."""
+    row, column = np.nonzero(grid.cells == ROUGH)
+    return np.ascontiguousarray(np.column_stack((column, row)) * grid.step_px - MARGIN_PX)
+
+
+def _extent(grids: list[_Grid], bare_mm: Float64, heights_mm: tuple[float, float]) -> Float64:
     """Corners (2, 2) of what is seen between two heights, at most an eighth beyond the bare view."""
     room = 0.125 * (bare_mm[1] - bare_mm[0])
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for ways, tops, _ in traced:
-        seen = ways[tops > max(heights_mm)]
+    for grid in grids:
+        seen = grid.ways[grid.tops > max(heights_mm)]
         for z in heights_mm:
             places = seen[:, :2] + np.float32(z) * seen[:, 2:4]
             if len(places):

@@ -1,8 +1,14 @@
-"""Where the rays of a grid of pixels run behind the last glass, and where points are seen by inverting that grid.
+"""Where points of light are seen: the rays of a grid of pixels lead near each image, rays of its own to it.
 
-A node holds the last straight way of its ray: x and y where it crosses z = 0, its slopes dx/dz and dy/dz, and the
-light (transmittance times the solid angle that a pixel would subtend on the bare way, seen from a point at z = 0).
-At height z a ray is at x + z dx/dz: one table serves the whole depth of a light sheet.
+A node holds the last straight way of its ray: x and y where it crosses z = 0 and its slopes dx/dz and dy/dz.  At
+height z a ray is at x + z dx/dz: one table serves the whole depth of a light sheet.
+
+A grid is one or many patches of equally many nodes, below each other in the arrays.  The first grid is one patch,
+the whole sensor.  Its cells that are *rough* - next to a change of the bodies that rays pass, or bent - are cut
+finer: each is a patch of the second grid, and left out of the first.
+
+A cell tells nothing but where Newton's method starts, which then follows rays of its own and ends within the cell
+or not at all.  So images lie where the rays say, however coarse the grid is, and no two cells find the same one.
 """
 
 import numpy as np
@@ -10,9 +16,13 @@ import numpy as np
 from ground.jit import Array, kernel, kernel_inlined
 from sim.renderer.rays import camera_ray, last_way, may_meet
 
-X, Y, DX, DY, LIGHT, NUMBERS = 0, 1, 2, 3, 4, 5
-NOTHING, LINEAR, CUBIC = 0, 1, 2  # what a cell may be interpolated by
+X, Y, DX, DY, NUMBERS = 0, 1, 2, 3, 4
+NOTHING, WHOLE, ROUGH = 0, 1, 2  # cells without a ray, cells to look in, cells to be cut finer
 NO_GLASS_MM = 1e6
+BENT = 0.1  # of a cell: what the middle of two nodes may lie beside the one between them
+NEWTON = 8
+FINEST = 1e6  # parts of a cell that are told apart
+CLOSE_PX, APART_PX = 1e-3, 0.01  # the last step of Newton's method, and what derivatives are taken over
 
 
 @kernel_inlined
@@ -31,10 +41,39 @@ def bare_light(u: float, v: float, lens_u: float, lens_v: float, camera: Array) 
 
 
 @kernel
+def way_of(
+    u: float,
+    v: float,
+    lens_u: float,
+    lens_v: float,
+    camera: Array,
+    spheres: Array,
+    rods: Array,
+    walls: Array,
+    bounds: Array,
+    plane: Array,
+) -> tuple[float, float, float, float, float, float, int]:
+    """Last straight way of a ray: x, y at z = 0, dx/dz, dy/dz, its top, its transmittance, and the bodies passed.
+
+    The top is the height below which the way is straight.  A ray that does not arrive passes -1.
+    """
+    ox, oy, oz, dx, dy, dz = camera_ray(u, v, lens_u, lens_v, camera)
+    if walls.shape[0] > 0 or (bounds.shape[0] > 0 and may_meet(u, v, camera, bounds)):
+        ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
+    else:
+        ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, spheres[:0], rods[:0], walls, plane)
+    if not (part > 0.0 and dz < 0.0):
+        return 0.0, 0.0, 0.0, 0.0, -NO_GLASS_MM, 0.0, -1
+    top = oz if chain != 0 or walls.shape[0] > 0 else NO_GLASS_MM
+    return ox - oz * dx / dz, oy - oz * dy / dz, dx / dz, dy / dz, top, part, chain
+
+
+@kernel
 def trace_nodes(
     first: int,
     last: int,
-    start_px: float,
+    corners: Array,
+    patch_rows: int,
     step_px: float,
     lens_u: float,
     lens_v: float,
@@ -48,65 +87,93 @@ def trace_nodes(
     tops: Array,
     chains: Array,
 ) -> None:
-    """Trace rows first..last of the grid whose node (i, j) is pixel v = start + i step, u = start + j step.
+    """Trace rows first..last of a grid; `corners` (patches, 2) are pixels u, v of its patches' first nodes.
 
-    Out: `ways` (rows, columns, NUMBERS) float32; `tops` (rows, columns) float32, the height below which the way
-    is straight; `chains` (rows, columns) int64, which bodies were passed, -1 for a ray that does not arrive.
+    Out: `ways` (rows, columns, NUMBERS) float32, `tops` (rows, columns) float32, `chains` (rows, columns) int64.
     """
-    clear_s, clear_r = spheres[:0], rods[:0]
     for i in range(first, last):
+        u, v = corners[i // patch_rows, 0], corners[i // patch_rows, 1] + step_px * (i % patch_rows)
         for j in range(ways.shape[1]):
-            u, v = start_px + step_px * j, start_px + step_px * i
-            ox, oy, oz, dx, dy, dz = camera_ray(u, v, lens_u, lens_v, camera)
-            if walls.shape[0] > 0 or (bounds.shape[0] > 0 and may_meet(u, v, camera, bounds)):
-                ox, oy, oz, dx, dy, dz, part, chain = last_way(ox, oy, oz, dx, dy, dz, spheres, rods, walls, plane)
-            else:
-                ox, oy, oz, dx, dy, dz, part, chain = last_way(
-                    ox, oy, oz, dx, dy, dz, clear_s, clear_r, walls, plane
-                )
-            chains[i, j] = chain if part > 0.0 and dz < 0.0 else -1
-            if chains[i, j] < 0:
-                ways[i, j, :] = 0.0
-                tops[i, j] = -NO_GLASS_MM
-                continue
-            ways[i, j, DX], ways[i, j, DY] = dx / dz, dy / dz
-            ways[i, j, X], ways[i, j, Y] = ox - oz * dx / dz, oy - oz * dy / dz
-            ways[i, j, LIGHT] = part * bare_light(u, v, lens_u, lens_v, camera)
-            tops[i, j] = oz if chain != 0 or walls.shape[0] > 0 else NO_GLASS_MM
+            x, y, dx, dy, top, _, chain = way_of(
+                u + step_px * j, v, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
+            )
+            ways[i, j, X], ways[i, j, Y], ways[i, j, DX], ways[i, j, DY] = x, y, dx, dy
+            tops[i, j], chains[i, j] = top, chain
+
+
+@kernel_inlined
+def bend(ways: Array, i: int, j: int, down: int, right: int, z: float) -> tuple[float, float]:
+    """Half the second difference of the places of three nodes in a row at height z."""
+    x, y = -ways[i, j, X] - z * ways[i, j, DX], -ways[i, j, Y] - z * ways[i, j, DY]
+    for side in range(-1, 2, 2):
+        k, m = i + side * down, j + side * right
+        x += 0.5 * (ways[k, m, X] + z * ways[k, m, DX])
+        y += 0.5 * (ways[k, m, Y] + z * ways[k, m, DY])
+    return x, y
 
 
 @kernel
-def judge_cells(chains: Array, cells: Array) -> None:
-    """Say of every cell (rows - 1, columns - 1) how it may be interpolated: all its nodes on one chain."""
+def judge_cells(chains: Array, ways: Array, z: float, patch_rows: int, widest: float, cells: Array) -> None:
+    """Say of every cell (rows - 1, columns - 1) what it is at height z; see the constants.
+
+    A finite `widest` [mm^2] is that of the last grid, whose cells are not cut: where rays pass different bodies
+    there is nothing to find, nor in a wider cell, where points are too dim.
+    """
+    is_last = widest < np.inf
     rows, columns = chains.shape
     for i in range(rows - 1):
         for j in range(columns - 1):
             chain = chains[i, j]
-            same = chain >= 0
+            within = (i + 1) % patch_rows != 0  # not between two patches
+            same, any_ray = True, False
             for k in range(2):
                 for m in range(2):
                     same = same and chains[i + k, j + m] == chain
-            cells[i, j] = LINEAR if same else NOTHING
-            if same and 0 < i < rows - 2 and 0 < j < columns - 2:
-                for k in range(-1, 3):
-                    for m in range(-1, 3):
-                        same = same and chains[i + k, j + m] == chain
-                if same:
-                    cells[i, j] = CUBIC
+                    any_ray = any_ray or chains[i + k, j + m] >= 0
+            ax = ways[i, j + 1, X] - ways[i, j, X] + z * (ways[i, j + 1, DX] - ways[i, j, DX])
+            ay = ways[i, j + 1, Y] - ways[i, j, Y] + z * (ways[i, j + 1, DY] - ways[i, j, DY])
+            bx = ways[i + 1, j, X] - ways[i, j, X] + z * (ways[i + 1, j, DX] - ways[i, j, DX])
+            by = ways[i + 1, j, Y] - ways[i, j, Y] + z * (ways[i + 1, j, DY] - ways[i, j, DY])
+            det = abs(ax * by - ay * bx)
+            if is_last:
+                cells[i, j] = WHOLE if within and same and any_ray and det < widest else NOTHING
+                continue
+            for k in range(-1, 3):
+                for m in range(-1, 3):
+                    row, column = min(max(i + k, 0), rows - 1), min(max(j + m, 0), columns - 1)
+                    same = same and chains[row, column] == chain
+                    any_ray = any_ray or chains[row, column] >= 0
+            cells[i, j] = (WHOLE if same else ROUGH) if any_ray else NOTHING
+            if cells[i, j] == WHOLE and 0 < i < rows - 2 and 0 < j < columns - 2:
+                for k in range(2):
+                    for down in range(2):
+                        x, y = bend(ways, i + k, j + k, down, 1 - down, z)
+                        # In cells: the bend's place seen along either edge.
+                        if max(abs(x * by - y * bx), abs(ax * y - ay * x)) > BENT * det:
+                            cells[i, j] = ROUGH
 
 
 @kernel
 def cell_bins(
-    ways: Array, cells: Array, low_z: float, high_z: float, corner: Array, edge: float, counts: Array, out: Array
+    ways: Array,
+    cells: Array,
+    low_z: float,
+    high_z: float,
+    margin: float,
+    corner: Array,
+    edge: float,
+    counts: Array,
+    out: Array,
 ) -> None:
     """Enter every cell into the bins (of width `edge`, from `corner`) that it covers between two heights.
 
-    With an empty `out` only `counts` (bins,) is filled.  Else `counts` holds where each bin's next entry goes.
+    A cell is `margin` larger on either side than its nodes.  With an empty `out` only `counts` (bins,) is filled.
+    Else `counts` holds where each bin's next entry goes.
     """
     rows, columns = int(corner[2]), int(corner[3])
     for i in range(cells.shape[0]):
         for j in range(cells.shape[1]):
-            if cells[i, j] == NOTHING:
+            if cells[i, j] != WHOLE:
                 continue
             x0 = y0 = np.inf
             x1 = y1 = -np.inf
@@ -117,8 +184,7 @@ def cell_bins(
                         x = ways[i + k, j + m, X] + z * ways[i + k, j + m, DX]
                         y = ways[i + k, j + m, Y] + z * ways[i + k, j + m, DY]
                         x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
-            # A curved cell bulges out of its corners.
-            swell = 0.02 * max(x1 - x0, y1 - y0)
+            swell = margin * max(x1 - x0, y1 - y0)
             c0 = max(int(np.floor(min(max((x0 - swell - corner[0]) / edge, -1.0), columns + 1.0))), 0)
             c1 = min(int(np.floor(min(max((x1 + swell - corner[0]) / edge, -1.0), columns + 1.0))), columns - 1)
             r0 = max(int(np.floor(min(max((y0 - swell - corner[1]) / edge, -1.0), rows + 1.0))), 0)
@@ -131,83 +197,39 @@ def cell_bins(
                     counts[b] += 1
 
 
-@kernel_inlined
-def cubic(t: float, k: int) -> float:
-    """Lagrange's weight of node k = -1, 0, 1, 2 at t."""
-    if k == -1:
-        return -t * (t - 1.0) * (t - 2.0) / 6.0
-    if k == 0:
-        return (t + 1.0) * (t - 1.0) * (t - 2.0) / 2.0
-    if k == 1:
-        return -(t + 1.0) * t * (t - 2.0) / 2.0
-    return (t + 1.0) * t * (t - 1.0) / 6.0
-
-
-@kernel_inlined
-def cubic_slope(t: float, k: int) -> float:
-    """Derivative of `cubic`."""
-    if k == -1:
-        return -(3.0 * t * t - 6.0 * t + 2.0) / 6.0
-    if k == 0:
-        return (3.0 * t * t - 4.0 * t - 1.0) / 2.0
-    if k == 1:
-        return -(3.0 * t * t - 2.0 * t - 2.0) / 2.0
-    return (3.0 * t * t - 1.0) / 6.0
-
-
-@kernel_inlined
-def place_in_cell(
-    ways: Array, i: int, j: int, is_cubic: bool, z: float, a: float, b: float
-) -> tuple[float, float, float, float, float, float]:
-    """Where cell (i, j) is at height z for a along its columns and b along its rows: x, y, and their slopes."""
-    x = y = xa = ya = xb = yb = 0.0
-    if is_cubic:
-        for k in range(-1, 3):
-            px = py = sx = sy = 0.0
-            for m in range(-1, 3):
-                w, s = cubic(a, m), cubic_slope(a, m)
-                nx = ways[i + k, j + m, X] + z * ways[i + k, j + m, DX]
-                ny = ways[i + k, j + m, Y] + z * ways[i + k, j + m, DY]
-                px, py, sx, sy = px + w * nx, py + w * ny, sx + s * nx, sy + s * ny
-            w, s = cubic(b, k), cubic_slope(b, k)
-            x, y, xa, ya = x + w * px, y + w * py, xa + w * sx, ya + w * sy
-            xb, yb = xb + s * px, yb + s * py
-        return x, y, xa, ya, xb, yb
-    for k in range(2):
-        for m in range(2):
-            nx = ways[i + k, j + m, X] + z * ways[i + k, j + m, DX]
-            ny = ways[i + k, j + m, Y] + z * ways[i + k, j + m, DY]
-            wa, wb = a if m == 1 else 1.0 - a, b if k == 1 else 1.0 - b
-            sa, sb = 1.0 if m == 1 else -1.0, 1.0 if k == 1 else -1.0
-            x, y = x + wa * wb * nx, y + wa * wb * ny
-            xa, ya = xa + sa * wb * nx, ya + sa * wb * ny
-            xb, yb = xb + wa * sb * nx, yb + wa * sb * ny
-    return x, y, xa, ya, xb, yb
-
-
 @kernel
 def find_images(
     points: Array,
     shine: Array,
     ways: Array,
     tops: Array,
-    cells: Array,
+    chains: Array,
     starts: Array,
     entries: Array,
     corner: Array,
     edge: float,
-    camera_z: float,
-    start_px: float,
+    margin: float,
+    corners: Array,
+    patch_rows: int,
     step_px: float,
+    lens_u: float,
+    lens_v: float,
+    camera: Array,
+    spheres: Array,
+    rods: Array,
+    walls: Array,
+    bounds: Array,
+    plane: Array,
     brightest: float,
     out: Array,
 ) -> int:
     """Find all images of points (N, 3) [mm]; `out` (capacity, 3) gets u, v [px] and light, the number is returned.
 
-    Cells are cut into two triangles each, whose edges belong to one of them only: no image is found twice.  Newton
-    steps in the cubic cell correct the place.  A number beyond the capacity says that `out` was too short.
+    Cells are cut into two triangles each, whose edges belong to one of them only: no image is found twice.  A
+    number beyond the capacity says that `out` was too short.
     """
     rows, columns = int(corner[2]), int(corner[3])
+    wide = ways.shape[1] - 1
     found = 0
     for n in range(points.shape[0]):
         px, py, z = points[n, 0], points[n, 1], points[n, 2]
@@ -216,7 +238,7 @@ def find_images(
             continue
         b0 = r * columns + c
         for entry in range(starts[b0], starts[b0 + 1]):
-            i, j = entries[entry] // cells.shape[1], entries[entry] % cells.shape[1]
+            i, j = entries[entry] // wide, entries[entry] % wide
             if tops[i, j] < z:
                 continue
             x00, y00 = ways[i, j, X] + z * ways[i, j, DX] - px, ways[i, j, Y] + z * ways[i, j, DY] - py
@@ -232,10 +254,8 @@ def find_images(
                 ways[i + 1, j + 1, X] + z * ways[i + 1, j + 1, DX] - px,
                 ways[i + 1, j + 1, Y] + z * ways[i + 1, j + 1, DY] - py,
             )
-            if min(x00, x01, x10, x11) > 0.0 or max(x00, x01, x10, x11) < 0.0:
-                continue
-            if min(y00, y01, y10, y11) > 0.0 or max(y00, y01, y10, y11) < 0.0:
-                continue
+            u0, v0 = corners[i // patch_rows, 0] + step_px * j, corners[i // patch_rows, 1]
+            v0 += step_px * (i % patch_rows)
             for half in range(2):
                 # p = p00 + a ea + b eb: 0 <= b <= a < 1 in the upper triangle, 0 <= a < b < 1 in the lower one.
                 if half == 0:
@@ -246,35 +266,56 @@ def find_images(
                 if det == 0.0:
                     continue
                 a, b = (-x00 * eby + y00 * ebx) / det, (-eax * y00 + eay * x00) / det
+                over = b - a if half == 0 else a - b
+                if max(-a, -b, over, a - 1.0, b - 1.0) > margin:
+                    continue
+                is_there = False
+                light = dx = dy = 0.0
+                for _ in range(NEWTON):
+                    u, v = u0 + step_px * a, v0 + step_px * b
+                    x, y, dx, dy, _, part, chain = way_of(
+                        u, v, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
+                    )
+                    # Derivatives are taken towards the middle of the cell, never out of it.
+                    hu, hv = APART_PX if a < 0.5 else -APART_PX, APART_PX if b < 0.5 else -APART_PX
+                    ux, uy, ud, ue, _, _, chain_u = way_of(
+                        u + hu, v, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
+                    )
+                    vx, vy, vd, ve, _, _, chain_v = way_of(
+                        u, v + hv, lens_u, lens_v, camera, spheres, rods, walls, bounds, plane
+                    )
+                    if chain != chains[i, j] or chain_u != chain or chain_v != chain:
+                        break
+                    x, y = x + z * dx, y + z * dy
+                    ux, uy = (ux + z * ud - x) / hu, (uy + z * ue - y) / hu
+                    vx, vy = (vx + z * vd - x) / hv, (vy + z * ve - y) / hv
+                    det = ux * vy - uy * vx
+                    if det == 0.0:
+                        break
+                    ex, ey = x - px, y - py
+                    da, db = (ex * vy - ey * vx) / det / step_px, (ux * ey - uy * ex) / det / step_px
+                    a, b = a - min(max(da, -0.5), 0.5), b - min(max(db, -0.5), 0.5)
+                    if max(abs(a - 0.5), abs(b - 0.5)) > 0.5 + margin:
+                        break
+                    if step_px * max(abs(da), abs(db)) < CLOSE_PX:
+                        is_there, light = True, part
+                        break
+                if not is_there:
+                    continue
+                a, b = (
+                    np.rint(a * FINEST) / FINEST,
+                    np.rint(b * FINEST) / FINEST,
+                )  # of two cells one has the border
                 if half == 0 and not (b >= 0.0 and b <= a and a < 1.0):
                     continue
                 if half == 1 and not (a >= 0.0 and a < b and b < 1.0):
                     continue
-                is_cubic = cells[i, j] == CUBIC
-                size = abs(det)
-                start_a, start_b = a, b
-                for _ in range(2):
-                    x, y, xa, ya, xb, yb = place_in_cell(ways, i, j, is_cubic, z, a, b)
-                    det = xa * yb - ya * xb
-                    if abs(det) < 0.05 * size:
-                        break  # on a fold: the linear place is as good as any
-                    ex, ey = x - px, y - py
-                    a, b = a - (ex * yb - ey * xb) / det, b - (xa * ey - ya * ex) / det
-                if not (abs(a - start_a) < 0.5 and abs(b - start_b) < 0.5):
-                    a, b, det = start_a, start_b, size
-                w = light = dx = dy = 0.0
-                for k in range(2):
-                    for m in range(2):
-                        w = (a if m == 1 else 1.0 - a) * (b if k == 1 else 1.0 - b)
-                        light += w * ways[i + k, j + m, LIGHT]
-                        dx += w * ways[i + k, j + m, DX]
-                        dy += w * ways[i + k, j + m, DY]
                 # Solid angle towards the pupil against that on the bare way: areas across the rays, inversely.
-                nearer = 1.0 - z / camera_z
-                gain = light * nearer * nearer * np.sqrt(1.0 + dx * dx + dy * dy) * step_px * step_px / abs(det)
+                nearer = 1.0 - z / camera[5]
+                gain = light * bare_light(u, v, lens_u, lens_v, camera) * nearer * nearer
+                gain *= np.sqrt(1.0 + dx * dx + dy * dy) / abs(det)
                 if found < out.shape[0]:
-                    out[found, 0] = start_px + step_px * (j + a)
-                    out[found, 1] = start_px + step_px * (i + b)
+                    out[found, 0], out[found, 1] = u0 + step_px * a, v0 + step_px * b
                     out[found, 2] = shine[n] * min(gain, brightest)
                 found += 1
     return found

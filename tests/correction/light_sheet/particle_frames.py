@@ -21,7 +21,7 @@ def camera(name, size_px, z_mm=0.0, tilts_deg=(0.0, 0.0), thickness_mm=1.0, per_
     stack = at_size(named_scene(name), size_px)
     scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     sheet = LightSheet(thickness_mm, z_mm, *np.tan(np.deg2rad(tilts_deg)))
-    lens = {"step_px": 1.0}
+    lens = {}
     if f_number is not None:  # pictures wider than a particle need more points than the middle and a ring
         points = 7 if f_number > 12.0 else 19
         lens |= {"aperture": Aperture(60.0, f_number, 440.0), "particle_counts": 300.0, "points_of_pupil": points}

@@ -147,6 +147,41 @@ def test_many_points_of_the_pupil_converge_to_discs_rendered_through_a_lens():
         assert found[7, x][2] == pytest.approx(found[37, x][2], rel=0.01)
 
 
+@pytest.mark.parametrize(("name", "z_mm"), [("two_spheres_500", 0.4), ("three_spheres_500", -0.4)])
+def test_rays_close_to_the_rims_find_their_way_back(name, z_mm):
+    """Where glass squeezes most a ray's own pixel is found again, once, as far as half a pixel from any rim.
+
+    On a fold images have no place of their own.
+    """
+    scene = flow_scene(name, 1008)
+    view, tables = ParticleView(scene, (-1.0, 1.0)), tables_of(scene, Pose(), None)
+
+    def way(u, v):
+        ray = camera_ray(u, v, 0.0, 0.0, tables.camera)
+        *last, part, chain = last_way(*ray, tables.spheres, tables.rods, tables.walls, tables.plane)
+        return np.add(last[:2], (z_mm - last[2]) / last[5] * np.array(last[3:5])), chain if part > 0.0 else -1
+
+    def around(u, v, reach_px):
+        return {way(u + reach_px * x, v + reach_px * y)[1] for x, y in ((1, 1), (1, -1), (-1, 1), (-1, -1))}
+
+    off, off_at_rims = [], []
+    for u, v in np.random.default_rng(8).uniform(150.0, 850.0, (5000, 2)):
+        at, chain = way(u, v)
+        if chain <= 0 or around(u, v, 0.4) != {chain}:
+            continue
+        rate = np.stack([way(u + 0.01, v)[0] - at, way(u, v + 0.01)[0] - at]) / (0.01 * tables.px_mm)
+        if not 0.1 < abs(np.linalg.det(rate)) < 50.0:
+            continue
+        images = view.images(np.array([[*at, z_mm]]), np.ones(1))
+        apart = np.sort(np.hypot(images[:, 0] - u, images[:, 1] - v))
+        (off if around(u, v, 3.0) == {chain} else off_at_rims).append(apart[0] if len(apart) else np.inf)
+        assert len(apart) < 2 or apart[1] > 0.01
+    assert len(off) > 500
+    assert np.max(off) < 1e-3
+    assert len(off_at_rims) > 10
+    assert np.quantile(off_at_rims, 0.9) < 1e-3
+
+
 def test_cells_half_as_large_change_nothing():
     scene = flow_scene()
     rng = np.random.default_rng(5)
