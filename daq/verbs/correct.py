@@ -183,13 +183,20 @@ def correct(
     if fitted.sheet is not None:
         plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
         screen.print(f"corrected for {plane}")
-    elif particles and limit is not None:
+    elif particles and (limit is not None or _of_flow(shown)):
         screen.print(where_lit(fitted))
     if pictures and shown is not None:
         _draw(out / "overview.png", loaded, board, *shown, corrector)
     screen.print(f"{len(frames)} frame(s){', mask and overview' if pictures else ' and mask'} are in {out}")
     files = tuple(out / f"{stem_of(path)}.tif" for path in frames)
     return Corrected(files, out / "mask.tif", float(corrector.recovered.mean()), tuple(errors))
+
+
+def _of_flow(shown: tuple[NDArray[Any], NDArray[np.float32]] | None) -> bool:
+    """Whether the first frame shows particles: frames of no run may be of the target as well."""
+    from daq.analysis.pictures.patterns import shows_particles
+
+    return shown is not None and shows_particles(shown[0])
 
 
 def _refuse_same_names(frames: list[Path]) -> None:

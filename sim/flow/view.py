@@ -40,7 +40,8 @@ Float32 = NDArray[np.float32]
 STEP_PX = 2.0
 FINER = 4  # cells along an edge of a rough cell
 MARGINS = 0.25, 0.5  # of a cell, by which the linear place of an image may lie outside; of one that is cut
-DIMMEST = 0.01  # light of an image that is looked for, against the bare view
+DIMMEST = 0.02  # light of an image that is looked for, against the bare view
+LAYERS = 1, 4  # of bins: rays that are steep behind glass move far over the depth; of cells that are cut
 BYTES_PER_NODE = 60.0  # of a grid of rays with its bins
 BRIGHTEST = 6.0
 BLOCK_POINTS = 4096
@@ -96,6 +97,7 @@ class _Table:
     """A grid, and the bins that find its cells."""
 
     grid: _Grid
+    corner: Float64
     starts: NDArray[np.int64]
     entries: NDArray[np.int32]
 
@@ -160,7 +162,7 @@ class ParticleView:
         self._edge_mm = BIN_CELLS * step_px * self._tables.px_mm
         (x0, y0), (x1, y1) = self.corners_mm
         counts = [max(1.0, np.ceil((high - low) / self._edge_mm)) for low, high in ((y0, y1), (x0, x1))]
-        self._corner = np.array([x0, y0, *counts])
+        self._bins = np.array([x0, y0, *counts])
         self._found_by = [self._binned(grid) for grid in [*self._whole, *fine] if len(grid.corners_px)]
 
     def images(self, points_mm: Float64, shine: Float64) -> Float32:
@@ -229,7 +231,7 @@ class ParticleView:
                 grid.chains,
                 table.starts,
                 table.entries,
-                self._corner,
+                table.corner,
                 self._edge_mm,
                 grid.margin,
                 grid.corners_px,
@@ -269,14 +271,16 @@ class ParticleView:
         return _Grid(lens_mm, corners_px, patch[0], step_px, MARGINS[is_fine], ways, tops, chains, cells)
 
     def _binned(self, grid: _Grid) -> _Table:
-        bins = int(self._corner[2] * self._corner[3])
-        counts = np.zeros(bins, np.int64)
-        about = (grid.ways, grid.cells, *self.heights_mm, grid.margin, self._corner, self._edge_mm)
+        low, high = self.heights_mm
+        layers = LAYERS[grid.step_px < self._step_px]
+        corner = np.array([*self._bins, low, (high - low) / layers, layers])
+        counts = np.zeros(int(corner[2] * corner[3] * layers), np.int64)
+        about = (grid.ways, grid.cells, grid.margin, corner, self._edge_mm)
         cell_bins(*about, counts, np.empty(0, np.int32))
         starts = np.concatenate(([0], np.cumsum(counts)))
         entries = np.empty(int(starts[-1]), np.int32)
         cell_bins(*about, starts[:-1].copy(), entries)
-        return _Table(grid, starts, entries)
+        return _Table(grid, corner, starts, entries)
 
     def _bare_mm(self) -> Float64:
         """Corners of the view without glass at z = 0: (2, 2), low and high, x and y."""

@@ -153,48 +153,54 @@ def judge_cells(chains: Array, ways: Array, z: float, patch_rows: int, widest: f
                             cells[i, j] = ROUGH
 
 
+@kernel_inlined
+def _bins(low: float, high: float, start: float, edge: float, count: int) -> tuple[int, int]:
+    """First and last of the bins between two places; none if the last is less."""
+    first = min(max((low - start) / edge, -1.0), count + 1.0)
+    last = min(max((high - start) / edge, -1.0), count + 1.0)
+    return max(int(np.floor(first)), 0), min(int(np.floor(last)), count - 1)
+
+
 @kernel
 def cell_bins(
     ways: Array,
     cells: Array,
-    low_z: float,
-    high_z: float,
     margin: float,
     corner: Array,
     edge: float,
     counts: Array,
     out: Array,
 ) -> None:
-    """Enter every cell into the bins (of width `edge`, from `corner`) that it covers between two heights.
+    """Enter every cell into the bins (of width `edge`) that it covers at the heights of each layer of bins.
 
-    A cell is `margin` larger on either side than its nodes.  With an empty `out` only `counts` (bins,) is filled.
-    Else `counts` holds where each bin's next entry goes.
+    `corner`: x and y where bins begin, their rows and columns, lowest z, depth of a layer, layers.  A cell
+    is `margin` larger on either side than its nodes.  With an empty `out` only `counts` (bins,) is filled.  Else
+    `counts` holds where each bin's next entry goes.
     """
-    rows, columns = int(corner[2]), int(corner[3])
+    rows, columns, layers = int(corner[2]), int(corner[3]), int(corner[6])
     for i in range(cells.shape[0]):
         for j in range(cells.shape[1]):
             if cells[i, j] != WHOLE:
                 continue
-            x0 = y0 = np.inf
-            x1 = y1 = -np.inf
-            for k in range(2):
-                for m in range(2):
-                    for side in range(2):
-                        z = low_z if side == 0 else high_z
-                        x = ways[i + k, j + m, X] + z * ways[i + k, j + m, DX]
-                        y = ways[i + k, j + m, Y] + z * ways[i + k, j + m, DY]
-                        x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
-            swell = margin * max(x1 - x0, y1 - y0)
-            c0 = max(int(np.floor(min(max((x0 - swell - corner[0]) / edge, -1.0), columns + 1.0))), 0)
-            c1 = min(int(np.floor(min(max((x1 + swell - corner[0]) / edge, -1.0), columns + 1.0))), columns - 1)
-            r0 = max(int(np.floor(min(max((y0 - swell - corner[1]) / edge, -1.0), rows + 1.0))), 0)
-            r1 = min(int(np.floor(min(max((y1 + swell - corner[1]) / edge, -1.0), rows + 1.0))), rows - 1)
-            for r in range(r0, r1 + 1):
-                for c in range(c0, c1 + 1):
-                    b = r * columns + c
-                    if out.shape[0] > 0:
-                        out[counts[b]] = i * cells.shape[1] + j
-                    counts[b] += 1
+            for layer in range(layers):
+                x0 = y0 = np.inf
+                x1 = y1 = -np.inf
+                for k in range(2):
+                    for m in range(2):
+                        for side in range(2):
+                            z = corner[4] + (layer + side) * corner[5]
+                            x = ways[i + k, j + m, X] + z * ways[i + k, j + m, DX]
+                            y = ways[i + k, j + m, Y] + z * ways[i + k, j + m, DY]
+                            x0, x1, y0, y1 = min(x0, x), max(x1, x), min(y0, y), max(y1, y)
+                swell = margin * max(x1 - x0, y1 - y0)
+                c0, c1 = _bins(x0 - swell, x1 + swell, corner[0], edge, columns)
+                r0, r1 = _bins(y0 - swell, y1 + swell, corner[1], edge, rows)
+                for r in range(r0, r1 + 1):
+                    for c in range(c0, c1 + 1):
+                        b = (layer * rows + r) * columns + c
+                        if out.shape[0] > 0:
+                            out[counts[b]] = i * cells.shape[1] + j
+                        counts[b] += 1
 
 
 @kernel
@@ -236,7 +242,8 @@ def find_images(
         c, r = int(np.floor((px - corner[0]) / edge)), int(np.floor((py - corner[1]) / edge))
         if not (0 <= c < columns and 0 <= r < rows) or shine[n] <= 0.0:
             continue
-        b0 = r * columns + c
+        layer = min(max(int(np.floor((z - corner[4]) / corner[5])), 0), int(corner[6]) - 1)
+        b0 = (layer * rows + r) * columns + c
         for entry in range(starts[b0], starts[b0 + 1]):
             i, j = entries[entry] // wide, entries[entry] % wide
             if tops[i, j] < z:

@@ -16,16 +16,31 @@ from tracer.bodies import shifted_by
 GAP_MM, DT_S = 4.0, 500e-6
 
 
-def camera(name, size_px, z_mm=0.0, tilts_deg=(0.0, 0.0), thickness_mm=1.0, per_px=0.03, f_number=None, seed=14):
-    """A camera that sees a jet behind balls `GAP_MM` off the target's plane."""
+def camera(
+    name,
+    size_px,
+    z_mm=0.0,
+    tilts_deg=(0.0, 0.0),
+    thickness_mm=1.0,
+    per_px=0.03,
+    f_number=None,
+    seed=14,
+    modes=None,
+    crop_px=None,
+):
+    """A camera that sees a jet behind balls `GAP_MM` off the target's plane; only its middle, if that is asked for."""
     stack = at_size(named_scene(name), size_px)
+    if crop_px is not None:
+        middle = np.subtract(stack.camera.principal_px, 0.5 * (size_px - crop_px))
+        lens = replace(stack.camera, principal_px=tuple(middle.tolist()), sensor_px=(crop_px, crop_px))
+        stack = stack.with_camera(lens)
     scene = stack.with_bodies([body.moved(shifted_by((0.0, 0.0, GAP_MM))) for body in stack.bodies])
     sheet = LightSheet(thickness_mm, z_mm, *np.tan(np.deg2rad(tilts_deg)))
     lens = {}
     if f_number is not None:  # pictures wider than a particle need more points than the middle and a ring
         points = 7 if f_number > 12.0 else 19
         lens |= {"aperture": Aperture(60.0, f_number, 440.0), "particle_counts": 300.0, "points_of_pupil": points}
-    return FlowCamera(scene, Flow(Jet(), None), sheet=sheet, seeding=Seeding(per_px), seed=seed, **lens)
+    return FlowCamera(scene, Flow(Jet(), modes), sheet=sheet, seeding=Seeding(per_px), seed=seed, **lens)
 
 
 def frames_of(flow_camera, pairs):

@@ -13,6 +13,7 @@ from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import sheet_forecast
 from correction.light_sheet.self_calibration import find_sheet
 from correction.prepared import prepare
+from sim.flow.modes import RandomModes
 from tests.correction.light_sheet.particle_frames import camera, frames_of
 from tracer.light_sheet import LightSheet
 from tracer.pupil import Pupil
@@ -35,12 +36,22 @@ CASES = [
 
 
 def drawn_sheets(count=30):
-    """Sheets off by up to 0.6 mm and half a degree, behind one, two and three balls and a pyramid in turn."""
+    """Sheets off by up to 0.6 mm and half a degree, behind one, two and three balls and a pyramid in turn.
+
+    The flow is a turbulent jet, of which the program knows nothing; the sensor shows what is near the balls.
+    """
     rng = np.random.default_rng(33)
-    labs = (("one_sphere_500", 504), ("two_spheres_500", 1008), ("three_spheres_500", 504), ("pyramid_500", 1008))
+    labs = (
+        ("one_sphere_500", 504, None),
+        ("two_spheres_500", 1008, 560),
+        ("three_spheres_500", 504, None),
+        ("pyramid_500", 1008, None),
+    )
     for number in range(count):
         z_mm, *tilts_deg = np.round(rng.uniform(-1.0, 1.0, 3) * (0.6, 0.5, 0.5), 3).tolist()
-        yield *labs[number % len(labs)], z_mm, tuple(tilts_deg), {"seed": 100 + number}
+        name, size_px, crop_px = labs[number % len(labs)]
+        more = {"seed": 100 + number, "modes": RandomModes(8.0, seed=number), "crop_px": crop_px}
+        yield name, size_px, z_mm, tuple(tilts_deg), more
 
 
 def added_px(scene, found, truth):

@@ -44,6 +44,21 @@ def test_frames_of_no_run_show_particles_and_checked_ones_the_target(lab, tmp_pa
     assert said["scene_hash"] == scene.content_hash()
 
 
+@pytest.mark.parametrize("shows", ["particles", "target"])
+def test_a_sheet_without_a_word_is_said_once_of_frames_that_show_particles(lab, tmp_path, capsys, shows):
+    scene, _ = lab
+    (tmp_path / "scene.yaml").write_text(dump_scene(replace(scene, sheet=None)))
+    rows, columns = np.indices(scene.camera.shape)
+    bright = (rows // 9 + columns // 9) % 2 if shows == "target" else (rows % 7 == 0) & (columns % 5 == 0)
+    for name in "ab":
+        write_frame(tmp_path / f"{name}.tif", (20 + 150 * bright).astype(np.uint8), 1.0, {})
+    correct([tmp_path / "a.tif", tmp_path / "b.tif"], tmp_path / "scene.yaml", tmp_path / "out", pictures=False)
+    said = " ".join(capsys.readouterr().out.split())
+    assert (
+        said.count("does not say where the light sheet is") == said.count("rtpiv sheet") == (shows == "particles")
+    )
+
+
 def test_two_frames_are_measured_in_the_sheet_and_say_so(lab, tmp_path):
     scene, folder = lab
     (task,) = tasks_of([folder / "a.tif", folder / "b.tif"], tmp_path, folder / "scene.yaml").tasks
