@@ -6,9 +6,11 @@ a corrected pixel, and pictures whose product covers A = 4 pi times the root of 
 
     sigma^2 = w^2 (1 + lambda A)
 
-for each.  All particles of all pairs together then tell height and slopes like a weighted straight line.  Beside
-chance stands what bend and fading of the views make of a height, by traced layers and to the share that is not
-modelled, and what the scene's fit is unsure of: both as unknowns that places share, as in `plane_fit`.
+for each.  Particles count by the square of their light, which is less beside the middle of the sheet and differs
+from one to the next: n of them tell no more than EVEN n that are alike, (sum b^2)^2 / sum b^4.  All particles of
+all pairs together then tell height and slopes like a weighted straight line.  Beside chance stands what bend and
+fading of the views make of a height, by traced layers and to the share that is not modelled, and what the scene's
+fit is unsure of: both as unknowns that places share, as in `plane_fit`.
 """
 
 from dataclasses import dataclass
@@ -26,6 +28,7 @@ from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
 from tracer.scene import Scene
 
 PAIRS, PER_PX, SPREAD_MM = 50, 0.03, 0.18  # usual ones; of particles in a sheet of 1 mm
+EVEN = 0.4  # of a Gaussian sheet and of light whose logarithm differs by 0.35
 TRACED_PLACES, DEPTH_MM = 40, 0.7  # places of a kind, heights to either side
 LITTLE_MM, LITTLE_DEG = 0.3 * UNMEASURED_MM, 0.3 * UNMEASURED_DEG
 
@@ -61,7 +64,9 @@ class SheetForecast:
         )
 
 
-def sheet_forecast(scene: Scene, views: DoubleViews, sigma: SceneSigma | None = None) -> SheetForecast:
+def sheet_forecast(
+    scene: Scene, views: DoubleViews, sigma: SceneSigma | None = None, pairs: int = PAIRS
+) -> SheetForecast:
     """Forecast from the places seen twice.
 
     Parameters
@@ -72,6 +77,8 @@ def sheet_forecast(scene: Scene, views: DoubleViews, sigma: SceneSigma | None = 
         The places.
     sigma : SceneSigma, optional
         Of the scene, as seen in this plane; without it the scene is taken to be exact.
+    pairs : int
+        Of frames.
     """
     views = views.at(views.free(AROUND))
     kinds, kind = np.unique(views.kind, return_inverse=True)
@@ -86,7 +93,7 @@ def sheet_forecast(scene: Scene, views: DoubleViews, sigma: SceneSigma | None = 
     peak_px2 = pictures[:, 0] + rate * SPREAD_MM**2
     covered = 4.0 * np.pi * np.sqrt(pictures.prod(axis=1))
     met = np.minimum(1.0, 0.25 * covered)  # much magnified: between places
-    told = PAIRS * PER_PX * views.step**2 / (1.0 + PER_PX * covered)
+    told = EVEN * pairs * PER_PX * views.step**2 / (1.0 + PER_PX * covered)
     weight = told * met * rate / peak_px2
     before = [UNMEASURED_MM**-2.0, *[float(np.deg2rad(UNMEASURED_DEG)) ** -2.0] * 2, *[1.0] * shared.shape[1]]
     known = np.linalg.inv(design.T @ (weight[:, None] * design) + np.diag(before))

@@ -28,7 +28,7 @@ def camera(
     modes=None,
     crop_px=None,
 ):
-    """A camera that sees a jet behind balls `GAP_MM` off the target's plane; only its middle, if that is asked for."""
+    """A camera that sees a jet behind balls `GAP_MM` off the target's plane, or only the middle of its view."""
     stack = at_size(named_scene(name), size_px)
     if crop_px is not None:
         middle = np.subtract(stack.camera.principal_px, 0.5 * (size_px - crop_px))

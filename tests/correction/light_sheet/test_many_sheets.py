@@ -42,16 +42,16 @@ def drawn_sheets(count=30):
     """
     rng = np.random.default_rng(33)
     labs = (
-        ("one_sphere_500", 504, None),
-        ("two_spheres_500", 1008, 560),
-        ("three_spheres_500", 504, None),
-        ("pyramid_500", 1008, None),
+        ("one_sphere_500", 504, None, 40),
+        ("two_spheres_500", 1008, 560, 30),
+        ("three_spheres_500", 504, None, 20),
+        ("pyramid_500", 1008, None, 40),
     )
     for number in range(count):
         z_mm, *tilts_deg = np.round(rng.uniform(-1.0, 1.0, 3) * (0.6, 0.5, 0.5), 3).tolist()
-        name, size_px, crop_px = labs[number % len(labs)]
+        name, size_px, crop_px, pairs = labs[number % len(labs)]
         more = {"seed": 100 + number, "modes": RandomModes(8.0, seed=number), "crop_px": crop_px}
-        yield name, size_px, z_mm, tuple(tilts_deg), more
+        yield name, size_px, z_mm, tuple(tilts_deg), more, pairs
 
 
 def added_px(scene, found, truth):
