@@ -6,11 +6,12 @@ a corrected pixel, and pictures whose product covers A = 4 pi times the root of 
 
     sigma^2 = w^2 (1 + lambda A)
 
-for each.  Particles count by the square of their light, which is less beside the middle of the sheet and differs
-from one to the next: n of them tell no more than EVEN n that are alike, (sum b^2)^2 / sum b^4.  All particles of
-all pairs together then tell height and slopes like a weighted straight line.  Beside chance stands what bend and
-fading of the views make of a height, by traced layers and to the share that is not modelled, and what the scene's
-fit is unsure of: both as unknowns that places share, as in `plane_fit`.
+for each.  All particles of all pairs together then tell height and slopes like a weighted straight line.  Beside
+chance stands what bend and fading of the views make of a height, by traced layers and to the share that is not
+modelled, and what the scene's fit is unsure of: both as unknowns that places share, as in `plane_fit`.
+
+Left out are particles that differ in light, views of one cell that bend unlike each other, and what the model of
+the products leaves: sheets that were found were told to FOUND times what is foreseen.
 """
 
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
 from tracer.scene import Scene
 
 PAIRS, PER_PX, SPREAD_MM = 50, 0.03, 0.18  # usual ones; of particles in a sheet of 1 mm
-EVEN = 0.4  # of a Gaussian sheet and of light whose logarithm differs by 0.35
+FOUND = 0.6, 3.7  # behind one to three balls, sheets drawn by another optics: 0.69 to 3.45
 TRACED_PLACES, DEPTH_MM = 40, 0.7  # places of a kind, heights to either side
 LITTLE_MM, LITTLE_DEG = 0.3 * UNMEASURED_MM, 0.3 * UNMEASURED_DEG
 
@@ -42,12 +43,18 @@ class SheetForecast:
     area_mm2 : float
         Seen twice, where the views can be followed.
     sigma_mm, tilt_sigma_deg : float
-        Expected standard deviations of height and tilt; what is known without frames where they tell nothing.
+        Expected standard deviations of height and tilt; what is known without frames where they tell nothing. In
+        truth they are `FOUND` times these.
     """
 
     area_mm2: float
     sigma_mm: float
     tilt_sigma_deg: float
+
+    @property
+    def range_mm(self) -> tuple[float, float]:
+        """Least and most that `sigma_mm` is in truth."""
+        return _range(self.sigma_mm, UNMEASURED_MM)
 
     @property
     def sentence(self) -> str:
@@ -59,9 +66,19 @@ class SheetForecast:
             doubt = ": too little to find it, so measure it"
         return (
             f"{self.area_mm2:.0f} mm\u00b2 of the light sheet are seen twice; {PAIRS} pairs with {PER_PX:g}"
-            f" particles a pixel would tell its height to {self.sigma_mm:.2g} mm and its tilt to"
-            f" {self.tilt_sigma_deg:.2g} degrees{doubt}"
+            f" particles a pixel would tell its height to {_said(*self.range_mm)} mm and its tilt to"
+            f" {_said(*_range(self.tilt_sigma_deg, UNMEASURED_DEG))} degrees{doubt}"
         )
+
+
+def _range(sigma: float, without_frames: float) -> tuple[float, float]:
+    """Least and most of what is foreseen; frames never make it worse than it is without them."""
+    low, high = (min(factor * sigma, without_frames) for factor in FOUND)
+    return low, high
+
+
+def _said(low: float, high: float) -> str:
+    return f"{low:.2g}" if low == high else f"{low:.2g} to {high:.2g}"
 
 
 def sheet_forecast(
@@ -93,7 +110,7 @@ def sheet_forecast(
     peak_px2 = pictures[:, 0] + rate * SPREAD_MM**2
     covered = 4.0 * np.pi * np.sqrt(pictures.prod(axis=1))
     met = np.minimum(1.0, 0.25 * covered)  # much magnified: between places
-    told = EVEN * pairs * PER_PX * views.step**2 / (1.0 + PER_PX * covered)
+    told = pairs * PER_PX * views.step**2 / (1.0 + PER_PX * covered)
     weight = told * met * rate / peak_px2
     before = [UNMEASURED_MM**-2.0, *[float(np.deg2rad(UNMEASURED_DEG)) ** -2.0] * 2, *[1.0] * shared.shape[1]]
     known = np.linalg.inv(design.T @ (weight[:, None] * design) + np.diag(before))

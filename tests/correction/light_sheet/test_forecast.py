@@ -25,6 +25,22 @@ def test_a_broad_ring_tells_much_and_more_pixels_more():
     assert "too little" not in fine.sentence
 
 
+@pytest.mark.parametrize(
+    ("name", "size_px", "crop_px", "pairs", "found_mm"),
+    [
+        ("one_sphere_500", 504, None, 40, (0.0303, 0.0311)),
+        ("two_spheres_500", 1008, 560, 30, (0.1294, 0.1566)),
+        ("three_spheres_500", 504, None, 20, (0.0138,)),
+    ],
+)
+def test_what_drawn_sheets_were_told_to_was_foreseen(name, size_px, crop_px, pairs, found_mm):
+    """Sigmas of `test_many_sheets`; behind one ball a quarter of them was promised."""
+    scene = camera(name, size_px, crop_px=crop_px).scene
+    low, high = sheet_forecast(scene, double_views(scene, step=3), pairs=pairs).range_mm
+    assert low < min(found_mm)
+    assert max(found_mm) < high
+
+
 def test_a_coarse_look_says_the_same():
     every, third = forecast("three_spheres_500", 504), forecast("three_spheres_500", 504, step=3)
     assert third.area_mm2 == pytest.approx(every.area_mm2, rel=0.02)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.light_sheet import disparities, self_calibration
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import sheet_forecast
 from correction.light_sheet.self_calibration import find_sheet
@@ -70,7 +71,7 @@ def added_px(scene, found, truth):
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("name", "size_px", "z_mm", "tilts_deg", "more"), [*CASES, *drawn_sheets()])
+@pytest.mark.parametrize(("name", "size_px", "z_mm", "tilts_deg", "more"), CASES)
 def test_the_sheet_is_found_within_its_sigma(name, size_px, z_mm, tilts_deg, more):
     flow_camera = camera(name, size_px, z_mm, tilts_deg, **more)
     scene = flow_camera.scene
@@ -98,3 +99,31 @@ def test_the_sheet_is_found_within_its_sigma(name, size_px, z_mm, tilts_deg, mor
         assert np.abs(off[1:]).max() <= 0.02
         assert place <= 0.02
         assert moved <= 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+def test_thirty_drawn_sheets_are_within_their_sigma_as_often_as_it_says(monkeypatch):
+    """Each within 0.03 mm or covered by its sigma; those that are found, in all, as a sigma has to."""
+    monkeypatch.setattr(self_calibration, "MOST_PLACES", 6000)
+    monkeypatch.setattr(disparities, "MODELLED", 600)
+    monkeypatch.setattr(disparities, "LEAST_MODELLED", 12)
+    sigmas = []
+    for name, size_px, z_mm, tilts_deg, more, pairs in drawn_sheets():
+        flow_camera = camera(name, size_px, z_mm, tilts_deg, **more)
+        foreseen = sheet_forecast(flow_camera.scene, double_views(flow_camera.scene, step=3), pairs=pairs)
+        found = find_sheet(flow_camera.scene, frames_of(flow_camera, pairs))
+        sheet = found.sheet
+        off = np.subtract((sheet.z_mm, sheet.tilt_x_deg, sheet.tilt_y_deg), (z_mm, *tilts_deg))
+        unsure = np.array([sheet.sigma_mm, sheet.tilt_sigma_deg, sheet.tilt_sigma_deg])
+        print(
+            f"{name}: truth {z_mm:+.3f} mm, {tilts_deg}; found {sheet.summary}; off by {off.round(3)},"
+            f" foreseen {foreseen.range_mm}; {list(found.verdicts)}"
+        )
+        assert abs(off[0]) < max(0.03, 3.0 * sheet.sigma_mm)
+        if found.cells is not None and sheet != found.known:
+            sigmas.append(off / unsure)
+            assert foreseen.range_mm[0] < sheet.sigma_mm < foreseen.range_mm[1]
+    assert len(sigmas) >= 20
+    assert np.mean(np.abs(sigmas) < 1.0) >= 0.63
+    assert np.sqrt(np.mean(np.square(sigmas))) <= 1.3
