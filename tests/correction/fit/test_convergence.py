@@ -1,5 +1,6 @@
-"""From random starts to the true scene, or to a refusal; never to a wrong scene in silence."""
+"""From random starts to the true scene, or to a refusal, or to a ball masked by name; never wrong in silence."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from tests.correction.fit.benches import bench
 from tracer.media import ConstantMedium
 from tracer.scene import Scene
 
-STARTS = 40  # of the 200 that docs/adr/0005 reports
+STARTS = int(os.environ.get("STARTS", "10"))  # of the 200 that docs/adr/0005 reports; 2 to 10 s of a core each
 SCENES = [("one_sphere_250", 7), ("two_spheres_500", 6), ("three_spheres_500", 3), ("pyramid_500", 5)]
 
 
@@ -40,26 +41,32 @@ def disturbed(truth: Scene, nominal: Scene, rng: np.random.Generator) -> Scene:
 @pytest.mark.parametrize(("name", "seed"), SCENES)
 def test_random_starts_converge_or_say_so(name, seed):
     made = bench(name, seed)
-    right, refused = 0, 0
+    right, said = 0, []
     for number in range(STARTS):
         nominal = disturbed(made.truth, made.nominal, np.random.default_rng((2, number)))
         try:
             fit = fit_scene(nominal, made.frames, made.board)
-        except FitError:
-            refused += 1
+        except FitError as error:
+            said.append(f"{number}: {error}")
             continue
-        pairs = zip(fit.scene.spheres, made.truth.spheres, strict=True)
-        off = [np.abs(np.subtract(found.centre_mm, true.centre_mm)[:2]).max() for found, true in pairs]
-        right += max(off) < 0.03
-    assert right + refused == STARTS
+        masked = {one.name: str(one) for one in fit.verdict.unconfirmed if one.is_ball}
+        for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
+            off = np.abs(np.subtract(found.centre_mm, true.centre_mm)[:2]).max()
+            assert off < 0.03 or found.name in masked, (number, found.name, off)
+        said += [f"{number}: {words}" for words in masked.values()]
+        right += not masked
+    print(f"{name}: {right} of {STARTS} right; of the others it is said: {said}")
     assert right >= 0.95 * STARTS
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("start", [4, 35])
+@pytest.mark.parametrize("start", [4, 35, 38])
 def test_a_ball_that_shows_three_corners_is_found(start):
-    """Alone, three corners are not missed among four hundred; of start 35 wrong ones nearly fit."""
+    """Alone, three corners are not missed among four hundred.
+
+    Of start 35 wrong ones nearly fit; of start 38 one corner after the other leads to the place, in four steps.
+    """
     made = bench("pyramid_500", 5)
     nominal = disturbed(made.truth, made.nominal, np.random.default_rng((2, start)))
     fit = fit_scene(nominal, made.frames, made.board)

@@ -1,5 +1,6 @@
 """Balls told up to 5 mm beside their places, all together or one alone: found, or refused by name, never wrong."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from tracer.media import shifted
 from tracer.scene import Scene
 
 SCENES = [("pair_off_axis", 4), ("two_spheres_500", 6), ("three_spheres_500", 3), ("pyramid_500", 5)]
-STARTS = 10  # of each scene
+STARTS = int(os.environ.get("STARTS", "10"))  # of each scene
 REACH_MM = 5.0
 
 

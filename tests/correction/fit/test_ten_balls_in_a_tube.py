@@ -1,5 +1,6 @@
-"""Ten balls in a glass tube, started beside their places with a tube that is not as told: found, or refused."""
+"""Ten balls in a tube, started beside their places, the tube not as told: found, refused or masked by name."""
 
+import os
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,7 +22,7 @@ from tracer.scene_file import load_scene
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "column_in_tube.yaml"
 SQUARE_MM, SIZE_PX = 1.0, 700
 BOARD = Chessboard(SQUARE_MM, 0.4 * SQUARE_MM)
-STARTS = 1  # of the hundred that a script can ask for by run(first, last): three minutes of a core each
+STARTS = 1 + int(os.environ.get("STARTS", "10")) // 10  # half a minute to three minutes of a core each
 TUBE = "tube"
 
 
@@ -68,31 +69,29 @@ def disturbed(seed: int) -> Scene:
 
 
 def judged(seed: int) -> str:
-    """Return right, refused or wrong, with what is off by how much."""
+    """Return right, refused, masked or wrong, with what is off by how much."""
     _, truth, frames = column()
     try:
         fit = fit_scene(disturbed(seed), frames, BOARD)
     except FitError as error:
         return f"refused: {error}"
     sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
+    masked = {one.name for one in fit.verdict.unconfirmed if one.is_ball}
     wrong = []
     for found, true in zip(fit.scene.spheres, truth.spheres, strict=True):
         off = np.abs(np.subtract(found.centre_mm, true.centre_mm))
         known = np.array([sigma[f"{found.name}.{axis}"] for axis in "xyz"])
-        if np.any(off > 0.03 + 4.0 * known):
+        if np.any(off > 0.03 + 4.0 * known) and found.name not in masked:
             wrong.append(f"{found.name} off by {off}, known to {known}")
-    return f"wrong: {'; '.join(wrong)}" if wrong else "right"
-
-
-def run(first: int, last: int) -> None:
-    """Judge starts first to last - 1, and say so one by one."""
-    for seed in range(first, last):
-        print(seed, judged(seed), flush=True)
+    if wrong:
+        return f"wrong: {'; '.join(wrong)}"
+    return f"masked: {', '.join(sorted(masked))}" if masked else "right"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_ten_balls_in_a_tube_are_found_or_refused() -> None:
     said = [judged(seed) for seed in range(STARTS)]
+    print(said)
     assert not [one for one in said if one.startswith("wrong")], said
     assert said.count("right") >= 0.95 * STARTS, said
