@@ -17,10 +17,11 @@ def test_no_pulse_that_was_not_asked_for():
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_no_pulse_in_20_000_sequences():
-    books, found = play(20_000, "1")
+def test_no_pulse_in_4_000_sequences():
+    """Two minutes of a core; `make fuzz` plays as many as wanted of another seed."""
+    books, found = play(4_000, "1")
     assert not found, "\n".join(found)
-    assert books["sequences"] == 20_000
+    assert books["sequences"] == 4_000
 
 
 def says_nothing(self, *_):

@@ -15,10 +15,11 @@ def test_nothing_moves_while_light_leaves():
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-def test_nothing_moves_while_light_leaves_in_20_000_sequences():
+def test_nothing_moves_while_light_leaves_in_2_000_sequences():
+    """Five minutes of a core; `make fuzz` plays as many as wanted of another seed."""
     playground = Playground()
-    for seed in range(40):
-        _, found = play(range(500), f"slow {seed}", playground=playground)
+    for seed in range(8):
+        _, found = play(range(250), f"slow {seed}", playground=playground)
         assert not found, "\n".join(found)
 
 
