@@ -145,7 +145,8 @@ def _kind_of(path: Path) -> str:
 def _said(path: Path, kind: str, benches: Sequence[Path]) -> tuple[str, list[str]]:
     """What a file says in one sentence, and questions about it."""
     if kind == "scene":
-        return _scene_said(load_scene(path)), scene_questions(path)
+        scene = load_scene(path)
+        return f"{_scene_said(scene)}{_through(scene)}", scene_questions(path)
     if kind == "bench":
         bench = load_bench(path)
         return _bench_said(bench), bench_questions(bench)
@@ -165,6 +166,21 @@ def _said(path: Path, kind: str, benches: Sequence[Path]) -> tuple[str, list[str
     if not fitting:
         raise reasons[0]
     return "; ".join(fitting), list(dict.fromkeys(questions))
+
+
+def _through(scene: Scene) -> str:
+    """How much is seen through glass, and what would show more where that is little."""
+    from daq.analysis.through_glass import coarse_map, through_glass  # compiled: who checks a plan does not wait
+    from daq.analysis.views.arranged import little
+
+    try:
+        found = coarse_map(scene)
+        shown = through_glass(scene, found.grid, found.recovered)
+    except TracerError:  # a view that has no map; `trace` says why
+        return ""
+    if shown is None:
+        return ""
+    return ". ".join(filter(None, (f"; {shown.sentence}", little(scene, shown.share))))
 
 
 def _scene_said(scene: Scene) -> str:

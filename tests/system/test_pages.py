@@ -28,6 +28,7 @@ SIMULATED = {  # commands at real devices -> what makes them commands of this la
     for command, why in NOT_RUN.items()
     if why == HARDWARE and command.startswith(("acquire", "align"))
 }
+FIRST = {"report": "runs/*plan-shift/report/report.html", "mean": "runs/*flow/series/*.html"}  # through glass
 FLOW = "acquire plan-flow.yaml --bench bench-flow.yaml"
 FEW = ((r"\bpairs: 1\d+", "pairs: 10"), (r"chunk: \d+", "chunk: 10"), (r"{pairs: \d+}", "{pairs: 4}"))
 ALL = [(page, command) for page in PAGES for command in commands(page)]
@@ -46,13 +47,13 @@ MADE = {  # what must be there after a command, as its page says
     "align": ("runs/*plan-align/done.json",),
 }
 SAID = {  # what must be said
-    "trace": "through glass",  # "every verb begins with what is seen through glass"
-    "report": "through glass",
+    "trace": "through glass",  # "has what is seen through glass in front"
+    "check .": "through glass",
     "mean": "10 of 10 pairs",  # "every pair of a flow"
     "sheet": "z",
     "campaign status": "done",
     "campaign merge": "10 pairs in the mean",
-    "check runs/*": "ok",
+    "check runs/*": "hash",
     "acquire plan-target.yaml --bench bench.yaml --dry-run": "steps",
 }
 
@@ -165,6 +166,11 @@ def _wrong(command, lab, capsys):
     for start, text in SAID.items():
         if f"{command} ".startswith(f"{start} ") and text not in " ".join(said.out.split()):
             return f"rtpiv {command} does not say {text!r}: {said.out[-1500:]}"
+    for start, pattern in FIRST.items():
+        if f"{command} ".startswith(f"{start} ") and not any(
+            "is seen through glass" in page.read_text() for page in lab.glob(pattern)
+        ):
+            return f"rtpiv {command}: its page does not say what is seen through glass"
     return ""
 
 

@@ -35,7 +35,9 @@ def test_a_folder_of_files(lab, capsys):
     assert main(["check", str(lab)]) == DONE
     said = capsys.readouterr().out
     assert len(said.splitlines()) == 6
-    assert re.search(r"scene.yaml  ok  scene: 1 sphere; camera of 640 x 480 px, \d+.\d px/mm", said)
+    assert re.search(
+        r"scene.yaml  ok  scene: 1 sphere; camera of 640 x 480 px, \d+.\d px/mm.*; through glass: \d+ % of", said
+    )
     assert re.search(
         r"bench.yaml  ok  bench: 9 axes on 4 controllers, camera by harvesters; .*can be simulated", said
     )
@@ -44,6 +46,15 @@ def test_a_folder_of_files(lab, capsys):
         r"plan-flow.yaml  ok  plan: flow, 2 steps, 240 frames, about \d+ s; link: .* MB/s.* on bench-flow.yaml",
         said,
     )
+
+
+def test_a_scene_that_shows_little_through_glass_says_what_would_show_more(tmp_path, capsys):
+    init(tmp_path / "lab", balls=3, gap_mm=4.0, sensor_px=(640, 480))
+    capsys.readouterr()
+    check(tmp_path / "lab" / "scene.yaml")
+    said = capsys.readouterr().out
+    assert re.search(r"through glass: \d(\.\d)? % of what the balls hide.*Little of what the glass hides", said)
+    assert re.search(r"What would show more: .*: \d\d %", said)
 
 
 def test_problems_of_all_files_at_once(lab, capsys):
