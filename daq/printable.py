@@ -6,8 +6,3 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in "\n\t" else repr(c)[1:-1] for c in text)
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun, in the plural where it is not one: "1 chunk", "0 chunks"."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"

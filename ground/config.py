@@ -202,8 +202,11 @@ class _Reader:
 
     def _mapping(self, node: yaml.MappingNode, place: Place) -> dict[str, Any]:
         result: dict[str, Any] = {}
-        for key_node, value_node in node.value:
+        for number, (key_node, value_node) in enumerate(node.value):
             line = key_node.start_mark.line + 1
+            if number and (slip := _decimal_comma(node.value[number - 1], (key_node, value_node))):
+                self.problems[(*place, f"line {line}", slip)] = Problem(line, slip)
+                continue
             if not isinstance(key_node, yaml.ScalarNode) or key_node.tag == "tag:yaml.org,2002:merge":
                 text = "keys must be plain words; merge keys are not supported"
                 self.problems[(*place, f"line {line}")] = Problem(line, text)
@@ -252,6 +255,17 @@ class _Reader:
         if said := _doubt(text, node.tag):
             self.problems[place] = Problem(node.start_mark.line + 1, said)
         return text
+
+
+def _decimal_comma(before: tuple[yaml.Node, yaml.Node], pair: tuple[yaml.Node, yaml.Node]) -> str:
+    """Say what is wrong where ``{f_mm: 20,5}`` has been read as f_mm: 20 and a key 5 without a value; else ""."""
+    (name, value), (key, empty) = before, pair
+    if not (isinstance(key, yaml.ScalarNode) and isinstance(empty, yaml.ScalarNode) and empty.value == ""):
+        return ""
+    if not (str(key.value).isdecimal() and str(value.value).lstrip("+-").isdecimal()):
+        return ""
+    said = f"{value.value},{key.value}"
+    return f"{name.value}: {said}: a decimal comma? write a decimal point: {said.replace(',', '.')}"
 
 
 def _doubt(text: str, tag: str) -> str | None:

@@ -58,6 +58,11 @@ _BOUNDS = {
 }
 
 
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """Return a number with its noun, in the plural where it is not one: "1 chunk", "0 chunks", "9 axes"."""
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
 def key_of(name: str) -> str:
     """Return the last part of a place."""
     return name.rpartition(".")[2]
@@ -69,8 +74,11 @@ def exactly(count: int) -> BeforeValidator:
     def holds(value: Any) -> Any:  # noqa: ANN401 - YAML holds anything
         if isinstance(value, list) and len(value) != count:
             words = f"{NUMBERS[count]} entries"
+            comma = "; a decimal comma? write points" if len(value) == 2 * count else ""
             raise PydanticCustomError(
-                "entries", "should have {words}, not {got}", {"words": words, "got": len(value)}
+                "entries",
+                "should have {words}, not {got}{comma}",
+                {"words": words, "got": len(value), "comma": comma},
             )
         return value
 

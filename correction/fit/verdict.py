@@ -115,7 +115,7 @@ class Verdict:
 
     @property
     def many_colours(self) -> bool:
-        """Whether the light of the target frames has more colours than is told."""
+        """Whether the light of the target frames has more colours than fit.light gives."""
         return self.smear is not None and self.smear.alarm
 
     def _of_residuals(self) -> tuple[str, ...]:

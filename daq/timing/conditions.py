@@ -57,13 +57,13 @@ class Conditions:
         if not self.at_rest:
             return "something on the bench moves, or does not know where it is"
         if self.sheet_clearance_mm is None:
-            return "nobody knows how far glass and target are from the sheet"
+            return "the distance of glass and target from the sheet is unknown"
         if not self.sheet_clearance_mm >= clear_mm:  # NaN is not clear
             return f"something is {self.sheet_clearance_mm:.1f} mm from the sheet; {clear_mm:g} mm must be free"
         if self.frames_fit < pairs:
             return f"the disk has room for {self.frames_fit} pairs, not for {pairs}"
         if self.shutter_open is None:
-            return "nobody knows whether the shutter is open"
+            return "it is unknown whether the shutter is open"
         if not self.shutter_open:
             return "the shutter is closed"
         return None

@@ -17,7 +17,7 @@ from stages.clock import Clock
 from stages.stop_latch import StopLatch
 
 _WAYS = {
-    LaserState.UNKNOWN: "nobody knows what it does; only safe() is allowed",
+    LaserState.UNKNOWN: "its state is unknown; only safe() is allowed",
     LaserState.FAULT: "look at it, then safe()",
     LaserState.SAFE: "warm() comes first",
     LaserState.WARM: "its lamps still warm up",
@@ -131,7 +131,7 @@ class Standing:
         """Say why nothing may move now, as a sentence; asks no lock, so any thread may ask it."""
         state = self._state
         if state is LaserState.UNKNOWN:
-            return f"nobody knows whether {self.name} is off; say safe(), or rtpiv laser off"
+            return f"it is unknown whether {self.name} is off; say safe(), or rtpiv laser off"
         if state in BARS_MOTION:
             return f"{self.name} is {state.value}; let it end, or switch it off first"
         return None

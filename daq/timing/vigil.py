@@ -86,7 +86,7 @@ class Vigil:
         try:
             found = self._ask()
         except BaseException as error:  # whatever it is, nobody knows how things stand
-            self._stop(f"nobody knows how things stand: {error}")
+            self._stop(f"the state of camera and stages is unknown: {error}")
             return
         if self._ended.is_set():
             return  # an answer to this burst says nothing of the next one
@@ -125,7 +125,7 @@ class Vigil:
         self._silence_s += min(now_s - self._looked_s, ON_TIME_S)
         self._looked_s = now_s
         if self._silence_s > SILENCE_S:
-            return f"nobody has said for {SILENCE_S:g} s how things stand; camera or stages do not answer"
+            return f"no state was reported for {SILENCE_S:g} s; camera or stages do not answer"
         if (blind_s := now_s - heard_s) > BLIND_S:
             return (
                 f"this computer was too busy for {blind_s:.1f} s to ask how things stand; end other programs, "

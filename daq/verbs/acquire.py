@@ -34,6 +34,7 @@ from daq.verbs.operator import operator_of, require_person
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of
 from ground.errors import ConfigError
+from ground.plain_words import counted
 from stages.identities import confusable
 
 if TYPE_CHECKING:
@@ -249,7 +250,7 @@ def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, wi
             screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
     travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
     screen.print(
-        f"{len(plan.steps)} steps, {said.frames} frames, about {said.duration_s:.0f} s; "
+        f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}, about {said.duration_s:.0f} s; "
         f"travel in mm: {travel or 'none'}; "
         f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
     )

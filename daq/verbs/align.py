@@ -17,6 +17,7 @@ from daq.verbs.acquire import forecast_said, run_and_report
 from daq.verbs.operator import operator_of
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named
+from ground.plain_words import counted
 from stages.identities import confusable
 
 MAY_BE_OFF_MM = 1.5  # from which an alignment is made for; less room than that at a limit is said
@@ -82,7 +83,7 @@ def align(
     if simulate:
         check_views(loaded, steps.steps)
     if dry_run:
-        screen.print(f"then up to {steps.table.moves} moves, each said and judged before it is made")
+        screen.print(f"then up to {counted(steps.table.moves, 'move')}, each said and judged before it is made")
         return None
     return _carried_out(screen, request, loaded, Path(out), home, said.raw_bytes)
 

@@ -22,6 +22,7 @@ from daq.verbs.output import folder_for
 from daq.verbs.paths import Named, path_of
 from daq.verbs.show import show_calibration
 from daq.whole_text import write_json, write_text
+from ground.plain_words import counted
 from tracer.fit_section import FitTable
 from tracer.scene import Scene
 from tracer.scene_file import dump_scene, load_priors, load_scene
@@ -84,7 +85,7 @@ def calibrate(
     def say(text: str) -> None:
         progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
 
-    say(f"{len(frames)} frames of the target in {folder}")
+    say(f"{counted(len(frames), 'frame')} of the target in {folder}")
     fit = fit_scene(nominal, frames, board, priors, say)
     seconds = time.monotonic() - began
     say("standard deviation of the map")

@@ -19,11 +19,11 @@ from daq.analysis.campaign.status import RunStatus, campaign_status
 from daq.analysis.piv_file import PivOptions, piv_choice
 from daq.analysis.series.series_folder import SeriesFolder
 from daq.errors import RunUsageError, Unfinished
-from daq.printable import counted
 from daq.terminal import console
 from daq.verbs.output import require_folder
 from daq.verbs.paths import Named, path_of, paths_of
 from daq.verbs.show import show_campaign, show_forecasts
+from ground.plain_words import counted
 from ground.rows import thread_count
 
 Action = Literal["plan", "run", "status", "merge"]
@@ -185,7 +185,7 @@ def _option(text: str) -> tuple[str, str | int]:
 
 def _show_merged(folder: CampaignFolder, merged: CampaignMean) -> None:
     screen = console()
-    screen.print(f"{merged.mean.used} pairs in the mean, {len(merged.mean.left_out)} left out")
+    screen.print(f"{counted(merged.mean.used, 'pair')} in the mean, {len(merged.mean.left_out)} left out")
     if merged.mean.doubt:
         screen.print(merged.mean.doubt, style="bold red")
     for name, apart in merged.apart.items():

@@ -23,6 +23,7 @@ from daq.terminal import console, progress
 from daq.verbs.paths import Named, paths_of
 from ground.config import open_document
 from ground.errors import ConfigError, GroundError, Problem, UntrustedProgram
+from ground.plain_words import counted
 from stages.errors import StageError
 from tracer.errors import TracerError
 from tracer.scene import Scene
@@ -203,7 +204,8 @@ def _bench_said(bench: Bench) -> str:
     more = ", ".join(name for name in bench.more)
     simulated = "can be simulated" if check_simulation(bench) else "has no simulation"
     return (
-        f"{len(stages.axes)} axes on {len(stages.controllers)} controllers, camera by {bench.table.camera.backend}"
+        f"{counted(len(stages.axes), 'axis', 'axes')} on {counted(len(stages.controllers), 'controller')},"
+        f" camera by {bench.table.camera.backend}"
         f"{', ' + more if more else ''}; {px_per_mm(bench):.1f} px/mm; {simulated}"
     )
 
@@ -217,9 +219,8 @@ def _plan_said(path: Path, bench: Bench) -> str:
             for v in said.violations
         ]
         raise PlanError("\n".join(lines))
-    steps = (
-        f"{plan.table.experiment}, {len(plan.steps)} steps, {said.frames} frames, about {said.duration_s:.0f} s"
-    )
+    size = f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}"
+    steps = f"{plan.table.experiment}, {size}, about {said.duration_s:.0f} s"
     return f"{steps}; {said.link}" if said.link else steps
 
 

@@ -171,7 +171,7 @@ def _unsaid(best: Sequence[ViewFigures]) -> str:
     """What it costs not to say in which light the target is photographed."""
     worst = [view.unsaid_px for view in best[:SHOWN]]
     return (
-        f"sigma holds if fit.light says in which light the target frames are taken; if nobody does, it is"
+        f"sigma holds if fit.light says in which light the target frames are taken; without that it is"
         f" {min(worst):.2f} to {max(worst):.2f} px"
     )
 

@@ -10,11 +10,11 @@ from daq.analysis.export.formats import FORMATS
 from daq.analysis.export.map_files import MAP_FORMATS
 from daq.analysis.export.vector_table import VectorTable, read_vectors
 from daq.errors import DiskError, RunUsageError
-from daq.printable import counted
 from daq.terminal import console, progress_if_long
 from daq.verbs.output import folder_for
 from daq.verbs.paths import Named
 from daq.whole_text import sync_folder, why
+from ground.plain_words import counted
 from tracer.scene_file import load_scene
 
 SCENES = (".yaml", ".yml")

@@ -9,6 +9,7 @@ from daq.terminal import console, progress_if_long
 from daq.verbs.acquire import run_and_report
 from daq.verbs.operator import operator_of, require_person
 from daq.verbs.paths import Named
+from ground.plain_words import counted
 
 
 def resume(
@@ -49,7 +50,7 @@ def resume(
     screen.print(f"{run}: plan, bench and scene are those it began with, and every frame that counts is right")
     require_libraries(found.bench.table.camera.backend)
     if found.again:
-        screen.print(f"taken again for missing or damaged frames: {len(found.again)} steps")
+        screen.print(f"taken again for missing or damaged frames: {counted(len(found.again), 'step')}")
     person = operator_of(operator, found.request.simulate)
     require_person(person, remaining(found.plan.steps, found.folder.entries(), found.again))
     request, plan = found.request, found.plan

@@ -10,6 +10,7 @@ from daq.terminal import console
 from daq.verbs.output import folder_for
 from daq.verbs.paths import Named, file_of, paths_of
 from daq.whole_text import copy_whole, write_json, write_text
+from ground.plain_words import counted
 from tracer.scene_file import dump_scene, load_scene
 
 
@@ -63,8 +64,8 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None
     if found.cells is not None:
         thick = found.sheet.thickness_mm
         screen.print(
-            f"{found.pairs} pairs, {len(found.cells.kind)} places where particles are seen twice"
-            + ("" if thick is None else f"; about {thick:.1f} mm thick")
+            f"{counted(found.pairs, 'pair')}, {counted(len(found.cells.kind), 'place')} where particles are"
+            " seen twice" + ("" if thick is None else f"; about {thick:.1f} mm thick")
         )
     for verdict in found.verdicts:
         screen.print(verdict, style="bold red")

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from daq.analysis.digits import places
-from daq.printable import counted
+from ground.plain_words import counted
 
 if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
     from daq.analysis.calibration import Calibration
@@ -67,7 +67,7 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
 
 def show_series(screen: Console, books: "SeriesBooks") -> None:
     """Say what became of the pairs of a series."""
-    done = f"{books.pairs - len(books.failed)} of {books.pairs} pairs have vectors"
+    done = f"{books.pairs - len(books.failed)} of {counted(books.pairs, 'pair')} have vectors"
     screen.print(done + (f"; {books.kept} of them had been evaluated before" if books.kept else ""))
     for tag, why in list(books.failed.items())[:SHOWN]:
         screen.print(f"{tag} is left out: {why}", style="bold red")
@@ -106,7 +106,9 @@ def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
         pairs = f"{state.done_pairs} of {state.pairs}", str(sum(state.without_vectors.values()))
         table.add_row(state.name, *[str(n) for n in counts], *pairs)
     screen.print(table)
-    said = [f"{s.name}: {count} pairs: {why}" for s in states for why, count in s.without_vectors.items()]
+    said = [
+        f"{s.name}: {counted(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
+    ]
     said += [
         f"{s.name}, chunk {w.chunk}: {w.host or 'somebody'}, process {w.pid}, last pair {w.silent_s:.0f} s ago"
         for s in states
@@ -141,7 +143,7 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
     seen = mean.count > 0
     if mean.doubt:
         screen.print(mean.doubt, style="bold red")
-    screen.print(f"mean of {mean.used} pairs; {len(mean.left_out)} are left out")
+    screen.print(f"mean of {counted(mean.used, 'pair')}; {len(mean.left_out)} are left out")
     speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
     highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
     flows = speed >= 0.5 * highest

@@ -175,7 +175,9 @@ class ZaberController(Controller):
             device, axis = _address(name)
             count = self._repeated(partial(self._reply, device, 0, "get system.axiscount")).data
             if not (count.isdecimal() and axis <= int(count)):
-                raise WrongDevice(f"{self.name}: device {device} has {count} axes, so there is no channel {name}")
+                raise WrongDevice(
+                    f"{self.name}: channel {name} is not there: the axis count of {device} is {count}"
+                )
 
     def _still_referenced(self, channel: str) -> bool:
         return self._remembers_reference(channel)

@@ -18,6 +18,9 @@ bodies:
     ("old", "new", "words"),
     [
         ("radius_mm: 25.0", 'radius_mm: "20,5"', "should be a number, not '20,5'; write a decimal point: 20.5"),
+        ("radius_mm: 25.0", "radius_mm: 20,5", "radius_mm: 20,5: a decimal comma? write a decimal point: 20.5"),
+        ("f_mm: 60.0", "f_mm: 60,05", "f_mm: 60,05: a decimal comma? write a decimal point: 60.05"),
+        ("[0.0, 0.0, 25.0]", "[0,0, 0,0, 25,5]", "three entries, not 6; a decimal comma? write points"),
         ("material: acrylic", "material: 1.5", "; an index is written {n: 1.5}"),
         ("radius_mm: 25.0", "diameter_mm: 50.0", "'bodies.1.diameter_mm'; give radius_mm, which is half"),
     ],

@@ -274,7 +274,7 @@ class MicroManagerCamera:
         core = self._core
         if core.isBufferOverflowed():
             raise CameraError(
-                "the image buffer of Micro-Manager has overflowed, and what it threw away is not told; raise "
+                "the image buffer of Micro-Manager has overflowed, and it does not report what it dropped; raise "
                 "buffers of the camera, or ask for less"
             )
         if not core.getRemainingImageCount():

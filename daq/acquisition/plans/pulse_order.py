@@ -113,7 +113,7 @@ def check_pulses(bench: Bench, order: PulseOrder) -> None:
         raise PlanError(f"{bench.path}: frames of shape straddling need a trigger for B; wire channel camera_b")
     if section.shape != "straddling" and Role.CAMERA_B in device.section.wiring:
         raise PlanError(
-            f"{bench.path}: channel camera_b would trigger exposures that nobody wants; frames of shape "
+            f"{bench.path}: channel camera_b would trigger unwanted exposures; frames of shape "
             f"{section.shape} have one trigger a pair"
         )
     most = int(device.section.chunk_s * order.rate_hz + 1e-9)

@@ -268,7 +268,7 @@ def end_in_words(want: Wanted, spheres: Sequence[SphereSeen] = ()) -> list[str]:
     said.append(f"{last}; not judged: {', '.join(hidden)} (+- {1e3 * OWN_MM:.0f} um)" if hidden else last)
     left, sigma = float(want.glass_left_mm[2]), float(want.glass_sigma_mm[2])
     said.append(
-        f"along z the glass stands {left:+.2f} mm off its place, and one frame tells it to +- {sigma:.2f} mm"
+        f"along z the glass stands {left:+.2f} mm off its place, known from one frame to +- {sigma:.2f} mm"
         + (", so it was left that far before the target; `rtpiv calibrate` finds it" if want.stands_off_mm else "")
     )
     return said

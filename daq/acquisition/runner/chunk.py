@@ -3,6 +3,8 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
+from ground.plain_words import counted
+
 
 @dataclass
 class Chunk:
@@ -26,7 +28,7 @@ class Chunk:
 
     def sentence(self) -> str:
         """What became of the pairs that were fired."""
-        reasons = ", ".join(f"{number} frames {why}" for why, number in sorted(self.dropped.items()))
-        never = f"{self.never_came} frames never came" if self.never_came > 0 else ""
+        reasons = ", ".join(f"{counted(number, 'frame')} {why}" for why, number in sorted(self.dropped.items()))
+        never = f"{counted(self.never_came, 'frame')} never came" if self.never_came > 0 else ""
         told = "; ".join(filter(None, (reasons, never)))
         return f"{self.kept} of {self.fired} pairs that were fired are sure ({told or 'nothing else came'})"

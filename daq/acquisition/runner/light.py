@@ -57,7 +57,8 @@ class NoOperator:
             Always.
         """
         raise RunUsageError(
-            "nobody can type the word that arms the laser; use a terminal, or --operator NAME for a simulated one"
+            "the word that arms the laser cannot be typed here; use a terminal, or --operator NAME for a"
+            " simulated one"
         )
 
     def open_seeding(self) -> None:
@@ -71,7 +72,9 @@ class NoOperator:
         RunUsageError
             Always.
         """
-        raise RunUsageError(f"{axis} is homed by hand, and nobody is there to say where it stands; use a terminal")
+        raise RunUsageError(
+            f"{axis} is homed by hand, which needs an operator at a terminal to say where it stands"
+        )
 
 
 class Light:

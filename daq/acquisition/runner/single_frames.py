@@ -141,7 +141,7 @@ def _settle(taken_by: ArmedCamera) -> bool:
         return False
     if trial is None and not each_had_one:
         taken_by.match.learned_nothing()
-        raise FramesLost("so many frames are lost or late that it cannot be told what their time stamps mean")
+        raise FramesLost("so many frames are lost or late that their time stamps cannot be matched to triggers")
     said = taken_by.match.learn(trial)
     if said:
         taken_by.doubt(said)

@@ -69,7 +69,7 @@ def stream(taken_by: ArmedCamera, places: range, may_lose: int) -> Generator[tup
         taken_by.end()
     why = _where(before, taken_by.counts.ledger())
     if lost > may_lose:
-        raise FramesLost(f"{lost} of {next_place - places.start} frames are gone: {why or 'nobody tells why'}")
+        raise FramesLost(f"{lost} of {next_place - places.start} frames are gone: {why or 'no reason given'}")
     if dried_up is not None:
         raise CameraTimeout(
             f"the stream ended after {next_place - places.start - lost} of {len(places)} frames "

@@ -49,7 +49,7 @@ def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[A
     _require(path)
     known = _checksums(run, _stamp(run.journal_path))
     if path.name not in known:
-        raise RunDamaged(f"{path}: is not in the journal of its run, so nobody vouches for it; leave it out")
+        raise RunDamaged(f"{path}: is not in the journal of its run, so it cannot be verified; leave it out")
     return read_frame(path, shape, known[path.name])
 
 

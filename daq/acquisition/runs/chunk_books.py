@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable
 
 from daq.acquisition.runs.journal import Entry
+from ground.plain_words import counted
 
 DARK, HALF = "without light", "of pairs with one light"
 ELSEWHERE = "of pairs that another camera has not"
@@ -35,7 +36,8 @@ def chunk_sentences(entries: Iterable[Entry]) -> list[str]:
     )
     more = f", {surplus} more than were wanted" if surplus else ""
     bursts = f"{len(chunks)} chunks" if len(chunks) > 1 else "one chunk"
-    said = [f"{fired} pairs were fired in {bursts}: {kept} are kept{more}, {lost} are lost"]
+    were = "was" if fired == 1 else "were"
+    said = [f"{counted(fired, 'pair')} {were} fired in {bursts}: {kept} are kept{more}, {lost} are lost"]
     dropped: Counter[str] = Counter()
     for entry in chunks:
         dropped.update(entry["dropped"])

@@ -20,7 +20,7 @@ from daq.acquisition.runs.run_hash import run_hash
 from daq.acquisition.runs.session_books import doubts, total_ledger
 from daq.acquisition.runs.unclaimed import NAMED, unclaimed
 from daq.errors import DaqError, RunDamaged
-from daq.printable import counted
+from ground.plain_words import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def check_run(path: Path, track: Track = untracked) -> RunCheck:
         about = folder.about
     except DaqError as error:
         return RunCheck(path, folder.is_done, 0, (), (Finding("run.json", False, str(error)),))
-    findings = [Finding("run.json", True, f"layout {about['layout']}, {len(about['steps'])} steps")]
+    findings = [Finding("run.json", True, f"layout {about['layout']}, {counted(len(about['steps']), 'step')}")]
     try:
         entries = folder.entries()
     except DaqError as error:
@@ -110,14 +110,14 @@ def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
         said = f"{len(lines)} lines of frames and {discarded} discarded, but {len(present)} frames"
         return Finding("journal", False, said)
     total = len(about["steps"])
-    may_end_early = all(
-        step["tag"].startswith("look_") for step in about["steps"]
-    )  # an alignment that has settled
-    if is_done and len(finished) < (1 if may_end_early else total):
+    is_alignment = all(step["tag"].startswith("look_") for step in about["steps"])  # it ends once it has settled
+    if is_done and len(finished) < (1 if is_alignment else total):
         return Finding("journal", False, f"has {len(finished)} of {total} steps, and done.json says that all are")
     sessions = sum(entry["kind"] == "session" for entry in entries)
     rest = "" if is_done else "; not finished, rtpiv resume goes on"
-    return Finding("journal", True, f"{len(finished)} of {total} steps in {sessions} sessions{rest}")
+    return Finding(
+        "journal", True, f"{len(finished)} of {counted(total, 'step')} in {counted(sessions, 'session')}{rest}"
+    )
 
 
 def _clock(entries: list[Entry]) -> Iterator[Finding]:

@@ -29,8 +29,8 @@ from daq.analysis.series.series_plan import ChunkJob, jobs_of
 from daq.analysis.series.source_pairs import FILE as CHECKSUMS
 from daq.analysis.series.workers import worker_processes
 from daq.errors import DiskError, RunUnsuitable
-from daq.printable import counted
 from daq.whole_text import copy_whole, why, write_json
+from ground.plain_words import counted
 from tracer.scene_file import load_scene
 
 S_PER_MPX = 0.5  # of one core for a pair, before this campaign has shown its own: 2 s at 4 million pixels

@@ -31,8 +31,8 @@ from daq.analysis.series.mean_flow import MeanFlow, too_few_of
 from daq.analysis.series.series_mean import mean_of_series
 from daq.analysis.series.series_plan import chunk_path
 from daq.errors import Unfinished
-from daq.printable import counted
 from daq.whole_text import write_text
+from ground.plain_words import counted
 from ground.short_repr import short_repr
 
 STATISTICS, INDEX = "campaign.nc", "index.csv"

@@ -13,8 +13,8 @@ from daq.analysis.pictures.calibration import map_sigma_figure
 from daq.analysis.pictures.smooth import smooth_figure
 from daq.analysis.report.page import Page
 from daq.analysis.report.through import through_lead
-from daq.printable import counted
 from ground.errors import MapFileError
+from ground.plain_words import counted
 from tracer.scene import Scene
 
 CAPTION = (

@@ -19,8 +19,8 @@ from daq.analysis.series.series_folder import SeriesFile, SeriesFolder
 from daq.analysis.series.series_pairs import PairsOfSeries
 from daq.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method, jobs_of
 from daq.analysis.series.workers import carried_out, worker_processes
-from daq.printable import counted
 from daq.terminal import console, progress
+from ground.plain_words import counted
 from ground.rows import thread_count
 
 

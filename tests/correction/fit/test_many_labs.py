@@ -28,7 +28,7 @@ CAUSE = {
     "ball off": "does not stand where it was held",
     "index": "glass was held",
     "support": "a support",
-    "light": "more colours than is told",
+    "light": "more colours than fit.light gives",
 }
 
 

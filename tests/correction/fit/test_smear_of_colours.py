@@ -34,7 +34,7 @@ def test_colours_are_told_from_a_stop_and_from_the_print(colours, stop, told):
     found = colour_smear([view(np.random.default_rng(number), colours, stop, told) for number in range(3)])
     assert found.share == pytest.approx(colours, abs=3.0 * found.sigma)
     assert found.alarm
-    assert "more colours than is told" in str(found)
+    assert "more colours than fit.light gives" in str(found)
     without = colour_smear([view(np.random.default_rng(number), 0.0, stop, told) for number in range(3)])
     assert abs(without.share) < 3.0 * without.sigma
     assert not without.alarm

@@ -84,7 +84,7 @@ MISSING = {
     "moves": {"at_rest": False},
     "3.9 mm from the sheet": {"sheet_clearance_mm": 3.9},
     "nan mm from the sheet": {"sheet_clearance_mm": float("nan")},
-    "nobody knows how far": {"sheet_clearance_mm": None},
+    "distance of glass and target": {"sheet_clearance_mm": None},
     "room for 0 pairs": {"frames_fit": 0},
     "shutter is open": {"shutter_open": None},
     "shutter is closed": {"shutter_open": False},

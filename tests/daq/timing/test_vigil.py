@@ -63,7 +63,7 @@ def test_the_vigil_takes_silence_and_errors_for_lost(mocker):
     def fails():
         raise OSError("no camera")
 
-    for ask, words in ((hangs, "nobody has said"), (fails, "no camera")):
+    for ask, words in ((hangs, "no state was reported"), (fails, "no camera")):
         laser, box, clock = armed(ScaledClock(), **AT_ONCE)
         laser.fire(50)
         with Vigil(laser, ask, clock, SYSTEM_CLOCK):

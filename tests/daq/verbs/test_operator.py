@@ -37,7 +37,7 @@ def test_without_a_terminal_nobody_says_it(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("ember\n"))
     nobody = operator_of(None, simulate=True)
     assert isinstance(nobody, NoOperator)
-    with pytest.raises(RunUsageError, match="nobody can type the word"):
+    with pytest.raises(RunUsageError, match="the word that arms the laser cannot be typed"):
         nobody.word("ember")
 
 
@@ -54,7 +54,7 @@ def test_a_flow_run_that_nobody_can_arm_is_refused_before_anything_moves(tmp_pat
     words = ("acquire", str(plan), "--bench", str(bench), "--simulate", "--home", "-o", str(tmp_path / "runs"))
     assert main([*words, "--no-correct"]) == USAGE
     said = capsys.readouterr()
-    assert "nobody can type the word that arms the laser; use a terminal, or --operator NAME" in said.err
+    assert "the word that arms the laser cannot be typed here; use a terminal, or --operator NAME" in said.err
     assert "homing" not in said.err
     assert not (tmp_path / "runs").exists()
     assert main([*words[:4], "--operator", "me", *words[5:]]) == USAGE  # a real laser

@@ -161,7 +161,7 @@ def test_nothing_moves_while_light_may_leave_and_nothing_is_armed_while_somethin
         assert stage.move({"target_z": -5.0})["target_z"].measured_mm == pytest.approx(-5.0, abs=0.01)
         laser.arm(GOOD, laser.challenge)
         laser.stop("somebody came in")  # nobody has read back yet that it is off
-        with pytest.raises(MotionBarred, match=r"nobody knows whether .* is off"):
+        with pytest.raises(MotionBarred, match=r"it is unknown whether .* is off"):
             stage.move({"target_z": -6.0})
         laser.safe()
         stage.move({"target_z": -6.0})

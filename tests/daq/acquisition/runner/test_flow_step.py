@@ -201,7 +201,7 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
     bench, plan = write_flow(tmp_path, channels=DIODES)
     began = []
     monkeypatch.setattr("daq.timing.laser.Laser.fire", lambda self, pairs: began.append(pairs))
-    with pytest.raises(RunUsageError, match="nobody can type the word"):
+    with pytest.raises(RunUsageError, match="the word that arms the laser cannot be typed"):
         acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, correct=False)
     monkeypatch.setattr("daq.verbs.operator.ScriptOperator.word", lambda self, challenge: "wrong")
     with pytest.raises(RunUsageError, match="type the word"):

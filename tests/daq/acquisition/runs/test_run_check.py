@@ -141,7 +141,7 @@ def test_a_run_that_is_not_finished_is_no_fault(open_run):
     found = check_run(open_run.path)
     assert found.is_sound, found.findings
     assert (found.is_done, found.frames) == (False, 5)
-    assert "5 of 8 steps in 1 sessions; not finished" in said(found, "journal")
+    assert "5 of 8 steps in 1 session; not finished" in said(found, "journal")
     assert "1 of a step that was cut off" in said(found, "other files")
 
 
