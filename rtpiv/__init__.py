@@ -14,10 +14,27 @@ raise on purpose: ``except rtpiv.ERRORS``.  What else there is lies in the packa
 is first used.
 """
 
-from importlib import import_module
-from typing import Any
+import sys
 
-from rtpiv import neighbours
+
+def _end_quietly(kind, error, trace) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001 - types load later
+    """Say of Ctrl-C before `rtpiv.command` is loaded what it says after that; of all else what Python says."""
+    if not issubclass(kind, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
+        return
+    import os
+
+    os.write(2, b"interrupted\n")
+    os._exit(4)  # daq.exit_codes.INTERRUPTED; nothing has begun
+
+
+if sys.argv and sys.argv[0].replace("\\", "/").rpartition("/")[2] in ("rtpiv", "rtpiv.exe", "-m"):
+    sys.excepthook = _end_quietly  # the command: a script that imports us keeps what it has
+
+from importlib import import_module  # noqa: E402
+from typing import Any  # noqa: E402
+
+from rtpiv import neighbours  # noqa: E402
 
 neighbours.make_room()
 

@@ -7,6 +7,7 @@ import sys
 def main() -> int:
     """Run one verb; return the exit code."""
     try:
+        sys.excepthook = sys.__excepthook__  # from here on it is answered below
         from daq.cli import main as run  # found by now, whatever lies beside it: rtpiv has made room
 
         return run(sys.argv[1:])

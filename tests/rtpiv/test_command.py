@@ -20,8 +20,18 @@ class Pressed:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Pressed())
-sys.exit(main())
 """
+LATE = "from rtpiv.command import main\nsys.exit(main())\n"
+
+
+def test_ctrl_c_before_the_command_is_loaded_is_one_word(tmp_path):
+    """In the script that pip makes, while the package itself is imported."""
+    script = tmp_path / "rtpiv"
+    script.write_text(PRESSED.replace("from rtpiv.command import main\n", "") + LATE)
+    done = subprocess.run(
+        [sys.executable, script, "rtpiv.neighbours", "check", "."], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (INTERRUPTED, "interrupted\n")
 
 
 @pytest.mark.parametrize(
@@ -29,7 +39,7 @@ sys.exit(main())
     ["daq.cli", "daq.cli daq.exit_codes", "daq.options", "daq.analysis.pictures.apart", "daq.verbs.trace"],
 )
 def test_ctrl_c_while_modules_load_is_one_word(loaded, tmp_path):
-    command = [sys.executable, "-c", PRESSED, loaded, "trace", "scene.yaml", "-o", str(tmp_path / "out")]
+    command = [sys.executable, "-c", PRESSED + LATE, loaded, "trace", "scene.yaml", "-o", str(tmp_path / "out")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (INTERRUPTED, "interrupted\n")
     assert not (tmp_path / "out").exists()
