@@ -29,9 +29,16 @@ def first_hour(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> 
         help="one behind the other, beside each other, ...; sc, bcc, hcp: packed beds"
         " (default: row; triangle of 3, pyramid of 4 or 5)",
     )  # fmt: skip
-    init.add_argument("--ball-mm", type=positive, metavar="MM", help="diameter of a ball (default 40)")
     init.add_argument(
-        "--glass", metavar="NAME", help="of the balls: acrylic, BK7, borosilicate ... (default acrylic)"
+        "--ball-mm", type=positive, nargs="+", metavar="MM",
+        help="diameter of a ball, or of each in a row or side (default 40)",
+    )  # fmt: skip
+    init.add_argument(
+        "--glass", nargs="+", metavar="NAME",
+        help="of the balls, or of each in a row or side: acrylic, BK7, borosilicate ... (default acrylic)",
+    )  # fmt: skip
+    init.add_argument(
+        "--turn-deg", type=finite, metavar="DEG", help="by which the camera looks from the side (default 0)"
     )
     init.add_argument(
         "--gap-mm",

@@ -36,14 +36,19 @@ def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
     return (balls if balls is not None else few), arrangement
 
 
-def centres_mm(arrangement: str, balls: int, ball_mm: float, gap_mm: float) -> list[Vector]:
-    """Centres of the balls, the lowest `gap_mm` above the plane."""
+def centres_mm(
+    arrangement: str, balls: int, ball_mm: float, gap_mm: float, sizes_mm: Sequence[float] = ()
+) -> list[Vector]:
+    """Centres of the balls, the lowest `gap_mm` above the plane; of several sizes in a line, first the lowest."""
     apart = ball_mm + AIR_MM
     low = gap_mm + ball_mm / 2.0
+    sizes = sizes_mm or [ball_mm] * balls
+    along = [sum(sizes[:index]) + sizes[index] / 2.0 + AIR_MM * index for index in range(balls)]
     if arrangement == "row":
-        found = [(0.0, 0.0, low + apart * index) for index in range(balls)]
+        found = [(0.0, 0.0, gap_mm + z) for z in along]
     elif arrangement == "side":
-        found = [(apart * (index - (balls - 1) / 2.0), 0.0, low) for index in range(balls)]
+        middle = (sum(sizes) + AIR_MM * (balls - 1)) / 2.0
+        found = [(x - middle, 0.0, gap_mm + size / 2.0) for x, size in zip(along, sizes, strict=True)]
     elif arrangement in BEDS:
         found = [(x, y, low + z) for x, y, z in _bed(arrangement, balls, apart)]
     elif arrangement == "triangle" or balls == 4:
@@ -83,14 +88,18 @@ def outline_mm(centres: Sequence[Vector], ball_mm: float, distance_mm: float) ->
     return sides[0], sides[1]
 
 
-def rods_mm(centres: Sequence[Vector], ball_mm: float, support_mm: float) -> list[tuple[Vector, Vector]]:
+def rods_mm(
+    centres: Sequence[Vector], ball_mm: float, support_mm: float, sizes_mm: Sequence[float] = ()
+) -> list[tuple[Vector, Vector]]:
     """Start and end of the rods that hold the lowest balls from below; none if they have no diameter."""
     if not support_mm:
         return []
-    reach = ball_mm / 2.0 + support_mm / 2.0 + ROD_GAP_MM
-    lowest = min(y for _, y, _ in centres)
-    held = [centre for centre in centres if centre[1] < lowest + 1e-3]
-    return [((x, round(y - reach, 4), z), (x, round(y - reach - ROD_LENGTH_MM, 4), z)) for x, y, z in held]
+    lowest, rods = min(y for _, y, _ in centres), []
+    for (x, y, z), size in zip(centres, sizes_mm or [ball_mm] * len(centres), strict=True):
+        top = y - (size / 2.0 + support_mm / 2.0 + ROD_GAP_MM)
+        if y < lowest + 1e-3:
+            rods.append(((x, round(top, 4), z), (x, round(top - ROD_LENGTH_MM, 4), z)))
+    return rods
 
 
 def _bed(arrangement: str, balls: int, apart: float) -> list[Vector]:

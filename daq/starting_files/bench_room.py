@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from daq.errors import RunUsageError
-from daq.starting_files.arrangement import centres_mm
 from daq.starting_files.lab import Lab
 
 CLEAR_MM = 10.0
@@ -34,13 +33,11 @@ def room_of(lab: Lab) -> Room:
     RunUsageError
         Between lens and glass is no room to move the glass out of the picture.
     """
-    centres = centres_mm(lab.arrangement, lab.balls, lab.ball_mm, lab.gap_mm)
+    centres, away = lab.centres_mm, lab.pinhole_mm[2]
     radius = lab.ball_mm / 2.0
     top = max(z for _, _, z in centres) + radius
     ahead = min(LENS_MM, 0.15 * lab.distance_mm)
-    front = (
-        lab.distance_mm - ahead - CAMERA_RADIUS_MM
-    )  # of the rounded cylinder that keep-out takes for the camera
+    front = away - ahead - CAMERA_RADIUS_MM  # of the rounded cylinder that keep-out takes for the camera
     room = front - top - CLEAR_MM
     if room < CLEAR_MM:
         raise RunUsageError(

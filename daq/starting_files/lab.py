@@ -6,11 +6,20 @@ M / pixel pitch, and the sensor sees its own size divided by M.
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from daq.errors import RunUsageError
-from daq.starting_files.arrangement import ARRANGEMENTS, centres_mm, most_balls, outline_mm, span_mm
+from daq.starting_files.arrangement import (
+    ARRANGEMENTS,
+    Vector,
+    centres_mm,
+    most_balls,
+    outline_mm,
+    rods_mm,
+    span_mm,
+)
 from stages.config import Name
 from tracer.media import ConstantMedium, Medium, known_media, medium_called
 
@@ -19,6 +28,8 @@ DENSEST = 4.0  # index
 LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
 LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
 AROUND = 1.05  # of what the balls hide
+LINES = ("row", "side")  # whose balls may differ
+MOST_DEG = 45.0  # of a camera that looks from the side
 SQUARES_MM = (0.5, 1.0, 1.5, 2.5, 4.0, 5.0, 10.0, 20.0)
 
 
@@ -52,6 +63,11 @@ class Lab:
         Diameter of the opaque rods that hold them from below; 0 for none.
     wavelength_nm : float
         Of the light.
+    sizes_mm, glasses : tuple
+        Diameter and glass of each ball of a row or side, where they differ, from the plane on or from the left;
+        `ball_mm` is then the largest, `glass` the first.
+    turn_deg : float
+        By which the camera looks at the plane from the side, about the y axis.
 
     Raises
     ------
@@ -71,6 +87,9 @@ class Lab:
     glass: str = "acrylic"
     support_mm: float = 0.0
     wavelength_nm: float = 532.0
+    sizes_mm: tuple[float, ...] = ()
+    glasses: tuple[str, ...] = ()
+    turn_deg: float = 0.0
 
     def __post_init__(self) -> None:
         if problems := list(self._problems()):
@@ -94,8 +113,16 @@ class Lab:
         elif self.balls not in most_balls(self.arrangement):
             counts = ", ".join(map(str, most_balls(self.arrangement)))
             said.append(f"balls: a {self.arrangement} has {counts}, not {self.balls}")
-        if self._index is None and medium_called(self.glass) is None:
-            said.append(f"glass {self.glass!r} is not known; known are {known_media()}, or its index, 1 to 4")
+        for glass in dict.fromkeys(self.each_glass):
+            if _index(glass) is None and medium_called(glass) is None:
+                said.append(f"glass {glass!r} is not known; known are {known_media()}, or its index, 1 to 4")
+        for what, given in (("ball_mm", self.sizes_mm), ("glass", self.glasses)):
+            if given and (self.arrangement not in LINES or len(given) != self.balls):
+                said.append(f"{what}: several are for the balls of a row or side, one for each, not {len(given)}")
+        if self.sizes_mm and not all(0.0 < size <= self.ball_mm for size in self.sizes_mm):
+            said.append("ball_mm: every size should be a positive number")
+        if not abs(self.turn_deg) <= MOST_DEG:
+            said.append(f"turn_deg: should be {-MOST_DEG:g} to {MOST_DEG:g}, not {self.turn_deg:g}")
         if not said and self.lens_mm >= self.distance_mm:
             said.append(f"a lens of {self.lens_mm:g} mm cannot focus on a plane {self.distance_mm:g} mm away")
         if not 300.0 <= self.wavelength_nm <= 2000.0:
@@ -103,32 +130,49 @@ class Lab:
         return said
 
     @property
-    def _index(self) -> float | None:
-        """The glass as a number, if it is one that glass can have."""
-        try:
-            index = float(self.glass)
-        except ValueError:
-            return None
-        return index if 1.0 < index <= DENSEST else None
+    def each_mm(self) -> tuple[float, ...]:
+        """Diameter of every ball."""
+        return self.sizes_mm or (self.ball_mm,) * self.balls
 
     @property
-    def medium(self) -> Medium:
-        """What the balls are made of."""
-        known = medium_called(self.glass) if self._index is None else ConstantMedium(self._index)
-        assert known is not None  # others are refused
-        return known
+    def each_glass(self) -> tuple[str, ...]:
+        """Glass of every ball."""
+        return self.glasses or (self.glass,) * self.balls
+
+    @property
+    def centres_mm(self) -> list[Vector]:
+        """Centre of every ball."""
+        return centres_mm(self.arrangement, self.balls, self.ball_mm, self.gap_mm, self.sizes_mm)
+
+    @property
+    def rods_mm(self) -> list[tuple[Vector, Vector]]:
+        """Start and end of every rod."""
+        return rods_mm(self.centres_mm, self.ball_mm, self.support_mm, self.sizes_mm)
+
+    @property
+    def pinhole_mm(self) -> Vector:
+        """Where the camera's pinhole is; it looks at the origin."""
+        turn = math.radians(self.turn_deg)
+        x, z = self.distance_mm * math.sin(turn), self.distance_mm * math.cos(turn)
+        return round(x, 4), 0.0, round(z, 4)
 
     @property
     def span_mm(self) -> tuple[float, float]:
         """Width and height of the balls together."""
-        centres = centres_mm(self.arrangement, self.balls, self.ball_mm, self.gap_mm)
-        return span_mm(centres, self.ball_mm)
+        return span_mm(self.centres_mm, self.ball_mm)
+
+    def alike(self, **changes: Any) -> "Lab":  # noqa: ANN401 - of its fields
+        """Return the same lab with changes, and with balls that are all alike, as in other arrangements."""
+        return replace(self, sizes_mm=(), glasses=(), **changes)
 
     def with_usual_lens(self) -> "Lab":
         """Return the same lab with the longest lens that sees all balls from this distance."""
         found = [replace(self, lens_mm=f) for f in LENSES_MM if f < 0.8 * self.distance_mm] or [self]
-        centres = centres_mm(self.arrangement, self.balls, self.ball_mm, self.gap_mm)
-        width, height = (AROUND * side for side in outline_mm(centres, self.ball_mm, self.distance_mm))
+        width, height = (AROUND * side for side in outline_mm(self.centres_mm, self.ball_mm, self.distance_mm))
+        height_mm = max(z for _, _, z in self.centres_mm) + self.ball_mm / 2.0
+        width += (
+            2.0 * height_mm * abs(math.tan(math.radians(self.turn_deg)))
+        )  # what stands up is seen beside its place
         wide = [lab for lab in found if lab.field_mm[0] >= width and lab.field_mm[1] >= height]
         return wide[-1] if wide else found[0]
 
@@ -147,3 +191,20 @@ class Lab:
     def square_mm(self) -> float:
         """Square of a board that this camera resolves well."""
         return next((side for side in SQUARES_MM if side * self.px_per_mm >= LEAST_SQUARE_PX), SQUARES_MM[-1])
+
+
+def medium_of_glass(glass: str) -> Medium:
+    """What a ball is made of, by name or index."""
+    index = _index(glass)
+    known = medium_called(glass) if index is None else ConstantMedium(index)
+    assert known is not None  # others are refused
+    return known
+
+
+def _index(glass: str) -> float | None:
+    """The glass as a number, if it is one that glass can have."""
+    try:
+        index = float(glass)
+    except ValueError:
+        return None
+    return index if 1.0 < index <= DENSEST else None

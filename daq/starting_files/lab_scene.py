@@ -1,7 +1,6 @@
 """The scene of a lab, as its scene file says it."""
 
-from daq.starting_files.arrangement import centres_mm, rods_mm
-from daq.starting_files.lab import Lab
+from daq.starting_files.lab import Lab, medium_of_glass
 from daq.starting_files.scene_text import ball_names
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at, thin_lens_distance_mm
@@ -18,7 +17,7 @@ def scene_of(lab: Lab) -> Scene:
         It cannot be: a ball that reaches the lens.
     """
     width, height = lab.sensor_px
-    pinhole = (0.0, 0.0, lab.distance_mm)
+    pinhole = lab.pinhole_mm
     camera = Camera(
         focal_px=thin_lens_distance_mm(lab.lens_mm, lab.distance_mm) / (lab.pixel_pitch_um * 1e-3),
         principal_px=(0.5 * (width - 1), 0.5 * (height - 1)),
@@ -26,13 +25,10 @@ def scene_of(lab: Lab) -> Scene:
         position_mm=pinhole,
         rotation=look_at(pinhole, (0.0, 0.0, 0.0)),
     )
-    centres = centres_mm(lab.arrangement, lab.balls, lab.ball_mm, lab.gap_mm)
-    balls = [
-        Sphere(name, centre, lab.ball_mm / 2.0, lab.medium)
-        for name, centre in zip(ball_names(lab), centres, strict=True)
-    ]
+    each = zip(ball_names(lab), lab.centres_mm, lab.each_mm, lab.each_glass, strict=True)
+    balls = [Sphere(name, centre, size / 2.0, medium_of_glass(glass)) for name, centre, size, glass in each]
     rods = [
         Rod(f"rod{number}", start, end, lab.support_mm / 2.0)
-        for number, (start, end) in enumerate(rods_mm(centres, lab.ball_mm, lab.support_mm), start=1)
+        for number, (start, end) in enumerate(lab.rods_mm, start=1)
     ]
     return Scene(camera, (*balls, *rods), lab.wavelength_nm, MEDIA["air"])

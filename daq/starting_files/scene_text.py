@@ -1,7 +1,6 @@
 """The text of scene.yaml for a lab."""
 
-from daq.starting_files.arrangement import centres_mm, rods_mm
-from daq.starting_files.lab import Lab
+from daq.starting_files.lab import Lab, medium_of_glass
 from tracer.media import ConstantMedium, known_media
 
 NAMES = {
@@ -10,7 +9,6 @@ NAMES = {
     ("pyramid", 4): ("top", "left", "right", "tip"),
     ("pyramid", 5): ("southwest", "southeast", "northeast", "northwest", "tip"),
 }
-POSITION = "  # position_mm: [0.0, 0.0, {0:g}]   # of the pinhole, and where its axis meets the plane, if askew\n"
 ROD = "  # - {name: rod, kind: rod, start_mm: [0.0, -40.0, 24.0], end_mm: [0.0, -90.0, 24.0], radius_mm: 4.0}\n"
 
 
@@ -19,21 +17,36 @@ def ball_names(lab: Lab) -> tuple[str, ...]:
     return NAMES.get((lab.arrangement, lab.balls)) or tuple(f"ball{number + 1}" for number in range(lab.balls))
 
 
+def _material(glass: str) -> str:
+    return f"{{n: {glass}}}" if isinstance(medium_of_glass(glass), ConstantMedium) else repr(glass)
+
+
+def _position(lab: Lab) -> str:
+    """Where the pinhole of a camera is that looks askew, and where its axis meets the plane; or how to say it."""
+    hide = "" if lab.turn_deg else "# "
+    x, y, z = lab.pinhole_mm
+    return (
+        f"  {hide}position_mm: [{x:g}, {y:g}, {z:g}]   # of the pinhole, and where its axis meets the plane, if"
+        " askew\n"
+        f"  {hide}look_at_mm: [0.0, 0.0, 0.0]"
+    )
+
+
 def scene_text(lab: Lab) -> str:
     """Return the file."""
     width, height = lab.sensor_px
-    centres = centres_mm(lab.arrangement, lab.balls, lab.ball_mm, lab.gap_mm)
-    glass = f"{{n: {lab.glass}}}" if isinstance(lab.medium, ConstantMedium) else repr(lab.glass)
     wide = max(map(len, ball_names(lab)))
     bodies = [
         f"  - {{name: {name + ',':{wide + 1}} kind: sphere, centre_mm: [{x:.4f}, {y:.4f}, {z:.4f}], "
-        f"radius_mm: {lab.ball_mm / 2.0:.4g}, material: {glass}}}"
-        for name, (x, y, z) in zip(ball_names(lab), centres, strict=True)
+        f"radius_mm: {size / 2.0:.4g}, material: {_material(glass)}}}"
+        for name, (x, y, z), size, glass in zip(
+            ball_names(lab), lab.centres_mm, lab.each_mm, lab.each_glass, strict=True
+        )
     ]
     bodies += [
         f"  - {{name: rod{number}, kind: rod, start_mm: [{', '.join(f'{c:.4f}' for c in start)}], "
         f"end_mm: [{', '.join(f'{c:.4f}' for c in end)}], radius_mm: {lab.support_mm / 2.0:.4g}}}  # opaque"
-        for number, (start, end) in enumerate(rods_mm(centres, lab.ball_mm, lab.support_mm), start=1)
+        for number, (start, end) in enumerate(lab.rods_mm, start=1)
     ]
     hold = "" if lab.support_mm else ROD
     field = " x ".join(f"{side:.0f}" for side in lab.field_mm)
@@ -50,7 +63,7 @@ camera:                     # sees {field} mm of the plane without glass, {lab.p
   L_mm: {lab.distance_mm:g}                 # from the lens (its entrance pupil) to the plane
   pixel_pitch_um: {lab.pixel_pitch_um:g}       # data sheet of the camera
   sensor_px: [{width}, {height}]   # width, height of its frames
-{POSITION.format(lab.distance_mm)}  # look_at_mm: [0.0, 0.0, 0.0]
+{_position(lab)}
 # material: {known_media()}
 # or your own: {{n: 1.492}} at this wavelength
 bodies:

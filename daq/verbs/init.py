@@ -3,7 +3,7 @@
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from daq.verbs.check import check_files
 from daq.verbs.output import require_folder
 from daq.verbs.schema import write_schemas
 from daq.whole_text import write_text
+from ground.plain_words import counted
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
 SHOWN = 8  # other arrangements
@@ -69,11 +70,12 @@ def init(
     distance_mm: float | None = None,
     arrangement: str | None = None,
     balls: int | None = None,
-    ball_mm: float | None = None,
-    glass: str | None = None,
+    ball_mm: float | Sequence[float] | None = None,
+    glass: str | Sequence[str] | None = None,
     gap_mm: float | None = None,
     support_mm: float | None = None,
     wavelength_nm: float | None = None,
+    turn_deg: float | None = None,
 ) -> list[Path]:
     """Write scene, benches and plans for a lab, with comments; each is checked as `rtpiv check` does.
 
@@ -86,7 +88,10 @@ def init(
     overwrite : bool
         Replace files of these names.
     name, sensor_px, pixel_pitch_um, lens_mm, distance_mm, arrangement, balls, ball_mm, glass, gap_mm, support_mm
-        What the lab has, and the wavelength_nm of its light; see `daq.starting_files.lab.Lab`.
+        What the lab has, and the wavelength_nm of its light; see `daq.starting_files.lab.Lab`. Balls of a row or
+        side may have a ball_mm and a glass each.
+    turn_deg : float, optional
+        By which the camera looks from the side.
 
     Returns
     -------
@@ -104,8 +109,10 @@ def init(
     sensor = None if sensor_px is None else (sensor_px[0], sensor_px[1])
     named: Words = {
         "name": name, "sensor_px": sensor, "pixel_pitch_um": pixel_pitch_um, "lens_mm": lens_mm,
-        "distance_mm": distance_mm, "arrangement": arrangement, "balls": balls, "ball_mm": ball_mm, "glass": glass,
+        "distance_mm": distance_mm, "arrangement": arrangement, "balls": balls,
         "gap_mm": gap_mm, "support_mm": support_mm, "wavelength_nm": wavelength_nm,
+        "turn_deg": turn_deg, **_each("ball_mm", "sizes_mm", ball_mm, max),
+        **_each("glass", "glasses", glass, _first),
     }  # fmt: skip
     given = {key: value for key, value in named.items() if value is not None}
     _refuse_existing(folder, overwrite)
@@ -126,9 +133,23 @@ def init(
     return [folder / file for file in FILES]
 
 
+def _first(several: Sequence[Any]) -> Any:  # noqa: ANN401 - of any kind
+    return several[0]
+
+
+def _each(one: str, each: str, given: Any, chosen: Callable[[Sequence[Any]], Any]) -> Words:  # noqa: ANN401
+    """A number or name that all balls share, or one for each and the one that stands for all."""
+    if given is None or isinstance(given, str | float | int):
+        return {one: given}
+    return {one: chosen(given), each: tuple(given) if len(given) > 1 else None}
+
+
 def _lab(given: Words, placed: bool = False) -> Lab:
     """What was said, and the usual for the rest; if `placed`, balls without a gap stand where they show most."""
-    count, shape = usual(given.get("balls"), given.get("arrangement"))
+    several = given.get("sizes_mm") or given.get("glasses") or ()
+    count, shape = usual(
+        given.get("balls", len(several) or None), given.get("arrangement", "row" if several else None)
+    )
     lab = Lab(**(given | {"balls": count, "arrangement": shape}))
     if placed and "gap_mm" not in given:
         from daq.analysis.views.arranged import best_gap
@@ -202,7 +223,8 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     screen, scene = console(), scene_of(lab)
     width, height = lab.field_mm
     span = " x ".join(f"{side:.0f}" for side in lab.span_mm)
-    balls = f"{lab.balls} ball{'s' if lab.balls > 1 else ''} of {lab.ball_mm:g} mm {lab.glass} ({lab.arrangement})"
+    sizes, glasses = (", ".join(dict.fromkeys(each)) for each in ([f"{d:g}" for d in lab.each_mm], lab.each_glass))
+    balls = f"{counted(lab.balls, 'ball')} of {sizes} mm {glasses} ({lab.arrangement})"
     field = f"{width:.0f} x {height:.0f} mm of the plane, {lab.px_per_mm:.1f} px/mm"
     screen.print(f"{balls}, {span} mm; a lens of {lab.lens_mm:g} mm sees {field}", soft_wrap=True)
     found = coarse_map(scene)

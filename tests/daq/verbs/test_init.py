@@ -61,6 +61,25 @@ def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
     assert scene.wavelength_nm == lab.get("wavelength_nm", 532.0)
 
 
+def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_side(tmp_path, capsys):
+    said = ["--ball-mm", "40", "30", "--glass", "acrylic", "BK7", "--turn-deg", "12", "--support-mm", "4"]
+    assert main(["init", str(tmp_path), "--yes", *said]) == DONE
+    assert "2 balls of 40, 30 mm acrylic, BK7 (row)" in capsys.readouterr().out
+    scene = load_scene(tmp_path / "scene.yaml")
+    near, far = scene.spheres
+    assert (near.radius_mm, far.radius_mm) == (20.0, 15.0)
+    assert far.centre_mm[2] - near.centre_mm[2] == pytest.approx(35.01)
+    assert [ball.medium.name for ball in scene.spheres] == ["PMMA", "N-BK7"]
+    x, _, z = scene.camera.position_mm
+    assert math.degrees(math.atan2(x, z)) == pytest.approx(12.0, abs=1e-3)
+    assert math.hypot(x, z) == pytest.approx(500.0, abs=1e-3)
+    lens_mm = yaml.safe_load((tmp_path / "scene.yaml").read_text())["camera"]["f_mm"]
+    lab = Lab(sizes_mm=(40.0, 30.0), glasses=("acrylic", "BK7"), turn_deg=12.0, lens_mm=lens_mm)
+    assert scene.camera.focal_px == pytest.approx(scene_of(lab).camera.focal_px, rel=1e-6)
+    assert scene.camera.rotation_matrix == pytest.approx(scene_of(lab).camera.rotation_matrix, abs=1e-6)
+    assert all(isinstance(found, FileCheck) for found in check(tmp_path))
+
+
 @pytest.mark.parametrize("lab", [LABS["one ball"], LABS["triangle on rods"]], ids=["one", "triangle"])
 def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
     for file in init(tmp_path, **lab):
@@ -111,6 +130,9 @@ def test_balls_touch_and_do_not_overlap(arrangement, balls):
         (["--name", "my lab"], "letters, digits and underscores"),
         (["--gap-mm", "-3"], "gap_mm: should be a positive number"),
         (["--wavelength-nm", "0.532"], "300 to 2000"),
+        (["--ball-mm", "40", "30", "--balls", "3"], "ball_mm: several are for the balls of a row or side"),
+        (["--glass", "BK7", "acrylic", "--arrangement", "sc"], "glass: several are for the balls of a row"),
+        (["--turn-deg", "80"], "turn_deg: should be -45 to 45, not 80"),
         (
             ["--balls", "7", "--glass", "marble", "--arrangement", "triangle"],
             "triangle has 3, not 7; glass 'marble'",
@@ -167,7 +189,8 @@ def test_the_end_of_the_answers_writes_nothing(tmp_path):
 
 
 def test_every_question_has_a_usual_answer():
-    assert {question.key for question in QUESTIONS} == set(vars(Lab())) - {"name"}
+    only_options = {"name", "sizes_mm", "glasses", "turn_deg"}
+    assert {question.key for question in QUESTIONS} == set(vars(Lab())) - only_options
 
 
 def test_the_usual_lens_is_the_longest_that_sees_what_the_balls_hide():
