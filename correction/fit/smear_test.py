@@ -130,8 +130,8 @@ class ColourSmear:
         """Return one sentence."""
         many, smeared = ("more", "more") if self.share > 0.0 else ("fewer", "less")
         return (
-            f"the light of the target frames has {many} colours than fit.light gives: edges behind glass are smeared"
-            f" by {self.width_px:.2g} px {smeared} along the way on which glass spreads colours"
+            f"the light of the target frames has {many} colours than fit.light gives: edges behind glass are"
+            f" smeared by {self.width_px:.2g} px {smeared} along the way on which glass spreads colours"
             f" ({abs(self.share) / self.sigma:.0f} sigma); give its spectrum as fit.light, or take these frames in"
             " the light of the measurement"
         )

@@ -45,7 +45,7 @@ def test_a_told_light_that_smears_less_than_was_told_is_named_and_a_line_cannot(
     found = colour_smear([view(rng, -0.9, 0.0, told_colours=1.0) for rng in frames])
     assert found.told == pytest.approx(1.0)
     assert found.alarm
-    assert "fewer colours than is told" in str(found)
+    assert "fewer colours than fit.light gives" in str(found)
     assert not replace(found, told=0.0).alarm
     assert not replace(found, share=-0.2).alarm  # so little is not known of what edges take up
 
