@@ -42,6 +42,7 @@ from correction.fit.result import SHARE_LIMIT, FitStep, SceneFit, check, rms_lim
 from correction.fit.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.smear import Dispersion
 from correction.fit.solver import Solution
+from correction.fit.suspects import CLEAR
 from correction.fit.unconfirmed import unconfirmed_ways
 from correction.fit.unknowns import Unknowns, unknowns_of
 from correction.fit.unlisted import unlisted_parts
@@ -63,6 +64,7 @@ AGAIN, STAYS_MM = 6, 0.02  # times that a place is measured, while corners move 
 WORSE, OWN_WORSE = 1.2, 3.0  # times, that corners of others may fit worse than before, and its own than others
 FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
 UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
+LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold any lens
 THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
 
 
@@ -198,7 +200,7 @@ class _Fit:
     def camera(self) -> None:
         """Stage 1."""
         unknowns, solution = self.fit_camera(self.bare_frames[:1])
-        if _pull(solution) > PRIOR_LIMIT:
+        if _pull(solution) > PRIOR_LIMIT and not self.lens_off_axis():
             unknowns, solution = self.follow_board(unknowns, solution)
         if len(self.bare_frames) > 1:
             unknowns, solution = self.fit_camera(self.bare_frames[1:])
@@ -256,17 +258,52 @@ class _Fit:
         self.note(FitStep(in_words(turn)))
         return other, again
 
+    def lens_off_axis(self) -> str:
+        """Say what the bare target shows of the lens if, once its terms are free, a camera as told explains it.
+
+        Terms that are free explain a little of anything: by Schwarz's criterion they must be worth their number.
+        """
+        free = {name: max(size, getattr(self.priors.camera, name)) for name, size in LENS_FREED.items()}
+        camera = self.priors.camera.model_copy(update=free)
+        priors = self.priors.model_copy(update={"camera": camera})
+        wider = unknowns_of(self.nominal, self.heights, priors, self.focal_free)
+        told = self.unknowns.only(("camera.", "target", *self.walls))
+        freed = wider.only(("camera.", "target", *self.walls))
+        before, after = (Adjustment().solve(one, one.free(one.start), self.bare) for one in (told, freed))
+        rms, alone = (self.bare_rms_px(one, fit.x) for one, fit in ((freed, after), (told, before)))
+        numbers = 2 * sum(map(len, self.bare))
+        gain = 2.0 * numbers * np.log(alone / rms) + float(before.x @ before.x - after.x @ after.x)
+        enough = (len(freed.names) - len(told.names)) * np.log(numbers)
+        if _pull(after) > PRIOR_LIMIT or rms > self.rms_limit_px() or gain < enough:
+            return ""
+        new = [name for name in freed.names if name not in told.names]
+        values = dict(zip(freed.names, after.x * freed.sigma, strict=True))
+        spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
+        sigma = dict(zip(freed.names, freed.sigma * spread, strict=True))
+        found = [f"{name} {values[name]:+.2g}" for name in new if abs(values[name]) > CLEAR * sigma[name]]
+        return (
+            f"the lens is off its axis or distorts more than is told: with its terms free the bare target is where"
+            f" the camera shows it, to {rms:.2g} px, and {', '.join(found)} differ from what was held; free"
+            f" {', '.join(LENS_FREED)} in fit.camera"
+        )
+
+    def rms_limit_px(self) -> float:
+        """Largest residual of the bare target that is taken as a fit."""
+        sigma = [np.hypot(frame.sigma_px, FLOOR_PX).ravel() for frame in self.bare]
+        return rms_limit_px(float(np.nanmedian(np.concatenate(sigma))))
+
     def check_camera(self, rms_px: float, pull: float, unknowns: Unknowns, solution: Solution) -> None:
         """Refuse a camera that does not fit the bare target."""
-        sigma = [np.hypot(frame.sigma_px, FLOOR_PX).ravel() for frame in self.bare]
-        limit = rms_limit_px(float(np.nanmedian(np.concatenate(sigma))))
+        limit = self.rms_limit_px()
+        lens = "" if rms_px <= limit and pull <= PRIOR_LIMIT else self.lens_off_axis()
         if not rms_px <= limit:
             raise FitFailed(
                 "bare target",
                 rms_px,
                 limit,
-                "the corners of the bare target do not fit any camera near the nominal one; check square_mm, free"
-                " more lens terms in the fit section, or check that the board is flat",
+                lens
+                or "the corners of the bare target do not fit any camera near the nominal one; check square_mm,"
+                " free more lens terms in the fit section, or check that the board is flat",
             )
         if pull > PRIOR_LIMIT:
             name = unknowns.names[int(np.argmax(np.abs(solution.x)))]
@@ -276,7 +313,8 @@ class _Fit:
                 "camera prior",
                 pull,
                 PRIOR_LIMIT,
-                f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
+                lens
+                or f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
                 " of the scene, or allow more in its fit section",
             )
 

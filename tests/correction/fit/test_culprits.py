@@ -4,16 +4,69 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from correction.board import Chessboard
+from correction.fit import scene_fit
 from correction.fit.adjustment import Adjustment
+from correction.fit.board_pose import turned
 from correction.fit.errors import FitFailed
+from correction.fit.measurement import TargetFrame
 from correction.fit.result import check
+from correction.fit.scene_fit import _Fit
 from correction.fit.unknowns import unknowns_of
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.drawn_labs import BOARD, photographed
 from tests.correction.fit.drawn_optics import Ball, Lab
-from tracer.fit_section import FitTable
+from tracer.fit_section import FitCameraTable, FitTable
 from tracer.media import ConstantMedium
+
+CLOSE = FitTable(camera=FitCameraTable(position_mm=0.5))  # measured, so that a camera cannot hide a lens
+
+
+def bare_stage(seed: int, decentred_mm: float, turn: float = 0.0) -> _Fit:
+    """A fit whose camera is to be found from drawn corners of a bare board, of a lens off its axis."""
+    rng = np.random.default_rng((36, seed))
+    nominal = at_size(named_scene("two_spheres_500"), 504)
+    truth = misaligned(nominal, 600 + seed).with_bodies(())
+    way = rng.uniform(0.0, 2.0 * np.pi)
+    aside = decentred_mm / 0.044 * np.array([np.cos(way), np.sin(way)])  # px of 44 um
+    p1, p2 = (1e-3 * decentred_mm * rng.normal(size=2)).tolist()
+    middle = (truth.camera.principal_px[0] + aside[0], truth.camera.principal_px[1] + aside[1])
+    lens = replace(truth.camera.lens, k1=float(rng.uniform(-0.3, 0.3)), p1=p1, p2=p2)
+    camera = replace(truth.camera, principal_px=middle, lens=lens)
+    camera = camera if not turn else turned(truth.with_camera(camera), _about(turn)).camera
+    truth = truth.with_camera(camera)
+    bare = photographed(truth, Lab(camera, ()), Chessboard(7.0, 2.8), False, 0.006, 0.0, rng)
+    image = np.arange(16, dtype=np.uint16).reshape(4, 4)
+    frames = [TargetFrame("bare", image, False), TargetFrame("glass", image, True)]
+    work = _Fit(nominal, frames, BOARD, CLOSE, lambda text: None)
+    with pytest.MonkeyPatch.context() as context:
+        context.setattr(scene_fit, "bare_frame", lambda *asked: bare)
+        work.camera()
+    return work
+
+
+def _about(turn: float) -> np.ndarray:
+    return Rotation.from_rotvec([0.05, 0.0, turn]).as_matrix()
+
+
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 40))])
+def test_a_lens_off_its_axis_is_named_and_not_the_camera_that_stands_where_it_was_told(seed):
+    with pytest.raises(FitFailed, match=r"lens is off its axis.*principal_px") as caught:
+        bare_stage(seed, 0.7)
+    assert "camera.cu" in str(caught.value) or "camera.cv" in str(caught.value)
+    assert "check square_mm" not in str(caught.value)
+
+
+def test_a_board_that_hangs_askew_is_followed_and_no_lens_is_blamed():
+    work = bare_stage(9, 0.0, turn=0.3)
+    assert any("leans" in str(step) for step in work.history)
+
+
+def test_a_right_camera_names_nothing():
+    work = bare_stage(10, 0.0)
+    assert not work.lens_off_axis()
 
 
 def test_a_flint_ball_whose_index_is_held_wrong_is_named_and_not_the_radius_that_took_it_up():
