@@ -12,6 +12,11 @@ def places(sigma: float) -> int:
     return min(max(1 - math.floor(math.log10(sigma)), 0), MOST_PLACES)
 
 
+def two_digits(sigma: float) -> str:
+    """A sigma to two digits, written out; "0" for none."""
+    return f"{sigma:.{places(sigma)}f}" if sigma > 0.0 else "0"
+
+
 def with_sigma(value: float, sigma: float) -> str:
     """A number and its standard uncertainty; without one the number alone, with four digits."""
     if not (sigma > 0.0 and math.isfinite(sigma)):

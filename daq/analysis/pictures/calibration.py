@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
+from matplotlib.ticker import LogLocator
 
 from correction.fit.map_sigma import MapSigma
 from correction.fit.result import FitStep
@@ -77,6 +78,7 @@ def map_sigma_figure(sigma: MapSigma, scene: Scene) -> Figure:
         interpolation="nearest",
     )  # fmt: skip
     bar = colour_bar(shown, axes, "sigma [corrected px]")
+    bar.ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     bar.ax.yaxis.set_major_formatter("{x:g}")
     bar.ax.yaxis.set_minor_formatter("")
     draw_outlines(axes, scene)

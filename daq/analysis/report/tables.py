@@ -13,6 +13,7 @@ from correction.evaluate.shift import ShiftResult
 from correction.node_status import MEANING, NodeStatus
 from correction.piv.response import response_of
 from correction.piv.settings import PivSettings
+from daq.analysis.digits import two_digits
 from daq.analysis.evaluation import Evaluation
 from daq.analysis.pictures.mask_colours import COLOURS, web
 from daq.analysis.report.total import Total, coverage_of
@@ -193,7 +194,7 @@ def budget_rows(evaluation: Evaluation) -> list[Row]:
     random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]
     rows: list[Row] = [
         ("correlation of one vector: scatter", _rms(random)),
-        ("stage, two positions: a common bias of all vectors", f"{np.sqrt(2.0) * result.stage_px:.4f}"),
+        ("stage, two positions: a common bias of all vectors", two_digits(np.sqrt(2.0) * result.stage_px)),
     ]
     if evaluation.map_sigma is not None:
         moved = evaluation.map_sigma.displacement_px[where]
@@ -216,7 +217,7 @@ def _rms_pair(values: NDArray[np.float64]) -> str:
 
 def _rms(values: NDArray[np.float64]) -> str:
     known = values[np.isfinite(values)]
-    return f"{np.sqrt(np.mean(known**2)):.4f}" if len(known) else "-"
+    return two_digits(float(np.sqrt(np.mean(known**2)))) if len(known) else "-"
 
 
 def response_rows(settings: PivSettings) -> list[Row]:

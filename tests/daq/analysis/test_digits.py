@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.analysis.digits import places, with_sigma
+from daq.analysis.digits import places, two_digits, with_sigma
 
 
 @pytest.mark.parametrize(
@@ -22,3 +22,7 @@ def test_a_number_has_two_digits_of_its_sigma(value, sigma, said):
 
 def test_places_end_somewhere():
     assert [places(sigma) for sigma in (1e-30, 0.0, float("inf"), 3e4)] == [9, 9, 9, 0]
+
+
+def test_a_sigma_is_written_out_with_two_digits():
+    assert [two_digits(sigma) for sigma in (0.19342, 0.0000312, 0.0, 12.34)] == ["0.19", "0.000031", "0", "12"]

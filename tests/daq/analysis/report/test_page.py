@@ -26,6 +26,13 @@ def page(twice=True):
     made.figure("dots", figure, "dots", dense=True)
     made.table(("name", *[f"a rather long heading {k}" for k in range(6)]), [("a<b", *"123456")], "caption")
     made.lead("0.01, 0.02 px", "total <b>", ("[px]", "u", "v"), [("bias <", "+0.01", "-0.02")])
+    regions = ("behind glass", "0.0011, 0.004", "0.021, 0.021", "3261 of 3263", "2")
+    made.lead(
+        "0.0011 px",
+        "sigma",
+        ("region", "map sigma: median, largest [px]", "rms [px]", "corners used", "rejected"),
+        [regions],
+    )
     with made.row():
         made.figure("left", figure, "left", dense=True)
         made.figure("right", figure, "right", dense=True)
