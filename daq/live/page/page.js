@@ -7,7 +7,7 @@ const shown = {}; // last picture of each name
 const images = {}, palette = { key: "", table: new Uint32Array(SATURATED + 1) };
 let words = {}, waiting = 0, drawn = 0, begun = performance.now(), socket = null;
 let heard_ms = 0, came_ms = 0, doing = "", since_ms = 0, ended = ""; // when anything was heard, the picture was taken, it began
-let changes = 0, marked_as = "", said_ms = -1e9, slid_ms = -1e9, fitted_ms = -1e9, mapped = "";
+let changes = 0, marked_as = "", drawn_ms = 0, drawn_then = 0, slid_ms = -1e9, fitted_ms = -1e9, mapped = "";
 window.rtpivLive = { get drawn() { return drawn; }, get words() { return words; }, get ended() { return ended; }, view, shown, first_ms: null };
 
 function connect() {
@@ -38,11 +38,12 @@ function age() {
   else if (!heard_ms) said = "connecting ...";
   else if (!came_ms) said = `no picture yet: ${step}`;
   else if (old) said = step;
-  const worry = ended || old || (!came_ms && heard_ms) || silent_ms > SILENT_MS ? "old" : "";
-  at("state").className = at("stage").className = worry;
+  at("state").className = at("stage").className = ended || old || silent_ms > SILENT_MS ? "old" : "";
   say(at("state"), said);
-  at("age").hidden = !old;
-  say(at("age"), old ? `this picture is ${seconds(came_ms)} old` : "");
+  at("age").hidden = !old && came_ms;
+  say(at("age"), old ? `this picture is ${seconds(came_ms)} old` : said); // before the first one the stage says it
+  at("numbers").hidden = !came_ms;
+  if (came_ms) figures(); // not with every picture: text moves everything
   if (view.mode === "blink" && (shown.raw || shown.corrected)) draw();
 }
 
@@ -84,7 +85,6 @@ function taken(buffer) {
 function finish() {
   requestAnimationFrame(() => {
     draw();
-    if (performance.now() - said_ms > 400) { said_ms = performance.now(); figures(); } // text moves everything
     drawn += 1;
     if (drawn === 1) window.rtpivLive.first_ms = performance.now() - begun;
     if (socket.readyState === 1) socket.send(JSON.stringify({ drawn: words.number, ...wishes() }));
@@ -110,6 +110,7 @@ function draw() {
     canvas.hidden = !on;
     if (on) paint(canvas, shown[name], two && name === "corrected" ? view.split : 0, two && name === "raw" ? view.split : 1);
   }
+  for (const button of document.querySelectorAll("button[data-mode]")) button.disabled = button.dataset.mode !== "raw" && !(words.has || []).includes("corrected");
   at("split").hidden = !two;
   at("split").style.left = `${100 * view.split}%`;
   marks(two ? ["raw", "corrected"] : [shown.corrected ? single : "raw"]);
@@ -239,7 +240,8 @@ function fitContrast(picture, white) {
 function figures() {
   const worth = words.figures || {};
   say(at("run"), words.run || "rtpiv live");
-  const seconds = (performance.now() - begun) / 1000;
+  const now_ms = performance.now(), rate = (1000 * (drawn - drawn_then)) / (now_ms - drawn_ms);
+  [drawn_ms, drawn_then] = [now_ms, drawn];
   const [light, wrong] = words.laser || ["", false];
   at("laser").hidden = !light;
   at("laser").className = wrong ? "wrong" : "";
@@ -247,7 +249,7 @@ function figures() {
   const { focus, ...counters } = words.counters || {}; // whoever turns a ring stands away from the screen
   say(at("focus"), focus ? `focus ${focus[0]}` : "");
   const rows = Object.entries(counters).map(([name, [text, wrong]]) => [name, text, wrong]);
-  rows.push(["pictures drawn", `${drawn}, ${(drawn / seconds).toFixed(1)} a second`, false]);
+  rows.push(["pictures drawn", `${drawn}, ${rate.toFixed(0)} a second`, false]);
   rows.push(["not shown to you", String(words.missed || 0), false]);
   if (worth.saturated !== undefined) rows.push(["saturated", `${(100 * worth.saturated).toFixed(3)} %`, worth.saturated > 1e-3]);
   table(rows);
