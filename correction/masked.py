@@ -1,62 +1,41 @@
-"""Leave out what the calibration could not confirm: `tracer.masked`, said by the scene, node by node of a map."""
+"""What the calibration could not confirm (`tracer.masked`), by pixels and branches.
 
-from dataclasses import replace
+Every correction map is made without it (`correction.inversion`); who looks at raw pixels asks `masked_pixels`.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import CorrectionMap
 from correction.node_status import NodeStatus
-from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart
+from tracer.branches import Branch
+from tracer.masked import UNCONFIRMED, UNLISTED
 from tracer.ray_map import RayMap
 from tracer.scene import Scene
 
 STATUS = {UNLISTED: NodeStatus.UNLISTED, UNCONFIRMED: NodeStatus.UNCONFIRMED}
 
 
-def without_masked(found: CorrectionMap, scene: Scene, times: int = 1) -> CorrectionMap:
-    """Return the map without its nodes in masked parts of the scene's view; the same map where there are none.
+def masked_pixels(scene: Scene, ray_map: RayMap | None = None) -> NDArray[np.uint8]:
+    """Why pixels (H, W) of a scene's camera are masked: a NodeStatus, 0 where they are not.
 
     Parameters
     ----------
-    found : CorrectionMap
-        A node is left out if any view of it that is used lies in a masked part.
     scene : Scene
-        As seen by the map.
-    times : int
-        The map's camera is so many times coarser than that of the masked parts.
+        The scene.
+    ray_map : RayMap, optional
+        Its ray map; without it only outlines are drawn.
     """
-    if not scene.masked:
-        return found
-    status = found.status.copy()
-    width, height = found.sensor_px
-    used = found.weight > 0.0
-    u, v = np.moveaxis(np.rint(np.where(used[..., None], found.pixel, 0.0)).astype(np.int64), -1, 0)
+    why = np.zeros(scene.camera.shape, np.uint8)
+    if ray_map is not None and scene.masked:
+        why[:] = masked_branches(scene, ray_map.branches)[ray_map.branch]
     for part in scene.masked:
-        if part.through:
-            numbers = [number for number, names in enumerate(found.branches) if _is(names, part)]
-            hit = np.isin(found.branch, numbers)
-        else:
-            hit = part.within((height, width), times)[v, u]
-        status[(hit & used).any(axis=0) & (status == NodeStatus.RECOVERED)] = STATUS[part.why]
-    left_out = found.recovered & (status != NodeStatus.RECOVERED)
-    return replace(
-        found,
-        status=status,
-        pixel=np.where(left_out[..., None], np.nan, found.pixel),
-        weight=np.where(left_out, np.float32(0.0), found.weight),
-    )
+        why[part.within(why.shape)] = STATUS[part.why]
+    return why
 
 
-def masked_pixels(ray_map: RayMap, scene: Scene) -> NDArray[np.bool_]:
-    """Pixels (H, W) of a ray map in masked parts of the scene's view."""
-    height, width = ray_map.status.shape
-    masked = np.zeros((height, width), np.bool_)
-    for part in scene.masked:
-        numbers = [number for number, names in enumerate(ray_map.branches) if _is(names, part)]
-        masked |= np.isin(ray_map.branch, numbers) if part.through else part.within((height, width))
-    return masked
-
-
-def _is(names: tuple[str, ...], part: MaskedPart) -> bool:
-    return tuple(names) == part.through
+def masked_branches(scene: Scene, branches: Sequence[Branch]) -> NDArray[np.uint8]:
+    """The same of branches (B,), which are masked as a whole."""
+    of_way = {part.through: STATUS[part.why] for part in scene.masked if part.through}
+    return np.array([of_way.get(tuple(names), NodeStatus.RECOVERED) for names in branches], np.uint8)

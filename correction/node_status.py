@@ -4,6 +4,7 @@ from enum import IntEnum
 
 RECOVERED, RIM, FOLD, BLOCKED, OUT_OF_FRAME = 0, 1, 2, 3, 4  # as kernels see them
 LOW_MAGNIFICATION, UNSURE, BLURRED, IN_GLASS = 5, 6, 7, 8
+UNLISTED, UNCONFIRMED = 9, 10  # what a scene masks, and no view brings back
 
 
 class NodeStatus(IntEnum):
@@ -18,8 +19,8 @@ class NodeStatus(IntEnum):
     UNSURE = UNSURE  # the map's sigma is beyond the limit that was set
     BLURRED = BLURRED  # the aperture shows it too blurred, or too far from its chief ray
     IN_GLASS = IN_GLASS  # the light sheet runs through a body there
-    UNLISTED = 9  # something that the scene does not list stands before it
-    UNCONFIRMED = 10  # the target did not confirm what the scene shows there
+    UNLISTED = UNLISTED  # something that the scene does not list stands before it
+    UNCONFIRMED = UNCONFIRMED  # the target did not confirm what the scene shows there
 
 
 MEANING = {

@@ -24,7 +24,6 @@ from correction.dewarp import Dewarp
 from correction.fit.sigma_limit import SigmaLimit
 from correction.grid import PlaneGrid, grid_of
 from correction.in_glass import outside_glass
-from correction.masked import without_masked
 from correction.resample.sample import Method
 from ground.errors import GroundError
 from tracer.errors import TracerError
@@ -120,8 +119,7 @@ def prepare(
     StaleMap
         The limit is that of another scene's fit.
     """
-    whole = without_masked(_map(scene, layers, maps, _other(grid, scene)), scene)
-    found = outside_glass(through_pupil(whole, scene), scene)
+    found = outside_glass(through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene), scene)
     corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
     return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid))
 
@@ -168,7 +166,9 @@ def _other(grid: PlaneGrid | None, scene: Scene) -> PlaneGrid | None:
 def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -> CorrectionMap:
     if maps is None:
         return build_correction_map(scene, build_ray_map(scene), grid, layers=layers)
-    own = "" if grid is None else "_" + hashlib.sha256(repr(grid).encode()).hexdigest()[:16]
+    own = ""
+    for what in (grid, scene.masked or None):
+        own += "" if what is None else "_" + hashlib.sha256(repr(what).encode()).hexdigest()[:16]
     path = maps / f"{scene.content_hash()}{f'_{layers}' if layers > 1 else ''}{own}.map"
     if path.exists():
         try:

@@ -6,7 +6,7 @@ kept with the scene, so that it goes wherever the scene goes: an outline in the 
 through one sequence of bodies.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -49,12 +49,26 @@ class MaskedPart:
         if self.outline_px and (len(self.outline_px) < 3 or not np.isfinite(self.outline_px).all()):
             raise SceneError("masked: an outline_px is a list of three points u, v or more")
 
-    def within(self, shape: tuple[int, int], times: float = 1.0) -> NDArray[np.bool_]:
-        """Pixels (H, W) inside the outline, of a camera that is so many times coarser; none of a way through."""
+    def coarser(self, times: int) -> "MaskedPart":
+        """Return the same before a camera with pixels so many times wider."""
+        if times == 1:
+            return self
+        outline = tuple(((u + 0.5) / times - 0.5, (v + 0.5) / times - 0.5) for u, v in self.outline_px)
+        return replace(self, outline_px=outline)
+
+    def swept(self, steps_px: NDArray[np.float64]) -> "MaskedPart":
+        """Return the same with what it covers when moved by any of the steps (N, 2), or by a part of one."""
+        if not self.outline_px:
+            return self
+        steps = np.vstack(([0.0, 0.0], steps_px))[:, None]
+        return replace(self, outline_px=hull_px((np.array(self.outline_px) + steps).reshape(-1, 2)))
+
+    def within(self, shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """Pixels (H, W) inside the outline; none of a way through."""
         inside = np.zeros(shape, np.bool_)
         if not self.outline_px:
             return inside
-        points = (np.array(self.outline_px) + 0.5) / times - 0.5
+        points = np.array(self.outline_px)
         low = np.clip(np.floor(points.min(axis=0)), 0, (shape[1], shape[0])).astype(int)
         high = np.clip(np.ceil(points.max(axis=0)) + 1, 0, (shape[1], shape[0])).astype(int)
         v, u = np.mgrid[low[1] : high[1], low[0] : high[0]]

@@ -123,6 +123,11 @@ class Scene:
         """Return the same scene with another camera."""
         return replace(self, camera=camera)
 
+    def coarser(self, times: int) -> "Scene":
+        """Return the scene before a camera of the same view with pixels so many times wider."""
+        masked = tuple(part.coarser(times) for part in self.masked)
+        return replace(self, camera=self.camera.coarser(times), masked=masked)
+
     @property
     def lit(self) -> LightSheet:
         """Where particles are lit: `sheet`, or z = 0 as unsure as a sheet that was set up by eye."""

@@ -20,7 +20,6 @@ from correction.correction_map import CorrectionMap, build_correction_map
 from correction.fit.result import SceneFit
 from correction.fit.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
-from correction.masked import without_masked
 from ground.config import Pair, Table
 from ground.errors import MapFileError
 from ground.map_file import Hash, checked, load_arrays, save_arrays
@@ -112,14 +111,13 @@ def map_sigma(fit: SceneFit, step: int = STEP) -> MapSigma:
     full_grid = grid_of(fit.measured_scene.camera)
     rows, columns = (-(-size // step) for size in full_grid.shape)
     grid = PlaneGrid(full_grid.origin_mm, full_grid.pitch_mm * step, (rows, columns))
-    every = build_correction_map(
+    sheets = build_correction_map(
         fit.measured_scene,
         build_ray_map(fit.measured_scene),
         grid,
         min_magnification=0.5 * step,
         max_magnification=16.0 * step,
     )
-    sheets = without_masked(every, fit.measured_scene)
     sigma = np.full((*sheets.status.shape, 2), np.nan, np.float32)
     for glass in (False, True):
         chosen = _seen(sheets, glass)

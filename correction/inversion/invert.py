@@ -1,5 +1,7 @@
 """Inversion of a ray map: the arrays of a correction map, filled view by view.
 
+What the scene masks (``tracer.masked``) is no view: the next best of a node takes its place.
+
 See ``correction.correction_map`` for what is sought and ``docs/adr/0002-inverse-by-sheets.md`` for why it is
 sought this way.  The direct view comes first, in closed form, or with one unknown a node through a window; then
 every sheet, those with few events first.
@@ -26,6 +28,7 @@ from correction.inversion.kernels.lonely import Ways
 from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS
 from correction.inversion.kernels.views import NodeScratch, solve_nodes
 from correction.inversion.sheets import Sheet, Sheets, Starts
+from correction.masked import masked_branches, masked_pixels
 from ground.rows import run_parts, run_rows
 from tracer.beds import Balls, fits_bed_behind
 from tracer.branches import chain_trip, event_numbers, key_of
@@ -82,20 +85,39 @@ class Inversion:
                 "branch": np.empty(lead, kind),
             }
         self.arrays = out
+        self.masked = np.zeros((1, 1), np.uint8), np.zeros(0, np.uint8)
+        if scene.masked:
+            self.masked = masked_pixels(scene), masked_branches(scene, ray_map.branches)
         self.longest_mm = 2.0 * grid.pitch_mm / limits[0]
         self.status, self.pixel, self.jacobian = out["status"], out["pixel"], out["jacobian"]
         self.weight, self.transmittance, self.branch = out["weight"], out["transmittance"], out["branch"]
 
     @property
     def maps(self) -> tuple[NDArray[Any], ...]:
-        """The arrays in the order in which kernels take them."""
-        return tuple(self.arrays.values())
+        """The arrays in the order in which kernels take them, and what is masked."""
+        return *self.arrays.values(), *self.masked
 
     def direct(self) -> None:
         """Project the nodes that are seen without glass, and write every other node for the first time."""
         if self.window is not None:
             self._direct_behind(self.window)
-            return
+        else:
+            self._direct_in_the_open()
+        if self.scene.masked:
+            self._mask_direct()
+
+    def _mask_direct(self) -> None:
+        """Leave masked nodes to the glass, with the reason they keep if no glass shows them."""
+        seen = self.weight[0] > 0.0
+        u, v = np.rint(self.pixel[0][seen]).astype(np.int64).T
+        why = np.zeros(self.status.shape, np.uint8)
+        why[seen] = self.masked[0][v, u]
+        gone = why != 0
+        self.status[gone] = why[gone]
+        self.weight[0][gone], self.pixel[0][gone] = 0.0, np.nan
+
+    def _direct_in_the_open(self) -> None:
+        """As `direct`, where no window stands before all there is."""
         height, width = self.grid.shape
         place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
         lens_free, world = self.scene.camera.lens.is_ideal, self.tables[1]
@@ -140,7 +162,8 @@ class Inversion:
         """The arrays with pixels (K, h, 2 w) and Jacobians (K, h, 4 w) as rows of numbers."""
         height, width = self.grid.shape
         pixel = self.pixel.reshape(len(self.pixel), height, 2 * width)
-        return self.status, pixel, self.jacobian.reshape(len(pixel), height, 4 * width), *self.maps[3:]
+        others = self.weight, self.transmittance, self.branch
+        return self.status, pixel, self.jacobian.reshape(len(pixel), height, 4 * width), *others
 
     def _node_camera(self) -> NDArray[np.float64]:
         """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""

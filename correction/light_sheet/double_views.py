@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from correction.correction_map import MAX_MAGNIFICATION, CorrectionMap, build_correction_map
 from correction.grid import PlaneGrid, grid_of
-from correction.masked import without_masked
 from tracer.blur import pupil_views
 from tracer.branches import Branch
 from tracer.ray_map import RayMap, build_ray_map
@@ -148,10 +147,9 @@ def double_views(
     rows, columns = (-(-size // step) for size in whole.shape)
     grid = PlaneGrid(whole.origin_mm, whole.pitch_mm * step, (rows, columns))
     limits = LEAST_MAGNIFICATION * step, MAX_MAGNIFICATION * step
-    every = build_correction_map(
+    found = build_correction_map(
         scene, ray_map, grid, layers=LAYERS, skip=False, min_magnification=limits[0], max_magnification=limits[1]
     )
-    found = without_masked(every, scene)
     seen = (found.weight > 0.0) & found.recovered
     kinds: dict[Kind, int] = {}
     pairs = [

@@ -7,7 +7,6 @@ nodes of the plane that no pixel shows well. A side has `COARSE_PX` coarse pixel
 of a frame's.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -15,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.correction_map import build_correction_map
-from correction.masked import without_masked
 from correction.node_status import NodeStatus
 from tracer.ray_map import RayMap, build_ray_map
 from tracer.scene import Scene
@@ -38,9 +36,9 @@ def folds_and_masks(scene: Scene) -> dict[str, dict[str, list[Line]]]:
         The plane z = 0 is seen through it.
     """
     times = max(1, round(max(scene.camera.sensor_px) / COARSE_PX))
-    coarse = replace(scene, camera=scene.camera.coarser(times))
+    coarse = scene.coarser(times)
     rays = build_ray_map(coarse)
-    status = without_masked(build_correction_map(coarse, rays), scene, times).status
+    status = build_correction_map(coarse, rays).status
     folded, lost = status == NodeStatus.FOLD, ~np.isin(status, SHOWN)
     return {
         "raw": {"folds": _folds(rays, times), "masks": _around(rays.status != RayStatus.RECOVERED, times)},

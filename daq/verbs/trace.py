@@ -10,7 +10,6 @@ from rich.table import Table
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import SheetForecast, sheet_forecast
-from correction.masked import without_masked
 from correction.node_status import MEANING, NodeStatus
 from daq.analysis.pictures.apart import drawing
 from daq.analysis.pictures.names import short
@@ -89,7 +88,7 @@ def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True)
     for question in [] if isinstance(scene, Scene) else scene_questions(scene):
         screen.print(question, soft_wrap=True, highlight=False)
     ray_map = build_ray_map(loaded)
-    correction_map = without_masked(build_correction_map(loaded, ray_map), loaded)
+    correction_map = build_correction_map(loaded, ray_map)
     share = plane_share(loaded, correction_map)
     blur = None
     if loaded.camera.pupil is not None:

@@ -8,7 +8,7 @@ import pytest
 from correction.correction_map import build_correction_map
 from correction.evaluate.velocity_route import usable_branches
 from correction.light_sheet.double_views import double_views
-from correction.masked import masked_pixels, without_masked
+from correction.masked import masked_pixels
 from correction.node_status import NodeStatus
 from correction.prepared import content_key, prepare
 from daq.live.folds_and_masks import folds_and_masks
@@ -45,13 +45,37 @@ def test_nodes_seen_through_an_outline_are_left_out_with_its_reason():
 
 
 def test_a_way_that_is_not_confirmed_is_left_out_whole():
-    found = without_masked(build_correction_map(scene(), build_ray_map(scene())), scene(WAY))
-    number = list(found.branches).index(THROUGH)
-    through = found.branch[0] == number
+    whole = build_correction_map(scene(), build_ray_map(scene()))
+    found = build_correction_map(scene(WAY), build_ray_map(scene(WAY)))
+    through = whole.recovered & (whole.branch[0] == list(whole.branches).index(THROUGH))
     assert not found.recovered[through].any()
     assert (found.status[through] == NodeStatus.UNCONFIRMED).sum() > 1000
     assert found.recovered[~through].any()
     assert found._sound()
+
+
+@pytest.mark.parametrize("name", ["three_spheres_500", "pyramid_500"])
+def test_the_next_best_view_takes_over_where_the_best_is_masked(name):
+    """Nothing is left out that an unmasked view shows, and nothing is shown by a masked one."""
+    whole = replace(scene(), bodies=at_size(named_scene(name), SIZE_PX).bodies)
+    views = build_correction_map(whole, build_ray_map(whole), layers=6)
+    used = views.weight > 0.0
+    twice = used[0] & used[1]
+    (v0, v1), (u0, u1) = (
+        (int(p.min()), int(p.max())) for p in (views.pixel[0][twice].T[1], views.pixel[0][twice].T[0])
+    )
+    half = MaskedPart(UNLISTED, ((u0, v0), (u1, v0), (u0, v1)))
+    inside = half.within((SIZE_PX, SIZE_PX))
+    masked = replace(whole, masked=(half,))
+    found = build_correction_map(masked, build_ray_map(masked))
+    at = np.rint(np.nan_to_num(views.pixel)).astype(int)
+    free = used & ~inside[at[..., 1], at[..., 0]]
+    np.testing.assert_array_equal(found.recovered, free.any(axis=0))
+    best = np.argmax(free, axis=0)[None, ..., None]
+    pixel = np.take_along_axis(views.pixel, best, axis=0)[0]
+    np.testing.assert_allclose(found.pixel[0][found.recovered], pixel[found.recovered], atol=1e-6)
+    assert np.count_nonzero(free.any(axis=0) & ~free[0] & used[0]) > 20
+    assert (found.status[used.any(axis=0) & ~found.recovered] == NodeStatus.UNLISTED).all()
 
 
 def test_maps_of_masked_scenes_are_not_taken_for_others():
@@ -65,7 +89,7 @@ def test_vectors_of_raw_frames_do_not_come_from_there():
     after = sum(mask for _, mask in usable_branches(rays, scene(CORNER), 10))
     assert before[125:145, 125:145].all()
     assert not after[121:150, 121:150].any()
-    assert np.count_nonzero(masked_pixels(rays, scene(WAY))) == np.count_nonzero(
+    assert np.count_nonzero(masked_pixels(scene(WAY), rays)) == np.count_nonzero(
         rays.branch == list(rays.branches).index(THROUGH)
     )
 
@@ -116,6 +140,6 @@ def test_an_outline_beyond_the_frame_is_cut():
     inside = part.within((40, 30))
     assert inside[:10, :10].all()
     assert not inside[12:].any()
-    assert part.within((20, 15), 2.0)[:5, :5].all()
+    assert part.coarser(2).within((20, 15))[:5, :5].all()
     with pytest.raises(SceneError):
         MaskedPart(UNLISTED, ((0.0, 0.0), (1.0, float("nan")), (2.0, 2.0)))

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from correction.node_status import RECOVERED
+from correction.node_status import RECOVERED, UNLISTED
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED as TRACED
@@ -91,10 +91,11 @@ def keep_view(
 ) -> None:
     """Insert one view of a node into its layers, best first, or note why it cannot be kept.
 
-    Status is (h, w), pixel (K, h, w, 2), Jacobian (K, h, w, 4), weight, transmittance and branch (K, h, w).
+    What is masked stays so unless another view is kept.  Status is (h, w), pixel (K, h, w, 2), Jacobian
+    (K, h, w, 4), weight, transmittance and branch (K, h, w).
     """
     if verdict != RECOVERED:
-        if status[row, column] != RECOVERED:
+        if status[row, column] != RECOVERED and status[row, column] < UNLISTED:
             status[row, column] = verdict
         return
     layers = pixel.shape[0]

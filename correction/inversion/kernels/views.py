@@ -92,10 +92,10 @@ def solve_nodes(
     where a scene does not fit lockstep: then what a block has solved is verified ray by ray, and where not all
     spheres of the sequence are `solid`, or stand behind other walls, every node is solved by itself.  `every`:
     hopeless ones too.  `key` is the branch key of ``march``.  ``starts`` (N, 4) and ``nodes`` (N, 2) as from
-    `scatter_sheet`; ``maps`` as in `keep_view`.
+    `scatter_sheet`; ``maps`` as in `keep_view`, then what is masked, see `keep_group`.
     """
     block, state, xy, spans, wanted, rays, trips, passed = scratch
-    status, pixel, jacobian, weight, transmittance, branch = maps  # once: taking one from a tuple is not free
+    status, pixel, jacobian, weight, transmittance, branch, masked, ways = maps
     tables, sequence, windows = unowned_tables(tables), unowned(sequence), unowned(windows)
     camera, spheres = tables[0], tables[1].spheres
     status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
@@ -103,7 +103,7 @@ def solve_nodes(
     block, xy, rays, trips = unowned(block), unowned(xy), unowned(rays), unowned(trips)
     state, balls, spans, wanted = unowned(state), unowned(balls), unowned(spans), unowned(wanted)
     passed = unowned(passed)
-    kept = status, pixel, jacobian, weight, transmittance, branch
+    kept = status, pixel, jacobian, weight, transmittance, branch, masked, ways
     total, left, is_block = nodes.shape[0], 0, trip >= 0 or solid
     for patient in range(2 if is_block else 1):
         for low in range(0, total, GROUP):
@@ -189,15 +189,20 @@ def keep_group(
     count: int, pitch: float, events: int, number: int, limits: Array, nodes: Array, block: Array, state: Array,
     maps: tuple[Array, ...],
 ) -> None:  # fmt: skip
-    """Judge the views of a block and keep the best of each node."""
-    status, pixel, jacobian, weight, transmittance, branch = maps
+    """Judge the views of a block and keep the best of each node.
+
+    ``maps`` end with why pixels (H, W) and ways (B,) are masked, 0 where they are not; B = 0: nothing is.
+    """
+    status, pixel, jacobian, weight, transmittance, branch, masked, ways = maps
     status, pixel, jacobian, weight = unowned(status), unowned(pixel), unowned(jacobian), unowned(weight)
-    transmittance, branch = unowned(transmittance), unowned(branch)
+    transmittance, branch, masked, ways = unowned(transmittance), unowned(branch), unowned(masked), unowned(ways)
     judge(count, pitch, events, limits, block, state)
     for i in range(count):
         row, column = nodes[i, 0] & INDEX, nodes[i, 1] & INDEX
         uc, ur, vc, vr = block[XU + i], block[XV + i], block[YU + i], block[YV + i]
         u, v, light, worth = block[U + i], block[V + i], block[KEPT + i], block[WORTH + i]
+        if state[i] == RECOVERED and ways.shape[0] > 0:
+            state[i] = max(ways[number], masked[int(v + 0.5), int(u + 0.5)])  # RECOVERED where nothing is
         keep_view(
             state[i],
             u,

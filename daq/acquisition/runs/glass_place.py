@@ -6,7 +6,10 @@ serves all frames, as for every other run.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from correction.errors import PairError
 from daq.acquisition.bench.bench_table import GLASS, BenchTable, Vector
@@ -66,8 +69,22 @@ def glass_off_scene_mm(table: BenchTable, positions_mm: Mapping[str, float]) -> 
 
 
 def with_glass_at(scene: Scene, place_mm: Vector) -> Scene:
-    """The scene with its glass moved by `place_mm` from where its file has it; walls that stand, stand."""
+    """The scene with its glass moved by `place_mm` from where its file has it; walls that stand, stand.
+
+    Of what is masked nobody knows whether it is on the glass or stands before it: it is masked here and there.
+    """
     if not any(place_mm):
         return scene
-    step = shifted_by(place_mm)
-    return scene.with_bodies([body if body.stays else body.moved(step) for body in scene.bodies])
+    step, carried = shifted_by(place_mm), [body for body in scene.bodies if not body.stays]
+    moved = scene.with_bodies([body if body.stays else body.moved(step) for body in scene.bodies])
+    if not (scene.masked and carried):
+        return moved
+    sight = scene.camera.rotation_matrix[2]
+    ends = np.array([
+        np.array(end) + side * body.capsule.radius_mm * sight
+        for body in carried
+        for end in (body.capsule.start_mm, body.capsule.end_mm)
+        for side in (-1.0, 1.0)
+    ])  # fmt: skip
+    steps_px = scene.camera.project(ends + np.array(place_mm)) - scene.camera.project(ends)
+    return replace(moved, masked=tuple(part.swept(steps_px) for part in scene.masked))

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 
 from correction.correction_map import CorrectionMap, build_correction_map
 from correction.frame_file import write_frame
-from correction.masked import without_masked
 from correction.node_status import MEANING
 from ground.whole_file import whole_file
 from tracer.branches import Branch
@@ -90,7 +89,7 @@ def write_map_tiff(scene: Scene, path: Path) -> list[Path]:
 
 def _maps(scene: Scene) -> tuple[RayMap, CorrectionMap]:
     rays = build_ray_map(scene)
-    return rays, without_masked(build_correction_map(scene, rays), scene)
+    return rays, build_correction_map(scene, rays)
 
 
 def _netcdf(

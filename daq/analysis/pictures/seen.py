@@ -17,7 +17,7 @@ Watched = Callable[[Iterable[tuple[float, float]], int, str], Iterable[tuple[flo
 
 def shown_small(scene: Scene, widest_px: int) -> Scene:
     """Return the scene before a camera of the same view, a whole number of times coarser where it is wider."""
-    return scene.with_camera(scene.camera.coarser(max(1, round(scene.camera.sensor_px[0] / widest_px))))
+    return scene.coarser(max(1, round(scene.camera.sensor_px[0] / widest_px)))
 
 
 def seen(

@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 
 from correction.fit.fit_file import StoredVerdict, load_verdict
+from correction.masked import STATUS
+from correction.node_status import MEANING
 from daq.analysis.calibration import Calibration
 from daq.analysis.digits import places
 from daq.analysis.pictures.calibration import map_sigma_figure
@@ -15,6 +17,7 @@ from daq.analysis.report.page import Page
 from daq.analysis.report.through import through_lead
 from ground.errors import MapFileError
 from ground.plain_words import counted
+from tracer.branches import text_of
 from tracer.scene import Scene
 
 CAPTION = (
@@ -53,6 +56,7 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
             said = "Smooth part of the residuals of the largest view; the other views stand below."
             page.figure("smooth_first", figure, said, dense=True)
     verdict_chapter(page, StoredVerdict.of(fit), "others")
+    masked_table(page, fit.measured_scene)
     if found.weak:
         page.heading("What these frames cannot determine")
         for weakness in found.weak:
@@ -92,6 +96,24 @@ def verdict_chapter(page: Page, found: StoredVerdict, views: Literal["all", "oth
     figure = smooth_figure(found, views)
     if figure is not None:
         page.figure("smooth_residuals", figure, CAPTION, dense=True)
+
+
+def masked_table(page: Page, scene: Scene) -> None:
+    """Say what parts of the view every map leaves out, and why; nothing where there are none."""
+    if not scene.masked:
+        return
+    page.heading("What every map leaves out")
+    rows: list[tuple[str, ...]] = []
+    for part in scene.masked:
+        where, size = f"all that is seen through {text_of(part.through)}", "-"
+        if part.outline_px:
+            (left, top), (right, bottom) = np.min(part.outline_px, axis=0), np.max(part.outline_px, axis=0)
+            where = f"around pixel ({(left + right) / 2:.0f}, {(top + bottom) / 2:.0f})"
+            share = part.within(scene.camera.shape).mean()
+            size = f"{right - left:.0f} x {bottom - top:.0f} px, {100.0 * share:.2g} % of the frame"
+        rows.append((MEANING[STATUS[part.why]], where, size))
+    said = "`masked` in the fitted scene file holds these; take out what you know to be right"
+    page.table(("reason", "where", "size"), rows, said)
 
 
 def sentence_case(text: str) -> str:

@@ -11,7 +11,6 @@ from correction.correction_map import build_correction_map
 from correction.fit.errors import FitFailed
 from correction.fit.result import SceneFit, check
 from correction.fit.unconfirmed import unconfirmed_ways
-from correction.masked import without_masked
 from correction.node_status import NodeStatus
 from sim.demo.scenes import at_size, named_scene
 from tracer.bodies import Sphere
@@ -99,8 +98,7 @@ def test_a_ball_held_in_the_fit_section_is_not_asked() -> None:
 def test_a_lost_ball_is_masked_with_all_around_it() -> None:
     (ball,) = fitted(a=(60, 65), c=(58, 60), b=(3, 12)).verdict.unconfirmed
     scene = replace(SCENE, masked=ball.masked)
-    whole = build_correction_map(scene, build_ray_map(scene))
-    found = without_masked(whole, scene)
+    whole, found = (build_correction_map(one, build_ray_map(one)) for one in (SCENE, scene))
     ways = np.array([("b" in names) for names in whole.branches])
     through = whole.recovered & ways[whole.branch[0]]
     assert through.any()

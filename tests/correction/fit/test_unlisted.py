@@ -10,7 +10,6 @@ from correction.board import Chessboard
 from correction.correction_map import build_correction_map
 from correction.fit.scene_fit import fit_scene
 from correction.fit.unlisted import unlisted_parts
-from correction.masked import without_masked
 from correction.node_status import NodeStatus
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.benches import map_error_px, photograph
@@ -51,7 +50,7 @@ def masked_by(image: np.ndarray) -> Scene:
 def nodes_off(scene: Scene, stray: str) -> int:
     """Recovered nodes whose pixel shows another place than the map says, or none."""
     truth = lab().with_bodies([*lab().bodies, BODIES[stray]])
-    found = without_masked(build_correction_map(scene, build_ray_map(scene)), scene)
+    found = build_correction_map(scene, build_ray_map(scene))
     error = np.linalg.norm(map_error_px(scene, truth, found.pixel[0][found.recovered], found.grid), axis=1)
     return int(np.count_nonzero(~(error < 0.5)))
 
@@ -62,8 +61,7 @@ def test_a_stray_body_is_masked_and_little_else(stray):
     assert scene.masked
     assert nodes_off(lab(), stray) > 100
     assert nodes_off(scene, stray) <= 0.03 * nodes_off(lab(), stray)
-    whole = build_correction_map(scene, build_ray_map(scene))
-    left_out = without_masked(whole, scene).status == NodeStatus.UNLISTED
+    left_out = build_correction_map(scene, build_ray_map(scene)).status == NodeStatus.UNLISTED
     assert np.count_nonzero(left_out) < 8 * nodes_off(lab(), stray) + 200
 
 
@@ -114,6 +112,6 @@ def test_a_whole_calibration_says_it_and_masks_it(stray):
     assert not fit.verdict.is_right
     assert "does not list" in fit.verdict.sentences[0]
     scene = fit.measured_scene
-    found = without_masked(build_correction_map(scene, build_ray_map(scene)), scene)
+    found = build_correction_map(scene, build_ray_map(scene))
     error = np.linalg.norm(map_error_px(scene, shown, found.pixel[0][found.recovered], found.grid), axis=1)
     assert np.count_nonzero(~(error < 0.5)) < 20

@@ -1,5 +1,7 @@
 """The glass of a flow run stands off its place in the scene: what is evaluated is the scene as it was."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from daq.acquisition.runs.run_folder import RunFolder
 from daq.errors import RunDamaged
 from tests.correction.small_scenes import small_scene
 from tests.daq.small_run import BENCH, about_run, keep_frame, planned
+from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart
 
 AXIS = """    glass_z: {controller: box, channel: 2/1, carries: glass, along: z, limits_mm: [-1.0, 50.0],
               speed_mm_s: 1.0, acceleration_mm_s2: 1.0}
@@ -55,3 +58,19 @@ def test_bodies_move_and_nothing_else(tmp_path):
     assert [s.centre_mm[2] for s in moved.spheres] == pytest.approx([s.centre_mm[2] + 4.0 for s in scene.spheres])
     assert moved.camera == scene.camera
     assert with_glass_at(scene, (0.0, 0.0, 0.0)) is scene
+
+
+def test_what_is_masked_is_masked_where_it_was_and_where_the_glass_took_it():
+    scene = small_scene("two_spheres_500")
+    drop = np.array([-8.0, 9.0, 101.0])  # on the upper ball
+    u, v = scene.camera.project(drop)
+    around = ((u - 5, v - 5), (u + 5, v - 5), (u + 5, v + 5), (u - 5, v + 5))
+    way = MaskedPart(UNCONFIRMED, through=("sphere2", "sphere1"))
+    masked = replace(scene, masked=(MaskedPart(UNLISTED, around), way))
+    moved = with_glass_at(masked, (12.0, -4.0, 6.0))
+    inside = moved.masked[0].within(scene.camera.shape)
+    for place in (drop, drop + np.array([12.0, -4.0, 6.0])):
+        column, row = np.rint(scene.camera.project(place)).astype(int)
+        assert inside[row - 3 : row + 4, column - 3 : column + 4].all()
+    assert 100 < np.count_nonzero(inside) < 1500
+    assert moved.masked[1] == way

@@ -1,5 +1,7 @@
 """The verdict on a calibration in the pages that are made with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
@@ -7,11 +9,13 @@ from matplotlib.quiver import Quiver
 from correction.fit.fit_file import StoredVerdict, load_verdict, save_fit
 from correction.fit.scene_sigma import KIND
 from daq.analysis.pictures.smooth import smooth_figure
-from daq.analysis.report.calibration import _numbers, calibration_chapter
+from daq.analysis.report.calibration import _numbers, calibration_chapter, masked_table
 from daq.analysis.report.page import Page
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from tests.correction.fit.drawn_labs import drawn_lab
+from tests.correction.small_scenes import small_scene
+from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +97,15 @@ def test_a_fit_file_that_does_not_hold_together_is_refused_and_said_in_the_page(
 def test_numbers_stand_to_the_second_digit_of_their_sigma(value, sigma, said):
     row = {"value": value, "sigma": sigma, "moved": 0.0, "prior_sigma": 2.0}
     assert _numbers(row)[:2] == said
+
+
+def test_what_is_masked_is_listed_with_its_reason_and_place():
+    square = ((10.0, 20.0), (43.6, 20.0), (43.6, 53.6), (10.0, 53.6))
+    parts = (MaskedPart(UNLISTED, square), MaskedPart(UNCONFIRMED, through=("sphere2", "sphere1")))
+    scene, page = small_scene("two_spheres_500"), Page("a page")
+    masked_table(page, scene)
+    assert "leaves out" not in page.html()
+    masked_table(page, replace(scene, masked=parts))
+    said = page.html()
+    assert "behind an unlisted body</td><td>around pixel (27, 37)</td><td>34 x 34 px, 1 % of the frame" in said
+    assert "not confirmed by the target</td><td>all that is seen through sphere2 &gt; sphere1" in said
