@@ -137,13 +137,19 @@ class Adjustment:
             np.concatenate([frame.rim_px for frame in measured]),
         )
 
-    def pull_of_pupils(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> NDArray[np.float64]:
-        """Half the gradient (P,) by which all corners together pull if the pupil does what it may."""
-        pull = np.zeros(parts[0].rate.shape[2])
+    def pulled_alike(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> NDArray[np.float64]:
+        """Half the gradients (P, K) by which corners pull together: by the pupil, by the bending of each way."""
+        pulls: dict[str, NDArray[np.float64]] = {}
         for frame, part in zip(frames, parts, strict=True):
-            off = np.asarray(self.weighted(frame).whiten) @ frame.pupil_px[:, :, None]
-            pull += np.einsum("nip,ni->p", np.nan_to_num(part.rate), off[:, :, 0])
-        return pull
+            whiten, rate = np.asarray(self.weighted(frame).whiten), np.nan_to_num(part.rate)
+            causes = {"pupil": frame.pupil_px}
+            for way in np.unique(frame.branch_name).tolist():
+                causes[f"way {way}"] = frame.bent_px * (frame.branch_name == way)[:, None]
+            for cause, off in causes.items():
+                if off.any():
+                    pull = np.einsum("nip,nij,nj->p", rate, whiten, off, optimize=True)
+                    pulls[cause] = pulls.get(cause, 0.0) + pull
+        return np.column_stack([np.zeros((parts[0].rate.shape[2], 0)), *pulls.values()])
 
     def estimate(
         self,
@@ -189,8 +195,7 @@ class Adjustment:
         draws = root_of(covariance)
         if len(at) > free:
             draws = np.column_stack((draws, newton_step(wide, at, slope, normal)))
-        if any(frame.pupil_px.any() for frame in used):
-            draws = np.column_stack((draws, alone @ (unit * self.pull_of_pupils(used, parts))))
+        draws = np.column_stack((draws, alone @ (unit[:, None] * self.pulled_alike(used, parts))))
         root = wide.columns @ draws
         sizes = (unit[len(at) - len(of_shapes) :] * of_shapes)[:, None]
         shapes = ShapeRoot(balls, sizes * draws[len(at) - len(of_shapes) :])

@@ -116,6 +116,8 @@ class MeasuredFrame:
         Standard deviation of what is smooth in the errors and known: what smears corners is not known to better.
     pupil_px : (N, 2) float64
         What the pupil may do to corners beyond what is taken off, all alike, one standard deviation.
+    bent_px : (N, 2) float64
+        The same of the bending of the view, alike on every way (`prediction`).
     """
 
     name: str
@@ -131,11 +133,12 @@ class MeasuredFrame:
     spread: EdgeSpread = field(default_factory=EdgeSpread)
     doubt_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     pupil_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    bent_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
-        for name, of_none in (("doubt_px", np.zeros(len(self))), ("pupil_px", np.zeros((len(self), 2)))):
+        for name, width in (("doubt_px", ()), ("pupil_px", (2,)), ("bent_px", (2,))):
             if not len(getattr(self, name)):
-                object.__setattr__(self, name, of_none)
+                object.__setattr__(self, name, np.zeros((len(self), *width)))
 
     def __len__(self) -> int:
         return len(self.index)
@@ -158,6 +161,7 @@ class MeasuredFrame:
             spread=self.spread.taken(which),
             doubt_px=self.doubt_px[which],
             pupil_px=self.pupil_px[which],
+            bent_px=self.bent_px[which],
         )
 
 
@@ -271,4 +275,5 @@ def _measured(
             expected.axes_px[lost],
         ),
         spread.taken(valid),
+        bent_px=expected.bent_px[valid],
     )

@@ -7,7 +7,10 @@ stay inside one branch, clear of the rim by a few pixels, because the scene is n
 
 The corner fit knows straight and evenly curved edges.  Next to a fold the view also twists: the odd part of
 the landing point, (X(u + d) - X(u - d))/2 - h, that no affine frame explains grows with the cube of the
-window.  Windows are shortened until it is below TWIST_PX at their ends.
+window.  Windows are shortened until it is below TWIST_PX at their ends.  What is left of it displaces corners
+where the view is uneven as well.  With t the twist and e = sum over both axes of (X(u + d) + X(u - d))/2 - X(u),
+both at the ends of a window of half length l and in px, corners of exact renders lie off along e by about
+PULLED t |e| / l, all that bend alike on the same side (0.01 to 0.11 of it, behind chains of one to three balls).
 """
 
 from dataclasses import dataclass, replace
@@ -36,7 +39,8 @@ WIDER = 1.6  # the glass shows more of the target than the bare view, by this fa
 RIM_PX = 2  # windows stay this far from the border of their branch
 WINDOW = 0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
 SHORTEST = 0.2  # the same where the view bends most; a corner that needs less, or LEAST_PX, is not asked
-TWIST_PX = 1.0  # cubic bending at the ends of a window that does no harm (from 3 px on corners err by 0.1-1 px)
+TWIST_PX = 1.0  # cubic bending at the ends of a window that is allowed (from 3 px on corners err by 0.1-1 px)
+PULLED = 0.06  # how much what is left of it pulls at corners, see above
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ class Expected:
         Distance to the border of the branch.
     window : (N,) float64
         Half length of the window to fit in, in squares.
+    bent_px : (N, 2) float64
+        How far the bending of the view in the window may pull a corner, all in its direction.
     branches : tuple of tuple of str
         Names of the spheres crossed.
     usable : (H, W) bool
@@ -69,6 +75,7 @@ class Expected:
     branch: Numbers
     rim_px: NDArray[np.float64]
     window: NDArray[np.float64]
+    bent_px: NDArray[np.float64]
     branches: tuple[tuple[str, ...], ...]
     usable: NDArray[np.bool_]
 
@@ -90,6 +97,7 @@ class Expected:
             branch=self.branch[chosen],
             rim_px=self.rim_px[chosen],
             window=self.window[chosen],
+            bent_px=self.bent_px[chosen],
         )
 
 
@@ -115,7 +123,7 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
     import cv2
 
     seen_from_target = in_target_frame(scene, pose)
-    searched = seen_from_target.with_camera(seen_from_target.camera.coarser(times))
+    searched = seen_from_target.coarser(times)
     ray_map = build_ray_map(searched)
     grid = _lattice(searched, board)
     found = build_correction_map(
@@ -136,10 +144,11 @@ def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) ->
     within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
     away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)
     pixel = (found.pixel[seen] + 0.5) * times - 0.5
-    window = _windows(seen_from_target, pixel, axes, board.square_mm)
+    window, bent = _windows(seen_from_target, pixel, axes, board.square_mm)
     at = np.rint(found.pixel[seen]).astype(np.int64)
     rim = away[at[:, 1], at[:, 0]].astype(np.float64) * times
-    every = Expected(index, pixel, axes, found.branch[seen], rim, window, tuple(found.branches), away > RIM_PX)
+    branches = tuple(found.branches)
+    every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > RIM_PX)
     return every.take((window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
 
 
@@ -193,16 +202,23 @@ def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
 
 def _windows(
     scene: Scene, pixel: NDArray[np.float64], axes_px: NDArray[np.float64], square_mm: float
-) -> NDArray[np.float64]:
-    """Half lengths (N,) of windows [squares] in which the view is straight but for an even curvature."""
-    twist = np.zeros(len(pixel))
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Half lengths (N,) of windows [squares] in which the view is straight but for an even curvature.
+
+    Then what the rest may do to corners (N, 2) [px].
+    """
+    twist, uneven, middle = np.zeros(len(pixel)), np.zeros_like(pixel), trace(scene, pixel).plane_mm
     for axis in range(2):
         reach = WINDOW * axes_px[:, :, axis]
         ahead, behind = trace(scene, pixel + reach).plane_mm, trace(scene, pixel - reach).plane_mm
         odd = 0.5 * (ahead - behind) / square_mm - WINDOW * np.eye(2)[axis]
         in_px = np.linalg.norm((axes_px @ odd[:, :, None])[:, :, 0], axis=1)
         twist = np.maximum(twist, np.nan_to_num(in_px, nan=np.inf))
-    return np.asarray(WINDOW * np.minimum(1.0, np.cbrt(TWIST_PX / np.maximum(twist, 1e-12))))
+        uneven += (axes_px @ (0.5 * (ahead + behind) - middle)[:, :, None])[:, :, 0] / square_mm
+    shorter = np.minimum(1.0, np.cbrt(TWIST_PX / np.maximum(twist, 1e-12)))
+    half_px = np.fmax(WINDOW * shorter * np.linalg.norm(axes_px, axis=1).mean(axis=1), LEAST_PX)
+    pull = PULLED * np.minimum(twist, TWIST_PX) * shorter**2 / half_px
+    return np.asarray(WINDOW * shorter), pull[:, None] * np.nan_to_num(uneven)
 
 
 def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:

@@ -48,6 +48,8 @@ SIZES = {  # least and largest of a fault, drawn evenly in the logarithm
 EDGE_PX2, EDGE_NOISE_PX2 = 0.28, 0.015  # variance of the edge spread as corners of rendered frames have it
 TAKEN_UP = 0.6  # of a smear's variance in that of a fitted edge, on rendered frames
 COLOURS = 6
+PULLED = 0.06  # times twist and unevenness of the view, a half window: rendered corners lie off so much
+WINDOW, TWIST_PX = 0.42, 1.0  # half window in squares, shortened to so much twist
 NODES = 60  # points of the map that are asked, behind glass and beside it
 
 
@@ -83,6 +85,7 @@ def drawn_lab(
     noise_px: float | None = None,
     size: float | None = None,
     draw: Callable[[np.random.Generator, int], tuple[Scene, Scene, Chessboard]] = home_lab,
+    pulled: float = 0.0,
 ) -> Drawn:
     """Draw a lab, take its corners, fit it.
 
@@ -98,6 +101,8 @@ def drawn_lab(
         Of the fault, as in SIZES; drawn if not given.
     draw : callable
         Gives nominal scene, true scene and board of a seed.
+    pulled : float
+        How far corners lie off where the view bends, in units of PULLED.
     """
     rng = np.random.default_rng((16, seed))
     noise = float(rng.choice([0.003, 0.006, 0.015, 0.03])) if noise_px is None else noise_px
@@ -142,7 +147,13 @@ def drawn_lab(
 
     def balls_with(index: Callable[[Medium], float]) -> tuple[Ball, ...]:
         return tuple(
-            Ball(s.centre_mm, s.radius_mm, index(s.medium) / room, shapes.get(s.name, np.zeros((3, 3))))
+            Ball(
+                s.centre_mm,
+                s.radius_mm,
+                index(s.medium) / room,
+                shapes.get(s.name, np.zeros((3, 3))),
+                next(((core.radius_mm, index(core.medium) / room) for core in s.cores), None),
+            )
             for s in truth.spheres
         )
 
@@ -160,7 +171,7 @@ def drawn_lab(
         balls = balls_with(lamp.index if lamp else as_measured) if glass else ()
         scene = truth if glass else truth.with_bodies(())
         lab = Lab(truth.camera, balls, bend)
-        frames.append(photographed(scene, lab, board, glass, noise, lock_px, rng, hidden, colours))
+        frames.append(photographed(scene, lab, board, glass, noise, lock_px, rng, hidden, colours, pulled))
     bench = unknowns_of(nominal, [0.0], priors)
     fit = Adjustment().estimate(bench, bench.start, frames, ())
     if lamp is not None:
@@ -201,6 +212,7 @@ def photographed(
     rng: np.random.Generator,
     hidden_px: tuple[np.ndarray, float, float] | None = None,
     colours: Sequence[tuple[float, Lab]] = (),
+    pulled: float = 0.0,
 ) -> MeasuredFrame:
     """Corners as measured in a frame; a support hides a strip: its normal (2,), distance, half width [px].
 
@@ -219,6 +231,8 @@ def photographed(
     gone = shown.take(~seen)
     lost = LostCorners(gone.index, gone.pixel, way[~seen], gone.rim_px, gone.axes_px)
     pixel, shown, way = pixel[seen], shown.take(seen), way[seen]
+    if pulled:
+        pixel = pixel + pulled * pull_px(lab, pixel, shown.axes_px, board.square_mm)
     sigma = noise_px * np.exp(0.3 * rng.normal(size=pixel.shape))
     pixel = pixel + sigma * rng.normal(size=pixel.shape) + lock_px * locked(pixel, shown.axes_px)
     corners = Corners(0, glass, pixel, board.corner_mm(shown.index), whitening(sigma))
@@ -228,8 +242,37 @@ def photographed(
     spread = EdgeSpread(variance, np.zeros_like(variance), np.zeros_like(variance))
     name = "glass" if glass else "bare"
     return MeasuredFrame(
-        name, corners, shown.index, shown.axes_px, way, shown.rim_px, sigma, expected, {}, lost, spread
+        name,
+        corners,
+        shown.index,
+        shown.axes_px,
+        way,
+        shown.rim_px,
+        sigma,
+        expected,
+        {},
+        lost,
+        spread,
+        bent_px=shown.bent_px,
     )
+
+
+def pull_px(lab: Lab, pixel: np.ndarray, axes_px: np.ndarray, square_mm: float) -> np.ndarray:
+    """How far corners (N, 2) lie off where the view bends so much that no window is free of it."""
+    here, out = shown_mm(lab, pixel)[0], np.zeros_like(pixel)
+    length = np.full(len(pixel), WINDOW)
+    for _ in range(2):
+        twist, out = np.zeros(len(pixel)), np.zeros_like(pixel)
+        for axis in range(2):
+            arm = length[:, None] * axes_px[:, :, axis]
+            a, b = (shown_mm(lab, pixel + sign * arm)[0] for sign in (1.0, -1.0))
+            odd = (a - b) / (2.0 * square_mm)
+            odd[:, axis] -= length
+            twist = np.fmax(twist, np.linalg.norm(np.einsum("nij,nj->ni", axes_px, odd), axis=1))
+            out += np.einsum("nij,nj->ni", axes_px, (a + b - 2.0 * here) / (2.0 * square_mm))
+        length = length * np.minimum(1.0, (TWIST_PX / np.maximum(twist, 1e-9)) ** (1.0 / 3.0))
+    half_px = length * np.linalg.norm(axes_px, axis=1).mean(axis=1)
+    return np.nan_to_num((PULLED * twist / half_px)[:, None] * out)
 
 
 def smear_px2(
@@ -271,11 +314,12 @@ def map_error(
         return pixels, np.zeros((0, 2)), np.zeros((0, 2))
     found = trace(fit.scene, pixels)
     true_mm, through = shown_mm(lab, pixels)
-    order = {sphere.name: number for number, sphere in enumerate(truth.spheres, start=1)}
+    ways = [name for sphere in truth.spheres for name in (sphere.name, f"{sphere.name} core")]
+    order = {name: number for number, name in enumerate(ways, start=1)}
     codes = dict.fromkeys(found.branches, 0)
     for key, branch in found.branches.items():
         for event in branch:
-            codes[key] = codes[key] * (len(lab.balls) + 1) + order[event]
+            codes[key] = codes[key] * (len(order) + 1) + order.get(event, 0)
     same = np.array([codes[int(key)] for key in found.rays["key"]]) == through
     chosen = np.flatnonzero(same & found.recovered & np.isfinite(true_mm[:, 0]))[:NODES]
     error = (found.plane_mm - true_mm)[chosen] / grid.pitch_mm

@@ -2,8 +2,9 @@
 
 Nothing here knows the tracer. A ball is the surface |d| = R + e.S e, with d from its centre, e = d/|d| and S a
 symmetric matrix [mm]: S = 0 is a sphere, a traceless S an ellipsoid to first order (radii R + eigenvalues of S). A
-ray meets it where Newton's method along the ray ends; the normal is the gradient of |d| - e.S e. A board may be
-bent: z = h + (a x^2 + 2 b x y + c y^2)/2. Corners are sought by Newton's method with differences from a start.
+ray meets it where Newton's method along the ray ends; the normal is the gradient of |d| - e.S e. A hollow ball has
+a sphere of gas about its centre; what is totally reflected there is lost. A board may be bent:
+z = h + (a x^2 + 2 b x y + c y^2)/2. Corners are sought by Newton's method with differences from a start.
 """
 
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ class Ball:
     radius_mm: float
     n: float  # against the room
     shape_mm: Points = field(default_factory=lambda: np.zeros((3, 3)))
+    core: tuple[float, float] | None = None  # radius [mm] of what it is filled with, and its n
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,10 @@ def camera_rays(camera: Camera, pixels: Points) -> tuple[Points, Points]:
 
 
 def shown_mm(lab: Lab, pixels: Points) -> tuple[Points, NDArray[np.int64]]:
-    """Board points (N, 2) that pixels (N, 2) show, NaN where light is lost, and through which balls (N,)."""
+    """Board points (N, 2) that pixels (N, 2) show, NaN where light is lost, and through which balls (N,).
+
+    Through ball k of B: digit 2 k + 1 to the base 2 B + 1, one more through its core, the first ball foremost.
+    """
     at, way = camera_rays(lab.camera, pixels)
     through, last = np.zeros(len(at), np.int64), np.full(len(at), -1)
     for _ in range(len(lab.balls)):
@@ -61,8 +66,9 @@ def shown_mm(lab: Lab, pixels: Points) -> tuple[Points, NDArray[np.int64]]:
         for number, ball in enumerate(lab.balls):
             here = (first == number) & np.isfinite(reach[number])
             if here.any():
-                at[here], way[here] = _crossed(ball, at[here] + reach[number, here, None] * way[here], way[here])
-                through[here] = through[here] * (len(lab.balls) + 1) + number + 1
+                entry = at[here] + reach[number, here, None] * way[here]
+                at[here], way[here], filled = _crossed(ball, entry, way[here])
+                through[here] = through[here] * (2 * len(lab.balls) + 1) + 2 * number + 1 + filled
                 last[here] = number
     a, b, c = lab.bend_per_mm
     point = at
@@ -119,12 +125,24 @@ def _entry(ball: Ball, at: Points, way: Points) -> Points:
     return np.where(np.isfinite(reach) & (along > 0.0), reach, np.inf)
 
 
-def _crossed(ball: Ball, entry: Points, way: Points) -> tuple[Points, Points]:
-    """Where rays that enter a ball leave it, and whereto; NaN where they do not."""
-    inside = _refracted(way, _excess(ball, entry)[1], 1.0 / ball.n)
-    chord = 2.0 * np.sum((np.array(ball.centre_mm) - entry) * inside, axis=1)
-    leave = entry + _root(ball, entry, inside, chord)[:, None] * inside
-    return leave, _refracted(inside, -_excess(ball, leave)[1], ball.n)
+def _crossed(ball: Ball, entry: Points, way: Points) -> tuple[Points, Points, NDArray[np.bool_]]:
+    """Where rays that enter a ball leave it, and whereto, NaN where they do not; which (N,) cross its core."""
+    at, inside = entry, _refracted(way, _excess(ball, entry)[1], 1.0 / ball.n)
+    filled = np.zeros(len(at), np.bool_)
+    if ball.core is not None:
+        radius, n = ball.core
+        core = Ball(ball.centre_mm, radius, n / ball.n)
+        reach = _entry(core, at, inside)
+        filled = np.isfinite(reach)
+        through = at[filled] + reach[filled, None] * inside[filled]
+        at, inside = at.copy(), inside.copy()
+        at[filled], inside[filled], _ = _crossed(core, through, inside[filled])
+    chord = 2.0 * np.sum((np.array(ball.centre_mm) - at) * inside, axis=1)
+    if ball.core is not None:  # from within: the far root of the sphere
+        away = at - np.array(ball.centre_mm)
+        chord = 0.5 * chord + np.sqrt(0.25 * chord**2 - np.sum(away**2, axis=1) + ball.radius_mm**2)
+    leave = at + _root(ball, at, inside, chord)[:, None] * inside
+    return leave, _refracted(inside, -_excess(ball, leave)[1], ball.n), filled
 
 
 def _refracted(way: Points, normal: Points, ratio: float) -> Points:
