@@ -48,6 +48,7 @@ from correction.fit.unknowns import Unknowns, unknowns_of
 from correction.fit.unlisted import unlisted_parts
 from correction.fit.verdict import PRIOR_LIMIT
 from tracer.branches import branch_of
+from tracer.camera import Vector3
 from tracer.fit_section import FitTable
 from tracer.light import Light
 from tracer.scene import Scene
@@ -57,6 +58,7 @@ WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare tar
 FEWEST = 12  # corners behind glass from which a fit may begin
 ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
 FOLLOW = 1.0
+BESIDE = 0.8  # squares: rims are seen to a few tenths of one
 DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
 HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
 LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of it may be in each
@@ -189,8 +191,16 @@ class _Fit:
         sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
         place = {name[:-2]: size for name, size in sigma.items() if name.endswith(".x")}
         paired = {way: fit.paired(way) for way in fit.expected}
-        lost = unconfirmed_ways(fit.scene, fit.expected, paired, place)
+        lost = unconfirmed_ways(fit.scene, fit.expected, paired, place, self.rims_elsewhere(fit.scene))
         return replace(fit, verdict=replace(fit.verdict, unlisted=unlisted, unconfirmed=lost))
+
+    def rims_elsewhere(self, scene: Scene) -> dict[str, Vector3]:
+        """Balls of a scene that do not stand where their own rims are seen, with their centres there."""
+        if self.outlines is None:
+            return {}
+        beside = self.outlines.beside(scene, BESIDE * self.board.square_mm).tolist()
+        places = zip(self.outlines.names, self.outlines.place_mm.tolist(), beside, strict=True)
+        return {name: (x, y, z) for name, (x, y, z), is_beside in places if is_beside}
 
     def blamed(self, reason: str) -> str:
         """Say what the rims of the balls show, then the reason of a failure."""
@@ -404,7 +414,8 @@ class _Fit:
         Where only some of them could be measured they move it, and the others are found from there: a place is
         measured again while that moves it, but not back to where it was believed, which is where no corner does.
         A place that makes the corners of others fit worse, or loses another sphere, is not its place, nor is one
-        whose own corners do not fit as well as those: three numbers please three wrong corners, but not quite.
+        beside the rim that is seen of it, nor one whose own corners do not fit as well as those: three numbers
+        please three wrong corners, but not quite.
         """
         name, before, behind = self.unknowns.scene.spheres[number].name, self.full, self.behind
         scales, before_px, lost = dict(self.fits.scales), self.off_px(number)[1], set(self.lost())
@@ -419,7 +430,8 @@ class _Fit:
                 if number not in still:
                     own_px, others_px = self.off_px(number)
                     alike = own_px <= OWN_WORSE * max(others_px, FLOOR_PX)
-                    if still < lost and alike and others_px <= WORSE * before_px:
+                    elsewhere = name in self.rims_elsewhere(legal_scene(self.unknowns, self.full)[0])
+                    if still < lost and alike and others_px <= WORSE * before_px and not elsewhere:
                         return
                     break
                 stands = self.full[centre]

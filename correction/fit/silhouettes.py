@@ -52,8 +52,10 @@ class Outlines:
     ----------
     names : tuple of str
         Of the balls.
+    place_mm : (B, 3) float64
+        Centres where the outlines show them.
     move_mm : (B, 3) float64
-        From where the scene puts them to where the outlines show them.
+        From where the scene puts them to there.
     sigma_mm : (B, 3) float64
         Standard deviation of it.
     own_rim : (B,) bool
@@ -63,6 +65,7 @@ class Outlines:
     """
 
     names: tuple[str, ...]
+    place_mm: NDArray[np.float64]
     move_mm: NDArray[np.float64]
     sigma_mm: NDArray[np.float64]
     own_rim: NDArray[np.bool_]
@@ -77,6 +80,15 @@ class Outlines:
         """Balls (B,) with a rim of their own that stand beside their place by more than chance, and than that."""
         spread = np.hypot(self.sigma_mm[:, 0], self.sigma_mm[:, 1])
         return np.asarray(self.own_rim & (self.sideways_mm > np.maximum(least_mm, SURE * spread)))
+
+    def beside(self, scene: Scene, least_mm: float) -> NDArray[np.bool_]:
+        """Balls (B,) of a scene that stand beside their own rims by more than chance, and than that."""
+        centre, eye = scene.sphere_table()[:, :3], np.array(scene.camera.position_mm)
+        towards = (centre - eye) / np.linalg.norm(centre - eye, axis=1)[:, None]
+        off = self.place_mm - centre
+        aside = off - np.sum(off * towards, axis=1)[:, None] * towards  # of depth an outline tells little
+        spread = np.hypot(self.sigma_mm[:, 0], self.sigma_mm[:, 1])
+        return np.asarray(self.own_rim & (np.linalg.norm(aside, axis=1) > np.maximum(least_mm, SURE * spread)))
 
     def in_words(self, least_mm: float) -> str:
         """Say which balls stand beside their places, which way and how far; empty if none does."""
@@ -186,7 +198,8 @@ def outlines_of(
     first = np.bincount(foremost[near], minlength=count)
     own = (first >= ENOUGH) & (first >= OWN * np.count_nonzero(np.abs(inside) < NEAR_RIM * square, axis=0))
     right = float(np.mean((inside.max(axis=1) > 0.0) == hidden))
-    return Outlines(tuple(sphere.name for sphere in scene.spheres), move, sigma, own, right)
+    names = tuple(sphere.name for sphere in scene.spheres)
+    return Outlines(names, table[:, :3] + move, move, sigma, own, right)
 
 
 def seen_outlines(

@@ -95,6 +95,17 @@ def test_a_ball_held_in_the_fit_section_is_not_asked() -> None:
     assert not unconfirmed_ways(SCENE, {"a": 60, "b": 3}, {"a": 60}, {"a": 0.1})
 
 
+def test_few_corners_do_not_confirm_a_ball_whose_rim_is_seen_elsewhere() -> None:
+    """Three corners please three numbers anywhere; sixty do not."""
+    expected, rims = {"a": 65, "b": 3}, {"a": (0.0, 0.0, 20.0), "b": (1.0, 3.0, 20.0)}
+    (ball,) = unconfirmed_ways(SCENE, expected, {"a": 60, "b": 3}, PLACE_MM, rims)
+    assert (ball.name, ball.is_ball) == ("b", True)
+    assert "does not stand where its rim is seen, and no more than 3 corners" in str(ball)
+    x, y = SCENE.camera.project(np.array([1.0, 12.8, 20.0]))  # of the rim alone
+    assert [bool(p.within((252, 252))[round(float(y)), round(float(x))]) for p in ball.masked[:2]] == [False, True]
+    assert not unconfirmed_ways(SCENE, expected, {"a": 60, "b": 3}, PLACE_MM)
+
+
 def test_a_lost_ball_is_masked_with_all_around_it() -> None:
     (ball,) = fitted(a=(60, 65), c=(58, 60), b=(3, 12)).verdict.unconfirmed
     scene = replace(SCENE, masked=ball.masked)

@@ -87,6 +87,16 @@ def test_what_is_off_is_said_and_what_is_not_is_not():
     assert "sphere1" not in alone.in_words(1.0)
 
 
+def test_a_ball_stands_beside_its_rim_if_it_is_moved_sideways_and_not_if_it_is_moved_in_depth():
+    truth = at_size(named_scene("pair_off_axis"), 504)
+    moved = told(truth, np.array([[0.0, 0.0, 0.0], [0.0, 3.7, 0.0]]))
+    outlines, _ = found(truth, moved, 1)
+    least_mm = 0.8 * SQUARE_MM
+    assert outlines.beside(moved, least_mm).tolist() == [False, True]
+    assert not outlines.beside(truth, least_mm).any()
+    assert not outlines.beside(told(truth, np.array([[0.0, 0.0, 3.0]] * 2)), least_mm).any()
+
+
 def test_a_ball_behind_another_goes_with_it():
     truth = at_size(named_scene("three_spheres_500"), 504)
     outlines, _ = found(truth, told(truth, np.array([[2.0, 3.0, 0.0]] * 3)), 2)
