@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from correction.board import Chessboard
-from correction.fit.map_sigma import sigma_at
 from correction.fit.measurement import TargetFrame
 from correction.fit.result import SceneFit
 from correction.fit.scene_fit import fit_scene
-from correction.grid import grid_of
 from sim.demo.scenes import at_size, misaligned, named_scene
 from sim.prints.patterns import Chessboard as Print
 from sim.renderer.sensor import SILENT, Sensor
@@ -74,8 +72,8 @@ def judged(fault: str, seed: int) -> tuple[SceneFit, np.ndarray, np.ndarray]:
         photographed(Lab(truth.camera, balls if glass else (), bend), glass, sensor) for glass in (False, True)
     ]
     fit = fit_scene(nominal, frames, Chessboard(SQUARE_MM, 0.4 * SQUARE_MM))
-    pixels, error = map_error(fit, truth, Lab(truth.camera, balls), np.random.default_rng(0))
-    return fit, error, sigma_at(fit, pixels, True) / grid_of(truth.camera).pitch_mm
+    _, error, sigma = map_error(fit, truth, Lab(truth.camera, balls), np.random.default_rng(0), behind=True)
+    return fit, error, sigma
 
 
 @pytest.mark.slow
