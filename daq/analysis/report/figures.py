@@ -25,6 +25,7 @@ from daq.analysis.pictures.plane_axes import (
     draw_outlines,
     plane_panels,
 )
+from ground.plain_words import counted
 from tracer.scene import Scene
 
 ARROWS = 30  # drawn along the longer side, at most
@@ -100,7 +101,8 @@ def draw_arrows(axes: Axes, place: Floats, shift: Floats, cell_mm: float, colour
         edgecolor="white", linewidth=0.3,
     )  # fmt: skip
     if cut.any():
-        said = f"{int(cut.sum())} arrows are longer than drawn, up to {length.max() / longest:.3g} times the usual"
+        many = counted(int(cut.sum()), "arrow")
+        said = f"{many} longer than drawn, up to {length.max() / longest:.3g} times the usual"
         axes.set_title(said, fontsize=8, color=CUT, loc="right")
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from correction.evaluate.regions import Region, Regions
 from daq.acquisition.runs.run_folder import RunFolder
 from daq.acquisition.runs.run_views import is_run
-from daq.analysis.digits import with_sigma
+from daq.analysis.digits import two_digits, with_sigma
 from daq.analysis.report.calibration import calibration_chapter
 from daq.analysis.report.figures import vector_figure
 from daq.analysis.report.flow import corrector_of_mean, flow_chapters, regions_of_mean
@@ -117,8 +117,8 @@ def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str]
              ("dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s))  # fmt: skip
     rows: list[tuple[str, ...]] = []
     for what, part in (*asked, ("total", mean.total_sigma_m_s)):
-        size = np.nan if part is None else of_it(part)
-        numbers = (f"{size:.2g}", f"{size * mean.px_per_m_s:.2g}") if np.isfinite(size) else ("not known", "")
+        sizes = () if part is None else (of_it(part), of_it(part) * mean.px_per_m_s)
+        numbers = [two_digits(size) for size in sizes if np.isfinite(size)] or ["not known", ""]
         rows.append((what, *numbers))
     said = f"highest mean velocity {name}, one vector of {int(where.sum())} there, and its standard uncertainty"
     return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} m/s", said, head, rows

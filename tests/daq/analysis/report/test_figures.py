@@ -48,7 +48,7 @@ def test_an_outlier_among_the_drawn_arrows_is_named():
     figure = drawn([(1, 1)])
     _, lengths = arrows(figure)
     assert lengths.max() == pytest.approx(REACH * np.median(lengths), rel=1e-6)
-    assert figure.axes[0].get_title(loc="right").startswith("1 arrows are longer than drawn")
+    assert figure.axes[0].get_title(loc="right").startswith("1 arrow longer than drawn")
 
 
 def test_arrows_are_dark_on_a_ground_that_never_is():
