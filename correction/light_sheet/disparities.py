@@ -99,7 +99,8 @@ class Disparities:
         Height of the particles over the plane of the map, and its standard deviation.
     common_mm : (C, Q) float64
         Errors of the heights that cells share, one standard deviation a column: what the model of bend and fading
-        makes of each kind, and what the scene is unsure of.
+        makes of each kind, what depth of the sheet and size of pictures that are told too large make of all, and
+        what the scene is unsure of.
     across_px, across_sigma_px : (C,) float64
         Disparity across D [corrected px].
     width_px : (C,) float64
@@ -219,12 +220,18 @@ def _measured(
     spread2 = _common(kinds, SPREAD, USUAL_SPREAD2)
     kinds = _with(kinds, SPREAD, spread2[0], [HEIGHT, SHIFT])
     parallax, across = (np.bincount(cell, part) / places for part in (views.parallax, units_of[:, 1] / UNIT))
-    common = np.zeros((len(places), 2 * len(kinds)))
+    common = np.zeros((len(places), 2 * len(kinds) + 2))
+    unsure = [
+        _with(kinds, number, sum(known), [HEIGHT, SHIFT]) for number, known in ((SPREAD, spread2), (SIZE, usual))
+    ]
     for number, (kind, (whole_model, summed, match)) in enumerate(kinds.items()):
         here = np.nonzero(kind_of == kind)[0]
         # Kinds are alike: what the model leaves of one, it leaves of all, and their number does not make it less.
         misfit = whole_model.left_out(summed, match, [HEIGHT, SHIFT])[1, 0] * np.sqrt(len(kinds))
         common[here, 2 * number + 1] = misfit
+        for column, others in enumerate(unsure, 2 * len(kinds)):
+            if kind in others:
+                common[here, column] = others[kind][2].values[HEIGHT] - match.values[HEIGHT]
         for one in here:
             whole = blocks[:, one].sum(axis=0)
             lags = models[one].offset(*match.values[[SPREAD, SIZE]]) * units[one, 0]

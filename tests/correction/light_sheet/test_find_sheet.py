@@ -46,6 +46,9 @@ def test_height_and_tilt_are_found_within_their_sigma(three):
     assert (np.abs(numbers(found.sheet) - TRUTH) < 3.5 * sigmas(found.sheet)).all()
     assert found.sheet.sigma_mm < 0.05
     assert found.sheet.tilt_sigma_deg < 0.15
+    depth, size = np.abs(found.cells.common_mm[:, 2 * len(np.unique(found.cells.kind)) :].T)
+    assert depth.max() > 1e-4  # what is not known of these two stays in the sigma, however many cells there are
+    assert size.max() > 1e-5
 
 
 @pytest.mark.parametrize("sigma", [1e-3, 0.0])
