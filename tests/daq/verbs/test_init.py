@@ -19,6 +19,8 @@ from daq.cli import DONE, USAGE, main
 from daq.starting_files.arrangement import centres_mm, rods_mm
 from daq.starting_files.lab import LENSES_MM, Lab
 from daq.starting_files.lab_scene import scene_of
+from daq.verbs.acquire import acquire
+from daq.verbs.calibrate import calibrate
 from daq.verbs.check import FileCheck, check
 from daq.verbs.init import FILES, QUESTIONS, init
 from ground.config import load_yaml
@@ -241,3 +243,25 @@ def traced_share(scene_file):
     scene = load_scene(scene_file)
     found = build_correction_map(scene, build_ray_map(scene))
     return through_glass(scene, found.grid, found.recovered).share
+
+
+BEDS = {"sc": 8, "hcp": 10, "bcc": 9}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("shape", BEDS)
+def test_beds_are_acquired_and_fitted_on_their_simulated_benches(shape, tmp_path, monkeypatch):
+    """Each packed bed once, from `init` to a fit: the model holds, and residuals are what their sigmas say."""
+    monkeypatch.chdir(tmp_path)
+    bed = {"arrangement": shape, "balls": BEDS[shape], "ball_mm": 20.0}
+    init(tmp_path, sensor_px=(640, 640), pixel_pitch_um=9.0, **bed)
+    run = acquire("plan-target.yaml", bench="bench.yaml", simulate=True, home=True)
+    fit = calibrate(run, out="fit", pictures=False)
+    assert fit.verdict.is_right
+    assert not fit.light.sentence  # the scene file of `init` says what lights its target
+    found = json.loads((tmp_path / "fit" / "calibration.json").read_text())
+    assert found["through_glass"] > 0.2
+    for way in found["model"]["ways"]:
+        assert 0.8 < way["rough_square"] < 1.4, way
+    assert found["map_sigma_px"]["behind glass"]["median"] < 0.02
