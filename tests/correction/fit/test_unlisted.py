@@ -12,9 +12,12 @@ from correction.fit.scene_fit import fit_scene
 from correction.fit.unlisted import unlisted_parts
 from correction.node_status import NodeStatus
 from sim.demo.scenes import at_size, misaligned, named_scene
+from sim.prints.patterns import Chessboard as Print
+from sim.renderer.render import Aperture, render
+from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import map_error_px, photograph
-from tracer.bodies import Body, Rod, Sphere
-from tracer.media import ConstantMedium
+from tracer.bodies import Body, Rod, Sphere, Tube, Window
+from tracer.media import MEDIA, ConstantMedium
 from tracer.ray_map import build_ray_map
 from tracer.scene import Scene
 from tracer.sensitivity import TargetPose
@@ -91,6 +94,44 @@ def test_a_board_at_another_height_is_compared_there():
     pose = TargetPose((0.0, 0.0, -10.0))
     image = photograph(lab(), True, -10.0, 5, SQUARE_MM).image
     assert not unlisted_parts(lab(), [("glass", image, pose)], BOARD, LATTICE)
+
+
+def right_lab(kind: str, seed: int) -> tuple[Scene, np.ndarray]:
+    """A scene as a fit would have it, hundredths of a millimetre off, and the frame of the target."""
+    glass, rng = MEDIA["N-BK7"], np.random.default_rng((33, seed))
+    nominal = at_size(named_scene("two_spheres_500"), 504)
+    balls, walls = [replace(ball, medium=glass) for ball in nominal.spheres], list[Body]()
+    if kind == "window":
+        walls = [
+            Window("wall", (0.0, 0.0, 170.0), (0.03, -0.02, 1.0), float(rng.uniform(4.0, 15.0)), 120.0, glass)
+        ]
+    elif kind == "tube":
+        walls = [Tube("wall", (0.0, -150.0, 0.0), (0.0, 150.0, 0.0), 50.0, float(rng.uniform(44.0, 47.0)), glass)]
+        balls = [
+            Sphere(name, (float(rng.uniform(-4.0, 4.0)), y, 20.5), 19.0, glass)
+            for name, y in (("low", -20.5), ("high", 20.5))
+        ]
+    truth = misaligned(nominal.with_bodies([*walls, *balls]), seed)
+    board = Print(SQUARE_MM, 0.4 * SQUARE_MM)
+    frames, aperture, samples = [truth], None, 3
+    if kind == "aperture":
+        aperture, samples = Aperture(60.0, float(rng.choice([8.0, 11.0, 16.0])), 500.0), 8
+    if kind == "coloured light":
+        frames = [replace(truth, wavelength_nm=nm) for nm in (480.0, 532.0, 600.0)]
+    image = sum(
+        render(one, board, Sensor(), samples=samples, seed=seed, aperture=aperture).astype(float) for one in frames
+    )
+    x, y, z = np.add(truth.camera.position_mm, rng.normal(0.0, 0.03, 3)).tolist()
+    return truth.with_camera(replace(truth.camera, position_mm=(x, y, z))), image
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("kind", ["window", "tube", "aperture", "coloured light"])
+def test_right_labs_of_other_kinds_mask_nothing(kind):
+    for seed in range(5):
+        scene, image = right_lab(kind, seed)
+        assert not unlisted_parts(scene, [("glass", image, TargetPose())], BOARD, LATTICE), seed
 
 
 @pytest.mark.slow
