@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.scene_sigma import SceneSigma
-from correction.light_sheet.disparities import MODELLED_TO
+from correction.light_sheet.disparities import MODELLED_TO, USUAL_SPREAD2
 from correction.light_sheet.double_views import AROUND, PARTICLE_PX2, DoubleViews, some_of_each
 from correction.light_sheet.layers import layers
 from correction.light_sheet.matched import SIZES, Model
@@ -29,7 +29,7 @@ from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
 from tracer.scene import Scene
 
 PAIRS, PER_PX, SPREAD_MM = 50, 0.03, 0.18  # usual ones; of particles in a sheet of 1 mm
-FOUND = 0.6, 3.7  # behind one to three balls, sheets drawn by another optics: 0.69 to 3.45
+FOUND = 0.6, 7.0  # sheets drawn by another optics: 0.7 to 5; 6.5 in discs before the focus of three balls
 TRACED_PLACES, DEPTH_MM = 40, 0.7  # places of a kind, heights to either side
 LITTLE_MM, LITTLE_DEG = 0.3 * UNMEASURED_MM, 0.3 * UNMEASURED_DEG
 
@@ -99,9 +99,10 @@ def sheet_forecast(
     """
     views = views.at(views.free(AROUND))
     kinds, kind = np.unique(views.kind, return_inverse=True)
-    shared = np.zeros((len(views.kind), len(kinds)))
-    for number, height_mm in enumerate(_bend_mm(scene, views, kind, len(kinds))):
+    shared = np.zeros((len(views.kind), len(kinds) + 1))
+    for number, (height_mm, deeper_mm) in enumerate(_bend_mm(scene, views, kind, len(kinds))):
         shared[kind == number, number] = MODELLED_TO * height_mm
+        shared[kind == number, -1] = deeper_mm - height_mm
     if sigma is not None and len(kinds):
         shared = np.column_stack((shared, scene_doubt(scene, views, kind, sigma)[kind]))
     design = np.column_stack((np.ones(len(views.kind)), views.place_mm, shared))
@@ -118,8 +119,11 @@ def sheet_forecast(
     return SheetForecast(views.area_mm2, float(unsure[0]), float(np.rad2deg(unsure[1:].max())))
 
 
-def _bend_mm(scene: Scene, views: DoubleViews, kind: NDArray[np.int64], kinds: int) -> list[float]:
-    """What bend and fading make of the height of a sheet at z = 0, of each kind, by some of its places."""
+def _bend_mm(scene: Scene, views: DoubleViews, kind: NDArray[np.int64], kinds: int) -> list[tuple[float, float]]:
+    """What bend and fading make of the height of a sheet at z = 0, of each kind, by some of its places.
+
+    Also of one that is deeper by what is not known of its depth.
+    """
     if not kinds:
         return []
     some = some_of_each(kind, TRACED_PLACES)
@@ -130,5 +134,7 @@ def _bend_mm(scene: Scene, views: DoubleViews, kind: NDArray[np.int64], kinds: i
     for number in range(kinds):
         model, here = Model(bells.height_mm, planes[number], planes[number]), kind[some] == number
         lag_mm = float(np.median(units[here, 0] * views.pitch_mm / seen.parallax[here]))
-        out.append(model.offset(SPREAD_MM**2, 0.0) * lag_mm)
+        depths = SPREAD_MM**2, SPREAD_MM**2 + USUAL_SPREAD2[1]
+        first, second = (model.offset(depth, 0.0) * lag_mm for depth in depths)
+        out.append((first, second))
     return out
