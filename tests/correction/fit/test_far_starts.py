@@ -1,4 +1,4 @@
-"""Balls told up to 5 mm beside their places, all together or one alone: found, or refused by name, never wrong."""
+"""Balls told up to 5 mm beside their places, all or one: found, or refused or masked by name, never wrong."""
 
 import os
 from dataclasses import replace
@@ -53,13 +53,16 @@ def test_balls_told_far_beside_their_places_are_found_or_refused_by_name(name, s
             continue
         sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
         said = " ".join(weakness.sentence for weakness in weaknesses(fit))
+        masked = [one.name for one in fit.verdict.unconfirmed if one.is_ball]
         for found, true in zip(fit.scene.spheres, made.truth.spheres, strict=True):
             if f"no corner is seen through {found.name}: its place is what the scene file says" in said:
                 continue  # the frames cannot tell, and nothing is drawn through it
+            if found.name in masked:  # by name
+                continue
             off = np.abs(np.subtract(found.centre_mm, true.centre_mm))
             known = np.array([sigma[f"{found.name}.{axis}"] for axis in "xyz"])
             assert np.all(off < 0.03 + 4.0 * known), (number, found.name, off, known)
-        right += 1
+        right += not masked
     print(f"{name}: {right} of {STARTS} right, refused: {refused}")
     assert all("seen" in words or "sigma" in words or "corners through" in words for words in refused)
     assert right >= 0.8 * STARTS
