@@ -171,6 +171,8 @@ def _said(path: Path, kind: str, benches: Sequence[Path]) -> tuple[str, list[str
 
 def _through(scene: Scene) -> str:
     """How much is seen through glass, and what would show more where that is little."""
+    if not scene.bodies:
+        return ""
     from daq.analysis.through_glass import coarse_map, through_glass  # compiled: who checks a plan does not wait
     from daq.analysis.views.arranged import little
 

@@ -47,12 +47,14 @@ def test_help_waits_for_nothing_that_draws():
 @pytest.mark.parametrize(
     ("words", "not_needed"),
     [
-        (["check", "scene.yaml"], DRAWN | TRACED | SOLVED | OTHERS),
+        (["check", "bare.yaml"], DRAWN | TRACED | SOLVED | OTHERS),
+        (["check", "scene.yaml"], DRAWN | SOLVED | OTHERS),
         (["correct", "frame.tif", "--scene", "scene.yaml", "--no-pictures"], DRAWN | SOLVED | OTHERS),
     ],
 )
 def test_a_command_imports_what_it_runs(tmp_path, monkeypatch, words, not_needed):
     (tmp_path / "scene.yaml").write_text(SMALL)
+    (tmp_path / "bare.yaml").write_text(SMALL.partition("bodies")[0])
     tifffile.imwrite(tmp_path / "frame.tif", np.full((96, 96), 100, np.uint16))
     monkeypatch.chdir(tmp_path)
     loaded = _loaded("from daq.cli import main; assert main(sys.argv[1:]) == 0", *words)

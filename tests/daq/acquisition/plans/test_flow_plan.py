@@ -97,7 +97,7 @@ def test_another_dt_is_another_plan(tmp_path):
     ({"pairs": "{shape: straddling, marker: line_status, line: 2, dead_us: 2.0, second_exposure_us: 100.0}"},
      "have one exposure"),
     ({"pairs": "{shape: straddling, marker: line_status, line: 2, dead_us: 2.0}"}, "wire channel camera_b"),
-    ({"laser": LASER.replace("marker: F", "marker: F, camera_b: G")}, "camera_b would trigger exposures"),
+    ({"laser": LASER.replace("marker: F", "marker: F, camera_b: G")}, "camera_b would trigger unwanted exposures"),
     ({"pairs": "{shape: burst, marker: spacing, dead_us: 49800.0}",
       "plan": PLAN.replace("80.0", "49900.0")}, "does not tell A from B"),
 ])  # fmt: skip
