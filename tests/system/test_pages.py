@@ -42,8 +42,8 @@ MADE = {  # what must be there after a command, as its page says
     "sheet": ("sheet/scene.yaml", "sheet/sheet.png"),  # "where the light sheet is"
     "campaign run": ("week/campaign.json",),
     "correct": ("corrected/*.tif",),
-    "export shift/vectors.nc": ("shift/*vt*",),  # "to paraview"
-    "export fit/scene.yaml": ("fit/*.tif*",),
+    "export shift/vectors.nc": ("exported*/vectors.vt*",),  # "to paraview"
+    "export fit/scene.yaml": ("exported*/*.tif*",),
     "align": ("runs/*plan-align/done.json",),
 }
 SAID = {  # what must be said
