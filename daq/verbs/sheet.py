@@ -11,7 +11,7 @@ from daq.verbs.output import folder_for
 from daq.verbs.paths import Named, file_of, paths_of
 from daq.whole_text import copy_whole, write_json, write_text
 from ground.plain_words import counted
-from tracer.scene_file import dump_scene, load_scene
+from tracer.scene_file import dump_scene, load_priors, load_scene
 
 
 def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None) -> SheetFound:
@@ -52,7 +52,7 @@ def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None
         screen.print(f"the scene is taken to be exact: {sigma}")
     found = sheet_of(frames, None if isinstance(sigma, str) else sigma)
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet)))
+    write_text(folder / "scene.yaml", dump_scene(replace(fitted, sheet=found.sheet), load_priors(scene)))
     if scene.with_name(FIT_FILE).is_file():
         copy_whole(scene.with_name(FIT_FILE), folder / FIT_FILE)
     write_json(folder / "sheet.json", about_sheet(found, [str(path) for path in given]))

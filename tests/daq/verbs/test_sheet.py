@@ -13,8 +13,9 @@ from daq.analysis import light_sheet
 from daq.analysis.light_sheet import flow_frames
 from daq.verbs.sheet import sheet
 from tests.correction.light_sheet.particle_frames import camera, frames_of
+from tracer.fit_section import FitTable
 from tracer.light_sheet import LightSheet
-from tracer.scene_file import dump_scene, load_scene
+from tracer.scene_file import dump_scene, load_priors, load_scene
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flow")
     flow_camera = camera("three_spheres_500", 400, -0.25)
     known = replace(flow_camera.scene, sheet=LightSheet(0.1, sigma_mm=0.4))
-    (folder / "scene.yaml").write_text(dump_scene(known))
+    (folder / "scene.yaml").write_text(dump_scene(known, FitTable(n=0.004)))
     (folder / "fit.npz").write_bytes(b"a fit")
     paths = []
     for number, pair in enumerate(frames_of(flow_camera, 10)()):
@@ -44,6 +45,7 @@ def test_the_scene_that_is_written_has_the_sheet(lab, tmp_path, monkeypatch, cap
     before, after = (load_scene(where / "scene.yaml") for where in (folder, out))
     assert after.content_hash() == before.content_hash()
     assert after.sheet == found.sheet
+    assert load_priors(out / "scene.yaml") == FitTable(n=0.004)
     assert (out / "fit.npz").read_bytes() == b"a fit"
     assert (out / "sheet.png").stat().st_size > 10_000
     said = json.loads((out / "sheet.json").read_text())
