@@ -26,6 +26,7 @@ def pixels_of(folder):
 def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
     bench, plan = load(tmp_path, PLAN, camera=FILES_CAMERA)
     files, folders, seen = write_frames(tmp_path / "frames_in", 40), [], []
+    looks = threading.Event()
     corrections = Corrections(bench.scene) if is_corrected else None
     for is_shown in (False, True):
         folder = begin(Request(bench.path, plan.path), bench, plan, tmp_path / f"runs{is_shown}")
@@ -43,6 +44,7 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
                     found.send(json.dumps({"token": token}))
                     while not seen or not seen[-1].get("over"):
                         words = json.loads(found.recv(timeout=30.0))
+                        looks.set()
                         if not words.keys() & {"number", "over"}:
                             continue  # a sign of life
                         pictures = [found.recv(timeout=30.0) for _ in words.get("shown", ())]
@@ -52,6 +54,7 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
 
             viewer = threading.Thread(target=look)
             viewer.start()
+            assert looks.wait(30.0)
             with files_bench(bench, files) as hardware:
                 watching = shown.watching(lambda progress: None)
                 done = Runner(hardware, folder, plan.steps, corrections, watching, show=shown.show).run()
