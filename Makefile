@@ -8,7 +8,7 @@ STAMP := $(VENV)/.installed
 
 # Tests start hundreds of processes: what Python compiles of modules is kept.
 unexport PYTHONDONTWRITEBYTECODE
-# As the command sets it (daq/cli.py): small matrices shared by the cores of busy tests take several times as long.
+# As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
 .PHONY: demo test test-slow labs fuzz lamps sheets starts benchmark bench lint fast-tests compiled-rays compiled-pairs compiled-beds picture pins clean

@@ -25,10 +25,10 @@ from benchmarks.limits import limits, limits_of
 from benchmarks.picture import draw
 from benchmarks.race import Racer, race, start, stop
 from benchmarks.scenes import BENCH_LIKE, PAPER, bench_scene
-from correction.correction_map import build_correction_map
+from correction.maps.correction_map import build_correction_map
 from ground.rows import thread_count
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
 
 BEDS = ("bed 2", "bed 16", "bed 128", "bed 1000")
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from benchmarks.reference import Seen, follow_pixel
 from benchmarks.scenes import aimed_pixels
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 REGIONS = {"clear": 0.0, "centre": 0.9, "rim": 0.99, "last 1 %": 1.0}
 LEVEL = 0.05  # a ray within 3 degrees of level lands anywhere: its conditioning, not the tracer, decides

@@ -15,7 +15,7 @@ from mpmath import mpf
 from benchmarks.reference import Vector, along, dot, snell
 from tracer.bodies import Sphere
 from tracer.harmonics import TERMS
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 STEP = mpf(10) ** -17  # of difference quotients: what is left of the third order is 1e-34
 GOLDEN = (mpmath.sqrt(5) - 1) / 2

@@ -31,16 +31,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from benchmarks.series import written_run
-from correction.prepared import prepare
-from daq.analysis.campaign.books import read_books
-from daq.analysis.campaign.campaign_folder import CampaignFolder
-from daq.analysis.campaign.campaign_plan import ask_for, planned_runs
-from daq.analysis.campaign.dask_workers import DaskWorkers
-from daq.analysis.campaign.engine import Engine, LocalProcesses
-from daq.analysis.campaign.run_campaign import run_campaign
-from daq.analysis.campaign.slurm_arrays import SlurmArrays
-from daq.analysis.piv_file import piv_choice
-from daq.analysis.series.chunk import results_of
+from correction.fitted.prepared import prepare
+from rtpiv.analysis.campaign.books import read_books
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_plan import ask_for, planned_runs
+from rtpiv.analysis.campaign.dask_workers import DaskWorkers
+from rtpiv.analysis.campaign.engine import Engine, LocalProcesses
+from rtpiv.analysis.campaign.run_campaign import run_campaign
+from rtpiv.analysis.campaign.slurm_arrays import SlurmArrays
+from rtpiv.analysis.pairs.piv_file import piv_choice
+from rtpiv.analysis.series.chunk import results_of
 
 PROVENANCE = {"books.jsonl", ".lock", "kernels.zip", "slurm"}
 

@@ -30,12 +30,12 @@ from typing import Any
 
 Times = dict[str, list[float]]  # part -> seconds of wall clock, of processors
 PARTS = ("start", "import", "compile", "load", "work", "draw", "write", "children")
-DRAWS = ("daq.analysis.pictures.", "daq.analysis.report.")
+DRAWS = ("rtpiv.analysis.pictures.", "rtpiv.analysis.report.")
 WRITES = (
-    "correction.frame_file",
+    "piv.files.frame_file",
     "correction.evaluate.vector_file",
     "daq.whole_text",
-    "daq.analysis.report.pair_folder",
+    "rtpiv.analysis.report.pair_folder",
 )
 DRAWN = ("trace", "correct", "evaluate", "calibrate")
 TOLD = "RTPIV_TIMES"  # file in which a measured process leaves its times
@@ -153,7 +153,7 @@ def inside(arguments: list[str], began_s: float) -> int:
     builtins.__import__ = imported
     sys.meta_path.insert(0, _Finder(parts))
     try:
-        from daq.cli import main
+        from rtpiv.command_line.cli import main
 
         return main(arguments)
     finally:

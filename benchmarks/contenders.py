@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from benchmarks.formulas import plane_point
 from benchmarks.scenes import bench_scene
 from ground.rows import thread_count
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 Tasks = dict[str, Callable[[], Any]]
 
 
 def ours(scene: Scene) -> Tasks:
     """Ray map, correction map and corrector of this project; arrays of the map before are written again."""
-    from correction.correction_map import build_correction_map
-    from correction.corrector import Corrector
-    from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
-    from tracer.ray_map import build_ray_map
+    from correction.maps.correction_map import build_correction_map
+    from correction.maps.corrector import Corrector
+    from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
+    from tracer.strategies.ray_map import build_ray_map
 
     ray_map = build_ray_map(scene)
     cmap = build_correction_map(scene, ray_map)
@@ -54,10 +54,10 @@ def ours(scene: Scene) -> Tasks:
 def march(scene: Scene) -> Tasks:
     """Our tracer ray by ray, every body asked at every step."""
     from ground.rows import run_rows
-    from tracer.cells import NO_CELLS
     from tracer.kernels.maps import trace_rows
     from tracer.kernels.world import World
-    from tracer.trace import pack_camera
+    from tracer.strategies.cells import NO_CELLS
+    from tracer.strategies.trace import pack_camera
 
     height, width = scene.camera.shape
     plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)
@@ -78,8 +78,8 @@ def opencv(scene: Scene) -> Tasks:
     """The same frames through cv2.remap with float maps."""
     import cv2
 
-    from correction.correction_map import build_correction_map
-    from tracer.ray_map import build_ray_map
+    from correction.maps.correction_map import build_correction_map
+    from tracer.strategies.ray_map import build_ray_map
 
     cv2.setNumThreads(thread_count())
     cmap = build_correction_map(scene, build_ray_map(scene))
@@ -96,8 +96,8 @@ def scipy(scene: Scene) -> Tasks:
     """The same spline through scipy.ndimage, prefilter included."""
     from scipy import ndimage
 
-    from correction.correction_map import build_correction_map
-    from tracer.ray_map import build_ray_map
+    from correction.maps.correction_map import build_correction_map
+    from tracer.strategies.ray_map import build_ray_map
 
     cmap = build_correction_map(scene, build_ray_map(scene))
     frame = np.random.default_rng(1).integers(0, 4096, scene.camera.shape).astype(np.uint16)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from benchmarks.growth import core_ms, with_pixels
 from benchmarks.scenes import bed
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
 
 HALVINGS = 3  # of an icosahedron: 1280 triangles a ball
 CLEAR_MM = 1e-3  # float32 at half a metre knows 3e-5: a ray begins that far behind the surface it left

@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 
 from benchmarks.flow import DT_S, RATE_HZ, RIM_FROM, Case, _background, _correction
 from correction.evaluate.regions import Region, regions_of
-from correction.flow.ensemble import EnsembleSums
-from correction.flow.ensemble_field import ensemble_field, next_sweep
-from correction.flow.moments import Moments
-from correction.flow.sweep import sweep_with
 from correction.grid import PlaneGrid
-from correction.piv.pair import evaluate_pair
-from correction.piv.prepare import prepared
-from correction.piv.vector_field import VectorField, VectorFlag
-from correction.piv.windows import WindowGrid, window_grid
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.prepare import prepared
+from piv.correlation.vector_field import VectorField, VectorFlag
+from piv.correlation.windows import WindowGrid, window_grid
+from piv.statistics.ensemble import EnsembleSums
+from piv.statistics.ensemble_field import ensemble_field, next_sweep
+from piv.statistics.moments import Moments
+from piv.statistics.sweep import sweep_with
 
 Array = NDArray[Any]
 WINDOWS_PX = (32, 16, 8)

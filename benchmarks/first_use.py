@@ -1,4 +1,4 @@
-"""Write down which kernels each verb calls for a scene of balls: ``daq/first_use.json``.
+"""Write down which kernels each verb calls for a scene of balls: ``rtpiv/command_line/first_use.json``.
 
     python -m benchmarks.first_use FOLDER
 
@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 VERBS = {"trace": "trace", "correct": "correct", "evaluate": "evaluate", "calibrate": "calibrate"}
 RECORD = """
 import json, sys, time
-import daq.first_use
-from daq.cli import main
+import rtpiv.command_line.first_use
+from rtpiv.command_line.cli import main
 calls = []
 class Recorder:
     def __init__(self, verb):
@@ -30,7 +30,7 @@ class Recorder:
         if self.form is not None:
             calls.append((place, self.form, round(time.process_time() - self.since, 2)))
         self.form = None
-daq.first_use.FirstUse = Recorder
+rtpiv.command_line.first_use.FirstUse = Recorder
 code = main(sys.argv[2:])
 with open(sys.argv[1], "w") as told:
     json.dump(calls, told)

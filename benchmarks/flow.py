@@ -35,13 +35,13 @@ from scipy.stats import t as student
 
 from benchmarks.flow_truth import Judge, Seen
 from correction.evaluate.regions import regions_of
-from correction.flow.moments import Moments
-from correction.piv.pair import evaluate_pair
-from correction.piv.settings import PivSettings
-from correction.piv.vector_field import VectorField
-from correction.piv.windows import window_grid
-from correction.prepared import PreparedCorrection, PreparedCorrections
-from daq.analysis.series.workers import worker_processes
+from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.settings import PivSettings
+from piv.correlation.vector_field import VectorField
+from piv.correlation.windows import window_grid
+from piv.statistics.moments import Moments
+from rtpiv.analysis.series.workers import worker_processes
 from sim.demo.scenes import at_size, named_scene
 from sim.flow.fields import Flow
 from sim.flow.images import FlowCamera

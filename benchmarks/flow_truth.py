@@ -5,7 +5,7 @@ pulses light (`sim.flow.truth`):
 
     itself     at the node
     window     averaged over the window with the weights that both frames give it: what one correlation sees
-    response   filtered by what the passes of the evaluator make of waves (`correction.piv.response`, which tests
+    response   filtered by what the passes of the evaluator make of waves (`piv.correlation.response`, which tests
                hold to images of waves): more than a window shows, less than the flow
     seen       the same along slanted rays: a particle that leaves the plane at w seems to move within it by w
                times the slope of its ray, 0.3 at the rim of a ball; one camera cannot tell that from a flow
@@ -22,10 +22,10 @@ from numpy.polynomial.hermite import hermgauss
 from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
-from correction.piv.refine import window_weights
-from correction.piv.response import gain, response_at
-from correction.piv.settings import PivSettings
-from correction.piv.windows import WindowGrid
+from piv.correlation.refine import window_weights
+from piv.correlation.response import gain, response_at
+from piv.correlation.settings import PivSettings
+from piv.correlation.windows import WindowGrid
 from sim.flow.fields import Flow
 from sim.flow.particles import LightSheet
 

@@ -16,11 +16,11 @@ import time
 from pathlib import Path
 
 from benchmarks.commands import frames_of
-from correction.corrector import to_uint16
-from correction.frame_file import write_frame
-from correction.prepared import prepare
-from daq.acquisition.runs.acquired import read_acquired
-from tracer.scene_file import load_scene
+from correction.fitted.prepared import prepare
+from correction.maps.corrector import to_uint16
+from daq.runs.acquired import read_acquired
+from piv.files.frame_file import write_frame
+from tracer.scene.scene_file import load_scene
 
 Seconds = tuple[float, float]  # wall clock, processors
 

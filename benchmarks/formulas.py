@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 AnyArray = TypeVar("AnyArray")  # of NumPy, Dr.Jit, PyTorch or JAX
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scenes import bed
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
 
 REPEATS = 5
 THREAD_ROUNDS = 25

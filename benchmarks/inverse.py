@@ -13,10 +13,10 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.scenes import bench_scene
-from correction.correction_map import build_correction_map
+from correction.maps.correction_map import build_correction_map
 from ground.rows import thread_count
-from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
-from tracer.ray_map import build_ray_map
+from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
+from tracer.strategies.ray_map import build_ray_map
 
 
 def core_ms(task: Callable[[], object]) -> float:

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.scenes import PAPER, bench_scene
-from tracer.branches import DIRECT
-from tracer.scene import Scene
-from tracer.sensitivity import landings
-from tracer.trace import trace
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import DIRECT
+from tracer.strategies.sensitivity import landings
+from tracer.strategies.trace import trace
 
 CLOCKS: dict[str, Callable[[], float]] = {"core": time.process_time, "wall": time.perf_counter}
 

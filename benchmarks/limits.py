@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
 
 REPEATS = 15
 OPTIONS = {"nogil": True, "error_model": "numpy"}

@@ -27,22 +27,22 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks.processor_time import ProcessorTime
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.bench_table import Bench
-from daq.acquisition.plans.plan import load_plan
-from daq.acquisition.runner.progress import Progress
-from daq.acquisition.runner.session import Request, begin, carry_out
-from daq.acquisition.runs.run_folder import RunFolder
-from daq.cli import ONE_THREAD
+from daq.bench.bench_file import load_bench
+from daq.bench.bench_table import Bench
 from daq.errors import DaqError
-from daq.example_files import examples
 from daq.live.live_page import BYTES_PER_PX, LivePage
 from daq.live.run_shown import RunShown
-from daq.verbs.operator import ScriptOperator
+from daq.plans.plan import load_plan
+from daq.runner.progress import Progress
+from daq.runner.session import Request, begin, carry_out
+from daq.runs.run_folder import RunFolder
+from rtpiv.command_line.cli import ONE_THREAD
+from rtpiv.example_files import examples
+from rtpiv.verbs.operator import ScriptOperator
 from sim.bench_table import simulation_of
 from sim.demo.scenes import named_scene
-from sim.flow.prepared import prepare
-from sim.prints.patterns import printed_particles
+from sim.prepared_pairs import prepare
+from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from sim.true_scene import true_scene

@@ -16,9 +16,9 @@ Contenders = dict[str, tuple[str, str, str]]
 OWN = """
 import sys, time, json, numpy as np
 from functools import partial
-from correction.piv.live import live_vectors
-from correction.piv.pair import evaluate_pair
-from correction.piv.settings import PivSettings
+from piv.correlation.live import live_vectors
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.settings import PivSettings
 a, b, out, rounds, mode = np.load(sys.argv[1]), np.load(sys.argv[2]), sys.argv[3], int(sys.argv[4]), sys.argv[5]
 settings = {
     "": PivSettings(),

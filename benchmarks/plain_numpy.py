@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 
 def numpy_ray_map(scene: Scene, rows_per_block: int = 32) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from mpmath import mpf
 
 from tracer.camera import Camera
 from tracer.media import Medium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 mpmath.mp.dps = 50
 

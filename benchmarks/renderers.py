@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import thread_count
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 SAMPLE = 20_000  # pixels a round of a renderer that traces one ray at a time in Python
 

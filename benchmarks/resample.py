@@ -5,7 +5,7 @@
 Processor time of all threads [ms] a frame, median; wall clock beside it.  `region` corrects a window of the grid
 that is a quarter of its sides, a sixteenth of its nodes.  OpenCV's cubic is a 4 x 4 kernel that does not reproduce
 a ramp; SciPy's order 5 is the same spline as ours, on one thread.  Errors are measured in
-tests/correction/resample/test_sample.py.
+tests/piv/resampling/test_sample.py.
 """
 
 import argparse
@@ -19,11 +19,11 @@ import numpy as np
 from scipy import ndimage
 
 from benchmarks.scenes import bench_scene
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector, to_uint16
-from correction.resample.sample import Method, prefilter
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector, to_uint16
 from ground.rows import thread_count
-from tracer.ray_map import build_ray_map
+from piv.resampling.sample import Method, prefilter
+from tracer.strategies.ray_map import build_ray_map
 
 METHODS: tuple[Method, ...] = ("quintic", "bilinear")
 SLOW = ("SciPy order 5",)

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.piv_cases import of_the_tests
-from correction.flow.ensemble import EnsembleSums
-from correction.flow.ensemble_field import ensemble_field
-from correction.flow.moments import Moments
-from correction.flow.sweep import sweep_with
-from correction.piv.pair import evaluate_pair
-from correction.piv.prepare import prepared
-from correction.piv.windows import window_grid
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.prepare import prepared
+from piv.correlation.windows import window_grid
+from piv.statistics.ensemble import EnsembleSums
+from piv.statistics.ensemble_field import ensemble_field
+from piv.statistics.moments import Moments
+from piv.statistics.sweep import sweep_with
 
 Array = NDArray[Any]
 SIDE, RADIUS, MIDDLE, LAYER_PX, FROM = 256, 122.0, 127.5, 14.0, 0.75

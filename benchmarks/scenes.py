@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.example_files import examples
+from rtpiv.example_files import examples
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
-from tracer.scene_file import load_scene
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
 
 PAPER = (
     "one_sphere_250",

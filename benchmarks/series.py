@@ -25,16 +25,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.runs.journal import Journal
-from daq.acquisition.runs.pairs import pairs_of
-from daq.acquisition.runs.raw_frame import checksum, write_raw
-from daq.acquisition.runs.run_folder import RunFolder
-from daq.analysis.piv_file import piv_choice
-from daq.analysis.series.run_series import run_series
-from daq.analysis.series.series_input import series_input
-from daq.analysis.series.series_pairs import pairs_of_series
+from daq.runs.journal import Journal
+from daq.runs.pairs import pairs_of
+from daq.runs.raw_frame import checksum, write_raw
+from daq.runs.run_folder import RunFolder
+from rtpiv.analysis.pairs.piv_file import piv_choice
+from rtpiv.analysis.series.run_series import run_series
+from rtpiv.analysis.series.series_input import series_input
+from rtpiv.analysis.series.series_pairs import pairs_of_series
 from sim.demo.scenes import at_size, named_scene
-from tracer.scene_file import dump_scene
+from tracer.scene.scene_file import dump_scene
 
 DIFFERENT = 4  # pairs; what they hold does not matter for time and memory
 PER_PX, COUNTS, FLOOR, NOISE = 0.03, 300.0, 35.0, 3.0

@@ -14,7 +14,7 @@ from mpmath import mpf
 
 from benchmarks.reference import Vector, along, dot, snell
 from tracer.bodies import Body, Dome, Sphere, Tube, Window
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 HAIR = mpf(10) ** -25
 Where = Callable[[Vector], bool]

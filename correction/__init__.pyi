@@ -1,10 +1,8 @@
-from .board.chessboard import Chessboard as Chessboard
-from .correction_map import CorrectionMap as CorrectionMap
-from .correction_map import build_correction_map as build_correction_map
-from .corrector import Corrector as Corrector
-from .dewarp import fit_dewarp as fit_dewarp
 from .errors import CorrectionError as CorrectionError
-from .fit.measurement import TargetFrame as TargetFrame
 from .fit.scene_fit import fit_scene as fit_scene
-from .frame_file import read_frame as read_frame
-from .piv.pair import evaluate_pair as evaluate_pair
+from .fit.seen.measurement import TargetFrame as TargetFrame
+from .maps.correction_map import CorrectionMap as CorrectionMap
+from .maps.correction_map import build_correction_map as build_correction_map
+from .maps.corrector import Corrector as Corrector
+from .maps.dewarp import fit_dewarp as fit_dewarp
+from .target.chessboard import Chessboard as Chessboard

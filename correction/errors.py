@@ -1,36 +1,16 @@
-"""Errors of the correction and its evaluation; the command line prints them as one sentence.
+"""Errors of the correction and the fit; the command line prints them as one sentence.
 
 CorrectionError
-+-- FrameError       a frame cannot be used as it is: shape, kind of number, NaN where values are needed
-|   +-- FrameDamaged     its pixels are not those that its checksum was made from
-+-- PairError        two frames do not make a pair: different size, nothing valid, no texture
 +-- BoardError       the description of the target contradicts itself
 +-- TargetNotFound   a frame does not show the described target, or too little of it
 +-- MapUsageError    a correction map is asked for that cannot be (also a ValueError)
 +-- SheetError       the light sheet cannot be found in some frames
-+-- SeriesError      statistics of a series do not belong together, or a file of them is damaged
 +-- DewarpError      pairs of points do not determine the dewarp polynomial, or stored numbers are not one
 """
 
 
 class CorrectionError(Exception):
     """Root of everything this package raises on purpose."""
-
-
-class FrameError(CorrectionError):
-    """A frame is not a 2-D array of finite intensities; the message says what it is instead."""
-
-
-class FrameDamaged(FrameError):  # noqa: N818 - says what it is
-    """The pixels or the checksum of a frame are not what was written; restore the file from a copy."""
-
-
-class PairError(CorrectionError):
-    """Two frames cannot be evaluated as a pair; the message names the reason and the cure."""
-
-
-class SeriesError(CorrectionError):
-    """Statistics of a series cannot be added up or read; the message names what differs and the cure."""
 
 
 class SheetError(CorrectionError):

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
-from tracer.branches import Branch
 from tracer.masked import UNCONFIRMED, UNLISTED
-from tracer.ray_map import RayMap
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import Branch
+from tracer.strategies.ray_map import RayMap
 
 STATUS = {UNLISTED: NodeStatus.UNLISTED, UNCONFIRMED: NodeStatus.UNCONFIRMED}
 

@@ -1,10 +1,5 @@
-from .acquisition.bench.bench_file import load_bench as load_bench
-from .acquisition.bench.bench_session import open_session as open_session
-from .acquisition.bench.opened import open_bench as open_bench
+from .bench.bench_file import load_bench as load_bench
+from .bench.bench_session import open_session as open_session
+from .bench.keep_out import KeepOut as KeepOut
+from .bench.opened import open_bench as open_bench
 from .errors import DaqError as DaqError
-from .verbs.acquire import acquire as acquire
-from .verbs.calibrate import calibrate as calibrate
-from .verbs.correct import correct as correct
-from .verbs.evaluate import evaluate as evaluate
-from .verbs.mean import mean as mean
-from .verbs.resume import resume as resume

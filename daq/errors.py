@@ -88,7 +88,7 @@ class BenchLacks(DaqError):  # noqa: N818 - says what is the matter
     said : str
         The message.
     findings : sequence of (str, bool or None, str)
-        All that was looked at, as `daq.verbs.doctor` returns it.
+        All that was looked at, as `rtpiv.verbs.doctor` returns it.
     """
 
     def __init__(self, said: str, findings: Sequence[tuple[str, bool | None, str]]) -> None:

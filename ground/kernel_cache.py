@@ -25,8 +25,8 @@ from pathlib import Path
 import ground.compile_news as compile_news
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim")
-KERNEL_FOLDERS = ("kernels", "tracer/bodies", "sim/renderer", "sim/prints")
+PACKAGES = ("ground", "piv", "tracer", "correction", "stages", "daq", "sim", "rtpiv")
+KERNEL_FOLDERS = ("kernels", "tracer/bodies", "sim/renderer", "sim")
 REGISTERED = {"tracer/kernels/world.py": "tracer/bodies/*.py"}  # what is reached by type instead of by import
 ALWAYS = ("ground/jit.py", "ground/unowned.py")
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)

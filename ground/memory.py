@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ground.errors import MemoryShort
 
+MOST_PX = 1 << 28  # of a sensor or an image; the largest have half of that
 SHARE = 0.9  # of what is free; the rest is for everybody else
 ASKED_FROM_BYTES = 50_000_000  # less is not worth asking for
 _GROUP = Path("/sys/fs/cgroup")

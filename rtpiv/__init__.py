@@ -25,7 +25,7 @@ def _end_quietly(kind, error, trace) -> None:  # type: ignore[no-untyped-def]  #
     import os
 
     os.write(2, b"interrupted\n")
-    os._exit(4)  # daq.exit_codes.INTERRUPTED; nothing has begun
+    os._exit(4)  # rtpiv.command_line.exit_codes.INTERRUPTED; nothing has begun
 
 
 if sys.argv and sys.argv[0].replace("\\", "/").rpartition("/")[2] in ("rtpiv", "rtpiv.exe", "-m"):
@@ -39,16 +39,17 @@ from rtpiv import neighbours  # noqa: E402
 neighbours.make_room()
 
 _HOMES = {
-    "load_scene": "tracer.scene_file",
-    "trace": "daq.verbs.trace",
-    "acquire": "daq.verbs.acquire",
-    "calibrate": "daq.verbs.calibrate",
-    "correct": "daq.verbs.correct",
-    "evaluate": "daq.verbs.evaluate",
-    "mean": "daq.verbs.mean",
-    "report": "daq.verbs.report",
+    "load_scene": "tracer.scene.scene_file",
+    "trace": "rtpiv.verbs.trace",
+    "acquire": "rtpiv.verbs.acquire",
+    "calibrate": "rtpiv.verbs.calibrate",
+    "correct": "rtpiv.verbs.correct",
+    "evaluate": "rtpiv.verbs.evaluate",
+    "mean": "rtpiv.verbs.mean",
+    "report": "rtpiv.verbs.report",
 }
-_ROOTS = ("ground.errors:GroundError", "tracer.errors:TracerError", "correction.errors:CorrectionError",
+_ROOTS = ("ground.errors:GroundError", "tracer.errors:TracerError", "piv.errors:PivError",
+          "correction.errors:CorrectionError",
           "stages.errors:StageError", "daq.errors:DaqError")  # fmt: skip
 __all__ = [*_HOMES, "ERRORS"]
 

@@ -1,6 +1,6 @@
 """Our packages, and modules of the same names that a user has.
 
-The packages below are called ground, tracer, correction, stages, daq and sim.  A lab's folder may well hold a
+The packages below are called ground, piv, tracer, correction, stages, daq and sim.  A lab's folder may well hold a
 sim.py or a daq.py of its own, beside its script or in PYTHONPATH, and Python looks there first.  Neither must
 break the other (docs/adr/0020 weighs the ways).  So a name that both have becomes one module in which both live:
 
@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-PACKAGES = ("ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
+PACKAGES = ("ground", "piv", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
 HOME = Path(__file__).resolve().parents[1]
 
 

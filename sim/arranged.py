@@ -9,16 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.acquisition.bench.bench_table import Bench
-from daq.acquisition.plans.steps import Step
+from daq.bench.bench_table import Bench
 from daq.errors import PlanError
+from daq.plans.steps import Step
 from sim.bench_table import simulation_of
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
 from sim.true_scene import true_scene
 from tracer.bodies import shifted_by
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 
 def arranged(

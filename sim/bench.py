@@ -13,9 +13,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from daq.acquisition.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
-from daq.acquisition.bench.kinds import kind_of
-from daq.acquisition.plans.steps import Step
+from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection, Device
+from daq.bench.kinds import kind_of
+from daq.plans.steps import Step
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.errors import ConfigError, Problem
@@ -27,13 +27,13 @@ from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
-from sim.clock import PacedClock, ScaledClock
 from sim.light_wiring import connect
+from sim.mechanics.clock import PacedClock, ScaledClock
 from sim.stages import SimulatedStages
 from sim.world import FLOW, World
 from stages.config import StagesTable
 from tracer.errors import SceneError
-from tracer.scene_file import dump_scene
+from tracer.scene.scene_file import dump_scene
 
 SERIAL = "SIM-BENCH"
 STOOD = """# The true scene with every axis where the scene holds. Screws have play: where things truly stood for a

@@ -26,11 +26,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from daq.acquisition.bench.bench_table import Bench
+from daq.bench.bench_table import Bench
 from ground.config import Document, Table, validate
 from sim.camera.faults import FaultPlan
 from sim.flow.table import FlowTable
-from sim.prints.frame_truth import WIDTH_PX, height_px
+from sim.frame_truth import WIDTH_PX, height_px
 from sim.renderer.render import Aperture
 from sim.stages import ScrewTable
 from stages.config import Name

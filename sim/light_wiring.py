@@ -13,10 +13,10 @@ from collections import deque
 from daq.timing.pulses import Q_SWITCHES, Role
 from daq.timing.timing_table import TimingTable
 from sim.camera.wires import Wires
-from sim.clock import PacedClock, ScaledClock
-from sim.emulators.outputs import Pulse
-from sim.flow.lit import LitFlow
+from sim.lit_flow import LitFlow
+from sim.mechanics.clock import PacedClock, ScaledClock
 from sim.timing import SimulatedTiming
+from sim.timing_boxes.outputs import Pulse
 
 TRIGGER_LINE, MARKER_LINE = 1, 2
 LAG_S = 0.03  # more than an exposure lasts

@@ -23,7 +23,7 @@ from sim.emulators.foreign_box import ForeignBox
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
-from sim.motion import Mechanics, Motor
+from sim.mechanics.motion import Mechanics, Motor
 from sim.witness.witness import SLACK_MM, Watched, Witness
 from stages.config import Positive, StagesTable
 from stages.controller_tables import AnyControllerTable, MicroManagerTable, PositionersTable, PositionerTable

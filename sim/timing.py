@@ -18,10 +18,10 @@ from daq.timing.pulses import Role
 from daq.timing.timing_table import TimingTable
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
-from sim.emulators.outputs import Outputs, Pulse
-from sim.emulators.pivlab_synchroniser import OltSyncEmulator
-from sim.emulators.quantum_composers import QuantumComposersEmulator
-from sim.emulators.timing_units import emulator_of
+from sim.timing_boxes.outputs import Outputs, Pulse
+from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator
+from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
+from sim.timing_boxes.timing_units import emulator_of
 
 TICK_S = 0.001  # of the wall's clock, between two looks of the box at its own
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from daq.timing.timing_table import TimingTable
-from sim.clock import VirtualClock
 from sim.emulators.device import Clock
 from sim.emulators.protocol_sim import LINES
 from sim.emulators.pty import PtyPort
+from sim.mechanics.clock import VirtualClock
 from sim.timing import SimulatedTiming
 from sim.world import World
 

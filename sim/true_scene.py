@@ -1,9 +1,9 @@
 """What a simulated bench hides from whoever measures with it: the scene as it truly is."""
 
-from daq.acquisition.bench.bench_table import Bench
+from daq.bench.bench_table import Bench
 from sim.bench_table import SimulationTable
 from sim.demo.scenes import misaligned
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 
 def true_scene(bench: Bench, table: SimulationTable) -> Scene:

@@ -13,20 +13,20 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.bench.bench_table import Bench
+from daq.bench.bench_table import Bench
 from sim.arranged import arranged, sheet_mm
 from sim.bench_table import SimulationTable
 from sim.flow.images import FlowCamera
-from sim.flow.lit import LitFlow
-from sim.flow.prepared import PreparedPairs
-from sim.prints.frame_truth import WORLDS, FrameTruth, with_truth
-from sim.prints.patterns import Chessboard, ParticleSheet, placed, printed_particles
+from sim.frame_truth import WORLDS, FrameTruth, with_truth
+from sim.lit_flow import LitFlow
+from sim.prepared_pairs import PreparedPairs
+from sim.renderer.patterns import Chessboard, ParticleSheet, placed, printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
 from sim.true_scene import true_scene
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view
 KEPT_VIEWS = 4

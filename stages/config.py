@@ -43,7 +43,7 @@ from ground.plain_words import NAME_PATTERN
 from ground.usual import Usual
 from stages.axis_settings import AxisSettings
 from stages.controller_tables import AnyControllerTable, ForeignTable
-from stages.drivers import check_driver
+from stages.drivers_by_name import check_driver
 from stages.errors import StageUsageError
 from stages.profile import Approach
 

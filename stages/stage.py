@@ -20,7 +20,7 @@ from ground.named_program import require_trust
 from stages.axis import Arrival, Axis, Turn
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.config import StagesTable
-from stages.drivers import controller_class
+from stages.drivers_by_name import controller_class
 from stages.errors import DeviceLost, NotReferenced, StageError, StageUsageError, WrongDevice
 from stages.identities import require_identity
 from stages.motion_controller import Channel, MotionController
@@ -41,7 +41,7 @@ class Piece:
 
 
 class Guard(Protocol):
-    """Judges a way before it is driven; `stages.keep_out.KeepOut` is one."""
+    """Judges a way before it is driven; `daq.bench.keep_out.KeepOut` is one."""
 
     def check(self, way: Sequence[Piece]) -> None:
         """Raise `Obstructed` if the way must not be driven."""

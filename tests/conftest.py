@@ -18,9 +18,9 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from daq import first_use
-from sim.clock import VirtualClock
+from rtpiv.command_line import first_use
 from sim.emulators.protocol_sim import LINES
+from sim.mechanics.clock import VirtualClock
 from sim.witness.witness import LEDGER, Witness
 from stages.stage import Stage
 from stages.stop_latch import StopLatch
@@ -29,7 +29,7 @@ first_use.MOST_HELPERS = 0  # all cores have tests
 
 # Programs of other projects that bench files of tests name; what is asked of a person is tested with none of them.
 TRUSTED = (
-    "builtins:dict", "tests.daq.acquisition.bench.test_devices:LampKind",
+    "builtins:dict", "tests.daq.bench.test_devices:LampKind",
     "hangs:Hangs", "math:sqrt", "no.such.module:Camera", "no.such:Thing", "no_such_core:Core",
     "nowhere.at.all:Axis", "nowhere:Lamp", "ophyd.sim:SynAxis", "sim.camera.core:Untrue", "tests_demo_core:Core",
     "tests_own_axes:TimedAxis", "tests.system.test_mixed_bench:DemoBench",

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from correction.frame_file import read_frame
+from piv.files.frame_file import read_frame
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
-from tracer.scene_file import load_scene
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 FRAMES = ROOT.parent / "shared" / "frames"

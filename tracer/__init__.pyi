@@ -2,8 +2,8 @@ from .bodies import Rod as Rod
 from .bodies import Sphere as Sphere
 from .camera import Camera as Camera
 from .errors import TracerError as TracerError
-from .ray_map import RayMap as RayMap
-from .ray_map import build_ray_map as build_ray_map
-from .ray_path import ray_path as ray_path
-from .scene import Scene as Scene
-from .scene_file import load_scene as load_scene
+from .scene.scene import Scene as Scene
+from .scene.scene_file import load_scene as load_scene
+from .strategies.ray_map import RayMap as RayMap
+from .strategies.ray_map import build_ray_map as build_ray_map
+from .strategies.ray_path import ray_path as ray_path

@@ -29,7 +29,7 @@ class MaskedPart:
     outline_px : tuple of (float, float)
         Polygon u, v in the raw frame, three points or more; empty for `through`.
     through : tuple of str
-        Names of the bodies crossed, in order (``tracer.branches``); empty for an outline.
+        Names of the bodies crossed, in order (``tracer.strategies.branches``); empty for an outline.
 
     Raises
     ------

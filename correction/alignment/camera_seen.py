@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.alignment.rim import rim_of
-from correction.board import Chessboard
-from correction.board.board_origin import place_by_prediction
-from correction.board.board_search import corners_in_view
-from correction.board.corners import refine_corners
-from correction.board.lattice_growth import Patch, grow_patches
-from correction.board.saddles import Saddles, find_saddles
 from correction.errors import TargetNotFound
-from correction.fit.unknowns import unknowns_of
+from correction.fit.solve.unknowns import unknowns_of
+from correction.target import Chessboard
+from correction.target.board_origin import place_by_prediction
+from correction.target.board_search import corners_in_view
+from correction.target.corners import refine_corners
+from correction.target.lattice_growth import Patch, grow_patches
+from correction.target.saddles import Saddles, find_saddles
 from tracer.camera import Camera
-from tracer.fit_section import FitTable
-from tracer.scene import Scene
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
 
 CORNER_PX = 0.05  # standard deviation of a corner, most of it the same for neighbours
 ENOUGH = 500  # corners

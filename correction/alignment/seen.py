@@ -27,15 +27,15 @@ from correction.alignment.camera_seen import CameraSeen, coarse_saddles, find_ca
 from correction.alignment.errors import RimUnclear
 from correction.alignment.rim import rim_of
 from correction.alignment.spheres_seen import SphereSeen, find_spheres
-from correction.board import Chessboard
-from correction.board.board_search import SATURATED, corners_in_view
-from correction.board.corners import saturated_fraction
-from correction.errors import FrameError
-from correction.resample.sample import checked_frame
+from correction.target import Chessboard
+from correction.target.board_search import SATURATED, corners_in_view
+from correction.target.corners import saturated_fraction
+from piv.errors import FrameError
+from piv.resampling.sample import checked_frame
 from tracer.bodies import shifted_by
 from tracer.camera import Camera
-from tracer.fit_section import FitTable
-from tracer.scene import Scene
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
 
 REACH_MM = 2.2  # sideways, how far glass may be off
 OWN_MM = 0.1  # standard deviation of a sphere's place in the glass

@@ -41,8 +41,8 @@ from correction.alignment.rim_search import (
 )
 from tracer.bodies import Sphere
 from tracer.camera import Camera
-from tracer.fit_section import FitTable
-from tracer.scene import Scene
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
 
 BIAS = 0.25  # of the width of edges: standard deviation of where one is seen, all around a rim alike
 TOGETHER_PX = 8.0  # of a rim, within which crossings err together

@@ -11,10 +11,10 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import CorrectionMap
-from correction.piv.vector_field import VectorField
-from tracer.branches import last_sphere
-from tracer.scene import Scene
+from correction.maps.correction_map import CorrectionMap
+from piv.correlation.vector_field import VectorField
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import last_sphere
 
 MIDDLE = 0.75  # of the radius: where the paper quotes its accuracy behind glass
 

@@ -15,14 +15,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.correction_map import CorrectionMap
 from correction.evaluate.regions import Region, Regions
 from correction.evaluate.shift import Scatter, by_radius, scatter_of, shift_errors
 from correction.evaluate.velocity_route import PlaneVectors
 from correction.evaluate.verdicts import clearly_smaller, independent_share, smaller
-from correction.piv.vector_field import VectorField
-from tracer.branches import last_sphere
-from tracer.scene import Scene
+from correction.maps.correction_map import CorrectionMap
+from piv.correlation.vector_field import VectorField
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import last_sphere
 
 DIRECT = "seen directly"
 Rings = Mapping[tuple[float, float], Scatter]

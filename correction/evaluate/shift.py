@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.evaluate.regions import MIDDLE, Region, Regions
-from correction.piv.vector_field import VectorField
+from piv.correlation.vector_field import VectorField
 
 RINGS = tuple(np.round(np.arange(0.0, 1.375, 0.125), 3).tolist())
 

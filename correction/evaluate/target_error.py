@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.board import Chessboard
-from correction.board.corners import WINDOW, refine_corners
-from correction.corrector import Corrector
+from correction.maps.corrector import Corrector
+from correction.target import Chessboard
+from correction.target.corners import WINDOW, refine_corners
 from ground.short_repr import short_repr
 
 # A magnified view comes out so sharp that an edge along a pixel row leaves no pixel to measure it by; a

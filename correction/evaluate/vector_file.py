@@ -26,11 +26,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.evaluate.vector_map_sigma import VectorMapSigma
 from correction.evaluate.velocity_route import PlaneVectors
+from correction.fitted.vector_map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
-from correction.piv.vector_field import VectorField, VectorFlag
 from ground.whole_file import whole_file
+from piv.correlation.vector_field import VectorField, VectorFlag
 
 SCHEMA = 1
 PLACES = ("x", "y", "map_sigma_x", "map_sigma_y")

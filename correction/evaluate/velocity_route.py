@@ -8,7 +8,7 @@ displacements only; Minor et al. (2007) found terms missing in it.  Here neither
     plane displacement = X(u + d/2) - X(u - d/2),      plane position = midpoint of the two,
 
 is exact for any displacement and any glass (of a camera with a pupil, between the chief rays of what the ends
-show: `correction.aperture`).  The route keeps windows of constant size on the sensor: it
+show: `correction.maps.aperture`).  The route keeps windows of constant size on the sensor: it
 resolves more where the view is magnified and less where it shrinks, and never resamples the frames.
 """
 
@@ -18,17 +18,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.aperture import chief_pixels
-from correction.errors import PairError
+from correction.maps.aperture import chief_pixels
 from correction.masked import masked_pixels
-from correction.piv.outliers import outliers
-from correction.piv.pair import evaluate_pair
-from correction.piv.settings import PivSettings
-from correction.piv.vector_field import VectorField
-from tracer.ray_map import RayMap
-from tracer.scene import Scene
-from tracer.sensitivity import landings
-from tracer.trace import trace
+from piv.correlation.outliers import outliers
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.settings import PivSettings
+from piv.correlation.vector_field import VectorField
+from piv.errors import PairError
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import RayMap
+from tracer.strategies.sensitivity import landings
+from tracer.strategies.trace import trace
 
 LEAST_MAGNIFICATION = 0.5  # of the view, sensor px a corrected px: the limit of the correction map
 

@@ -12,16 +12,24 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.contact import largest_overlap_mm
-from correction.fit.correlation import with_correlation
-from correction.fit.held import doubted
-from correction.fit.measurement import MeasuredFrame, whitening
-from correction.fit.pixel_lock import NAMES as LOCK
-from correction.fit.pixel_lock import unlocked, with_lock, without_lock
-from correction.fit.result import FitStep, FittedCorners, SceneFit
-from correction.fit.room_contact import pushed_clear
-from correction.fit.shape_doubt import SIZES_MM, ShapeRoot, doubted_shapes, likely_scale, shape_parts, with_shapes
-from correction.fit.solver import (
+from correction.fit.judge.result import FitStep, FittedCorners, SceneFit
+from correction.fit.judge.verdict import judge_model
+from correction.fit.seen.measurement import MeasuredFrame, whitening
+from correction.fit.seen.pixel_lock import NAMES as LOCK
+from correction.fit.seen.pixel_lock import unlocked, with_lock, without_lock
+from correction.fit.solve.contact import largest_overlap_mm
+from correction.fit.solve.correlation import with_correlation
+from correction.fit.solve.held import doubted
+from correction.fit.solve.room_contact import pushed_clear
+from correction.fit.solve.shape_doubt import (
+    SIZES_MM,
+    ShapeRoot,
+    doubted_shapes,
+    likely_scale,
+    shape_parts,
+    with_shapes,
+)
+from correction.fit.solve.solver import (
     Corners,
     Residuals,
     Solution,
@@ -30,10 +38,9 @@ from correction.fit.solver import (
     normal_equations,
     residuals,
 )
-from correction.fit.unknowns import Unknowns
-from correction.fit.verdict import judge_model
-from tracer.scene import Scene
-from tracer.sensitivity import SPHERE
+from correction.fit.solve.unknowns import Unknowns
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import SPHERE
 
 KNEE = 3.0  # sigmas beyond which a corner weighs less and less
 OUTLIER = 5.0  # sigmas beyond which it weighs nothing

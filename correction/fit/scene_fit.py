@@ -17,18 +17,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.board import Chessboard
-from correction.board.board_search import SATURATED
-from correction.board.corners import saturated_fraction
-from correction.board.saddles import Saddles, find_saddles
-from correction.errors import FrameError
 from correction.fit.adjustment import Adjustment, legal_scene
-from correction.fit.board_pose import in_words, turn_of_bench, turned
-from correction.fit.candidates import Candidates, candidates_of
-from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
-from correction.fit.light import Rival, any_lamp, back_from_light, doubt_of, in_light
-from correction.fit.lost_sphere import likely_places, lost_spheres
-from correction.fit.measurement import (
+from correction.fit.judge.result import SHARE_LIMIT, FitStep, SceneFit, check, rms_limit_px
+from correction.fit.judge.suspects import CLEAR
+from correction.fit.judge.unconfirmed import unconfirmed_ways
+from correction.fit.judge.verdict import PRIOR_LIMIT
+from correction.fit.seen.candidates import Candidates, candidates_of
+from correction.fit.seen.lost_sphere import likely_places, lost_spheres
+from correction.fit.seen.measurement import (
     FLOOR_PX,
     MeasuredFrame,
     TargetFrame,
@@ -36,23 +32,27 @@ from correction.fit.measurement import (
     bare_frame_through_walls,
     glass_frame,
 )
-from correction.fit.pairing import pair
-from correction.fit.prediction import LEAST_SQUARE_PX, square_behind_px
-from correction.fit.result import SHARE_LIMIT, FitStep, SceneFit, check, rms_limit_px
-from correction.fit.silhouettes import Outlines, followed, seen_outlines
-from correction.fit.smear import Dispersion
-from correction.fit.solver import Solution
-from correction.fit.suspects import CLEAR
-from correction.fit.unconfirmed import unconfirmed_ways
-from correction.fit.unknowns import Unknowns, unknowns_of
-from correction.fit.unlisted import unlisted_parts
-from correction.fit.verdict import PRIOR_LIMIT
-from tracer.branches import branch_of
+from correction.fit.seen.pairing import pair
+from correction.fit.seen.prediction import LEAST_SQUARE_PX, square_behind_px
+from correction.fit.seen.silhouettes import Outlines, followed, seen_outlines
+from correction.fit.seen.smear import Dispersion
+from correction.fit.seen.unlisted import unlisted_parts
+from correction.fit.solve.board_pose import in_words, turn_of_bench, turned
+from correction.fit.solve.errors import FitFailed, GlassNotSeen, ViewsMissing
+from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
+from correction.fit.solve.solver import Solution
+from correction.fit.solve.unknowns import Unknowns, unknowns_of
+from correction.target import Chessboard
+from correction.target.board_search import SATURATED
+from correction.target.corners import saturated_fraction
+from correction.target.saddles import Saddles, find_saddles
+from piv.errors import FrameError
 from tracer.camera import Vector3
-from tracer.fit_section import FitTable
 from tracer.light import Light
-from tracer.scene import Scene
-from tracer.sensitivity import SPHERE
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import branch_of
+from tracer.strategies.sensitivity import SPHERE
 
 WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
 FEWEST = 12  # corners behind glass from which a fit may begin

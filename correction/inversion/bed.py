@@ -22,9 +22,9 @@ from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS
 from correction.inversion.kernels.starts import LANES, MEASURES
 from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts
 from ground.rows import run_parts
-from tracer.beds import Balls
 from tracer.kernels.lanes import Bundle
-from tracer.lockstep import block_scratch
+from tracer.strategies.beds import Balls
+from tracer.strategies.lockstep import block_scratch
 
 
 class Sought(NamedTuple):

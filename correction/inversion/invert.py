@@ -2,7 +2,7 @@
 
 What the scene masks (``tracer.masked``) is no view: the next best of a node takes its place.
 
-See ``correction.correction_map`` for what is sought and ``docs/adr/0002-inverse-by-sheets.md`` for why it is
+See ``correction.maps.correction_map`` for what is sought and ``docs/adr/0002-inverse-by-sheets.md`` for why it is
 sought this way.  The direct view comes first, in closed form, or with one unknown a node through a window; then
 every sheet, those with few events first.
 
@@ -30,18 +30,18 @@ from correction.inversion.kernels.views import NodeScratch, solve_nodes
 from correction.inversion.sheets import Sheet, Sheets, Starts
 from correction.masked import masked_branches, masked_pixels
 from ground.rows import run_parts, run_rows
-from tracer.beds import Balls, fits_bed_behind
-from tracer.branches import chain_trip, event_numbers, key_of
-from tracer.cells import world_of
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.chain import BALL
 from tracer.kernels.sphere import OPAQUE
 from tracer.kernels.window import BEHIND, GLASS
-from tracer.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
-from tracer.ray_map import RayMap
-from tracer.scene import Scene
-from tracer.trace import pack_camera
-from tracer.windows_in_front import NO_WINDOWS, usual_windows, windows_in_front
+from tracer.scene.scene import Scene
+from tracer.strategies.beds import Balls, fits_bed_behind
+from tracer.strategies.branches import chain_trip, event_numbers, key_of
+from tracer.strategies.cells import world_of
+from tracer.strategies.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
+from tracer.strategies.ray_map import RayMap
+from tracer.strategies.trace import pack_camera
+from tracer.strategies.windows_in_front import NO_WINDOWS, usual_windows, windows_in_front
 
 NO_BALLS = np.empty((0, BALL))
 

@@ -18,8 +18,8 @@ from correction.inversion.kernels.newton import NEWTON_NUMBERS
 from correction.inversion.kernels.sheets import RUN, count_useful, flag_edges, flag_rows, join_runs, list_runs
 from correction.inversion.kernels.starts import DONE, ENOUGH_NODES, LANES, MEASURES, TILING, scatter_sheet
 from ground.rows import run_rows
-from tracer.branches import lengths_of
-from tracer.ray_map import RayMap
+from tracer.strategies.branches import lengths_of
+from tracer.strategies.ray_map import RayMap
 
 Starts = tuple[NDArray[np.float64], NDArray[np.int32]]  # (N, 4) and (N, 2), see `scatter_sheet`
 LAST_STAMP = np.iinfo(np.uint8).max

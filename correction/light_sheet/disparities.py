@@ -24,7 +24,7 @@ from correction.light_sheet.kernels.lagged import add_products
 from correction.light_sheet.layers import layers
 from correction.light_sheet.matched import SIZES, Match, Model
 from ground.rows import thread_count
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 Pair = tuple[NDArray[np.float32], NDArray[np.float32]]
 Pairs = Callable[[], Iterator[Pair]]  # the same pairs of raw frames (H, W), whenever it is called

@@ -19,14 +19,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import MAX_MAGNIFICATION, CorrectionMap, build_correction_map
 from correction.grid import PlaneGrid, grid_of
-from tracer.blur import pupil_views
-from tracer.branches import Branch
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene import Scene
-from tracer.sensitivity import TARGET, landings
-from tracer.trace import trace
+from correction.maps.correction_map import MAX_MAGNIFICATION, CorrectionMap, build_correction_map
+from tracer.scene.scene import Scene
+from tracer.strategies.blur import pupil_views
+from tracer.strategies.branches import Branch
+from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.sensitivity import TARGET, landings
+from tracer.strategies.trace import trace
 
 Kind = tuple[int, int, bool, bool]  # branches of two views, and whether each shows the plane unmirrored
 

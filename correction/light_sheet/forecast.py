@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.scene_sigma import SceneSigma
+from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import MODELLED_TO, USUAL_SPREAD2
 from correction.light_sheet.double_views import AROUND, PARTICLE_PX2, DoubleViews, some_of_each
 from correction.light_sheet.layers import layers
 from correction.light_sheet.matched import SIZES, Model
 from correction.light_sheet.scene_doubt import scene_doubt
 from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 PAIRS, PER_PX, SPREAD_MM = 50, 0.03, 0.18  # usual ones; of particles in a sheet of 1 mm
 FOUND = 0.6, 7.0  # sheets drawn by another optics: 0.7 to 5; 6.5 in discs before the focus of three balls

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from correction.light_sheet.double_views import ACROSS, DoubleViews
 from correction.light_sheet.kernels.lagged import add_bells
-from tracer.scene import Scene
-from tracer.sensitivity import TargetPose, landings
-from tracer.trace import trace
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose, landings
+from tracer.strategies.trace import trace
 
 TRACED = 9  # heights; between them numbers go straight
 FINE = 5  # heights to each of these steps

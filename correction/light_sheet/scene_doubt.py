@@ -12,9 +12,9 @@ so in all cells.
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.scene_sigma import SceneSigma
+from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.double_views import DoubleViews, some_of_each
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 PLACES = 12  # of a cell
 

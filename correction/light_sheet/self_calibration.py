@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import SheetError
-from correction.fit.scene_sigma import SceneSigma
+from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import BLOCKS, Disparities, Light, Pairs, disparities
 from correction.light_sheet.double_views import AROUND, DoubleViews, double_views
 from correction.light_sheet.plane_fit import PlaneFit, fit_plane
 from correction.light_sheet.scene_doubt import scene_doubt
 from tracer.light_sheet import LightSheet
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 MOST_PLACES = 30_000
 CELLS_ACROSS = 8  # of the view

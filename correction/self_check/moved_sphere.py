@@ -30,7 +30,7 @@ from correction.errors import SheetError
 from correction.light_sheet.disparities import Light
 from correction.self_check.seen_twice import Finder, SeenTwice, joined
 from tracer.light_sheet import LightSheet
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 FALSE_ALARMS = 5e-4  # in a check of a scene whose spheres stand still
 FLOOR_MM = np.array((0.0015, 0.0015, 0.012))  # sideways, and along the view, where the sheet's height looks alike

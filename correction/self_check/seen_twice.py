@@ -1,7 +1,8 @@
 """Particles that a frame shows twice, directly and through glass or in two ways through it; how far they differ.
 
 Each particle is fitted in the raw frame and carried to the light sheet by the ray of its pixel (as tracks are,
-`correction.tracking.through_glass`). Two pictures of one particle must meet there. What is left between them is
+`correction.evaluate.tracks_through_glass`). Two pictures of one particle must meet there. What is left between
+them is
 
     r = X_b - X_a = (J_a - J_b) d + (p_a - p_b) h + noise,
 
@@ -23,10 +24,10 @@ import scipy
 from numpy.typing import NDArray
 
 from correction.light_sheet.double_views import double_views
-from correction.tracking.particles import find_particles
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.sensitivity import TARGET, landings
+from piv.tracking.particles import find_particles
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.sensitivity import TARGET, landings
 
 GATE = 4.0
 DEPTH_MM = 0.18  # standard deviation of a particle's height in a sheet of 1 mm

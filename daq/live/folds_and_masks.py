@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.correction_map import build_correction_map
+from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 from tracer.status import RayStatus
+from tracer.strategies.ray_map import RayMap, build_ray_map
 
 COARSE_PX = 504  # side of what is traced
 LEAST_PX, LEAST_PX2 = 4, 12  # coarse pixels on a line and in a region; less is a speck

@@ -19,13 +19,13 @@ from typing import IO, Any, Self
 
 from numpy.typing import NDArray
 
-from correction.board import Chessboard
-from daq.acquisition.pipeline.live_slot import SlotWriter
+from correction.target import Chessboard
 from daq.child import child
 from daq.errors import DaqError
 from daq.live.pace import Pace
-from tracer.scene import Scene
-from tracer.scene_file import dump_scene
+from daq.pipeline.live_slot import SlotWriter
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene
 
 ENDS_S = 2.0
 AGAIN_S, SELDOM_S = 0.2, 20.0  # until a server that died is started again, at first and when it dies again at once

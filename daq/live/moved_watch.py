@@ -8,10 +8,11 @@ import numpy as np
 
 from correction.errors import CorrectionError
 from correction.self_check.moved_sphere import RunningCheck
-from daq.acquisition.pipeline.live_slot import Moment, SlotReader
 from daq.live.watch import Watch
+from daq.pipeline.live_slot import Moment, SlotReader
+from piv.errors import PivError
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 EVERY_S = 1.0
 
@@ -42,7 +43,7 @@ class MovedWatch(Watch):
             self._check = self._check or RunningCheck(self._scene)
             self._check.add(np.asarray(moment.pictures["raw"], np.float32))
             found = self._check.found
-        except (CorrectionError, SceneError) as error:
+        except (CorrectionError, PivError, SceneError) as error:
             self._can_tell, self.said = False, {"spheres": [str(error).split(";")[0], False]}
             return
         self.said = {"spheres": [found.sentence, bool(found.moved)]}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from correction.alignment.rim import touched
 from correction.grid import grid_of
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
 MOST = 24  # balls; what is said of a moment has little room, and more lines hide the picture

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from correction.alignment.seen import Arrangement, Expected, find_arrangement
-from correction.board import Chessboard
 from correction.errors import CorrectionError
-from daq.acquisition.pipeline.live_slot import Moment, SlotReader
+from correction.target import Chessboard
 from daq.live.watch import Watch
+from daq.pipeline.live_slot import Moment, SlotReader
+from piv.errors import PivError
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 EVERY_S = 4.0
 OFF_MM, SURE = 0.05, 3.0  # beside its place by more than this, and more standard deviations than that: said in red
@@ -45,7 +46,7 @@ class RimWatch(Watch):
         board = self._board if moment.words.get("shows") == "chessboard" else None
         try:
             self.said = in_words(find_arrangement(moment.pictures["raw"], self._scene, board, HERE))
-        except (CorrectionError, SceneError) as error:
+        except (CorrectionError, PivError, SceneError) as error:
             self.said = {"rims": [str(error).split(";")[0], False]}  # what to do about it has no room here
 
 

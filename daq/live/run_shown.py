@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.acquisition.pipeline.job import Job
-from daq.acquisition.plans.steps import CLEAR
-from daq.acquisition.runner.progress import Progress, Watcher
-from daq.acquisition.runs.run_folder import RunFolder
 from daq.live.live_page import LivePage
 from daq.live.scene_lines import LIT
+from daq.pipeline.job import Job
+from daq.plans.steps import CLEAR
+from daq.runner.progress import Progress, Watcher
+from daq.runs.run_folder import RunFolder
 from daq.timing.states import LaserState
 
 RECENT = 50

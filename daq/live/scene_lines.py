@@ -3,11 +3,12 @@
 from typing import Any
 
 from correction.errors import CorrectionError
-from daq.acquisition.plans.steps import BEHIND_GLASS, CLEAR
 from daq.live.outlines import outlines
+from daq.plans.steps import BEHIND_GLASS, CLEAR
 from ground.errors import GroundError
+from piv.errors import PivError
 from tracer.errors import TracerError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 LIT = "light sheet"  # view of a step that shows the light sheet through the glass
 
@@ -39,7 +40,7 @@ def _add_folds(lines: dict[str, Any], scene: Scene) -> None:
 
     try:
         found = folds_and_masks(scene)
-    except (TracerError, CorrectionError, GroundError):
+    except (TracerError, CorrectionError, PivError, GroundError):
         return  # nothing is corrected there either, and whoever corrects has said why
     for name, kinds in found.items():
         lines[name] |= kinds

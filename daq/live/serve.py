@@ -37,11 +37,11 @@ from websockets.http11 import Request, Response
 from websockets.server import ServerProtocol
 from websockets.sync.server import Server, ServerConnection, serve
 
-from daq.acquisition.pipeline.live_slot import Moment, NoSlotError, SlotReader
-from daq.acquisition.pipeline.priority import lower_process
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
 from daq.live.worth import Worth
 from daq.orderly_end import flush_or_leave
+from daq.pipeline.live_slot import Moment, NoSlotError, SlotReader
+from daq.pipeline.priority import lower_process
 
 if TYPE_CHECKING:
     from daq.live.watch import Watch
@@ -306,7 +306,7 @@ def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
 
 def _look_at_scene(page: Page, text: str, board_mm: Sequence[float]) -> None:
     """Draw what a scene says over its frames, and look whether it is so."""
-    from correction.board import Chessboard
+    from correction.target import Chessboard
     from daq.live.scene_lines import scene_lines
     from daq.live.watches import begin, scene_told
 

@@ -10,8 +10,8 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
-from daq.acquisition.pipeline.live_slot import Moment, SlotReader
-from daq.acquisition.pipeline.priority import lower_priority
+from daq.pipeline.live_slot import Moment, SlotReader
+from daq.pipeline.priority import lower_priority
 
 MOST_OF_THE_TIME = 0.05
 POLL_S = 0.1

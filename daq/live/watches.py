@@ -4,15 +4,15 @@ from pathlib import Path
 
 import yaml
 
-from correction.board import Chessboard
-from daq.acquisition.pipeline.live_slot import SlotReader
+from correction.target import Chessboard
 from daq.live.watch import Watch
+from daq.pipeline.live_slot import SlotReader
 from ground.config import Document, validate
 from ground.errors import GroundError
 from tracer.errors import SceneError
-from tracer.scene import Scene
-from tracer.scene_file import scene_from
-from tracer.scene_tables import SceneTable
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import scene_from
+from tracer.scene.scene_tables import SceneTable
 
 
 def scene_told(text: str) -> Scene | None:

@@ -3,11 +3,11 @@
 import time
 from typing import Any
 
-from daq.acquisition.pipeline.live_slot import Moment, SlotReader
 from daq.live.figures import Rows, brightness, edge_map, histogram, middle_of, particle_maps, saturated_share
 from daq.live.picture import white_of
 from daq.live.trend import Trend
 from daq.live.watch import Watch
+from daq.pipeline.live_slot import Moment, SlotReader
 
 EVERY_S = 0.5
 

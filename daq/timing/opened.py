@@ -18,7 +18,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from daq.timing.drivers import driver_class
+from daq.timing.drivers_by_name import driver_class
 from daq.timing.errors import WrongBox
 from daq.timing.in_use import noted
 from daq.timing.laser import Laser

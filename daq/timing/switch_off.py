@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq.timing.box import UNREADABLE
-from daq.timing.drivers import driver_class
+from daq.timing.drivers_by_name import driver_class
 from daq.timing.timing_table import TimingTable
 from stages.errors import PortUnavailable
 from stages.watchdog import stop, word_of

@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from daq.timing.alignment import AlignRules
 from daq.timing.conditions import CLEAR_MM
-from daq.timing.drivers import DRIVERS
+from daq.timing.drivers_by_name import DRIVERS
 from daq.timing.laser_head import TRIGGER_US, LaserHead
 from daq.timing.pulses import LAMPS, Q_SWITCHES, PairExposures, Role
 from daq.timing.rules import Rules

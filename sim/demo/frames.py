@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from ground.whole_file import whole_file
 from sim.demo.scenes import BARREL_35MM, at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard, ParticleSheet, Pattern, Pose, placed, printed_particles
+from sim.renderer.patterns import Chessboard, ParticleSheet, Pattern, Pose, placed, printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tracer.scene import Scene
-from tracer.scene_file import dump_scene, load_scene
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene, load_scene
 
 SHIFT_PX = 14.0
 CLEAR_STACK_MM = (-20.0, -10.0, 10.0, 20.0)

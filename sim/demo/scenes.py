@@ -15,7 +15,7 @@ from tracer.bodies import Body, Sphere
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 CROWN = ConstantMedium(1.53)
 PITCH_UM = 11.0

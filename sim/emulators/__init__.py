@@ -1,4 +1,4 @@
-"""Controllers as firmware: bytes in, bytes out, over the physics of `sim.motion`.
+"""Controllers as firmware: bytes in, bytes out, over the physics of `sim.mechanics.motion`.
 
 An emulator knows nothing of the drivers; it shares with them the grammar in ``stages.protocols``, no arithmetic.
 The emulator for the driver ``x`` is the class that ``sim/emulators/x.py`` calls EMULATOR.

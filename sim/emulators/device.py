@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
 from zlib import crc32
 
-from sim.motion import Motor
+from sim.mechanics.motion import Motor
 
 
 def serial_number(name: str) -> int:

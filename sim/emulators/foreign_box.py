@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from sim.emulators.device import Clock, Emulator, Purpose
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
-from sim.motion import Motor
+from sim.mechanics.motion import Motor
 
 SPEED_MM_S, RAMP_MM_S2 = 20.0, 200.0
 SEARCH_MM_S = 2.0

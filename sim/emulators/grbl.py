@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from sim.emulators.device import Clock, Emulator, Purpose
-from sim.motion import Motor
+from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import grbl
 

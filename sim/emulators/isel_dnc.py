@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 
 from sim.emulators.device import Clock, Emulator, Purpose
-from sim.motion import Motor
+from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import isel_dnc as dnc
 

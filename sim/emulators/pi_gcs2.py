@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from sim.emulators.device import Clock, Emulator, Purpose, serial_number
-from sim.motion import Motor
+from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import pi_gcs2 as gcs
 

@@ -10,8 +10,8 @@ import time
 import serial
 from typing_extensions import Buffer
 
-from sim.clock import VirtualClock
 from sim.emulators.line import Line
+from sim.mechanics.clock import VirtualClock
 
 LINES: dict[str, Line] = {}
 

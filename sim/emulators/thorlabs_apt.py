@@ -19,7 +19,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from sim.emulators.device import Clock, Emulator, Purpose, serial_number
-from sim.motion import Motor
+from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols import apt_words as words
 from stages.protocols import thorlabs_apt as apt

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from sim.emulators.device import Clock, Emulator, Purpose, serial_number
-from sim.motion import Motor
+from sim.mechanics.motion import Motor
 from stages.errors import ProtocolViolation
 from stages.protocols.zaber_ascii import Alert, Command, CommandStream, Reply
 

@@ -25,7 +25,7 @@ from sim.flow.view import STEP_PX, ParticleView
 from sim.renderer.render import Aperture
 from sim.renderer.sensor import Sensor
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 Frame = NDArray[np.uint16]
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from ground.rows import run_rows
 from sim.flow.kernels.reflections import mirrored
 from sim.flow.particles import LightSheet
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
 from tracer.camera import Vector3
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 BLUR_RAD = 0.02
 

@@ -9,7 +9,7 @@ simulation:
     seeding: {per_px: 0.03, spread: 0.35}
     reflections: {sheet_counts: 40.0, glint_counts: 900.0}
     particle_counts: 70.0
-    prepared: frames/                   # optional: pairs made by sim.flow.prepared, replayed
+    prepared: frames/                   # optional: pairs made by sim.prepared_pairs, replayed
 """
 
 from dataclasses import asdict, fields
@@ -28,7 +28,7 @@ from sim.flow.particles import LightSheet, Seeding
 from sim.flow.reflections import Reflections
 from sim.renderer.render import Aperture
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 FIELDS: dict[str, Any] = {
     "uniform": Uniform,

@@ -29,10 +29,10 @@ from ground.memory import require_memory
 from ground.rows import run_rows
 from sim.flow.kernels.splat import count_bands, order_by_band, splat
 from sim.flow.kernels.views import NUMBERS, ROUGH, cell_bins, find_images, judge_cells, trace_nodes
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.render import Aperture, tables_of
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 Float64 = NDArray[np.float64]
 Float32 = NDArray[np.float32]

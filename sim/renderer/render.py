@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ground.memory import require_memory
 from ground.rows import run_rows
-from sim.prints.patterns import Pattern, Pose
+from sim.renderer.patterns import Pattern, Pose
 from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
 from sim.renderer.surfaces import SOLID
@@ -24,7 +24,7 @@ from sim.renderer.uneven import uneven_numbers
 from sim.renderer.walls import NUMBERS, n_at, wall_rows
 from tracer.bodies import CONTACT_TOL_MM, Body, Dome, Rod, Sphere, Tube, Window
 from tracer.errors import SceneError
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 BLOCK_ROWS = 4
 BYTES_PER_PX = 30.0  # light, counts and noise of a frame

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ground.jit import kernel
 from sim.renderer.surfaces import Float64
 from tracer.bodies import Body, Dome, Tube, Window
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 HAIR_MM = 1e-7
 FACE, INSIDE, LOST = range(3)

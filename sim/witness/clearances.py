@@ -23,8 +23,8 @@ from sim.witness.distances import Point, along, least, plus, segment_to_box, seg
 from tracer.bodies import Body, Dome, Rod, Sphere, Tube, Window
 
 if TYPE_CHECKING:  # names alone: whoever watches without a scene does not wait for scipy and numba
-    from stages.keep_out import KeepOutTable
-    from tracer.scene import Scene
+    from daq.bench.keep_out import KeepOutTable
+    from tracer.scene.scene import Scene
 
 ELEMENTS = ("camera", "glass", "bench", "target")
 CONTACT_MM = 0.025  # by which bodies named in `contact` may overlap the target, as docs/files.md says

@@ -3,7 +3,7 @@
 The distance between two convex shapes of which one is shifted along a straight line is a convex function of the
 shift, and so is the least value of a jointly convex function over one of its variables. So what has no closed
 form here is searched along one line at a time by golden section, which finds the least value of a convex
-function wherever it is. Points are tuples of mm. `stages.keep_out` solves the same questions by bounded least
+function wherever it is. Points are tuples of mm. `daq.bench.keep_out` solves the same questions by bounded least
 squares; nothing is shared with it.
 """
 

@@ -1,8 +1,8 @@
 """The independent judge: where everything truly is, whether it may be there, whether it may move now.
 
 A witness hangs on the motors, not on what controllers say. Each stretch of each motion is noted as it happens
-(`sim.motion.Glide`) and judged later, when all motors have come up to the same moment; it raises nothing into the
-world and keeps a list of `Violation`. Four things are violations:
+(`sim.mechanics.motion.Glide`) and judged later, when all motors have come up to the same moment; it raises
+nothing into the world and keeps a list of `Violation`. Four things are violations:
 
 ========  ==========================================================================================
 limit     an axis is truly outside its limits of the bench file
@@ -39,13 +39,13 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from sim.emulators.device import Clock, Purpose
 from sim.emulators.line import Line
-from sim.motion import Glide, Motor
+from sim.mechanics.motion import Glide, Motor
 from sim.witness.clearances import Carried, Clearances
 from stages.config import StagesTable
 
 if TYPE_CHECKING:  # names alone: whoever watches without a scene does not wait for scipy and numba
-    from stages.keep_out import KeepOutTable
-    from tracer.scene import Scene
+    from daq.bench.keep_out import KeepOutTable
+    from tracer.scene.scene import Scene
 
 SLACK_MM = 0.05
 STOP_S = 0.1

@@ -6,8 +6,8 @@ from pathlib import Path
 from tracer.bodies import Core, Sphere
 from tracer.camera import look_at
 from tracer.media import MEDIA, ConstantMedium
-from tracer.scene import Scene
-from tracer.scene_file import load_scene
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCENES = ("one_sphere_250", "two_spheres_500", "three_spheres_500", "pyramid_500", "tilted_pair", "hollow_pair")

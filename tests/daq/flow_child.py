@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from daq.verbs.acquire import acquire
+from rtpiv.verbs.acquire import acquire
 from sim import world
 from tests.daq.flow_bench import ToldLight
 

@@ -8,11 +8,11 @@ import numpy as np
 import tifffile
 import yaml
 
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.kinds.stage import guard_of
-from daq.acquisition.bench.opened import OpenBench, start_simulation
-from daq.acquisition.cameras.files import FilesCamera
-from daq.acquisition.plans.plan import load_plan
+from daq.bench.bench_file import load_bench
+from daq.bench.opened import OpenBench, start_simulation
+from daq.bench.stage_kind import guard_of
+from daq.cameras.files import FilesCamera
+from daq.plans.plan import load_plan
 from stages.stage import Stage
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

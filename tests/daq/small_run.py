@@ -2,7 +2,7 @@
 
 import json
 
-from daq.acquisition.runs.raw_frame import checksum, write_raw
+from daq.runs.raw_frame import checksum, write_raw
 
 BENCH = """name: bench
 scene: scene.yaml

@@ -9,6 +9,6 @@ from daq.child import child
 def test_a_user_s_files_hide_nothing(tmp_path):
     for name in ("daq.py", "sim.py", "tracer.py"):
         (tmp_path / name).write_text("raise SystemExit('hidden')\n")
-    command, environment = child("daq.cli", "--version")
+    command, environment = child("rtpiv.command_line.cli", "--version")
     ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
     assert ran.stdout == f"rtpiv {version('rtpiv')}\n"

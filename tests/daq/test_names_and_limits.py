@@ -9,18 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.plans.plan import load_plan
-from daq.acquisition.runs.run_folder import RunFolder
-from daq.cli import USAGE, main
+from daq.bench.bench_file import load_bench
 from daq.errors import RunUnsuitable
-from daq.terminal import console, error_console, printable
+from daq.plans.plan import load_plan
+from daq.runs.run_folder import RunFolder
 from ground.config import load_yaml
 from ground.errors import ConfigError
+from ground.terminal import console, error_console, printable
+from rtpiv.command_line.cli import USAGE, main
 from tests.daq.small_bench import write_bench
-from tests.daq.test_cli import SMALL
 from tests.daq.whole_run import make_whole_run
-from tracer.scene_file import load_scene
+from tests.rtpiv.test_cli import SMALL
+from tracer.scene.scene_file import load_scene
 
 
 def test_escape_sequences_never_reach_a_terminal(tmp_path, capsys):
@@ -156,7 +156,8 @@ def test_records_that_are_no_files_are_refused_at_once(whole_run, tmp_path, name
     place = whole_run.path / name
     try:
         {"pipe": os.mkfifo, "device": lambda at: at.symlink_to("/dev/zero"), "folder": Path.mkdir}[kind](place)
-        code = f"import sys; from daq.cli import main; sys.exit(main(['check', {str(whole_run.path)!r}]))"
+        words = ["check", str(whole_run.path)]
+        code = f"import sys; from rtpiv.command_line import cli; sys.exit(cli.main({words}))"
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=200
         )

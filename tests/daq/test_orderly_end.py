@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from daq.orderly_end import SIGNALLED, orderly_end
-from tests.daq.test_cli import SMALL
+from tests.rtpiv.test_cli import SMALL
 
 # A verb that has a temporary file open and works for a long time; said to begin when it does.
 CHILD = """
 import sys, time
 from pathlib import Path
-import daq.verbs.trace as verb
-from daq.cli import main
+import rtpiv.verbs.trace as verb
+from rtpiv.command_line.cli import main
 from ground.whole_file import whole_file
 
 def trace(scene, out, pictures):
@@ -85,7 +85,15 @@ def test_what_is_ignored_stays_ignored(monkeypatch):
 
 def test_standard_output_on_a_full_disk_is_one_sentence(tmp_path):
     (tmp_path / "scene.yaml").write_text(SMALL)
-    command = [sys.executable, "-m", "daq.cli", "trace", str(tmp_path / "scene.yaml"), "-o", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        "-m",
+        "rtpiv.command_line.cli",
+        "trace",
+        str(tmp_path / "scene.yaml"),
+        "-o",
+        str(tmp_path / "out"),
+    ]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=250)
     assert done.returncode == 3

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from daq.cli import DEVICE, DONE, USAGE, main
-from daq.options import parser
 from ground.errors import MemoryShort
 from ground.memory import free_bytes, require_memory
-from tests.daq.test_cli import EXAMPLES, SMALL
+from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
+from rtpiv.options import parser
+from tests.rtpiv.test_cli import EXAMPLES, SMALL
 
 WORDS = {
     "trace": ["scene.yaml"], "calibrate": ["folder", "-o", "out"],
@@ -39,8 +39,8 @@ def failing(verb, monkeypatch, error):
     def fails(**options):
         raise error
 
-    __import__(f"daq.verbs.{verb}")
-    monkeypatch.setattr(sys.modules[f"daq.verbs.{verb}"], verb, fails)
+    __import__(f"rtpiv.verbs.{verb}")
+    monkeypatch.setattr(sys.modules[f"rtpiv.verbs.{verb}"], verb, fails)
 
 
 @pytest.mark.parametrize("verb", sorted(WORDS))
@@ -78,9 +78,9 @@ def test_every_verb_that_writes_is_tried():
 # Started with -B: Python 3.11 keeps half of a compiled module there, and every later process fails on it.
 SMALL_FILES = """
 import resource, sys
-from daq.cli import main
+from rtpiv.command_line.cli import main
 limit, verb = int(sys.argv[1]), sys.argv[2:]
-import daq.verbs.trace, daq.verbs.correct, daq.verbs.evaluate, daq.verbs.examples
+import rtpiv.verbs.trace, rtpiv.verbs.correct, rtpiv.verbs.evaluate, rtpiv.verbs.examples
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 sys.exit(main(verb))
 """
@@ -159,8 +159,8 @@ def test_examples_on_a_full_disk_are_one_sentence_and_can_be_asked_for_again(tmp
 LITTLE_MEMORY = """
 import resource, sys
 from pathlib import Path
-from daq.cli import main
-import daq.verbs.trace, daq.verbs.correct
+from rtpiv.command_line.cli import main
+import rtpiv.verbs.trace, rtpiv.verbs.correct
 main(["trace", sys.argv[1], "-o", sys.argv[2] + "_small"])
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 300_000_000, used + 300_000_000))

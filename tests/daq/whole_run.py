@@ -1,7 +1,7 @@
 """A finished shift run that tests copy and damage."""
 
-from daq.acquisition.runner.runner import Runner
-from daq.acquisition.runner.session import Request, begin
+from daq.runner.runner import Runner
+from daq.runner.session import Request, begin
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 
 

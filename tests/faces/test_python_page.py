@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.verbs.init import init
+from rtpiv.verbs.init import init
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "python.md"
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ground.errors import ConfigError
-from tracer.scene_file import load_scene
+from tracer.scene.scene_file import load_scene
 
 SCENE = """\
 camera: {f_mm: 60.0, L_mm: 500.0, pixel_pitch_um: 11.0, sensor_px: [2016, 2016]}

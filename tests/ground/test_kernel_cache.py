@@ -62,7 +62,7 @@ def test_an_edit_is_seen_by_what_is_compiled_from_it_and_by_nothing_else(tree, e
 
 
 def test_no_ray_is_compiled_anew_for_the_piv():
-    piv = set((ROOT / "correction/piv/kernels").glob("*.py"))
+    piv = set((ROOT / "piv/correlation/kernels").glob("*.py"))
     assert piv
     for path in (ROOT / "tracer").glob("kernels/*.py"):
         assert not piv & dependencies(path)

@@ -3,15 +3,15 @@
 import pytest
 from pydantic import TypeAdapter
 
-from daq.acquisition.bench.bench_table import BenchTable
-from daq.acquisition.plans.experiments import EXPERIMENTS, plan_table
-from daq.analysis.piv_file import PivTable
+from daq.bench.bench_table import BenchTable
+from daq.plans.experiments_by_name import EXPERIMENTS, plan_table
 from ground import plain_words
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError
+from rtpiv.analysis.pairs.piv_file import PivTable
 from tracer.media import MEDIA, medium_called
-from tracer.scene_file import load_priors, load_scene
-from tracer.scene_tables import SceneTable
+from tracer.scene.scene_file import load_priors, load_scene
+from tracer.scene.scene_tables import SceneTable
 
 HEAD = """\
 wavelength_nm: 532

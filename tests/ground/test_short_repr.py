@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from ground.short_repr import short_repr
-from tracer.ray_map import build_ray_map
-from tracer.scene_file import load_scene
+from tracer.scene.scene_file import load_scene
+from tracer.strategies.ray_map import build_ray_map
 
-VALUES = ("tracer.ray_map:RayMap", "tracer.scene:Scene", "tracer.trace:TraceResult", "correction.dewarp:Dewarp",
-          "correction.correction_map:CorrectionMap", "correction.piv.vector_field:VectorField",
-          "correction.fit.result:SceneFit", "correction.fit.measurement:TargetFrame",
-          "correction.fit.map_sigma:MapSigma", "correction.evaluate.target_error:TargetError",
-          "daq.analysis.evaluation:Evaluation", "daq.analysis.series.mean_flow:MeanFlow",
-          "daq.analysis.series.split_focus:JoinedMean", "daq.analysis.focus.scan:FocusScan")  # fmt: skip
+VALUES = ("tracer.strategies.ray_map:RayMap", "tracer.scene.scene:Scene", "tracer.strategies.trace:TraceResult",
+"correction.maps.dewarp:Dewarp",
+          "correction.maps.correction_map:CorrectionMap", "piv.correlation.vector_field:VectorField",
+          "correction.fit.judge.result:SceneFit", "correction.fit.seen.measurement:TargetFrame",
+          "correction.fitted.map_sigma:MapSigma", "correction.evaluate.target_error:TargetError",
+          "rtpiv.analysis.pairs.evaluation:Evaluation", "rtpiv.analysis.series.mean_flow:MeanFlow",
+          "rtpiv.analysis.series.split_focus:JoinedMean", "rtpiv.analysis.focus.scan:FocusScan")  # fmt: skip
 
 
 @short_repr

@@ -20,8 +20,8 @@ import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from daq.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
-from daq.options import parser
+from rtpiv.command_line.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
+from rtpiv.options import parser
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, TARGET, write_bench
 from tests.readers.damage import damaged_text, spoil_file
 from tests.readers.fuzz import Hung, alarm

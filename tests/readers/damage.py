@@ -17,7 +17,7 @@ import zipfile
 
 import numpy as np
 
-from daq.acquisition.runs.seal import sealed
+from daq.runs.seal import sealed
 
 WORDS = (b"NaN", b"-1", b"1e999", b"null", b"true", b'"x"', b"[]", b"{}", b"\0", b"\xff", b"9" * 30, b"\n", b"../")
 VALUES = (

@@ -23,8 +23,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from daq.exit_codes import exit_code, sentence
 from ground.errors import ConfigError
+from rtpiv.command_line.exit_codes import exit_code, sentence
 from tests.readers.damage import spoil_file
 from tests.readers.originals import ORIGINALS, WARM, scene_read, write_originals
 

@@ -9,34 +9,34 @@ import cv2
 import numpy as np
 import tifffile
 
-from correction.correction_map import CorrectionMap, build_correction_map
-from correction.fit.map_sigma import MapSigma
-from correction.fit.scene_sigma import KIND as FIT
-from correction.fit.scene_sigma import SceneSigma
-from correction.frame_file import read_frame, write_frame
+from correction.fitted.map_sigma import MapSigma
+from correction.fitted.scene_sigma import KIND as FIT
+from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import grid_of
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.kinds.stage import idle_stage
-from daq.acquisition.plans.forecast import forecast
-from daq.acquisition.plans.plan import load_plan
-from daq.acquisition.runs.acquired import read_acquired
-from daq.acquisition.runs.board import board_of
-from daq.acquisition.runs.done_file import read_done
-from daq.acquisition.runs.pairs import pairs_of
-from daq.acquisition.runs.raw_frame import read_raw, write_raw
-from daq.acquisition.runs.run_check import check_run
-from daq.acquisition.runs.run_folder import RunFolder
-from daq.acquisition.runs.run_views import first_view, scene_file, target_views
-from daq.analysis.piv_file import piv_choice
-from daq.analysis.series.run_series import run_series
-from daq.analysis.series.series_folder import Chunks
-from daq.analysis.series.series_mean import scene_of, windows_of
+from correction.maps.correction_map import CorrectionMap, build_correction_map
+from daq.bench.bench_file import load_bench
+from daq.bench.stage_kind import idle_stage
+from daq.plans.forecast import forecast
+from daq.plans.plan import load_plan
+from daq.runs.acquired import read_acquired
+from daq.runs.board import board_of
+from daq.runs.done_file import read_done
+from daq.runs.pairs import pairs_of
+from daq.runs.raw_frame import read_raw, write_raw
+from daq.runs.run_check import check_run
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import first_view, scene_file, target_views
 from ground.map_file import save_arrays
-from tests.daq.analysis.series.small_series import flow_run, given_of, method_of
+from piv.files.frame_file import read_frame, write_frame
+from rtpiv.analysis.pairs.piv_file import piv_choice
+from rtpiv.analysis.series.run_series import run_series
+from rtpiv.analysis.series.series_folder import Chunks
+from rtpiv.analysis.series.series_mean import scene_of, windows_of
 from tests.daq.whole_run import make_whole_run
 from tests.readers import damage
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene_file import dump_scene, load_priors, load_scene
+from tests.rtpiv.analysis.series.small_series import flow_run, given_of, method_of
+from tracer.scene.scene_file import dump_scene, load_priors, load_scene
+from tracer.strategies.ray_map import RayMap, build_ray_map
 
 SCENE = """wavelength_nm: 532.0
 ambient: {n: 1.0}

@@ -39,7 +39,7 @@ def test_a_verb_that_lets_an_error_through_is_found(ground, monkeypatch):
     def careless(*_, **__):
         raise KeyError("a")
 
-    monkeypatch.setattr("daq.verbs.check.check", careless)
+    monkeypatch.setattr("rtpiv.verbs.check.check", careless)
     assert any(
         "KeyError" in finding for finding in hostile("judge", range(60), ground, lambda text: None).findings
     )

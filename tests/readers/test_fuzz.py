@@ -43,7 +43,7 @@ def test_what_nobody_raised_on_purpose_is_found(playground, monkeypatch, error):
     def careless(path, kind):
         raise error
 
-    monkeypatch.setattr("correction.fit.scene_sigma.load_arrays", careless)
+    monkeypatch.setattr("correction.fitted.scene_sigma.load_arrays", careless)
     tally = fuzz("judge", range(200), playground, enough=1, tell=quiet)
     assert type(error).__name__ in tally.findings[0]
     assert "fit.npz" in tally.findings[0]
@@ -53,6 +53,6 @@ def test_a_reader_that_takes_too_much_is_found(playground, monkeypatch):
     def greedy(path, kind):
         return bytes(600_000_000).count(1)
 
-    monkeypatch.setattr("correction.fit.scene_sigma.load_arrays", greedy)
+    monkeypatch.setattr("correction.fitted.scene_sigma.load_arrays", greedy)
     tally = fuzz("judge", range(200), playground, enough=1, tell=quiet)
     assert "fit.npz" in tally.findings[0]

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from daq.cli import INTERRUPTED
+from rtpiv.command_line.cli import INTERRUPTED
 
 # Ctrl-C at the moment at which each of some modules is looked for.
 PRESSED = """
@@ -36,7 +36,13 @@ def test_ctrl_c_before_the_command_is_loaded_is_one_word(tmp_path):
 
 @pytest.mark.parametrize(
     "loaded",
-    ["daq.cli", "daq.cli daq.exit_codes", "daq.options", "daq.analysis.pictures.apart", "daq.verbs.trace"],
+    [
+        "rtpiv.command_line.cli",
+        "rtpiv.command_line.cli rtpiv.command_line.exit_codes",
+        "rtpiv.options",
+        "rtpiv.analysis.pictures.apart",
+        "rtpiv.verbs.trace",
+    ],
 )
 def test_ctrl_c_while_modules_load_is_one_word(loaded, tmp_path):
     command = [sys.executable, "-c", PRESSED + LATE, loaded, "trace", "scene.yaml", "-o", str(tmp_path / "out")]

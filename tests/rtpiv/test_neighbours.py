@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-OURS = "from rtpiv import load_scene; from sim.clock import PacedClock; import daq.errors\n"
+OURS = "from rtpiv import load_scene; from sim.mechanics.clock import PacedClock; import daq.errors\n"
 THEIRS = "import sim; from sim import doubled; import daq; print(sim.my_flow(), doubled(2), daq.CARD)\n"
 SAID = "flow 4 card\n"
 
@@ -60,15 +60,17 @@ def test_a_script_called_like_a_package(folder):
 
 def test_a_folder_of_results_called_like_a_package(tmp_path):
     (tmp_path / "sim").mkdir()
-    (tmp_path / "script.py").write_text("import rtpiv, sim.clock; print(sim.clock.__name__)\n")
-    assert python(tmp_path, "script.py") == "sim.clock\n"
+    (tmp_path / "script.py").write_text("import rtpiv, sim.mechanics.clock; print(sim.mechanics.clock.__name__)\n")
+    assert python(tmp_path, "script.py") == "sim.mechanics.clock\n"
 
 
 def test_a_package_of_a_user_keeps_its_own_modules(tmp_path):
     (tmp_path / "sim").mkdir()
     (tmp_path / "sim" / "__init__.py").write_text("from sim.wake import WAKE\n")
     (tmp_path / "sim" / "wake.py").write_text("WAKE = 5\n")
-    (tmp_path / "script.py").write_text("import rtpiv, sim.clock, sim.wake; print(sim.WAKE, sim.wake.WAKE)\n")
+    (tmp_path / "script.py").write_text(
+        "import rtpiv, sim.mechanics.clock, sim.wake; print(sim.WAKE, sim.wake.WAKE)\n"
+    )
     assert python(tmp_path, "script.py") == "5 5\n"
 
 
@@ -77,7 +79,7 @@ def test_an_error_in_a_user_s_file_is_theirs_and_comes_again(folder):
     (folder / "script.py").write_text(
         "import rtpiv, sim\n"
         "for _ in range(2):\n    try:\n        sim.x\n    except ZeroDivisionError:\n        print('theirs')\n"
-        "from sim.clock import PacedClock\n"
+        "from sim.mechanics.clock import PacedClock\n"
     )
     assert python(folder, "script.py") == "theirs\ntheirs\n"
 
@@ -91,7 +93,7 @@ def test_the_command(folder, words):
 def test_children_find_ours(folder):
     (folder / "script.py").write_text(
         "import rtpiv, subprocess\nfrom daq.child import child\n"
-        "command, environment = child('daq.cli', '--help')\n"
+        "command, environment = child('rtpiv.command_line.cli', '--help')\n"
         "print(subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout)\n"
     )
     assert "trace" in python(folder, "script.py")

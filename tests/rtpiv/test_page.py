@@ -34,7 +34,7 @@ def test_the_script_is_short_and_its_calls_fit():
 
 
 def test_verbs_of_the_readme_are_verbs_with_such_options():
-    from daq.options import parser
+    from rtpiv.options import parser
 
     commands = re.findall(r"^    rtpiv ([^#\n]*?)(?: +#.*)?$", README.read_text(), re.MULTILINE)
     assert len(commands) >= 15

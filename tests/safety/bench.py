@@ -9,16 +9,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from sim.clock import VirtualClock
+from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable
+from sim.mechanics.clock import VirtualClock
 from sim.stages import ScrewTable, SimulatedStages
 from stages.config import StagesTable
 from stages.errors import StageError
-from stages.keep_out import Carrier, KeepOut, KeepOutTable
 from stages.stage import Stage
 from tracer.bodies import Sphere
 from tracer.camera import Camera, look_at
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 
 def _axis(controller, channel, carries, along, low_mm, high_mm, offset_mm, **more):

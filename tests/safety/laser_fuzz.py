@@ -27,12 +27,12 @@ from daq.timing.laser_head import LaserHead
 from daq.timing.pulses import Q_SWITCHES, PairExposures, PulseTiming, Role
 from daq.timing.rules import Rules
 from daq.timing.states import EMITS, LaserState
-from sim.clock import VirtualClock
 from sim.emulators.faults import KINDS, Fault
 from sim.emulators.line import Line
-from sim.emulators.pivlab_synchroniser import OltSyncEmulator
 from sim.emulators.protocol_sim import LINES
-from sim.emulators.quantum_composers import QuantumComposersEmulator
+from sim.mechanics.clock import VirtualClock
+from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator
+from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from stages.errors import StageError
 
 GOOD = Conditions(True, True, True, 5.0, 10_000, True)

@@ -3,9 +3,9 @@
 from types import SimpleNamespace
 from typing import ClassVar
 
-from daq.acquisition.bench.bench_table import Bench, BenchTable
-from daq.acquisition.bench.opened import OpenBench
-from daq.acquisition.runner.light import Light
+from daq.bench.bench_table import Bench, BenchTable
+from daq.bench.opened import OpenBench
+from daq.runner.light import Light
 from daq.timing.alignment import AlignRules
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState

@@ -2,10 +2,10 @@
 
 import pytest
 
-import sim.prints.frame_truth as frame_truth
-from daq.acquisition.runs.run_folder import frame_entries
-from daq.cli import DONE, main
-from sim.prints.frame_truth import NoTruth, misfiled
+import sim.frame_truth as frame_truth
+from daq.runs.run_folder import frame_entries
+from rtpiv.command_line.cli import DONE, main
+from sim.frame_truth import NoTruth, misfiled
 from tests.daq.small_bench import SHIFT, write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")

@@ -4,9 +4,9 @@ import random
 
 import pytest
 
-from daq.acquisition.runs.run_folder import RunFolder, frame_entries
-from daq.cli import DONE, main
-from sim.prints.frame_truth import misfiled
+from daq.runs.run_folder import RunFolder, frame_entries
+from rtpiv.command_line.cli import DONE, main
+from sim.frame_truth import misfiled
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")

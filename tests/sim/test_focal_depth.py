@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from sim.demo.scenes import named_scene
-from sim.prints.patterns import Chessboard
+from sim.renderer.patterns import Chessboard
 from sim.renderer.render import Aperture, render_irradiance
 
 VIEW_PX = 33

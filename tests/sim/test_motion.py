@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.clock import ScaledClock, VirtualClock
 from sim.emulators.faults import Fault, FaultSchedule
-from sim.motion import Mechanics, Motor
+from sim.mechanics.clock import ScaledClock, VirtualClock
+from sim.mechanics.motion import Mechanics, Motor
 
 FREE = Mechanics(
     lead_mm=4.0, steps_per_rev=1600, power_up_mm=50.0, low_switch_mm=-1e6, high_switch_mm=1e6, index_mm=1e6

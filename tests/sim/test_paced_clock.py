@@ -2,7 +2,7 @@
 
 import time
 
-from sim.clock import PacedClock, ScaledClock
+from sim.mechanics.clock import PacedClock, ScaledClock
 
 
 def test_without_anybody_who_looks_time_passes_at_once():

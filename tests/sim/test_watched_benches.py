@@ -5,13 +5,13 @@ import sys
 
 import pytest
 
-from sim.clock import VirtualClock
+from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from stages.stage import Stage
 from tests.stages.benches import screws, stages_table
 
 BEYOND = """
-from sim.clock import VirtualClock
+from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from tests.stages.benches import screws, stages_table
 table, clock = stages_table("zaber_ascii"), VirtualClock()

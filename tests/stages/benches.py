@@ -3,7 +3,7 @@
 from sim.emulators import emulator_class
 from sim.stages import ScrewTable
 from stages.config import StagesTable
-from stages.drivers import driver_class
+from stages.drivers_by_name import driver_class
 
 LOW_MM, HIGH_MM = 5.0, 120.0
 APPROACH = {"side": "from_below", "distance_mm": 0.3, "speed_mm_s": 1.0}

@@ -7,7 +7,7 @@ import sys
 import time
 from contextlib import contextmanager
 
-from sim.clock import ScaledClock
+from sim.mechanics.clock import ScaledClock
 from sim.stages import SimulatedStages
 from tests.stages.benches import screws, stages_table
 

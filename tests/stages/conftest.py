@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from sim.clock import VirtualClock
 from sim.emulators.faults import FaultSchedule
 from sim.emulators.line import Line
+from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.controller import Controller
-from stages.drivers import DRIVERS, FOREIGN
+from stages.drivers_by_name import DRIVERS, FOREIGN
 from stages.stage import Stage
 from tests.stages.benches import screws, stages_table
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from sim.clock import VirtualClock
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
+from sim.mechanics.clock import VirtualClock
 from stages.controller import Channel
 from stages.drivers.apt_families import FAMILIES
 from stages.drivers.thorlabs_apt import AptController

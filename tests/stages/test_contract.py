@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from stages.drivers import FOREIGN, controller_class
+from stages.drivers_by_name import FOREIGN, controller_class
 from stages.errors import (
     AxisStalled,
     DeviceLost,

@@ -4,7 +4,7 @@ import pytest
 
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from stages.controller import Channel, Controller
-from stages.drivers import driver_class
+from stages.drivers_by_name import driver_class
 from stages.errors import (
     DeviceError,
     PortUnavailable,

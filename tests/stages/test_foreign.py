@@ -8,10 +8,10 @@ import time
 
 import pytest
 
-from sim.clock import VirtualClock
+from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
-from stages.drivers import FOREIGN
+from stages.drivers_by_name import FOREIGN
 from stages.errors import (
     DeviceError,
     DeviceLost,

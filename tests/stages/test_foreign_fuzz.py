@@ -8,8 +8,8 @@ import threading
 
 import pytest
 
-from sim.clock import VirtualClock
-from stages.drivers import FOREIGN
+from sim.mechanics.clock import VirtualClock
+from stages.drivers_by_name import FOREIGN
 from stages.errors import DeviceLost, StageError
 from tests.stages.conftest import HookedClock
 

@@ -4,7 +4,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from sim.clock import VirtualClock
+from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.errors import WrongDevice

@@ -9,7 +9,7 @@ import random
 import pytest
 
 from sim.emulators.faults import Fault, FaultSchedule
-from stages.drivers import DRIVERS
+from stages.drivers_by_name import DRIVERS
 from stages.errors import NoReply, ProtocolViolation, StageError
 
 SCHEDULES = 400 // len(DRIVERS)

@@ -10,10 +10,10 @@ from contextlib import closing
 
 import pytest
 
-from sim.clock import VirtualClock
 from sim.emulators.device import Emulator
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
+from sim.mechanics.clock import VirtualClock
 from stages.errors import ProtocolViolation
 from stages.protocols import grbl
 from stages.stage import Stage

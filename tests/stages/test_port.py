@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from sim.clock import ScaledClock
+from sim.mechanics.clock import ScaledClock
 from sim.stages import SimulatedStages
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import DeviceLost, MotionStopped, NoReply, NotReferenced, PortUnavailable, StageError

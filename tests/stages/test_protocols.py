@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stages.drivers import DRIVERS
+from stages.drivers_by_name import DRIVERS
 from stages.errors import ProtocolViolation
 from stages.protocols import isel_dnc, pi_gcs2, thorlabs_apt, zaber_ascii
 from stages.protocols.framing import Lines

@@ -6,7 +6,7 @@ import pytest
 
 from ground.config import Document, validate
 from ground.errors import ConfigError
-from sim.clock import VirtualClock
+from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.errors import (

@@ -4,8 +4,8 @@ import threading
 
 import pytest
 
-from sim.clock import VirtualClock
 from sim.emulators.faults import Fault
+from sim.mechanics.clock import VirtualClock
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from stages.errors import MotionStopped, NoReply, Obstructed, StageError

@@ -12,8 +12,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.bench.opened import start_simulation
+from daq.bench.bench_file import load_bench
+from daq.bench.opened import start_simulation
 
 
 def main(bench_path: str, folder: str, shows: str, speed: str, exposures_before: str) -> None:

@@ -7,9 +7,9 @@ import sys
 import time
 from contextlib import contextmanager
 
-from daq.acquisition.bench.bench_file import load_bench
+from daq.bench.bench_file import load_bench
 from sim.bench_table import SimulationTable
-from sim.clock import ScaledClock
+from sim.mechanics.clock import ScaledClock
 from sim.stages import SimulatedStages
 from tests.daq.small_bench import FILES_CAMERA, write_bench
 
@@ -48,7 +48,7 @@ class Served:
 
     def start(self, *arguments, **options):
         """Start a verb of the command line in the folder."""
-        command = [sys.executable, "-u", "-m", "daq.cli", *map(str, arguments)]
+        command = [sys.executable, "-u", "-m", "rtpiv.command_line.cli", *map(str, arguments)]
         environment = os.environ | {"TMPDIR": str(self.folder), "COLUMNS": "200"}
         pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
         return subprocess.Popen(command, cwd=self.folder, env=environment, text=True, **pipes | options)

@@ -2,12 +2,12 @@
 
 import pytest
 
-from daq.acquisition.plans.steps import route
-from daq.acquisition.runner.devices import AxisDevice, CameraDevice
-from daq.acquisition.runner.exposures import Exposures
-from daq.acquisition.runner.runner import Runner
-from daq.acquisition.runner.session import Request, begin
-from daq.acquisition.runs.run_folder import frame_entries
+from daq.plans.steps import route
+from daq.runner.devices import AxisDevice, CameraDevice
+from daq.runner.exposures import Exposures
+from daq.runner.runner import Runner
+from daq.runner.session import Request, begin
+from daq.runs.run_folder import frame_entries
 from stages.errors import OutOfRange
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from correction.frame_file import read_frame
-from daq.acquisition.runs.raw_frame import checksum, read_raw
-from daq.acquisition.runs.run_folder import RunFolder, frame_entries
-from daq.cli import DONE, main
+from daq.runs.raw_frame import checksum, read_raw
+from daq.runs.run_folder import RunFolder, frame_entries
+from piv.files.frame_file import read_frame
+from rtpiv.command_line.cli import DONE, main
 from tests.daq.small_bench import SHIFT, TARGET, write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")

@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
-from correction.fit.scene_sigma import SceneSigma
+from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import grid_of
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.runs.run_folder import RunFolder
-from daq.cli import DONE, main
+from correction.maps.correction_map import build_correction_map
+from daq.bench.bench_file import load_bench
+from daq.runs.run_folder import RunFolder
+from rtpiv.command_line.cli import DONE, main
 from sim.arranged import arranged
 from sim.bench_table import simulation_of
 from sim.true_scene import true_scene
 from tests.daq.small_bench import write_bench
-from tracer.ray_map import build_ray_map
-from tracer.scene_file import load_scene
-from tracer.trace import trace
+from tracer.scene.scene_file import load_scene
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import trace
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
 

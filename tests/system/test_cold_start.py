@@ -14,18 +14,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
-from correction.fit.prediction import expect, measure
-from correction.piv.pair import evaluate_pair
+from correction.fit.seen.prediction import expect, measure
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector
+from correction.target import Chessboard
+from piv.correlation.pair import evaluate_pair
 from sim.demo.scenes import at_size, named_scene
-from sim.prints.patterns import Chessboard as Print
+from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tracer.ray_map import build_ray_map
-from tracer.sensitivity import TargetPose, landings
-from tracer.trace import trace
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.sensitivity import TargetPose, landings
+from tracer.strategies.trace import trace
 
 ROOT = Path(__file__).resolve().parents[2]
 SCENES = ("one_sphere_250", "two_spheres_500", "pyramid_500", "tilted")

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from daq.acquisition.bench.bench_file import load_bench
-from daq.cli import DONE
+from daq.bench.bench_file import load_bench
+from rtpiv.command_line.cli import DONE
 from tests.system.served import HASTE, served_bench
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "at-the-bench.md"

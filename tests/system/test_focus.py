@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from daq.cli import DONE, main
+from rtpiv.command_line.cli import DONE, main
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
@@ -42,7 +42,7 @@ def test_two_balls_need_125_mm_and_a_smaller_aperture_than_planned(tmp_path):
     assert best["beside"]["z_mm"] == pytest.approx(0.0, abs=1.0)
     assert best["far+near: centre"]["z_mm"] - best["beside"]["z_mm"] == pytest.approx(124.7, abs=3.0)
     assert found["needed_mm"] == pytest.approx(124.7, abs=3.0)
-    # The paper rounds f/(L - f) = 0.1364 to 0.14, and prints 83.3 mm and f/27; see tests/daq/analysis/focus.
+    # The paper rounds f/(L - f) = 0.1364 to 0.14, and prints 83.3 mm and f/27; see tests/rtpiv/analysis/focus.
     assert found["depth_mm"] == pytest.approx(87.3, rel=1e-3)
     assert found["needed_f_number"] == pytest.approx(26.3, abs=0.4)
 

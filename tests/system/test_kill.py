@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.acquisition.runs.raw_frame import checksum, read_raw
-from daq.acquisition.runs.run_check import check_run
-from daq.acquisition.runs.run_folder import RunFolder, finished_steps, frame_entries
-from daq.cli import DEVICE, DONE, main
+from daq.runs.raw_frame import checksum, read_raw
+from daq.runs.run_check import check_run
+from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from rtpiv.command_line.cli import DEVICE, DONE, main
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
@@ -40,7 +40,7 @@ def prepare(folder, repeats):
 
 def start(folder, *arguments):
     environment = os.environ | {"TMPDIR": str(folder)}
-    command = [sys.executable, "-m", "daq.cli", *map(str, arguments), "--home"]
+    command = [sys.executable, "-m", "rtpiv.command_line.cli", *map(str, arguments), "--home"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     return subprocess.Popen(command, cwd=folder, env=environment, **quiet)
 

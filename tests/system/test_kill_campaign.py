@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.cli import DEVICE, DONE, main
-from tests.daq.analysis.campaign.small_campaign import content_of, two_runs
+from rtpiv.command_line.cli import DEVICE, DONE, main
+from tests.rtpiv.analysis.campaign.small_campaign import content_of, two_runs
 from tests.system.test_kill_series import children_of, ends
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +40,7 @@ def whole(runs, tmp_path_factory):
 
 
 def begun(out, *words):
-    command = [sys.executable, "-m", "daq.cli", "campaign", *words, "-o", str(out)]
+    command = [sys.executable, "-m", "rtpiv.command_line.cli", "campaign", *words, "-o", str(out)]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(command, cwd=ROOT, env=ENVIRONMENT, **pipes)
 
@@ -137,7 +137,11 @@ def test_a_full_disk_ends_a_campaign_and_costs_nothing_else(runs, whole, tmp_pat
         file.unlink()
     limit = "import resource, runpy; resource.setrlimit(resource.RLIMIT_FSIZE, (8000, 8000));"
     words = ("campaign", "run", "-o", str(out), "--workers", "2")
-    command = [sys.executable, "-c", f"{limit} import sys; from daq.cli import main; sys.exit(main({words}))"]
+    command = [
+        sys.executable,
+        "-c",
+        f"{limit} import sys; from rtpiv.command_line.cli import main; sys.exit(main({words}))",
+    ]
     full = subprocess.run(command, cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
     assert full.returncode == DEVICE, full.stderr
     assert "ended early" in full.stdout

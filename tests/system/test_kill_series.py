@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.cli import DONE, INTERRUPTED, main
-from tests.daq.analysis.series.small_series import content_of, flow_run
+from rtpiv.command_line.cli import DONE, INTERRUPTED, main
+from tests.rtpiv.analysis.series.small_series import content_of, flow_run
 
 ROOT = Path(__file__).resolve().parents[2]
 WINDOWS = ("--first-window", "32", "--final-window", "16")
@@ -22,7 +22,7 @@ def begun(run, out, workers):
     command = [
         sys.executable,
         "-m",
-        "daq.cli",
+        "rtpiv.command_line.cli",
         "evaluate",
         str(run),
         "-o",

@@ -17,13 +17,13 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.bench.bench_file import load_bench
-from daq.acquisition.plans.plan import load_plan
-from daq.acquisition.runs.raw_frame import read_raw
-from daq.acquisition.runs.run_check import check_run
-from daq.acquisition.runs.run_folder import RunFolder, finished_steps, frame_entries
-from daq.cli import DEVICE, INTERRUPTED
-from sim.prints.frame_truth import misfiled
+from daq.bench.bench_file import load_bench
+from daq.plans.plan import load_plan
+from daq.runs.raw_frame import read_raw
+from daq.runs.run_check import check_run
+from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
+from rtpiv.command_line.cli import DEVICE, INTERRUPTED
+from sim.frame_truth import misfiled
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")
@@ -79,7 +79,7 @@ class Campaign:
         words = (
             ["resume", str(runs[0])] if runs else ["acquire", "plan.yaml", "-o", "runs", "--no-correct", *simulate]
         )
-        command = [sys.executable, "-m", "daq.cli", *words, "--home"]
+        command = [sys.executable, "-m", "rtpiv.command_line.cli", *words, "--home"]
         where = {"cwd": self.folder, "env": os.environ | {"TMPDIR": str(self.folder)}}
         with (self.folder / "errors.txt").open("ab") as errors:
             self.runner = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=errors, **where)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from correction.piv.pair import evaluate_pair
 from ground import memory
 from ground.errors import MemoryShort
+from piv.correlation.pair import evaluate_pair
 from sim.demo.scenes import at_size, named_scene
 from sim.flow.view import ParticleView
-from sim.prints.patterns import ParticleSheet
+from sim.renderer.patterns import ParticleSheet
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 

@@ -11,8 +11,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from daq.acquisition.bench.bench_table import STAGES
-from daq.cli import DONE, main
+from daq.bench.bench_table import STAGES
+from rtpiv.command_line.cli import DONE, main
 from sim.bench import SimulatedBench
 from tests.daq.small_bench import (
     GLASS_CHANNELS,

@@ -9,8 +9,8 @@ import shutil
 
 import pytest
 
-from daq.cli import DEVICE, DONE, main
-from daq.options import parser
+from rtpiv.command_line.cli import DEVICE, DONE, main
+from rtpiv.options import parser
 from tests.system.pages import HARDWARE, NOT_RUN, PAGES, ROOT, commands, in_files, words
 
 README = ROOT / "README.md"

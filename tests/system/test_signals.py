@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from daq.acquisition.runs.run_folder import RunFolder, finished_steps
-from daq.cli import INTERRUPTED
+from daq.runs.run_folder import RunFolder, finished_steps
+from rtpiv.command_line.cli import INTERRUPTED
 from tests.daq.small_bench import write_frames
 from tests.system.served import end, served_bench
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from daq.cli import DONE, main
-from tests.daq.acquisition.cameras.rigs import need_harvesters
-from tests.daq.acquisition.runner.test_two_cameras import write_two
+from rtpiv.command_line.cli import DONE, main
+from tests.daq.cameras.rigs import need_harvesters
+from tests.daq.runner.test_two_cameras import write_two
 from tests.daq.small_bench import SCENE
 
 LENS = "aperture: {{f_mm: 60.0, f_number: 4.0, focus_mm: {focus_mm}}}"

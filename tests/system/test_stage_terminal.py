@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from daq.cli import DONE, INTERRUPTED
+from rtpiv.command_line.cli import DONE, INTERRUPTED
 from tests.system.served import end, served_bench
 
 CTRL_C, CTRL_D = b"\x03", b"\x04"

@@ -9,11 +9,11 @@ import time
 import numpy as np
 import pytest
 
-from daq.acquisition.pipeline import lanes
-from daq.acquisition.runs.raw_frame import checksum, read_raw, write_raw
-from daq.acquisition.runs.run_check import check_run
-from daq.acquisition.runs.run_folder import RunFolder, frame_entries
-from daq.cli import DEVICE, DONE, main
+from daq.pipeline import lanes
+from daq.runs.raw_frame import checksum, read_raw, write_raw
+from daq.runs.run_check import check_run
+from daq.runs.run_folder import RunFolder, frame_entries
+from rtpiv.command_line.cli import DEVICE, DONE, main
 from tests.daq.small_bench import write_bench
 
 pytest.importorskip("harvesters", reason="the camera needs harvesters (extra rtpiv[camera])")

@@ -10,8 +10,8 @@ import time
 import pytest
 import serial
 
-from daq.acquisition.runs.run_folder import RunFolder, finished_steps
-from daq.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
+from daq.runs.run_folder import RunFolder, finished_steps
+from rtpiv.command_line.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
 from tests.daq.small_bench import FILES_CAMERA, write_bench, write_frames
 
 PLAN = "experiment: shift\nviews: [glass]\ndisplacements: [{along: [1.0, 0.0, 0.0], mm: 20.0}]\nrepeats: 3\n"
@@ -100,7 +100,7 @@ def test_camera_snap(tmp_path, capsys):
 
 
 def start(folder, *arguments, **options):
-    command = [sys.executable, "-u", "-m", "daq.cli", *arguments]
+    command = [sys.executable, "-u", "-m", "rtpiv.command_line.cli", *arguments]
     environment = os.environ | {"TMPDIR": str(folder), "COLUMNS": "200"}
     return subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options

@@ -8,10 +8,10 @@ import sys
 import time
 from pathlib import Path
 
-from sim.clock import ScaledClock
 from sim.emulators.line import Line
 from sim.emulators.pty import PtyPort
-from sim.emulators.timing_units import emulator_of
+from sim.mechanics.clock import ScaledClock
+from sim.timing_boxes.timing_units import emulator_of
 
 
 def main():

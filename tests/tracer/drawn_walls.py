@@ -9,8 +9,8 @@ from tests.tracer.scenes import camera_at
 from tracer.bodies import Body, Core, Dome, Sphere, Tube, Window
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium, Medium
-from tracer.scene import Scene
-from tracer.trace import TraceResult, trace_from
+from tracer.scene.scene import Scene
+from tracer.strategies.trace import TraceResult, trace_from
 
 CAMERA_Z = 400.0
 GLASS, WATER = ConstantMedium(1.5195), ConstantMedium(1.333)

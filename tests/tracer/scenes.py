@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from benchmarks.scenes import bench_scene
 from tracer.bodies import Body, Core, Sphere
 from tracer.camera import Camera, Lens, look_at
-from tracer.cells import NO_CELLS
 from tracer.kernels.maps import trace_trails
 from tracer.kernels.march import march
 from tracer.kernels.world import World
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.cells import NO_CELLS
 
 TILTED = "tilted"
 HOLLOW = "hollow"

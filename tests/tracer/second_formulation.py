@@ -5,8 +5,8 @@ import math
 import numba
 import numpy as np
 
-from tracer.scene import Scene
-from tracer.trace import TraceResult
+from tracer.scene.scene import Scene
+from tracer.strategies.trace import TraceResult
 
 BASE, PRIME = 1000003, 2**31 - 1
 

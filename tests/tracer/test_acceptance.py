@@ -12,11 +12,11 @@ import pytest
 
 from tracer.depth_of_field import depth_of_field_mm, f_number_for_depth
 from tracer.errors import SceneError
-from tracer.fov import field_of_view, radial_curve
 from tracer.media import MEDIA, ConstantMedium
-from tracer.scene import Scene
-from tracer.scene_file import load_scene
-from tracer.trace import trace
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+from tracer.strategies.fov import field_of_view, radial_curve
+from tracer.strategies.trace import trace
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -11,24 +11,24 @@ from mpmath import mpf
 from numpy.typing import NDArray
 
 from benchmarks.balls_reference import End, follow_balls
-from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
+from correction.maps.correction_map import build_correction_map
 from ground.errors import ConfigError
 from tests.tracer.scenes import ball, camera_at
-from tracer.beds import fits_bed
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
 from tracer.harmonics import COUNT, DEGREES, NAMES, of_ellipsoid, to_polynomials, turned, up_to, values
 from tracer.light_sheet import LightSheet
-from tracer.lockstep import fits_lockstep
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.ray_path import ray_path
-from tracer.scene import Scene
-from tracer.scene_file import dump_scene, load_priors, load_scene
-from tracer.sensitivity import landings
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.status import RayStatus
-from tracer.trace import trace, trace_from
+from tracer.strategies.beds import fits_bed
+from tracer.strategies.lockstep import fits_lockstep
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.ray_path import ray_path
+from tracer.strategies.sensitivity import landings
+from tracer.strategies.trace import trace, trace_from
 
 STATUS = {"recovered": RayStatus.RECOVERED, "tir": RayStatus.TIR, "missed": RayStatus.MISSED_PLANE}
 CAMERA = camera_at((10.0, -15.0, 400.0), (0.0, 0.0, 10.0), 3000.0, (160, 120))

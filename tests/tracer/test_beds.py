@@ -9,15 +9,15 @@ import pytest
 from benchmarks.scenes import bed
 from tests.tracer.scenes import HOLLOW, ball, camera_at, scene, shrunk
 from tests.tracer.test_lockstep import check
-from tracer.beds import fits_bed, fits_bed_behind
 from tracer.bodies import Sphere
-from tracer.branches import lengths_of
 from tracer.errors import RayMapUsageError
-from tracer.lockstep import aligned, fits_lockstep
 from tracer.media import ConstantMedium
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 from tracer.status import RayStatus
+from tracer.strategies.beds import fits_bed, fits_bed_behind
+from tracer.strategies.branches import lengths_of
+from tracer.strategies.lockstep import aligned, fits_lockstep
+from tracer.strategies.ray_map import RayMap, build_ray_map
 
 packed = cache(bed)  # a thousand balls take a while to be checked
 
@@ -180,7 +180,7 @@ def test_a_tile_whose_rays_are_all_totally_reflected(monkeypatch: pytest.MonkeyP
         memory[...] = np.nan if np.issubdtype(dtype, np.floating) else 7_777_777_777_777
         return memory
 
-    monkeypatch.setattr("tracer.beds.aligned", poisoned)
+    monkeypatch.setattr("tracer.strategies.beds.aligned", poisoned)
     bubble = Sphere("bubble", (0.0, 0.0, 60.0), 20.0, ConstantMedium(1.0))
     camera = camera_at((18.0, 0.0, 460.0), (18.0, 0.0, 0.0), 4000.0, (16, 16))
     made = build_ray_map(Scene(camera, (bubble,), ambient=ConstantMedium(1.5)))

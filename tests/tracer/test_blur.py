@@ -5,14 +5,14 @@ import pytest
 
 from ground.jit import kernel
 from sim.demo.scenes import at_size, named_scene
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import Aperture, tables_of
-from tracer.blur import pupil_views
 from tracer.errors import SceneError
 from tracer.pupil import Pupil
-from tracer.scene import Scene
-from tracer.trace import trace
+from tracer.scene.scene import Scene
+from tracer.strategies.blur import pupil_views
+from tracer.strategies.trace import trace
 
 F_MM = 60.0
 STEP_PX = 0.5

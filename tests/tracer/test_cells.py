@@ -5,18 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
+from correction.maps.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
-from tracer import beds, cells
 from tracer.bodies import Rod
-from tracer.cells import NO_CELLS, sort_into_cells
 from tracer.kernels.bed import next_in_bed
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.world import World, next_sphere
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.trace import pack_camera, trace
+from tracer.scene.scene import Scene
+from tracer.strategies import beds, cells
+from tracer.strategies.cells import NO_CELLS, sort_into_cells
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import pack_camera, trace
 
 
 def bed(kind: str, seed: int = 0) -> Scene:

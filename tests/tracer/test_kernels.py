@@ -14,7 +14,6 @@ from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, random_scene, s
 from tracer.bodies import Rod, Sphere
 from tracer.bodies.rod import meets_rod
 from tracer.camera import Lens
-from tracer.cells import world_of
 from tracer.kernels.camera import ideal_xy, pixel_ray, pixel_ray_tangents
 from tracer.kernels.maps import trace_rays, trace_rows, trace_trails
 from tracer.kernels.march import march, march_pixel_tangents
@@ -22,10 +21,11 @@ from tracer.kernels.sensor import sensor_rows
 from tracer.kernels.sphere import angles, foot, through, transmittance, turned
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import next_body
-from tracer.lockstep import find_mirrors, pack_chain, row_scratch
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.trace import RAY, pack_camera, trace, trace_from
+from tracer.strategies.cells import world_of
+from tracer.strategies.lockstep import find_mirrors, pack_chain, row_scratch
+from tracer.strategies.trace import RAY, pack_camera, trace, trace_from
 
 
 def both(kernel: Any, *arguments: object) -> tuple[np.ndarray, np.ndarray]:

@@ -10,9 +10,9 @@ from tests.correction.small_scenes import EXAMPLES, small_scene
 from tracer.bodies import shifted_by
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
-from tracer.scene_file import dump_scene, load_scene
-from tracer.sensitivity import TargetPose, landings
-from tracer.trace import trace
+from tracer.scene.scene_file import dump_scene, load_scene
+from tracer.strategies.sensitivity import TargetPose, landings
+from tracer.strategies.trace import trace
 
 SHEET = LightSheet(-0.3, 0.7, -1.1, 0.02, 0.03, (0.3, -0.2, 0.1), 1.2)
 

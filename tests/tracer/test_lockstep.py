@@ -10,14 +10,14 @@ from benchmarks.scenes import PAPER, aimed_pixels
 from ground.rows import run_rows
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens
-from tracer.cells import world_of
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import march_pixel_tangents
-from tracer.lockstep import fits_lockstep
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.trace import pack_camera, trace
+from tracer.strategies.cells import world_of
+from tracer.strategies.lockstep import fits_lockstep
+from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.trace import pack_camera, trace
 
 
 def check(where: Scene) -> RayMap:

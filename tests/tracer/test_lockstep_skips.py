@@ -16,10 +16,10 @@ from tracer.kernels.chain import (
     insert_span,
     place_row,
 )
-from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, pack_chain, trace_lockstep
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.trace import pack_camera
+from tracer.scene.scene import Scene
+from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, pack_chain, trace_lockstep
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import pack_camera
 
 SCENES = ("one_sphere_250", "two_spheres_500", "three_spheres_500", "pyramid_500", TILTED)
 

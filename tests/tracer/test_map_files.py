@@ -14,8 +14,8 @@ from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from tests.tracer.scenes import ball, camera_at, scene
 from tracer.errors import StaleMap
-from tracer.ray_map import KIND, RayMap, build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import KIND, RayMap, build_ray_map
 
 
 def small_scene(x_mm: float = 0.0) -> Scene:

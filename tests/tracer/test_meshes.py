@@ -12,14 +12,14 @@ from ground.errors import ConfigError
 from tests.tracer.drawn_meshes import ball_points, stone_points, stone_value, write_obj, write_ply
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Mesh, Sphere
+from tracer.bodies.mesh_file import load_mesh
 from tracer.errors import SceneError
 from tracer.kernels.mesh import cross_mesh, mesh_rates
 from tracer.media import ConstantMedium
-from tracer.mesh_file import load_mesh
-from tracer.scene import Scene
-from tracer.scene_file import dump_scene, load_scene
-from tracer.trace import trace, trace_from
-from tracer.view import surface_error_px
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene, load_scene
+from tracer.scene.view import surface_error_px
+from tracer.strategies.trace import trace, trace_from
 
 pytest.importorskip("trimesh")
 N = 1.5195

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from benchmarks.scenes import PAPER, aimed_pixels
 from tests.tracer.scenes import TILTED, ball, camera_at, random_scene, scene
 from tracer.bodies import Sphere
-from tracer.cells import world_of
 from tracer.kernels.march import march
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.trace import TraceResult, trace, trace_from
+from tracer.strategies.cells import world_of
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import TraceResult, trace, trace_from
 
 seeds = st.integers(0, 2**32 - 1)
 some = settings(max_examples=40, deadline=None)

@@ -17,8 +17,8 @@ from tests.tracer.scenes import HOLLOW, TILTED, random_scene, scene
 from tracer.bodies import Rod, Sphere
 from tracer.errors import SceneError
 from tracer.media import MEDIA, SellmeierMedium
-from tracer.scene_file import dump_scene, load_priors, load_scene
-from tracer.trace import trace
+from tracer.scene.scene_file import dump_scene, load_priors, load_scene
+from tracer.strategies.trace import trace
 
 GOOD = """\
 wavelength_nm: 532.0

@@ -11,7 +11,7 @@ import pytest
 from tests.tracer.scenes import random_scene
 from tests.tracer.second_formulation import numbered, second
 from tracer.status import RayStatus
-from tracer.trace import trace
+from tracer.strategies.trace import trace
 
 GRAZE = 1e-9  # of R^2
 CHUNK = 25_000

@@ -13,14 +13,14 @@ from benchmarks.reference import dot, follow_pixel
 from sim.demo.scenes import named_scene
 from tracer.bodies import Core
 from tracer.camera import Lens
-from tracer.cells import world_of
 from tracer.kernels.adjoint import STATE
 from tracer.kernels.landing import trace_landings
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
-from tracer.sensitivity import CAMERA, SPHERE, TARGET, TargetPose, landings, parameter_names
-from tracer.trace import pack_camera
+from tracer.scene.scene import Scene
+from tracer.strategies.cells import world_of
+from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose, landings, parameter_names
+from tracer.strategies.trace import pack_camera
 
 STEP = mpf(10) ** -16  # of 50 digits: truncation and rounding both below 1e-30
 POSE = TargetPose(

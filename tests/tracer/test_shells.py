@@ -19,18 +19,18 @@ from tests.tracer.scenes import HOLLOW, ball, camera_at, one_ray, random_scene, 
 from tests.tracer.second_formulation import inside
 from tests.tracer.second_formulation import met as meet
 from tracer.bodies import Core, Sphere
-from tracer.branches import sphere_of
 from tracer.errors import SceneError
-from tracer.fov import field_of_view
 from tracer.kernels.shell import core_turn, core_turn_rates, way_through, with_cores, with_cores_rates
 from tracer.kernels.sphere import SOLID, angles, through
-from tracer.lockstep import fits_lockstep
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.ray_path import ray_path
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.trace import trace, trace_from
+from tracer.strategies.branches import sphere_of
+from tracer.strategies.fov import field_of_view
+from tracer.strategies.lockstep import fits_lockstep
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.ray_path import ray_path
+from tracer.strategies.trace import trace, trace_from
 
 EPSILON = 2.0**-52
 RADIUS_MM, N, AWAY = 25.0, 1.53, 17.0

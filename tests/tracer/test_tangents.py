@@ -4,10 +4,10 @@ import mpmath
 import numpy as np
 from mpmath import mpf
 
-from tracer.cells import NO_CELLS
 from tracer.kernels.adjoint import STATE, trace_states
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import RECOVERED, World
+from tracer.strategies.cells import NO_CELLS
 
 N = 1.5
 

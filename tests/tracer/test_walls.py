@@ -11,8 +11,8 @@ import pytest
 from mpmath import mpf
 
 from benchmarks.walls_reference import Walls, follow_walls, unit, vector
-from correction.correction_map import build_correction_map
 from correction.grid import PlaneGrid
+from correction.maps.correction_map import build_correction_map
 from tests.tracer.drawn_walls import (
     AIR_CAMERA,
     GLASS,
@@ -27,21 +27,21 @@ from tests.tracer.drawn_walls import (
 )
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Body, Sphere, Window
-from tracer.cells import world_from
 from tracer.errors import SceneError
-from tracer.fov import field_of_view
 from tracer.kernels.dome import cross_dome, dome_rates, leave_dome
 from tracer.kernels.rooms import IN, OFF, OUT, THROUGH
 from tracer.kernels.tube import cross_tube, leave_tube, tube_rates
 from tracer.kernels.window import cross_window, window_rates
 from tracer.kernels.world import ENTERED, KINDS, MOST_NUMBERS, OFF_INSIDE
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.scene_file import dump_scene, load_scene
-from tracer.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, landings_through
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene, load_scene
 from tracer.status import RayStatus
-from tracer.trace import trace, trace_from
+from tracer.strategies.cells import world_from
+from tracer.strategies.fov import field_of_view
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, landings_through
+from tracer.strategies.trace import trace, trace_from
 
 STATUS = {
     "recovered": RayStatus.RECOVERED,

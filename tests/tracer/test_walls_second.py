@@ -10,12 +10,12 @@ import pytest
 
 from benchmarks.walls_reference import Walls, follow_walls, vector
 from ground.jit import kernel
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import to_plane
 from sim.renderer.render import tables_of
 from tests.tracer.drawn_walls import aimed, drawn_walls
-from tracer.scene import Scene
-from tracer.trace import trace_from
+from tracer.scene.scene import Scene
+from tracer.strategies.trace import trace_from
 
 LEVEL, CALM_MM, CALM_LIGHT = 0.05, 2e-6, 1e-6
 RAYS = 25_000  # of a scene

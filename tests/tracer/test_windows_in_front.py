@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
+from correction.maps.correction_map import build_correction_map
 from tests.tracer.drawn_walls import GLASS, WATER, among_all_kinds, seen
 from tests.tracer.scenes import camera_at
-from tracer.beds import fits_bed_behind
 from tracer.bodies import Body, Sphere, Tube, Window
 from tracer.camera import Lens
-from tracer.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors
 from tracer.media import ConstantMedium
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.windows_in_front import trace_windows, usual_windows, windows_in_front
+from tracer.strategies.beds import fits_bed_behind
+from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors
+from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.windows_in_front import trace_windows, usual_windows, windows_in_front
 
 NEAR_MM = 150.0
 CAMERA = camera_at((12.0, -7.0, 400.0), (0.0, 0.0, 0.0), 900.0, (150, 131))
@@ -196,8 +196,8 @@ def test_its_map_is_inverted_in_blocks_as_node_by_node(kind: str, monkeypatch: p
         replace(CAMERA, lens=Lens(k1=-0.05, p1=1e-3)), (*before, window(150.0, "window", 60.0, WATER), *behind)
     )
     blocks = build_correction_map(scene, build_ray_map(scene), layers=2)
-    monkeypatch.setattr("tracer.ray_map.windows_in_front", lambda _: None)
-    monkeypatch.setattr("tracer.ray_map.fits_bed_behind", lambda _: False)
+    monkeypatch.setattr("tracer.strategies.ray_map.windows_in_front", lambda _: None)
+    monkeypatch.setattr("tracer.strategies.ray_map.fits_bed_behind", lambda _: False)
     monkeypatch.setattr("correction.inversion.invert.usual_windows", lambda _: None)
     single = build_correction_map(scene, build_ray_map(scene), layers=2, skip=False)
     assert blocks.recovered.sum() > 4000

@@ -10,7 +10,7 @@ import pytest
 
 from tests.wheel.build import ROOT, build_wheel
 
-PACKAGES = ("rtpiv", "ground", "tracer", "correction", "stages", "daq", "sim", "benchmarks")
+PACKAGES = ("rtpiv", "ground", "piv", "tracer", "correction", "stages", "daq", "sim")
 
 
 @pytest.fixture(scope="module")
@@ -23,13 +23,13 @@ def test_every_file_that_is_used_and_nothing_else(wheel):
     for package in PACKAGES:
         there = {str(path.relative_to(ROOT)) for path in (ROOT / package).rglob("*.py")}
         assert there <= names
-    assert {f"{package}/__init__.pyi" for package in PACKAGES if package not in ("ground", "benchmarks")} <= names
-    assert "daq/analysis/report/page.css" in names
+    assert {f"{package}/__init__.pyi" for package in PACKAGES if package != "ground"} <= names
+    assert "rtpiv/analysis/report/page.css" in names
     shown = {path.relative_to(ROOT / "examples") for path in (ROOT / "examples").rglob("*.*")}
-    assert {f"daq/examples/{path}" for path in shown if "__pycache__" not in path.parts} <= names
+    assert {f"rtpiv/examples/{path}" for path in shown if "__pycache__" not in path.parts} <= names
     allowed = {*PACKAGES, next(name for name in names if name.endswith("/RECORD")).partition("/")[0]}
     assert {name.partition("/")[0] for name in names} == allowed
-    assert not [name for name in names if "__pycache__" in name or name.startswith("benchmarks/results")]
+    assert not [name for name in names if "__pycache__" in name or name.startswith("benchmarks")]
 
 
 def test_it_runs_where_it_lies(wheel, tmp_path):
@@ -40,7 +40,7 @@ def test_it_runs_where_it_lies(wheel, tmp_path):
     for name in ("sim.py", "daq.py", "tracer.py", "benchmarks.py"):
         (here / name).write_text("raise SystemExit('hidden')\n")
     environment = os.environ | {"PYTHONPATH": str(place)}
-    code = "from rtpiv.command import main; from daq.example_files import examples; print(examples()); main()"
+    code = "from rtpiv.command import main; from rtpiv.example_files import examples; print(examples()); main()"
     ran = subprocess.run(
         [sys.executable, "-P", "-c", code, "--version"],
         cwd=here,
@@ -49,4 +49,4 @@ def test_it_runs_where_it_lies(wheel, tmp_path):
         text=True,
         check=True,
     )
-    assert ran.stdout.splitlines() == [str(place / "daq" / "examples"), f"rtpiv {version('rtpiv')}"]
+    assert ran.stdout.splitlines() == [str(place / "rtpiv" / "examples"), f"rtpiv {version('rtpiv')}"]

@@ -14,14 +14,14 @@ from ground.config import Triple
 from ground.jit import Array
 from ground.plain_words import exactly
 from tracer.bodies.body import Body, BodySection, Capsule, Index, vector3
+from tracer.bodies.mesh_file import MeshFile, load_mesh
+from tracer.bodies.patch_table import control_points, kinks, mesh_row
 from tracer.camera import LONGEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
 from tracer.kernels.mesh import cross_mesh, meets_mesh, mesh_rates
 from tracer.kernels.world import KINDS, Kind
 from tracer.media import Medium
 from tracer.medium_table import MediumTable, Positive, medium_of, written
-from tracer.mesh_file import MeshFile, load_mesh
-from tracer.patch_table import control_points, kinks, mesh_row
 
 ORIGIN = (0.0, 0.0, 0.0)
 UNTURNED = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Branches as kernels write them: events, keys, trips and numbers.  What they mean stands in ``tracer.branches``.
+"""Branches as kernels write them: events, keys, trips and numbers; for their meaning see the strategies.
 
 event    one body crossed, on one way: sphere + way * (number of spheres), which is the number of the sphere itself
          on way 0; other bodies follow all ways through all spheres, with four ways each

@@ -20,8 +20,8 @@ import numpy as np
 from correction.inversion.kernels.inverse import TOLERANCE_PX, Tables, inverse_2x2, unowned_tables
 from correction.inversion.kernels.lonely import Ways, slopes_along, unowned_ways
 from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
-from correction.resample.kernels.bspline import INDEX
 from ground.jit import Array, kernel, kernel_inlined, unowned
+from piv.resampling.kernels.bspline import INDEX
 from tracer.kernels.march import march_pixel_tangents
 
 REACH, WHOLE = 0.7, 1.0

@@ -37,8 +37,8 @@ from correction.inversion.kernels.newton import (
     solve_patiently,
 )
 from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
-from correction.resample.kernels.bspline import INDEX
 from ground.jit import Array, kernel, kernel_inlined, unowned
+from piv.resampling.kernels.bspline import INDEX
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistorted
 from tracer.kernels.chain import PX, PY, SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
 from tracer.kernels.march import march_pixel_tangents

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
-from correction.board import Chessboard
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, named_scene
 from tracer.bodies import shifted_by
 

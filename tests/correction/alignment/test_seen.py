@@ -8,9 +8,10 @@ import pytest
 from correction.alignment.errors import AlignmentError, RimNotFound, RimUnclear
 from correction.alignment.rim import rim_of
 from correction.alignment.seen import Expected, find_arrangement
-from correction.errors import FrameError, TargetNotFound
+from correction.errors import TargetNotFound
+from piv.errors import FrameError
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard as Print
+from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.alignment.drawn import BOARD, drawn, moved, ring, scene_of

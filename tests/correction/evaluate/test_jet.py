@@ -10,18 +10,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.background.min_max import min_max_normalised
-from correction.background.sliding_minimum import without_sliding_minimum
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
 from correction.evaluate.regions import Region, regions_of
-from correction.piv.pair import evaluate_pair
-from correction.piv.settings import PivSettings
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.settings import PivSettings
+from piv.preprocessing.min_max import min_max_normalised
+from piv.preprocessing.sliding_minimum import without_sliding_minimum
 from sim.demo.scenes import at_size, named_scene
-from sim.prints.patterns import printed_particles
+from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
-from tracer.ray_map import build_ray_map
+from tracer.strategies.ray_map import build_ray_map
 
 SIDE_PX = 448  # the middle of a sensor of 1008 px: the balls and 6 mm around
 PAIRS = 100

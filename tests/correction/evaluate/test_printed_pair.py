@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
 from correction.evaluate.regions import regions_of
-from correction.frame_file import read_frame
-from correction.piv.pair import evaluate_pair
-from sim.prints.patterns import Image
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector
+from piv.correlation.pair import evaluate_pair
+from piv.files.frame_file import read_frame
+from sim.renderer.patterns import Image
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.supplied import ROOT
-from tracer.ray_map import build_ray_map
-from tracer.scene_file import load_scene
+from tracer.scene.scene_file import load_scene
+from tracer.strategies.ray_map import build_ray_map
 
 PAIRS = ROOT.parent / "shared" / "piv_pairs"
 

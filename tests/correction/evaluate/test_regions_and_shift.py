@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
-from correction.errors import PairError
 from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.shift import evaluate_shift, shift_errors
 from correction.evaluate.velocity_route import raw_settings, velocity_route
-from correction.piv.pair import evaluate_pair
-from correction.piv.settings import PivSettings
-from sim.prints.patterns import printed_particles
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.settings import PivSettings
+from piv.errors import PairError
+from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render_irradiance
 from tests.correction.small_scenes import small_scene
 from tracer.errors import StaleMap
-from tracer.ray_map import build_ray_map
+from tracer.strategies.ray_map import build_ray_map
 
 SETTINGS = PivSettings(windows_px=(32, 32, 32))
 SHIFT_MM = np.array([0.9, 0.6])

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
 from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.routes import compare_routes, joined
 from correction.evaluate.velocity_route import PlaneVectors
-from correction.piv.vector_field import VectorFlag
+from correction.maps.correction_map import build_correction_map
+from piv.correlation.vector_field import VectorFlag
 from tests.correction.evaluate.vectors import uniform_field
 from tests.correction.small_scenes import small_scene
-from tracer.ray_map import build_ray_map
+from tracer.strategies.ray_map import build_ray_map
 
 SHIFT_PX = (3.0, -2.0)
 

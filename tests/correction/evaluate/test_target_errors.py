@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from correction.board import Chessboard
 from correction.evaluate import target_error as measured_in
 from correction.evaluate.target_error import target_error, target_errors
-from correction.prepared import prepare
+from correction.fitted.prepared import prepare
+from correction.target import Chessboard
 from tests.correction.synthetic_board import soft_board
-from tracer.scene_file import load_scene
+from tracer.scene.scene_file import load_scene
 
 BOARD = Chessboard()
 SCENE = """

@@ -5,10 +5,10 @@ import pytest
 from scipy.io import netcdf_file
 
 from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
-from correction.evaluate.vector_map_sigma import VectorMapSigma
 from correction.evaluate.velocity_route import PlaneVectors
+from correction.fitted.vector_map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
-from correction.piv.vector_field import VectorField, VectorFlag
+from piv.correlation.vector_field import VectorField, VectorFlag
 
 GRID = PlaneGrid((-10.0, 5.0), 0.1, (100, 120))
 

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
-from correction.evaluate.vector_map_sigma import vector_map_sigma
-from correction.fit.scene_sigma import SceneSigma
-from correction.fit.unknowns import unknowns_of
+from correction.fit.solve.unknowns import unknowns_of
+from correction.fitted.scene_sigma import SceneSigma
+from correction.fitted.vector_map_sigma import vector_map_sigma
+from correction.maps.correction_map import build_correction_map
 from tests.correction.evaluate.vectors import uniform_field
 from tests.correction.small_scenes import small_scene
 from tracer.errors import StaleMap
-from tracer.fit_section import FitCameraTable, FitSphereTable, FitTable
-from tracer.ray_map import build_ray_map
-from tracer.trace import trace
+from tracer.scene.fit_section import FitCameraTable, FitSphereTable, FitTable
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import trace
 
 PRIORS = FitTable(
     camera=FitCameraTable(position_mm=0.05, rotation_deg=0.005, k1=0.001),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from correction.piv.vector_field import VectorField, VectorFlag
+from piv.correlation.vector_field import VectorField, VectorFlag
 
 
 def uniform_field(shape, shift_px, step_px=8, window_px=16):

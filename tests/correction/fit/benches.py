@@ -5,21 +5,21 @@ from functools import cache
 
 import numpy as np
 
-from correction.board import Chessboard
-from correction.correction_map import build_correction_map
-from correction.fit.map_sigma import sigma_at
-from correction.fit.measurement import TargetFrame
-from correction.fit.result import SceneFit
+from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.fitted.map_sigma import sigma_at
 from correction.grid import PlaneGrid, grid_of
+from correction.maps.correction_map import build_correction_map
+from correction.target import Chessboard
 from sim.demo.scenes import BARREL_35MM, at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard as Print
-from sim.prints.patterns import Pose, placed
+from sim.renderer.patterns import Chessboard as Print
+from sim.renderer.patterns import Pose, placed
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.trace import trace
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import trace
 
 SIZE_PX = 1008
 SQUARE_MM = 3.5  # 22 px in the bare view

@@ -10,26 +10,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from correction.board import Chessboard
-from correction.correction_map import build_correction_map
 from correction.fit.adjustment import Adjustment
-from correction.fit.light import doubt_of
-from correction.fit.map_sigma import sigma_at
-from correction.fit.measurement import LostCorners, MeasuredFrame, whitening
-from correction.fit.prediction import expect
-from correction.fit.result import SceneFit
-from correction.fit.smear_test import EdgeSpread
-from correction.fit.solver import Corners
-from correction.fit.unknowns import unknowns_of
+from correction.fit.judge.result import SceneFit
+from correction.fit.seen.measurement import LostCorners, MeasuredFrame, whitening
+from correction.fit.seen.prediction import expect
+from correction.fit.seen.smear_test import EdgeSpread
+from correction.fit.solve.light import doubt_of
+from correction.fit.solve.solver import Corners
+from correction.fit.solve.unknowns import unknowns_of
+from correction.fitted.map_sigma import sigma_at
 from correction.grid import PlaneGrid, grid_of
+from correction.maps.correction_map import build_correction_map
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.drawn_optics import Ball, Lab, corners_px, shown_mm
-from tracer.fit_section import FitNamedTable, FitTable
 from tracer.media import MEDIA, ConstantMedium, Medium
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.sensitivity import TargetPose
-from tracer.trace import trace
+from tracer.scene.fit_section import FitNamedTable, FitTable
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.sensitivity import TargetPose
+from tracer.strategies.trace import trace
 from tracer.white_led import white_led
 
 SIZE_PX = 1008

@@ -9,14 +9,14 @@ from functools import cache
 
 import numpy as np
 
-from correction.fit.measurement import TargetFrame
+from correction.fit.seen.measurement import TargetFrame
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard as Print
+from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import SIZE_PX, SQUARE_MM
 from tracer.media import MEDIA
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 WAVES_NM = np.arange(420.0, 701.0, 10.0)
 FINE = Sensor(white_counts=53000.0, electrons_per_count=float("inf"), read_noise_counts=0.0, bits=16)

@@ -10,7 +10,7 @@ plain numpy, so that neither tracer nor project renderer is trusted.
 import numpy as np
 from numpy.typing import NDArray
 
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 OFFSET = 1500.0 * 2.0**-24
 

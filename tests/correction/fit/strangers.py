@@ -9,13 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from correction.board import Chessboard
+from correction.target import Chessboard
 from sim.demo.scenes import misaligned
 from tracer.bodies import Sphere
 from tracer.camera import Camera, look_at
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 SENSORS_PX = ((640, 480), (1024, 1024), (1008, 700), (700, 1008), (1280, 800))
 VIEW_MM = (50.0, 200.0)  # width of what the camera sees of the plane

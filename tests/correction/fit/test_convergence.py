@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from correction.fit.contact import pushed_apart
-from correction.fit.errors import FitError
 from correction.fit.scene_fit import fit_scene
+from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.errors import FitError
 from tests.correction.fit.benches import bench
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 STARTS = int(os.environ.get("STARTS", "10"))  # of the 200 that docs/adr/0005 reports; 2 to 10 s of a core each
 SCENES = [("one_sphere_250", 7), ("two_spheres_500", 6), ("three_spheres_500", 3), ("pyramid_500", 5)]

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from correction.board import Chessboard
 from correction.fit import scene_fit
 from correction.fit.adjustment import Adjustment
-from correction.fit.board_pose import turned
-from correction.fit.errors import FitFailed
-from correction.fit.measurement import TargetFrame
-from correction.fit.result import check
+from correction.fit.judge.result import check
 from correction.fit.scene_fit import _Fit
-from correction.fit.unknowns import unknowns_of
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.solve.board_pose import turned
+from correction.fit.solve.errors import FitFailed
+from correction.fit.solve.unknowns import unknowns_of
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.drawn_labs import BOARD, photographed
 from tests.correction.fit.drawn_optics import Ball, Lab
-from tracer.fit_section import FitCameraTable, FitTable
 from tracer.media import ConstantMedium
+from tracer.scene.fit_section import FitCameraTable, FitTable
 
 CLOSE = FitTable(camera=FitCameraTable(position_mm=0.5))  # measured, so that a camera cannot hide a lens
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from correction.fit.contact import pushed_apart
-from correction.fit.errors import FitError
+from correction.fit.judge.weakness import weaknesses
 from correction.fit.scene_fit import fit_scene
-from correction.fit.weakness import weaknesses
+from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.errors import FitError
 from tests.correction.fit.benches import bench
 from tracer.media import shifted
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 SCENES = [("pair_off_axis", 4), ("two_spheres_500", 6), ("three_spheres_500", 3), ("pyramid_500", 5)]
 STARTS = int(os.environ.get("STARTS", "10"))  # of each scene

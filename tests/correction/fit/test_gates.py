@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
-from correction.fit.errors import FitFailed
-from correction.fit.result import SceneFit, check
-from correction.fit.unconfirmed import unconfirmed_ways
+from correction.fit.judge.result import SceneFit, check
+from correction.fit.judge.unconfirmed import unconfirmed_ways
+from correction.fit.solve.errors import FitFailed
+from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from sim.demo.scenes import at_size, named_scene
 from tracer.bodies import Sphere
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
+from tracer.strategies.ray_map import build_ray_map
 
 GLASS = ConstantMedium(1.5)
 SPHERES = tuple(Sphere(name, (30.0 * k - 30.0, 0.0, 20.0), 10.0, GLASS) for k, name in enumerate("abc"))

@@ -3,13 +3,15 @@
 import numpy as np
 import pytest
 
-from correction.fit import adjustment, prediction, shape_doubt
-from correction.fit.held import ORDINARY, ORDINARY_N, doubted
-from correction.fit.unknowns import unknowns_of
-from correction.fit.weakness import weaknesses
+from correction.fit import adjustment
+from correction.fit.judge.weakness import weaknesses
+from correction.fit.seen import prediction
+from correction.fit.solve import shape_doubt
+from correction.fit.solve.held import ORDINARY, ORDINARY_N, doubted
+from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
-from tracer.fit_section import FitNamedTable, FitTable
+from tracer.scene.fit_section import FitNamedTable, FitTable
 
 SCENE = at_size(named_scene("two_spheres_500"), 700)
 

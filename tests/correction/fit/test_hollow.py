@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from correction.fit.adjustment import Adjustment
-from correction.fit.hollow import two_gases
-from correction.fit.unknowns import unknowns_of
-from correction.fit.weakness import weaknesses
+from correction.fit.judge.weakness import weaknesses
+from correction.fit.solve.hollow import two_gases
+from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.test_honesty import PRIORS, seen
 from tracer.bodies.sphere import Core
 from tracer.media import MEDIA, VACUUM, ConstantMedium
-from tracer.scene_file import load_scene
+from tracer.scene.scene_file import load_scene
 
 FILE = """
 ambient: {ambient}

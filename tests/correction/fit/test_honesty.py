@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
 from correction.fit.adjustment import Adjustment, root_of
-from correction.fit.map_sigma import sigma_at
-from correction.fit.measurement import MeasuredFrame, whitening
-from correction.fit.prediction import expect
-from correction.fit.shape_doubt import ShapeRoot
-from correction.fit.solver import Corners
-from correction.fit.unknowns import Unknowns, unknowns_of
+from correction.fit.seen.measurement import MeasuredFrame, whitening
+from correction.fit.seen.prediction import expect
+from correction.fit.solve.shape_doubt import ShapeRoot
+from correction.fit.solve.solver import Corners
+from correction.fit.solve.unknowns import Unknowns, unknowns_of
+from correction.fitted.map_sigma import sigma_at
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.benches import fitted
-from tracer.fit_section import FitCameraTable, FitSphereTable, FitTable
-from tracer.scene import Scene
-from tracer.sensitivity import TargetPose
-from tracer.trace import trace
+from tracer.scene.fit_section import FitCameraTable, FitSphereTable, FitTable
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose
+from tracer.strategies.trace import trace
 
 BOARD = Chessboard(5.0, 2.0)
 NOISE_PX = 0.05

@@ -6,19 +6,19 @@ One bench, twelve lamps (`lamps`): white LEDs, LEDs of one colour, flat bands, s
 import numpy as np
 import pytest
 
-from correction.correction_map import build_correction_map
-from correction.fit.light import any_lamp, doubt_of
-from correction.fit.map_sigma import sigma_at
-from correction.fit.result import SceneFit
+from correction.fit.judge.result import SceneFit
+from correction.fit.judge.weakness import weaknesses
 from correction.fit.scene_fit import fit_scene
-from correction.fit.weakness import weaknesses
+from correction.fit.solve.light import any_lamp, doubt_of
+from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
+from correction.maps.correction_map import build_correction_map
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.benches import BOARD, map_error_px
 from tests.correction.fit.lamps import LAMPS, TEMPERATURES, WAVES_NM, frames_in, lab, lab_scene
-from tracer.fit_section import FitTable
 from tracer.light_table import LightTable
-from tracer.ray_map import build_ray_map
+from tracer.scene.fit_section import FitTable
+from tracer.strategies.ray_map import build_ray_map
 
 TRANSFER_PX = 0.01
 # The band of 500-600 nm (29 nm standard deviation) smears too little to be told from one colour; sigma holds it.

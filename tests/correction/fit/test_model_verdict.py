@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.fit.ball_shape import SHAPES, shape_rates
-from correction.fit.correlation import FURTHEST, Lattice, correlation_of, with_correlation
-from correction.fit.hidden import Hidden
-from correction.fit.measurement import TargetFrame, glass_frame
-from correction.fit.model_test import FALSE_ALARMS, Remainder, ways_tested
-from correction.fit.smear_test import ColourSmear
-from correction.fit.unconfirmed import Unconfirmed
-from correction.fit.verdict import Verdict
+from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, ways_tested
+from correction.fit.judge.unconfirmed import Unconfirmed
+from correction.fit.judge.verdict import Verdict
+from correction.fit.seen.hidden import Hidden
+from correction.fit.seen.measurement import TargetFrame, glass_frame
+from correction.fit.seen.smear_test import ColourSmear
+from correction.fit.solve.ball_shape import SHAPES, shape_rates
+from correction.fit.solve.correlation import FURTHEST, Lattice, correlation_of, with_correlation
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
 from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart
-from tracer.sensitivity import TargetPose
+from tracer.strategies.sensitivity import TargetPose
 
 LATTICE = np.stack(np.meshgrid(np.arange(20), np.arange(12)), axis=-1).reshape(-1, 2)
 PIXEL = 40.0 + 22.0 * LATTICE

@@ -5,23 +5,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.fit.errors import FitFailed
-from correction.fit.measurement import TargetFrame
-from correction.fit.prediction import in_target_frame
 from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.seen.prediction import in_target_frame
+from correction.fit.solve.errors import FitFailed
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard as Print
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Chessboard as Print
+from sim.renderer.patterns import Pose
 from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tracer.bodies import Rod
-from tracer.fit_section import FitTable
 from tracer.light_table import LightTable
 from tracer.media import MEDIA
-from tracer.scene import Scene
-from tracer.sensitivity import TargetPose
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose
 
 HOME = Sensor()
 

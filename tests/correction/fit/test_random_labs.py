@@ -9,19 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.fit.errors import GlassNotSeen
-from correction.fit.measurement import TargetFrame
 from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.solve.errors import GlassNotSeen
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard as Print
+from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import errors_behind
 from tracer.bodies import Sphere
 from tracer.camera import thin_lens_distance_mm
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 LABS = 12
 VIEWS = ((35.0, 250.0), (50.0, 400.0), (60.0, 500.0), (105.0, 1000.0))  # focal length, distance [mm]

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.errors import FrameError, TargetNotFound
-from correction.fit.errors import FitFailed, GlassNotSeen, ViewsMissing
-from correction.fit.measurement import TargetFrame
+from correction.errors import TargetNotFound
 from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.solve.errors import FitFailed, GlassNotSeen, ViewsMissing
+from correction.target import Chessboard
+from piv.errors import FrameError
 from tests.correction.fit.benches import BOARD, SIZE_PX, SQUARE_MM, bench, photograph
 from tracer.media import ConstantMedium
 

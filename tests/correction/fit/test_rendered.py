@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
 from correction.evaluate.target_error import target_error
-from correction.fit.map_sigma import MapSigma, map_sigma, sigma_at
+from correction.fit.judge.weakness import weaknesses
 from correction.fit.scene_fit import fit_scene
-from correction.fit.weakness import weaknesses
+from correction.fitted.map_sigma import MapSigma, map_sigma, sigma_at
 from correction.grid import grid_of
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector
+from correction.target import Chessboard
 from ground.errors import MapFileError
 from tests.correction.fit.benches import BOARD, bench, fitted, map_error_px, photograph
 from tracer.bodies import Core
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
 
 CASES = [("two_spheres_500", 6)]
 SLOW = [("pair_off_axis", 4), ("three_spheres_500", 3), ("pyramid_500", 5), ("one_sphere_250", 7), ("tilted", 8)]

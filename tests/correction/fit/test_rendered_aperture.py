@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.measurement import TargetFrame
 from correction.fit.scene_fit import fit_scene
-from sim.prints.patterns import Chessboard as Print
-from sim.prints.patterns import Pose, placed
+from correction.fit.seen.measurement import TargetFrame
+from sim.renderer.patterns import Chessboard as Print
+from sim.renderer.patterns import Pose, placed
 from sim.renderer.render import Aperture, render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import SQUARE_MM, bench, errors_behind

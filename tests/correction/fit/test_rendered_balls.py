@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import scipy
 
-from correction.fit.contact import pushed_apart
-from correction.fit.result import SceneFit
+from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
+from correction.fit.solve.contact import pushed_apart
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.benches import BOARD, SIZE_PX, errors_behind, photograph
-from tracer.fit_section import FitSphereTable, FitTable
 from tracer.harmonics import NAMES, of_ellipsoid
-from tracer.scene import Scene
+from tracer.scene.fit_section import FitSphereTable, FitTable
+from tracer.scene.scene import Scene
 
 UNEVEN = FitTable(spheres=FitSphereTable(out_of_round_um=20.0))
 

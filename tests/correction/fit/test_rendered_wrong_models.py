@@ -5,12 +5,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.fit.measurement import TargetFrame
-from correction.fit.result import SceneFit
+from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard as Print
+from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.sensor import SILENT, Sensor
 from tests.correction.fit.drawn_labs import map_error
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm

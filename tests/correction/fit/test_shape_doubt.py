@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy
 
-from correction.fit.ball_shape import SHAPES, ShapeRates
-from correction.fit.shape_doubt import LARGEST_UM, SCALES, SIZES_MM, ShapeRoot, likely_scale
+from correction.fit.solve.ball_shape import SHAPES, ShapeRates
+from correction.fit.solve.shape_doubt import LARGEST_UM, SCALES, SIZES_MM, ShapeRoot, likely_scale
 
 FREE, SHAPE = 6, 10
 

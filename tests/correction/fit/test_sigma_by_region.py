@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.fit.prediction import expect
+from correction.fit.seen.prediction import expect
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.drawn_labs import Drawn, drawn_lab
 from tracer.bodies import Core, Sphere
 from tracer.media import VACUUM, ConstantMedium, shifted
-from tracer.scene import Scene
-from tracer.sensitivity import TargetPose
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose
 
 BOARD = Chessboard(2.5, 1.0)
 SIZE_PX, FIRST, LABS = 1008, 64000, 16

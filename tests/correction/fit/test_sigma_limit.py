@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from correction.correction_map import CorrectionMap
 from correction.errors import MapUsageError
-from correction.fit.scene_sigma import SceneSigma
-from correction.fit.sigma_limit import SigmaLimit
+from correction.fitted.prepared import content_key, prepare
+from correction.fitted.scene_sigma import SceneSigma
+from correction.fitted.sigma_limit import SigmaLimit
+from correction.maps.correction_map import CorrectionMap
 from correction.node_status import NodeStatus
-from correction.prepared import content_key, prepare
 from tests.correction.small_scenes import small_scene
 from tracer.errors import StaleMap
-from tracer.sensitivity import CAMERA, SPHERE
+from tracer.strategies.sensitivity import CAMERA, SPHERE
 
 LIMIT_PX = 0.06
 

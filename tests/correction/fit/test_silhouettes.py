@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.contact import pushed_apart
-from correction.fit.silhouettes import outlines_of
+from correction.fit.seen.silhouettes import outlines_of
+from correction.fit.solve.contact import pushed_apart
 from sim.demo.scenes import at_size, named_scene
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import last_way
 from sim.renderer.render import tables_of
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 SQUARE_MM = 3.5
 CHANCE = 0.03  # of a corner that is missed, or found where none is

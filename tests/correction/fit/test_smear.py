@@ -7,15 +7,15 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from correction.fit.smear import SLOPE, Dispersion, Smear, colour_steps, smeared, uneven_blur
-from sim.prints.patterns import Pose
+from correction.fit.seen.smear import SLOPE, Dispersion, Smear, colour_steps, smeared, uneven_blur
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import tables_of
 from tests.correction.fit.lamps import lab_scene
 from tracer.light import band
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
-from tracer.sensitivity import TargetPose
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose
 
 AXES = np.array([[[20.0, 6.0], [-4.0, 18.0]]])  # a square along +x, +y in the frame
 

@@ -5,14 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.smear_test import ColourSmear, EdgeSpread, SmearedView, colour_smear, index_width, smeared_view
+from correction.fit.seen.smear_test import (
+    ColourSmear,
+    EdgeSpread,
+    SmearedView,
+    colour_smear,
+    index_width,
+    smeared_view,
+)
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
-from tracer.blur import pupil_views
 from tracer.light import band, gaussian
 from tracer.media import MEDIA, ConstantMedium
 from tracer.pupil import Pupil
-from tracer.sensitivity import TargetPose, landings
+from tracer.strategies.blur import pupil_views
+from tracer.strategies.sensitivity import TargetPose, landings
 
 COUNT = 200
 

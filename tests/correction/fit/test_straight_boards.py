@@ -9,24 +9,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
 from correction.fit.adjustment import Adjustment
-from correction.fit.map_sigma import sigma_at
-from correction.fit.measurement import TargetFrame
-from correction.fit.pixel_lock import NAMES, SIZES_PX, lock_terms, with_lock, without_lock
-from correction.fit.result import SceneFit
+from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
-from correction.fit.unknowns import unknowns_of
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.seen.pixel_lock import NAMES, SIZES_PX, lock_terms, with_lock, without_lock
+from correction.fit.solve.unknowns import unknowns_of
+from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, named_scene
-from sim.prints.patterns import Chessboard as Print
+from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.drawn_labs import photographed
 from tests.correction.fit.drawn_optics import Ball, Lab, shown_mm
 from tracer.camera import look_at
-from tracer.fit_section import FitTable
-from tracer.scene import Scene
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
 
 SIZE_PX = 504
 SQUARE_PX = 22.0

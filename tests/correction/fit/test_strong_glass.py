@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
 from correction.fit.scene_fit import fit_scene
+from correction.target import Chessboard
 from sim.demo.scenes import misaligned
 from tests.correction.fit.benches import photograph
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Sphere
 from tracer.camera import thin_lens_distance_mm
 from tracer.media import medium_called
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 L_MM, SQUARE_MM = 700.0, 2.5
 PLACES = ((0.0, 17.3263, 19.0), (-15.005, -8.6631, 19.0), (15.005, -8.6631, 19.0))

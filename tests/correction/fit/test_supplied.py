@@ -11,21 +11,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.correction_map import build_correction_map
-from correction.corrector import Corrector
 from correction.evaluate.target_error import target_error
-from correction.fit.measurement import TargetFrame
-from correction.fit.prediction import expect, measure
-from correction.fit.result import SceneFit
+from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.seen.prediction import expect, measure
 from correction.grid import grid_of
+from correction.maps.correction_map import build_correction_map
+from correction.maps.corrector import Corrector
+from correction.target import Chessboard
 from tests.correction.fit.benches import map_error_px
 from tests.correction.fit.ray_offset import OFFSET, shown_mm
 from tests.supplied import Supplied, supplied
-from tracer.ray_map import build_ray_map
-from tracer.sensitivity import TargetPose, landings
-from tracer.trace import trace
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.sensitivity import TargetPose, landings
+from tracer.strategies.trace import trace
 
 FAST_AND_SLOW = ["one_sphere", pytest.param("two_spheres", marks=pytest.mark.slow)]
 BARE_MM, GLASS_MM = (-20.0, -10.0, 10.0, 20.0), (-10.0, -20.0)

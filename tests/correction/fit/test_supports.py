@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from correction.fit.adjustment import legal_scene
-from correction.fit.board_pose import turned
-from correction.fit.supports import HELD_MM
-from correction.fit.unknowns import unknowns_of
+from correction.fit.solve.board_pose import turned
+from correction.fit.solve.supports import HELD_MM
+from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import named_scene
 from tracer.bodies import Rod, Sphere
-from tracer.fit_section import FitTable
 from tracer.media import MEDIA
+from tracer.scene.fit_section import FitTable
 
 BALLS = (
     Sphere("left", (-25.0, 0.0, 26.0), 20.0, MEDIA["N-BK7"]),

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.fit.contact import pushed_apart
-from correction.fit.errors import FitError
-from correction.fit.measurement import TargetFrame
 from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.solve.contact import pushed_apart
+from correction.fit.solve.errors import FitError
+from correction.target import Chessboard
 from sim.demo.scenes import misaligned
 from tests.correction.fit.benches import photograph
 from tracer.bodies import Sphere
-from tracer.scene import Scene
-from tracer.scene_file import load_scene
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "column_in_tube.yaml"
 SQUARE_MM, SIZE_PX = 1.0, 700

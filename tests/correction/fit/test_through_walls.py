@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.cli import DONE, main
+from rtpiv.command_line.cli import DONE, main
 from sim.demo.frames import make_frames
-from tracer.scene_file import load_scene
-from tracer.trace import trace
+from tracer.scene.scene_file import load_scene
+from tracer.strategies.trace import trace
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 

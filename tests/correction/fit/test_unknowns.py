@@ -8,27 +8,27 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from correction.fit.adjustment import legal_scene
-from correction.fit.contact import pushed_apart, walls
-from correction.fit.errors import ViewsMissing
-from correction.fit.held import doubted
-from correction.fit.light import back_from_light, in_light
-from correction.fit.solver import Corners, residuals
-from correction.fit.unknowns import left_jacobian, unknowns_of
+from correction.fit.solve.contact import pushed_apart, walls
+from correction.fit.solve.errors import ViewsMissing
+from correction.fit.solve.held import doubted
+from correction.fit.solve.light import back_from_light, in_light
+from correction.fit.solve.solver import Corners, residuals
+from correction.fit.solve.unknowns import left_jacobian, unknowns_of
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.bodies import Dome, Tube, Window
-from tracer.fit_section import (
+from tracer.harmonics import COUNT
+from tracer.light import FULL_WIDTH, gaussian
+from tracer.media import MEDIA, ConstantMedium
+from tracer.scene.fit_section import (
     FitCameraTable,
     FitNamedTable,
     FitSphereTable,
     FitTable,
     FitTargetTable,
 )
-from tracer.harmonics import COUNT
-from tracer.light import FULL_WIDTH, gaussian
-from tracer.media import MEDIA, ConstantMedium
-from tracer.scene import Scene
-from tracer.scene_file import load_priors, load_scene
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_priors, load_scene
 
 ALL = FitTable(
     camera=FitCameraTable(focal_px=5.0, principal_px=1.0, k2=0.1, k3=0.1, p1=0.1, p2=0.1),

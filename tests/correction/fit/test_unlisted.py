@@ -6,21 +6,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.correction_map import build_correction_map
 from correction.fit.scene_fit import fit_scene
-from correction.fit.unlisted import unlisted_parts
+from correction.fit.seen.unlisted import unlisted_parts
+from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.prints.patterns import Chessboard as Print
+from sim.renderer.patterns import Chessboard as Print
 from sim.renderer.render import Aperture, render
 from sim.renderer.sensor import Sensor
 from tests.correction.fit.benches import map_error_px, photograph
 from tracer.bodies import Body, Rod, Sphere, Tube, Window
 from tracer.media import MEDIA, ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.sensitivity import TargetPose
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.sensitivity import TargetPose
 
 SQUARE_MM = 5.0
 BOARD = Chessboard(SQUARE_MM, 0.4 * SQUARE_MM)

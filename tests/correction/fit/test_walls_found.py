@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.board import Chessboard
-from correction.fit.map_sigma import sigma_at
-from correction.fit.result import SceneFit
+from correction.fit.judge.result import SceneFit
+from correction.fit.judge.weakness import weaknesses
 from correction.fit.scene_fit import fit_scene
-from correction.fit.weakness import weaknesses
+from correction.fitted.map_sigma import sigma_at
 from correction.grid import grid_of
+from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.benches import errors_behind, map_error_px, photograph
 from tracer.bodies import Body, Sphere, Tube, Window
 from tracer.media import MEDIA
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 SIZE_PX, SQUARE_MM = 700, 3.5
 GLASS = MEDIA["borosilicate"]

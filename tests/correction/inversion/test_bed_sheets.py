@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from benchmarks.scenes import bed
-from correction.correction_map import CorrectionMap, build_correction_map
 from correction.inversion import invert
 from correction.inversion.kernels import starts
 from correction.inversion.kernels.bed_sheets import keep_nearest
 from correction.inversion.sheets import _nearest
+from correction.maps.correction_map import CorrectionMap, build_correction_map
 from tests.tracer.test_beds import mixed_bed, small
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import RayMap, build_ray_map
 
 
 def bits(made: CorrectionMap) -> list[bytes]:

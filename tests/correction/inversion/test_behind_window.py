@@ -16,8 +16,8 @@ from tracer.bodies import Sphere, Window
 from tracer.camera import Lens
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
-from tracer.ray_map import RayMap, build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import RayMap, build_ray_map
 
 GRID = PlaneGrid((-31.0, 27.0), 0.37, (150, 170))
 CAMERA = camera_at((12.0, -7.0, 400.0), (0.0, 0.0, 0.0), 1000.0, (150, 131))

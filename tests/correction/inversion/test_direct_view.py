@@ -11,8 +11,8 @@ from correction.node_status import NodeStatus
 from tests.tracer.scenes import camera_at
 from tracer.bodies import Sphere
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import build_ray_map
 
 GLASS = ConstantMedium(1.5)
 GRID = PlaneGrid((-40.0, 38.0), 0.41, (187, 203))

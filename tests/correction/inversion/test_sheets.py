@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from correction.correction_map import MAX_MAGNIFICATION, MIN_MAGNIFICATION, build_correction_map
 from correction.inversion import invert as inversion
 from correction.inversion.kernels.inverse import solve_node
 from correction.inversion.kernels.sheets import GLASS, RUN, SIGN, USEFUL, join_runs, list_runs
+from correction.maps.correction_map import MAX_MAGNIFICATION, MIN_MAGNIFICATION, build_correction_map
 from tests.correction.small_scenes import SCENES, small_scene
 from tracer.bodies import Sphere
-from tracer.cells import world_of
 from tracer.kernels.march import march_pixel_tangents
 from tracer.media import ConstantMedium
-from tracer.ray_map import build_ray_map
-from tracer.scene import Scene
-from tracer.trace import pack_camera
+from tracer.scene.scene import Scene
+from tracer.strategies.cells import world_of
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import pack_camera
 
 
 @pytest.mark.parametrize("seed", range(5))

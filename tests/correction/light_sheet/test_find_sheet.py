@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from correction.errors import SheetError
-from correction.fit.scene_sigma import SceneSigma
+from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet import disparities, self_calibration
 from correction.light_sheet.self_calibration import find_sheet
 from tests.correction.light_sheet.particle_frames import camera, frames_of, moved
 from tracer.light_sheet import LightSheet
-from tracer.sensitivity import CAMERA, SPHERE
+from tracer.strategies.sensitivity import CAMERA, SPHERE
 
 TRUTH = (0.3, 0.2, -0.15)
 SIZE_PX, PAIRS = 400, 12

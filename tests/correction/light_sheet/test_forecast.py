@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from correction.fit.scene_sigma import SceneSigma
+from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import sheet_forecast
-from daq.verbs.trace import trace
+from rtpiv.verbs.trace import trace
 from tests.correction.light_sheet.particle_frames import camera
 from tracer.light_sheet import UNMEASURED_MM
-from tracer.scene_file import dump_scene
-from tracer.sensitivity import CAMERA, SPHERE
+from tracer.scene.scene_file import dump_scene
+from tracer.strategies.sensitivity import CAMERA, SPHERE
 
 
 def forecast(name, size_px, step=1):

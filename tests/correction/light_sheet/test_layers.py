@@ -7,7 +7,7 @@ from correction.light_sheet.double_views import ACROSS, double_views
 from correction.light_sheet.layers import ROOM, layers
 from sim.flow.view import ParticleView
 from tests.correction.light_sheet.particle_frames import camera
-from tracer.sensitivity import TargetPose, landings
+from tracer.strategies.sensitivity import TargetPose, landings
 
 SHARP_PX2 = 1e-8
 TRIED = 40

@@ -9,16 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.fitted.prepared import prepare
 from correction.light_sheet import disparities, self_calibration
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.forecast import sheet_forecast
 from correction.light_sheet.self_calibration import find_sheet
-from correction.prepared import prepare
 from sim.flow.modes import RandomModes
 from tests.correction.light_sheet.particle_frames import camera, frames_of
 from tracer.light_sheet import LightSheet
 from tracer.pupil import Pupil
-from tracer.sensitivity import TARGET, landings
+from tracer.strategies.sensitivity import TARGET, landings
 
 PAIRS, STEP_PX = 50, 8
 CASES = [

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.fit.scene_sigma import SceneSigma
+from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import Disparities
 from correction.light_sheet.double_views import double_views
 from correction.light_sheet.plane_fit import fit_plane
 from correction.light_sheet.scene_doubt import scene_doubt
 from tests.correction.light_sheet.particle_frames import camera, moved
-from tracer.sensitivity import CAMERA, SPHERE, landings
+from tracer.strategies.sensitivity import CAMERA, SPHERE, landings
 
 KNOWN = np.zeros(3), np.diag([0.5**2, 0.01**2, 0.01**2])
 

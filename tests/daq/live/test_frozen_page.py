@@ -14,8 +14,8 @@ pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect
 
-from daq.cli import main
 from daq.live.live_page import LivePage
+from rtpiv.command_line.cli import main
 from tests.daq.live.chromium import chromium, tab_at
 from tests.daq.live.test_page import SIDE, moment, taken, until_closed, viewer
 

@@ -8,7 +8,7 @@ import pytest
 from correction.grid import grid_of
 from daq.live.outlines import MOST, outlines
 from sim.demo.scenes import named_scene
-from tracer.trace import trace
+from tracer.strategies.trace import trace
 
 
 @pytest.mark.parametrize("name", ["two_spheres_500", "pyramid_500", "tilted"])

@@ -21,10 +21,10 @@ pytest.importorskip("websockets")
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from daq.acquisition.pipeline.live_slot import SlotWriter
 from daq.child import child
 from daq.live.live_page import LivePage
 from daq.live.picture import HEAD
+from daq.pipeline.live_slot import SlotWriter
 from tests.correction.alignment.drawn import BOARD, scene_of
 from tests.daq.live.chromium import chromium, tab_at
 

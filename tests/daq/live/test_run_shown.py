@@ -8,11 +8,11 @@ import pytest
 pytest.importorskip("websockets")
 from websockets.sync.client import connect
 
-from daq.acquisition.pipeline.corrections import Corrections
-from daq.acquisition.runner.runner import Runner
-from daq.acquisition.runner.session import Request, begin
 from daq.live.live_page import LivePage
 from daq.live.run_shown import RunShown
+from daq.pipeline.corrections import Corrections
+from daq.runner.runner import Runner
+from daq.runner.session import Request, begin
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, SIDE_PX, files_bench, load, write_frames
 
 PLAN = SHIFT + "frames: 3\n"

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.acquisition.pipeline.live_slot import NoSlotError, SlotReader, SlotWriter
+from daq.pipeline.live_slot import NoSlotError, SlotReader, SlotWriter
 
 
 def test_a_moment_is_whole_however_fast_the_writer_is() -> None:

@@ -1,15 +1,15 @@
 """Glass beside its place is said on the page, glass at its place is not."""
 
-from daq.acquisition.pipeline.live_slot import SlotReader, SlotWriter
 from daq.live.moved_watch import MovedWatch
 from daq.live.rim_watch import RimWatch
 from daq.live.watches import begin, scene_told
 from daq.live.worth import Worth
+from daq.pipeline.live_slot import SlotReader, SlotWriter
 from tests.correction.alignment.drawn import BOARD, drawn, moved, scene_of
 from tests.correction.self_check.test_moved_sphere import drawn_flow
 from tests.correction.self_check.test_moved_sphere import moved as sphere_moved
 from tests.daq.live.test_figures import board
-from tracer.scene_file import dump_scene
+from tracer.scene.scene_file import dump_scene
 
 SHOWS = {"rims": True, "shows": "chessboard"}
 

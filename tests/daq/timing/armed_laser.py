@@ -6,7 +6,7 @@ from daq.timing.laser import Laser
 from daq.timing.laser_head import LaserHead
 from daq.timing.pulses import PairExposures, PulseTiming
 from daq.timing.rules import Rules
-from sim.clock import VirtualClock
+from sim.mechanics.clock import VirtualClock
 from tests.daq.timing.fake_box import FakeBox
 
 HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))

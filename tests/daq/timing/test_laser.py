@@ -12,7 +12,7 @@ from daq.timing.laser_head import LaserHead
 from daq.timing.pulses import Pulse, PulseTiming, Role, Schedule
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
-from sim.clock import VirtualClock
+from sim.mechanics.clock import VirtualClock
 from stages.errors import DeviceLost, NoReply
 from tests.daq.timing.armed_laser import EXPOSURES, GOOD, HEAD, RULES, TIMING, armed, conditions_with, laser_on
 from tests.daq.timing.fake_box import FakeBox

@@ -16,11 +16,11 @@ from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
 from daq.timing.vigil import Vigil
-from sim.clock import VirtualClock
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from sim.emulators.line import Line
-from sim.emulators.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from sim.emulators.protocol_sim import LINES
+from sim.mechanics.clock import VirtualClock
+from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator, XmSyncEmulator
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import CommandRejected, StageError
 

@@ -14,11 +14,11 @@ from daq.timing.laser_head import LaserHead
 from daq.timing.pulses import PairExposures, PulseTiming, Role
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
-from sim.clock import VirtualClock
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
-from sim.emulators.quantum_composers import QuantumComposersEmulator
+from sim.mechanics.clock import VirtualClock
+from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from stages.errors import CommandRejected, StageError
 
 WIRING = {

@@ -13,7 +13,7 @@ from daq.timing.laser_head import LaserHead
 from daq.timing.rules import Rules
 from daq.timing.states import LaserState
 from daq.timing.vigil import BLIND_S, SILENCE_S, Vigil
-from sim.clock import ScaledClock
+from sim.mechanics.clock import ScaledClock
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.timing.armed_laser import GOOD, armed, conditions_with
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from sim.clock import VirtualClock
 from sim.emulators import emulator_class
 from sim.emulators.isel_dnc import IselEmulator
-from sim.motion import Mechanics, Motor
-from stages.drivers import DRIVERS
+from sim.mechanics.clock import VirtualClock
+from sim.mechanics.motion import Mechanics, Motor
+from stages.drivers_by_name import DRIVERS
 
 TIMING = ("quantum_composers", "pivlab_synchroniser")
 HEXADECIMAL = ("thorlabs_apt",)  # what has no text is written as its bytes, a message a line

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from sim.clock import ScaledClock
 from sim.emulators.line import Line
 from sim.emulators.pty import PtyPort
 from sim.emulators.thorlabs_apt import AptEmulator
-from sim.motion import Mechanics, Motor
+from sim.mechanics.clock import ScaledClock
+from sim.mechanics.motion import Mechanics, Motor
 from stages.protocols import apt_words as words
 from stages.protocols import thorlabs_apt as apt
 from stages.protocols.apt_words import Kind

@@ -2,10 +2,10 @@
 
 import pytest
 
-from sim.clock import VirtualClock
 from sim.emulators.line import Line
 from sim.emulators.zaber_ascii import ZaberEmulator
-from sim.motion import Mechanics, Motor
+from sim.mechanics.clock import VirtualClock
+from sim.mechanics.motion import Mechanics, Motor
 
 ASK = b"/1 1 get pos\n"
 ANSWER = b"@01 1 OK IDLE WR 0\r\n"

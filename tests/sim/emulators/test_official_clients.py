@@ -6,13 +6,13 @@ from itertools import pairwise
 
 import pytest
 
-from sim.clock import ScaledClock
 from sim.emulators.faults import Fault, FaultSchedule
 from sim.emulators.line import Line
 from sim.emulators.pi_gcs2 import PiEmulator
 from sim.emulators.pty import PtyPort
 from sim.emulators.zaber_ascii import ZaberEmulator
-from sim.motion import Mechanics, Motor
+from sim.mechanics.clock import ScaledClock
+from sim.mechanics.motion import Mechanics, Motor
 
 SCREW = Mechanics(lead_mm=4.0, steps_per_rev=12_800, high_switch_mm=150.0, index_mm=75.0, power_up_mm=20.0)
 PER_MM = 3200

@@ -2,13 +2,13 @@
 
 import pytest
 
-from sim.clock import VirtualClock
 from sim.emulators.grbl import GrblEmulator
 from sim.emulators.isel_dnc import IselEmulator
 from sim.emulators.line import Line
 from sim.emulators.pi_gcs2 import PiEmulator
 from sim.emulators.zaber_ascii import ZaberEmulator
-from sim.motion import Mechanics, Motor
+from sim.mechanics.clock import VirtualClock
+from sim.mechanics.motion import Mechanics, Motor
 from sim.stages import SimulatedStages
 from stages.config import StagesTable
 from tests.stages.benches import screws, stages_table

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import yaml
 
-from daq.acquisition.bench.bench_file import load_bench
+from daq.bench.bench_file import load_bench
 from ground.config import Document, validate
 from sim.bench import SimulatedBench
-from sim.flow.prepared import main as prepare_main
 from sim.flow.table import FlowTable
+from sim.prepared_pairs import main as prepare_main
 from tests.daq.small_bench import write_bench
 from tracer.errors import SceneError
 

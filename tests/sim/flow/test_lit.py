@@ -10,9 +10,9 @@ from ground.config import Document, validate
 from ground.errors import ConfigError
 from sim.flow.fields import Flow, Uniform
 from sim.flow.images import FlowCamera
-from sim.flow.lit import LitFlow
-from sim.flow.prepared import PreparedPairs, prepare
 from sim.flow.table import FlowTable
+from sim.lit_flow import LitFlow
+from sim.prepared_pairs import PreparedPairs, prepare
 from tests.sim.flow.test_view import flow_scene
 from tracer.errors import SceneError
 

@@ -7,7 +7,7 @@ import pytest
 
 from sim.demo.scenes import at_size, named_scene
 from sim.flow.view import ParticleView, pupil_points
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import camera_ray, last_way
 from sim.renderer.render import Aperture, render_irradiance, tables_of
 from tracer.bodies import Rod, shifted_by

@@ -17,12 +17,12 @@ import pytest
 import tifffile
 from scipy.ndimage import gaussian_filter, maximum_filter, minimum_filter
 
-from sim.prints.patterns import Chessboard
+from sim.renderer.patterns import Chessboard
 from sim.renderer.render import render_irradiance
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, look_at, thin_lens_distance_mm
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 FRAMES = Path(__file__).resolve().parents[4] / "shared" / "frames"
 SILHOUETTE = {"two_spheres": (996.0, 998.0, 365.0), "one_sphere": (1000.0, 1010.0, 935.0)}  # u, v, radius [px]

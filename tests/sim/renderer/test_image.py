@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from sim.demo.scenes import at_size, misaligned, named_scene
-from sim.prints import reflectance as prints
-from sim.prints.patterns import Chessboard, Image, ParticleSheet, Pose, printed_particles
 from sim.renderer import rays
+from sim.renderer import reflectance as prints
+from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Pose, printed_particles
 from sim.renderer.render import Aperture, render, render_irradiance, tables_of
 from sim.renderer.sensor import SILENT, Sensor
 from tracer.bodies import Sphere
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 WHITE = Image(np.ones((1, 1), np.float32), 1.0, outside=1.0)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sim.prints.patterns import Chessboard, Image, ParticleSheet, Pose, placed, printed_particles
+from sim.renderer.patterns import Chessboard, Image, ParticleSheet, Pose, placed, printed_particles
 from tracer.errors import SceneError
 
 

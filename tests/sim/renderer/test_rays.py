@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim.demo.scenes import SCENES, misaligned, named_scene
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import tables_of
 from sim.renderer.surfaces import entry_rod, entry_sphere, snell
@@ -15,8 +15,8 @@ from tracer.bodies import Core, Rod, Sphere
 from tracer.camera import Camera, Lens, look_at
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
-from tracer.trace import trace
+from tracer.scene.scene import Scene
+from tracer.strategies.trace import trace
 
 GLASS = ConstantMedium(1.5)
 PLANE = Pose().axes()

@@ -5,17 +5,17 @@ import re
 import numpy as np
 import pytest
 
-from daq.acquisition.bench.opened import check_views
-from daq.cli import DONE, USAGE, main
 from daq.errors import PlanError
-from sim.prints.patterns import Chessboard, Pose, placed
+from daq.plans.forecast import check_views
+from rtpiv.command_line.cli import DONE, USAGE, main
+from sim.renderer.patterns import Chessboard, Pose, placed
 from sim.renderer.render import render_irradiance, tables_of
 from tests.daq.small_bench import load
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
 from tracer.errors import SceneError
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 SIDE_PX, PX_PER_MM, L_MM = 121, 1.0, 500.0
 WHITE = Chessboard(400.0, 0.0, dark=1.0, bright=1.0)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import to_plane
 from sim.renderer.render import tables_of
 from tests.tracer.test_balls import aimed, drawn
-from tracer.trace import trace_from
+from tracer.strategies.trace import trace_from
 
 
 def test_rays_through_balls_are_those_of_the_tracer() -> None:

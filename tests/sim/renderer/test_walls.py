@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from sim.prints.patterns import Pose
+from sim.renderer.patterns import Pose
 from sim.renderer.rays import to_plane
 from sim.renderer.render import tables_of
 from tests.tracer.drawn_walls import aimed, drawn_walls
-from tracer.trace import trace_from
+from tracer.strategies.trace import trace_from
 
 LEVEL = 0.05
 

@@ -4,13 +4,13 @@ import random
 
 import pytest
 
+from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable
 from sim.witness.clearances import Carried, Clearances
-from stages.keep_out import Carrier, KeepOut, KeepOutTable
 from stages.stage import Piece
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 GLASS = ConstantMedium(1.53, "glass")
 SIZES = {

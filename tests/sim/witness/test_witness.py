@@ -4,17 +4,17 @@ import os
 
 import pytest
 
-from sim.clock import VirtualClock
+from daq.bench.keep_out import KeepOutTable
 from sim.emulators.grbl import GrblEmulator
 from sim.emulators.line import Line
-from sim.motion import Mechanics, Motor
+from sim.mechanics.clock import VirtualClock
+from sim.mechanics.motion import Mechanics, Motor
 from sim.witness.clearances import Carried, Clearances
 from sim.witness.witness import LEDGER, Watched, Witness
-from stages.keep_out import KeepOutTable
 from tracer.bodies import Sphere
 from tracer.camera import Camera, look_at
 from tracer.media import ConstantMedium
-from tracer.scene import Scene
+from tracer.scene.scene import Scene
 
 SCREW = Mechanics(lead_mm=4.0, steps_per_rev=1600, high_switch_mm=100.0, power_up_mm=50.0)
 PER_MM, SPEED, RAMP = 400, 4000.0, 40_000.0  # 10 mm/s in 0.1 s

@@ -1,0 +1,238 @@
+"""The verdict on a fitted model, in numbers and in words.
+
+The test of every way (`model_test`) says whether and where the model is wrong, the suspects say what it most
+likely is, and the correlation of neighbours (`correlation`) says what the covariance must count.  What the test
+finds is an error of the map of its own, `systematic_px`, on every way whose residuals bend more than noise would,
+even where that is too little for an alarm: corners or model may be to blame, and the map is not taken for better.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
+from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
+from correction.fit.judge.unconfirmed import Unconfirmed
+from correction.fit.seen.hidden import Hidden, hidden_patches
+from correction.fit.seen.measurement import MeasuredFrame
+from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
+from correction.fit.seen.unlisted import Unlisted
+from correction.fit.solve.correlation import Correlation, Lattice, correlation_of
+from correction.fit.solve.solver import Corners, Residuals, landed
+from correction.fit.solve.unknowns import Unknowns
+from correction.grid import grid_of
+from tracer.masked import MaskedPart
+
+PRIOR_LIMIT = 5.0  # sigmas that a number may be off by what was known of it
+COUNTED = 0.05  # chance of noise below which what bends is counted as an error of the map
+DIRECT = "the view beside the glass"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What residuals say about the model.
+
+    Parameters
+    ----------
+    ways : tuple of WayTest
+        The test of every way that shows enough corners.
+    correlation : dict
+        Behind glass or not -> how neighbours err alike.
+    suspects : tuple of Suspect
+        What would explain an alarm, the most likely first; empty without one.
+    smooth_px : (N, 2) float64
+        Smooth part of the residual of every corner, raw px.
+    hidden : tuple of Hidden
+        Patches of corners that should be seen and are not.
+    unlisted : tuple of Unlisted
+        Parts of frames that are not what the scene shows.
+    unconfirmed : tuple of Unconfirmed
+        Ways through the glass, and balls, on which too few corners are where the scene shows them.
+    smear : ColourSmear or None
+        Colours that smear corners beyond what is told; None where too few corners tell.
+    """
+
+    ways: tuple[WayTest, ...]
+    correlation: dict[bool, Correlation]
+    suspects: tuple[Suspect, ...]
+    smooth_px: NDArray[np.float64]
+    hidden: tuple[Hidden, ...] = ()
+    unlisted: tuple[Unlisted, ...] = ()
+    unconfirmed: tuple[Unconfirmed, ...] = ()
+    smear: ColourSmear | None = None
+
+    @property
+    def alarms(self) -> tuple[WayTest, ...]:
+        """Ways on which the model is wrong, the worst first."""
+        return tuple(sorted((way for way in self.ways if way.alarm), key=lambda way: -way.excess))
+
+    @property
+    def able_px(self) -> float:
+        """What corners are good to beside the glass, raw px per axis: the rough part of their residuals."""
+        return next((way.rough_px for way in self.ways if not way.way), 0.0)
+
+    @property
+    def cause(self) -> Suspect | None:
+        """What most likely is wrong, if anything on the list explains it."""
+        return likely_cause(self.suspects)
+
+    @property
+    def systematic_px(self) -> dict[str, float]:
+        """Way -> standard deviation of the map's own error on it, raw px per axis; of all ways tested.
+
+        What the cause explains is counted as its change of the scene (`SceneFit.root`).
+        """
+        unlike_noise = COUNTED / max(len(self.ways), 1)
+        known = self.cause.share if self.cause is not None and self.cause.change is not None else 0.0
+        left = float(np.sqrt(1.0 - known))
+        return {way.way: left * way.smooth_px if way.chance_of_noise < unlike_noise else 0.0 for way in self.ways}
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The verdict in words."""
+        bodies = map(str, (*self.unlisted, *self.hidden))
+        found = (*bodies, *([str(self.smear)] if self.many_colours else []))
+        balls, ways = ([str(one) for one in self.unconfirmed if one.is_ball is ball] for ball in (True, False))
+        if self.alarms:
+            return (*self._of_residuals(), *found, *balls, *ways)
+        return (*found, *balls, *self._of_residuals(), *ways)
+
+    @property
+    def is_right(self) -> bool:
+        """Whether nothing speaks against the model."""
+        balls = any(one.is_ball for one in self.unconfirmed)
+        return not (self.alarms or self.hidden or self.unlisted or self.many_colours or balls)
+
+    @property
+    def masked(self) -> tuple[MaskedPart, ...]:
+        """What no map is to use."""
+        unlisted = [part for one in self.unlisted for part in one.masked]
+        unconfirmed = [part for one in self.unconfirmed for part in one.masked]
+        return (*unlisted, *unconfirmed, *(one.masked for one in self.hidden))
+
+    @property
+    def many_colours(self) -> bool:
+        """Whether the light of the target frames has more colours than fit.light gives."""
+        return self.smear is not None and self.smear.alarm
+
+    def _of_residuals(self) -> tuple[str, ...]:
+        """What residuals say."""
+        if not self.alarms:
+            worst = max((way.smooth_px for way in self.ways), default=0.0)
+            where = "outside what is masked, " if self.masked else "apart from that, "
+            return (
+                f"{'the model is right as far as the corners tell: ' if self.is_right else where}residuals bend"
+                f" smoothly by no more than {max(worst, 0.001):.3f} px (chance of a false alarm"
+                f" {100 * FALSE_ALARMS:.0f} %)",
+            )
+        worst_way = self.alarms[0]
+        best = self.cause
+        where = _where(worst_way.way)
+        worth = (
+            f"residuals through {where} bend smoothly by {worst_way.smooth_px:.2g} px rms,"
+            f" {worst_way.largest_px:.2g} at most; its map is worth {worst_way.map_px:.2g} px"
+        )
+        if best is None:
+            cause = (
+                f"what is seen through {where} is not what the scene shows, and no cause on the list explains it"
+            )
+            cure = "check that the scene lists every body, that balls and board are clean and whole, and focus"
+            found = [f"{cause}: {worth}; {cure}"]
+        else:
+            found = [f"{best.sentence}: {worth}"]
+            rivals = [one for one in self.suspects[1:3] if one.gain > 0.9 * best.gain]
+            found += [f"or nearly as likely: {one.sentence}" for one in rivals]
+        for way in self.alarms[1:]:
+            found.append(
+                f"also through {_where(way.way)}: {way.smooth_px:.2g} px; its map is worth {way.map_px:.2g}"
+            )
+        return tuple(found)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-able."""
+        return {
+            "right": self.is_right,
+            "false_alarms": FALSE_ALARMS,
+            "sentences": list(self.sentences),
+            "ways": [asdict(way) for way in self.ways],
+            "hidden": [asdict(patch) for patch in self.hidden],
+            "unlisted": [asdict(part) for part in self.unlisted],
+            "unconfirmed": [asdict(one) for one in self.unconfirmed],
+            "smear": asdict(self.smear) if self.smear else None,
+            "suspects": [one.to_dict() for one in self.suspects],
+            "independent_corners": {
+                ("behind glass" if behind else "seen directly"): {
+                    "corners": one.corners,
+                    "independent": round(one.independent, 1),
+                    "correlation_of_neighbours": one.neighbours,
+                }
+                for behind, one in self.correlation.items()
+            },
+        }
+
+
+def judge_model(
+    unknowns: Unknowns,
+    wide: Unknowns,
+    x: NDArray[np.float64],
+    frames: Sequence[MeasuredFrame],
+    weighted: Sequence[Corners],
+    parts: Sequence[Residuals],
+) -> tuple[Verdict, list[Lattice]]:
+    """Test the model.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+        What was free, P numbers.
+    wide : Unknowns
+        With H further ones that were held and are doubted.
+    x : (P + H,) float64
+        The fitted free vector, and zeros.
+    frames, weighted, parts :
+        All measured corners, frame by frame, with the sigmas that the fit used and the residuals that it left.
+
+    Returns
+    -------
+    verdict : Verdict
+    lattices : list of Lattice
+        What is left of the corners, by which the covariance is enlarged (`with_correlation`).
+    """
+    full, free = wide.full(x), len(unknowns.names)
+    pitch_mm = grid_of(unknowns.camera(full)).pitch_mm
+    rests, lattices, sighted = [], [], []
+    views: list[SmearedView] = []
+    for frame, corners, part in zip(frames, weighted, parts, strict=True):
+        sigma = 1.0 / np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)
+        rays = landed(unknowns, full, corners)
+        shown = np.nan_to_num(rays.pixel_rate) / pitch_mm
+        off = part.value * sigma
+        rest = Remainder(frame.branch_name, corners.pixel, off, sigma, shown, frame.doubt_px)
+        rests.append(rest)
+        rate = np.nan_to_num(part.rate)
+        lattices.append(Lattice(frame.index, frame.branch_name, rest.clipped, rate))
+        sighted.append(replace(frame, corners=corners))
+        if frame.corners.glass and len(frame.spread.variance_px2):
+            camera = unknowns.camera(full)
+            views.append(
+                smeared_view(unknowns.scene, camera, frame.branch_name, frame.axes_px, frame.spread, rays)
+            )
+    smooth_parts = [smooth_part(rest) for rest in rests]
+    ways = tuple(ways_tested(rests, smooth_parts))
+    correlation = {behind: correlation_of(lattices, behind) for behind in (False, True)}
+    found: list[Suspect] = []
+    pulled = float(np.abs(x[:free]).max(initial=0.0)) > PRIOR_LIMIT  # what is free may hide what is wrong
+    if pulled or any(way.alarm for way in ways):
+        values, rates = [one.value for one in lattices], [one.rate[:, :, :free] for one in lattices]
+        seen = Evidence(sighted, values, rates, x[:free])
+        found = suspects(unknowns, full, seen, sum(way.excess for way in ways) + float(x @ x) * pulled)
+    smooth = np.concatenate([smooth for smooth, _ in smooth_parts])
+    verdict = Verdict(ways, correlation, tuple(found), smooth, hidden_patches(frames), smear=colour_smear(views))
+    return verdict, lattices
+
+
+def _where(way: str) -> str:
+    return f"`{way}`" if way else DIRECT

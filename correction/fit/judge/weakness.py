@@ -1,0 +1,144 @@
+"""What the frames cannot tell apart, in words, with the frames that would.
+
+In units of the prior's sigmas the data's normal matrix N has eigenvalues lambda: along its eigenvector the
+data know a number lambda times as well (in variance) as the prior did.  Where lambda is below LEARNED, the
+answer is the prior's, not the frames'.  Beside that, numbers whose posterior correlation exceeds TIED are
+nearly one unknown; those tied to each other, in a chain, are said together, unless each of them is known
+well all the same, to LOOSE of what was known before.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from correction.fit.judge.result import SceneFit
+from correction.fit.solve.held import doubted
+from correction.fit.solve.hollow import two_gases
+from correction.fit.solve.unknowns import unit_of
+from tracer.bodies import Sphere
+from tracer.harmonics import NAMES
+from tracer.strategies.branches import branch_of
+
+LEARNED = 1.0
+TIED = 0.97
+LOOSE = 0.05
+WALL_CURE = (
+    "measure the wall (callipers, level, catalogue) and give its sigma in fit.walls, if its numbers are wanted"
+)
+SHARE = 0.3  # of a unit eigenvector, from which a number is named
+
+
+@dataclass(frozen=True)
+class Weakness:
+    """A direction or a group of numbers that the frames leave open.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The numbers concerned.
+    sentence : str
+        What it is and what would help.
+    """
+
+    names: tuple[str, ...]
+    sentence: str
+
+
+def weaknesses(fit: SceneFit) -> list[Weakness]:
+    """Directions that the data leave to the prior, then numbers that are nearly one unknown."""
+    found = [Weakness((), fit.light.sentence)] if fit.light.sentence else []
+    found += [Weakness((), sentence) for sentence in two_gases(fit.unknowns.scene)]
+    wide = doubted(fit.unknowns)
+    if held := wide.names[len(fit.names) :]:
+        sizes = zip(held, wide.sigma[-len(held) :].tolist(), strict=True)
+        text = (
+            f"held, but how well known is not said: {', '.join(f'{name} (say {size:g})' for name, size in sizes)}"
+        )
+        counted = "the map's sigma holds what the frames leave open of that"
+        found.append(Weakness(held, f"{text}; {counted}; free them, or give their sigma in the fit section"))
+    lost = {name for sphere in fit.unknowns.scene.spheres for name in _unseen(fit, sphere)}
+    for name in sorted({name.split(".")[0] for name in lost}):
+        text = f"no corner is seen through {name}: its place is what the scene file says"
+        found.append(Weakness(tuple(n for n in fit.names if n in lost), f"{text}; smaller squares may show some"))
+    values, vectors = np.linalg.eigh(fit.normal)
+    of_walls = set(fit.unknowns.other_bodies.names)
+    unknown: set[str] = set()
+    for value, vector in zip(values, vectors.T, strict=True):
+        names = tuple(n for n, share in zip(fit.names, vector, strict=True) if abs(share) > SHARE)
+        if value < LEARNED and names and set(names) <= of_walls:
+            unknown |= set(names)
+        elif value < LEARNED and not set(names) <= lost:
+            text = f"{_list(fit, names)}: known no better than before, the frames do not show it"
+            found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
+    found += _walls_unknown(fit, unknown)
+    root = np.sqrt(np.diag(fit.covariance))
+    tied = np.abs(fit.covariance / np.outer(root, root)) > TIED
+    count, group = scipy.sparse.csgraph.connected_components(tied, directed=False)
+    for number in range(count):
+        members = group == number
+        names = tuple(name for name, member in zip(fit.names, members, strict=True) if member)
+        if len(names) > 1 and root[members].max() > LOOSE and not set(names) <= unknown:
+            text = f"{_list(fit, names)} are nearly one unknown, known well only together"
+            found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
+    return found
+
+
+def _walls_unknown(fit: SceneFit, unknown: set[str]) -> list[Weakness]:
+    """One sentence a wall: what frames do not tell of it, why that is so, and whether it matters."""
+    found = []
+    for body, _ in fit.unknowns.other_bodies.bodies:
+        names = tuple(name for name in fit.names if name in unknown and name.startswith(f"{body.name}."))
+        if names:
+            text = f"{body.kind} {body.name}: {_list(fit, names)} known no better than before"
+            why = "a camera a little elsewhere shows the same, and the map hardly depends on which"
+            still = f" ({body.moves_no_ray})" if body.moves_no_ray else ""
+            found.append(Weakness(names, f"{text}: {why}; its sigma holds the rest{still}; {WALL_CURE}"))
+    return found
+
+
+def _unseen(fit: SceneFit, sphere: Sphere) -> tuple[str, ...]:
+    """Free numbers of a sphere through which the fitted scene shows no corner."""
+    if any(sphere.is_on(branch_of(branch_name)) for branch_name in fit.expected):
+        return ()
+    return tuple(name for name in fit.names if name.startswith(f"{sphere.name}."))
+
+
+def _list(fit: SceneFit, names: tuple[str, ...]) -> str:
+    """Names in a row of words, each with its sigma."""
+    sigma = dict(zip(fit.names, fit.sigmas.tolist(), strict=True))
+    words = []
+    for name in names:
+        unit, factor = unit_of(name)
+        words.append(f"{name} (+-{sigma[name] * factor:.2g}{f' {unit}' if unit else ''})")
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
+    """Frames or figures that would separate these numbers, given the frames there are."""
+    if set(names) & set(fit.unknowns.other_bodies.names):
+        return f"a wall and a camera elsewhere show nearly the same: {WALL_CURE}"
+    stack = {glass: _heights(fit, glass) >= 3 for glass in (False, True)}
+    spheres = [name for name in names if not name.startswith(("camera.", "target"))]
+    if any(name.startswith("target") for name in names) and stack[False]:
+        return "the stage decides: one known better than fit.target.z_mm, or a longer travel, would help"
+    if any(name.rpartition(".")[2] in NAMES for name in names):
+        return (
+            "rays through that side of the ball are too few or too alike, so that the map hardly depends on it"
+            " either; fit.spheres.out_of_round_um says what is known"
+        )
+    if any(name.endswith((".n", ".z")) for name in spheres):
+        if not stack[True]:
+            return "add target planes at -10 and -20 mm behind the glass, which separate depth from n"
+        return "measure n or the radius on its own, or move the target farther"
+    if spheres:
+        return "measure the radius (callipers, catalogue) and give its sigma in fit.spheres.radius_mm"
+    if not stack[False]:
+        return "add bare target frames at z = -20, -10, +10 and +20 mm"
+    return "move the target farther along z"
+
+
+def _heights(fit: SceneFit, glass: bool) -> int:
+    """Number of heights of the target seen with or without glass."""
+    views = {int(frame) for frame in fit.corners.frame[fit.corners.behind == glass]}
+    return len(views)

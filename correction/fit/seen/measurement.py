@@ -1,0 +1,279 @@
+"""Corners measured in frames: from the bare target by search, behind glass from the present scene's prediction.
+
+A bare target seen through a tube is measured again from the prediction: beside the tube's edge a search takes
+corners that the wall has cut or bent for whole ones, and a fit to them ends beside the truth, well within noise.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.errors import TargetNotFound
+from correction.fit.seen.prediction import Expected, expect, measure
+from correction.fit.seen.smear import (
+    UNEVEN,
+    UNSURE,
+    Dispersion,
+    colour_steps,
+    pupil_smear,
+    smeared,
+    taken_up_px2,
+    uneven_blur,
+)
+from correction.fit.seen.smear_test import EdgeSpread
+from correction.fit.solve.solver import Corners
+from correction.target import Chessboard
+from correction.target.board_search import track_board
+from correction.target.corners import CornerFit, CornerReason
+from ground.short_repr import short_repr
+from tracer.camera import Camera
+from tracer.scene.scene import Scene
+from tracer.strategies.sensitivity import TargetPose
+
+NOT_ASKED = (CornerReason.EDGE, CornerReason.MASKED, CornerReason.SMALL)  # no window, so nothing is lost
+FLOOR_PX = 0.01  # no corner is better than this: lens, print and model are not
+
+
+@short_repr
+@dataclass(frozen=True)
+class TargetFrame:
+    """A frame of the target.
+
+    Parameters
+    ----------
+    name : str
+        Said in messages.
+    image : (H, W) uint8, uint16 or float
+        The raw frame.
+    glass : bool
+        Whether the glass stood before the camera.
+    height_mm : float
+        z of the target, by its stage.
+    """
+
+    name: str
+    image: NDArray[Any]
+    glass: bool
+    height_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class LostCorners:
+    """Corners, M of them, that the scene shows in a frame and that are not found in their windows.
+
+    Parameters
+    ----------
+    index : (M, 2) int64
+        Corner of the board.
+    pixel : (M, 2) float64
+        Where it was expected.
+    branch_name : (M,) str
+        Spheres crossed, joined by " > "; empty for the direct view.
+    rim_px : (M,) float64
+        Distance to the border of the branch.
+    axes_px : (M, 2, 2) float64
+        Columns: displacement in the image by one square along the board's +x and +y.
+    """
+
+    index: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    pixel: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    branch_name: NDArray[np.str_] = field(default_factory=lambda: np.zeros(0, "<U1"))
+    rim_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    axes_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))
+
+
+@dataclass(frozen=True)
+class MeasuredFrame:
+    """Corners of one frame, N valid ones, with what was expected and not found.
+
+    Parameters
+    ----------
+    name : str
+        Of the frame.
+    corners : Corners
+        For the solver.
+    index : (N, 2) int64
+        Corner of the board.
+    axes_px : (N, 2, 2) float64
+        Columns: displacement in the image by one square along the board's +x and +y.
+    branch_name : (N,) str
+        Spheres crossed, joined by " > "; empty for the direct view.
+    rim_px : (N,) float64
+        Distance to the border of the branch; infinite on the bare target.
+    sigma_px : (N, 2) float64
+        Standard deviation from the window.
+    expected : dict
+        Name of a branch -> corners behind glass that the scene shows.
+    refused : dict
+        Reason -> corners that could not be measured.
+    lost : LostCorners
+        Those of them that the scene shows.
+    spread : EdgeSpread
+        How wide edges are drawn.
+    doubt_px : (N,) float64
+        Standard deviation of what is smooth in the errors and known: what smears corners is not known to better.
+    pupil_px : (N, 2) float64
+        What the pupil may do to corners beyond what is taken off, all alike, one standard deviation.
+    bent_px : (N, 2) float64
+        The same of the bending of the view, alike on every way (`prediction`).
+    """
+
+    name: str
+    corners: Corners
+    index: NDArray[np.int64]
+    axes_px: NDArray[np.float64]
+    branch_name: NDArray[np.str_]
+    rim_px: NDArray[np.float64]
+    sigma_px: NDArray[np.float64]
+    expected: dict[str, int]
+    refused: dict[str, int]
+    lost: LostCorners = field(default_factory=LostCorners)
+    spread: EdgeSpread = field(default_factory=EdgeSpread)
+    doubt_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    pupil_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    bent_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __post_init__(self) -> None:
+        for name, width in (("doubt_px", ()), ("pupil_px", (2,)), ("bent_px", (2,))):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros((len(self), *width)))
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @property
+    def behind(self) -> NDArray[np.bool_]:
+        """Corners seen through glass (N,)."""
+        return np.asarray(self.branch_name != "")
+
+    def taken(self, which: NDArray[np.bool_]) -> "MeasuredFrame":
+        """Return the frame with the chosen corners only."""
+        return replace(
+            self,
+            corners=self.corners.take(which),
+            index=self.index[which],
+            axes_px=self.axes_px[which],
+            branch_name=self.branch_name[which],
+            rim_px=self.rim_px[which],
+            sigma_px=self.sigma_px[which],
+            spread=self.spread.taken(which),
+            doubt_px=self.doubt_px[which],
+            pupil_px=self.pupil_px[which],
+            bent_px=self.bent_px[which],
+        )
+
+
+def whitening(sigma_px: NDArray[np.float64], scale: NDArray[np.float64] | float = 1.0) -> NDArray[np.float64]:
+    """W (N, 2, 2) of corners with standard deviations (N, 2), floored and scaled by (N,) or a number."""
+    spread = np.hypot(sigma_px, FLOOR_PX) * np.reshape(scale, (-1, 1))
+    return np.asarray(np.eye(2) / spread[:, :, None])
+
+
+def bare_frame(frame: TargetFrame, board: Chessboard, camera: Camera, height_number: int) -> MeasuredFrame:
+    """Find the board without glass, with the help of a camera that may be rough.
+
+    Raises
+    ------
+    TargetNotFound
+        With the frame's name in front.
+    """
+
+    def predict(board_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return camera.project(np.c_[board_mm, np.full(len(board_mm), frame.height_mm)])
+
+    try:
+        found = track_board(frame.image, board, predict)
+    except TargetNotFound as error:
+        raise TargetNotFound(f"{frame.name}: {error}") from None
+    count = len(found)
+    corners = Corners(height_number, False, found.position_px, found.plane_mm, whitening(found.sigma_px))
+    branch_name, rim = np.full(count, ""), np.full(count, np.inf)
+    return MeasuredFrame(
+        frame.name, corners, found.index, found.axes_px, branch_name, rim, found.sigma_px, {}, dict(found.refused)
+    )
+
+
+def bare_frame_through_walls(
+    frame: TargetFrame, board: Chessboard, scene: Scene, pose: TargetPose, height_number: int
+) -> MeasuredFrame:
+    """Measure the bare target again where a scene without balls shows it, clear of the edges of its walls."""
+    expected = expect(scene, pose, board)
+    fit = measure(frame.image, expected, board)
+    nothing = np.zeros_like(fit.blurs_px)
+    spread = EdgeSpread(fit.blurs_px**2, nothing, nothing)
+    found = _measured(frame.name, board, expected, fit, spread, height_number)
+    nothing_behind = np.full(len(found), "")
+    corners = replace(found.corners, glass=False)
+    return replace(
+        found, corners=corners, branch_name=nothing_behind, expected={}, lost=LostCorners(), spread=EdgeSpread()
+    )
+
+
+def glass_frame(
+    frame: TargetFrame,
+    board: Chessboard,
+    scene: Scene,
+    pose: TargetPose,
+    height_number: int,
+    only_behind: bool,
+    dispersion: Dispersion | None = None,
+) -> MeasuredFrame:
+    """Measure the corners that a scene predicts in a frame with glass, and take off what colours do to them."""
+    expected = expect(scene, pose, board)
+    if only_behind:
+        expected = expected.take(expected.branch != 0)
+    fit = measure(frame.image, expected, board)
+    spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px), np.zeros_like(fit.blurs_px))
+    doubt, pupil = np.zeros(len(expected.pixel)), np.zeros_like(expected.pixel)
+    if dispersion is not None:
+        steps, share = colour_steps(scene, pose, dispersion, expected.pixel)
+        smear = smeared(steps, share, expected.axes_px, fit.blur_px)
+        doubt = UNSURE * smear.width_px
+        sigma = np.hypot(fit.sigma_px, doubt[:, None])
+        fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
+        if not only_behind:  # it is asked for once the scene is found
+            added = taken_up_px2(steps, share, expected.axes_px, expected.window, fit.blurs_px)
+            spread = EdgeSpread(spread.variance_px2 - added, spread.by_pupil_px2, added)
+    if scene.camera.pupil is not None:
+        args = pose, expected.pixel, expected.axes_px, fit.blur_px
+        smear = pupil_smear(scene, scene.camera.pupil, *args)
+        pupil = UNEVEN * smear.shift_px + uneven_blur(expected.index, expected.branch, expected.axes_px, smear)
+        aside = np.linalg.norm(pupil, axis=1)
+        doubt, sigma = np.hypot(doubt, aside), np.hypot(fit.sigma_px, aside[:, None])
+        fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
+        spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2, spread.by_light_px2)
+    measured = _measured(frame.name, board, expected, fit, spread, height_number)
+    return replace(measured, doubt_px=doubt[fit.valid], pupil_px=pupil[fit.valid])
+
+
+def _measured(
+    name: str, board: Chessboard, expected: Expected, fit: CornerFit, spread: EdgeSpread, height_number: int
+) -> MeasuredFrame:
+    branch_names = expected.ways
+    names, counts = np.unique(branch_names[branch_names != ""], return_counts=True)
+    valid, lost = fit.valid, ~fit.valid & ~np.isin(fit.reason, NOT_ASKED)
+    node = board.corner_mm(expected.index[valid])
+    corners = Corners(height_number, True, fit.position_px[valid], node, whitening(fit.sigma_px[valid]))
+    reasons = {reason: count for reason, count in fit.counts().items() if reason != "OK"}
+    return MeasuredFrame(
+        name,
+        corners,
+        expected.index[valid],
+        expected.axes_px[valid],
+        branch_names[valid],
+        expected.rim_px[valid],
+        fit.sigma_px[valid],
+        dict(zip(names.tolist(), counts.tolist(), strict=True)),
+        reasons,
+        LostCorners(
+            expected.index[lost],
+            expected.pixel[lost],
+            branch_names[lost],
+            expected.rim_px[lost],
+            expected.axes_px[lost],
+        ),
+        spread.taken(valid),
+        bent_px=expected.bent_px[valid],
+    )

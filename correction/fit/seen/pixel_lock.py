@@ -1,0 +1,118 @@
+"""The lock of edges on the rows of pixels, found from the frames themselves and taken off.
+
+A pixel sums the light over its square, which no smooth edge model knows exactly.  An edge that runs along a row
+is then drawn by an error that repeats with its place in the pixel (peak locking, as particle images have it):
+
+    e = sum over m of  (a_m sin 2 pi m u + b_m cos 2 pi m u) sinc(m L),        m = 1, 2,
+
+u the place of the corner, L how far [px] the edge leans over the arms of the window: edges that cross pixels mean
+it away.  On a sharp frame a_1 is 0.02-0.1 px, several times what noise leaves, and alike in neighbouring corners.
+Its terms are unknowns of the fit like all others, apart for u and v and beside and behind glass.  Sines are
+believed to be LOCK_PX or so, cosines EVEN_PX, as a pixel is the same from left and from right (rendered frames:
+a_1 0.005-0.09 px, a_2 up to 0.04, b_m below 0.0003).  They stand behind the free vector x, as columns that move
+nothing in the scene.
+
+u is where the scene shows the corner, never where it was measured.  On a board that hangs straight, with squares
+of whole pixels, u is the same for all corners; the noise of what was measured would then be all that differs, and
+a_1 = 1/(2 pi) would explain every bit of it.  There the lock is one unknown with the place of the board, or, where
+u drifts, with its scale: the belief decides, and the covariance holds what it leaves open.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.seen.measurement import MeasuredFrame
+from correction.fit.solve.solver import Corners, Residuals
+from correction.fit.solve.unknowns import Unknowns
+
+LOCK_PX, EVEN_PX = 0.03, 0.003  # what is believed of sines and of cosines
+HARMONICS = (1, 2)
+TERMS = 4 * len(HARMONICS)
+NAMES = tuple(
+    f"lock {axis} {wave}{m} {region}"
+    for region in ("beside", "behind")
+    for axis in "uv"
+    for m in HARMONICS
+    for wave in ("sin", "cos")
+)
+SIZES_PX = np.array([EVEN_PX if "cos" in name else LOCK_PX for name in NAMES])
+ARMS = 0.84  # length of an edge in a window, squares
+
+
+def lock_terms(
+    pixel: NDArray[np.float64], axes_px: NDArray[np.float64], behind: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pull of corners by a unit of every term, those beside glass first, and its derivative along u and v.
+
+    Parameters
+    ----------
+    pixel : (N, 2) float64
+        u, v.
+    axes_px : (N, 2, 2) float64
+        Columns: displacement by one square along the board's +x and +y.
+    behind : (N,) bool
+        Seen through glass.
+
+    Returns
+    -------
+    pull, slope : (N, 2, 2 TERMS) float64
+    """
+    out = np.zeros((2, len(pixel), 2, 2 * TERMS))
+    for axis in range(2):  # u is held by the edge that runs more along v, and the other way round
+        along, across = np.abs(axes_px[:, 1 - axis]), np.abs(axes_px[:, axis])
+        edge = np.argmin(across / np.maximum(along, 1e-9), axis=1)
+        lean = ARMS * np.take_along_axis(across, edge[:, None], 1)[:, 0]
+        for number, m in enumerate(HARMONICS):
+            turn, first = 2.0 * np.pi * m * pixel[:, axis], TERMS // 2 * axis + 2 * number
+            sine, cosine = np.sinc(m * lean) * np.sin(turn), np.sinc(m * lean) * np.cos(turn)
+            out[0, :, axis, first], out[0, :, axis, first + 1] = sine, cosine
+            out[1, :, axis, first], out[1, :, axis, first + 1] = cosine, -sine
+            out[1, :, axis, first : first + 2] *= 2.0 * np.pi * m
+    out[..., TERMS:] = out[..., :TERMS] * behind[:, None, None]
+    out[..., :TERMS] *= ~behind[:, None, None]
+    return out[0], out[1]
+
+
+def with_lock(unknowns: Unknowns) -> Unknowns:
+    """Return the same unknowns with the terms of the lock behind them, in units of what is believed of each."""
+    still = np.zeros((len(unknowns.start), len(NAMES)))
+    return replace(unknowns, names=(*unknowns.names, *NAMES), columns=np.column_stack((unknowns.columns, still)))
+
+
+def unlocked(
+    locked: Unknowns, x: NDArray[np.float64], corners: Corners, frame: MeasuredFrame, part: Residuals
+) -> Residuals:
+    """Return residuals with the lock taken off, and with the derivatives by its terms.
+
+    Parameters
+    ----------
+    locked : Unknowns
+        What is free, the lock among it (`with_lock`), P numbers.
+    x : (P,) float64
+        Free vector.
+    corners : Corners
+        N of them, with their weights.
+    frame : MeasuredFrame
+        That shows them.
+    part : Residuals
+        Theirs, as if there was no lock.
+    """
+    first = locked.names.index(NAMES[0])
+    here = slice(first, first + len(NAMES))
+    per_sigma = np.diagonal(np.asarray(corners.whiten), axis1=1, axis2=2)  # u and v are weighed apart
+    shown = corners.pixel - np.nan_to_num(part.value / per_sigma)
+    pull, slope = lock_terms(shown, frame.axes_px, frame.behind)
+    lock = SIZES_PX * x[here]
+    rate = part.rate * (1.0 + slope @ lock)[:, :, None]
+    rate[:, :, here] = -per_sigma[:, :, None] * pull * SIZES_PX
+    return Residuals(part.value - per_sigma * (pull @ lock), rate)
+
+
+def without_lock(locked: Unknowns, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Information (P, P) on what is free beside the lock: what is left when its terms are not known (Schur)."""
+    lock = np.isin(locked.names, NAMES)
+    across = normal[np.ix_(~lock, lock)]
+    own = normal[np.ix_(lock, lock)] + np.eye(len(NAMES))
+    return np.asarray(normal[np.ix_(~lock, ~lock)] - across @ np.linalg.solve(own, across.T))

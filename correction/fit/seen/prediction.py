@@ -1,0 +1,233 @@
+"""Where a scene shows every corner of the target, on every sheet, and the measurement there.
+
+The inverse of the ray map on a raster whose nodes are the lattice corners gives each corner's pixel on
+every sheet, exactly, with the local derivative: one square along the board's +x and +y as it appears in the
+frame.  That is all a sub-pixel fit needs to know: window, orientation and shade follow from it.  Windows
+stay inside one branch, clear of the rim by a few pixels, because the scene is not yet exact.
+
+The corner fit knows straight and evenly curved edges.  Next to a fold the view also twists: the odd part of
+the landing point, (X(u + d) - X(u - d))/2 - h, that no affine frame explains grows with the cube of the
+window.  Windows are shortened until it is below TWIST_PX at their ends.  What is left of it displaces corners
+where the view is uneven as well.  With t the twist and e = sum over both axes of (X(u + d) + X(u - d))/2 - X(u),
+both at the ends of a window of half length l and in px, corners of exact renders lie off along e by about
+PULLED t |e| / l, all that bend alike on the same side (0.01 to 0.11 of it, behind chains of one to three balls).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.grid import PlaneGrid
+from correction.maps.correction_map import build_correction_map
+from correction.target import Chessboard
+from correction.target.corners import LEAST_PX, CornerFit, half_widths_px, refine_corners
+from tracer.camera import Vector3
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import Numbers, text_of
+from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.sensitivity import TargetPose
+from tracer.strategies.trace import trace
+
+LEAST_SQUARE_PX = 10.0  # narrowest view of a square that a corner can be fitted in
+LARGEST_SQUARE_PX = 600.0
+MOST = 0.8  # of the view behind glass; what is left lies along folds, where everything looks wide
+NARROWEST = 0.02  # sensor px a corrected px: views that show a square worth naming, if not worth fitting
+LAYERS = 3  # sheets on which one corner is looked for
+WIDER = 1.6  # the glass shows more of the target than the bare view, by this factor at most
+RIM_PX = 2  # windows stay this far from the border of their branch
+WINDOW = 0.42  # half length of a window in squares: noise wins over curvature, which is fitted (0.25: 15 % worse)
+SHORTEST = 0.2  # the same where the view bends most; a corner that needs less, or LEAST_PX, is not asked
+TWIST_PX = 1.0  # cubic bending at the ends of a window that is allowed (from 3 px on corners err by 0.1-1 px)
+PULLED = 0.06  # how much what is left of it pulls at corners, see above
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Corners that a scene shows in a frame, N of them (one lattice corner may be there on several sheets).
+
+    Parameters
+    ----------
+    index : (N, 2) int64
+        Corner of the board.
+    pixel : (N, 2) float64
+        Acquired pixel u, v.
+    axes_px : (N, 2, 2) float64
+        Columns: displacement by one square along the board's +x, +y.
+    branch : (N,) uint16 or uint32
+        Number of the branch in `branches`; 0 is the direct view.
+    rim_px : (N,) float64
+        Distance to the border of the branch.
+    window : (N,) float64
+        Half length of the window to fit in, in squares.
+    bent_px : (N, 2) float64
+        How far the bending of the view in the window may pull a corner, all in its direction.
+    branches : tuple of tuple of str
+        Names of the spheres crossed.
+    usable : (H, W) bool
+        Pixels that windows may use.
+    """
+
+    index: NDArray[np.int64]
+    pixel: NDArray[np.float64]
+    axes_px: NDArray[np.float64]
+    branch: Numbers
+    rim_px: NDArray[np.float64]
+    window: NDArray[np.float64]
+    bent_px: NDArray[np.float64]
+    branches: tuple[tuple[str, ...], ...]
+    usable: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.index)
+
+    @property
+    def ways(self) -> NDArray[np.str_]:
+        """Spheres crossed (N,), as text."""
+        return np.array([text_of(names) for names in self.branches])[self.branch]
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Expected":
+        """Return the corners where `chosen`."""
+        return replace(
+            self,
+            index=self.index[chosen],
+            pixel=self.pixel[chosen],
+            axes_px=self.axes_px[chosen],
+            branch=self.branch[chosen],
+            rim_px=self.rim_px[chosen],
+            window=self.window[chosen],
+            bent_px=self.bent_px[chosen],
+        )
+
+
+def expect(scene: Scene, pose: TargetPose, board: Chessboard, times: int = 1) -> Expected:
+    """Predict every corner on every sheet.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    pose : TargetPose
+        Where the target stands.
+    board : Chessboard
+    times : int
+        A camera so much coarser says where they are: enough for a forecast, which has no frame; places along rims
+        and folds, less wide than its pixels, are lost.
+
+    Raises
+    ------
+    SceneError
+        The target stands where a body is.
+    """
+    import cv2
+
+    seen_from_target = in_target_frame(scene, pose)
+    searched = seen_from_target.coarser(times)
+    ray_map = build_ray_map(searched)
+    grid = _lattice(searched, board)
+    found = build_correction_map(
+        searched,
+        ray_map,
+        grid,
+        layers=LAYERS if scene.spheres else 1,
+        min_magnification=LEAST_SQUARE_PX / times,
+        max_magnification=LARGEST_SQUARE_PX / times,
+    )
+    seen = np.isfinite(found.pixel[..., 0])
+    _, rows, columns = np.nonzero(seen)
+    middle = (grid.shape[0] - 1) // 2
+    index = np.stack((columns - middle, middle - rows), axis=-1)
+    axes = found.jacobian[seen].astype(np.float64).reshape(-1, 2, 2) * np.array([1.0, -1.0]) * times
+    branch = np.where(ray_map.recovered, ray_map.branch.astype(np.float64), -1.0)  # a type that OpenCV takes
+    kernel = np.ones((3, 3), np.uint8)
+    within = ray_map.recovered & (cv2.erode(branch, kernel) == cv2.dilate(branch, kernel))
+    away = cv2.distanceTransform(within.astype(np.uint8), cv2.DIST_L2, 5)
+    pixel = (found.pixel[seen] + 0.5) * times - 0.5
+    window, bent = _windows(seen_from_target, pixel, axes, board.square_mm)
+    at = np.rint(found.pixel[seen]).astype(np.int64)
+    rim = away[at[:, 1], at[:, 0]].astype(np.float64) * times
+    branches = tuple(found.branches)
+    every = Expected(index, pixel, axes, found.branch[seen], rim, window, bent, branches, away > RIM_PX)
+    return every.take((window >= SHORTEST) & (half_widths_px(axes, window) >= LEAST_PX))
+
+
+def square_behind_px(scene: Scene, pose: TargetPose, board: Chessboard) -> float:
+    """Width (narrow side) of a square behind glass [px] that most of the view stays below; 0 if there is none."""
+    seen_from_target = in_target_frame(scene, pose)
+    found = build_correction_map(
+        seen_from_target,
+        build_ray_map(seen_from_target),
+        min_magnification=NARROWEST,
+        max_magnification=LARGEST_SQUARE_PX,
+    )
+    narrow, _ = found.magnification()
+    behind = narrow[found.behind_glass]
+    return float(np.quantile(behind, MOST)) * board.square_mm / found.grid.pitch_mm if behind.size else 0.0
+
+
+def measure(frame: NDArray[Any], expected: Expected, board: Chessboard) -> CornerFit:
+    """Fit all expected corners in the raw frame."""
+    return refine_corners(
+        frame,
+        expected.pixel,
+        expected.axes_px,
+        sign=board.corner_sign(expected.index),
+        mask=expected.usable,
+        window=expected.window,
+    )
+
+
+def in_target_frame(scene: Scene, pose: TargetPose) -> Scene:
+    """Return the scene in the coordinates of a target, whose plane is then z = 0.
+
+    Raises
+    ------
+    SceneError
+        A body reaches through the target.
+    """
+    origin, axes = np.array(pose.origin_mm), np.array(pose.axes)
+    if not origin.any() and np.array_equal(axes, np.eye(3)):
+        return scene
+
+    def point(world: Vector3) -> Vector3:
+        x, y, z = axes @ (np.array(world) - origin)
+        return float(x), float(y), float(z)
+
+    camera = scene.camera
+    a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in camera.rotation_matrix @ axes.T)
+    camera = replace(camera, position_mm=point(camera.position_mm), rotation=(a, b, c))
+    return replace(scene, camera=camera, bodies=tuple(body.moved(point) for body in scene.bodies))
+
+
+def _windows(
+    scene: Scene, pixel: NDArray[np.float64], axes_px: NDArray[np.float64], square_mm: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Half lengths (N,) of windows [squares] in which the view is straight but for an even curvature.
+
+    Then what the rest may do to corners (N, 2) [px].
+    """
+    twist, uneven, middle = np.zeros(len(pixel)), np.zeros_like(pixel), trace(scene, pixel).plane_mm
+    for axis in range(2):
+        reach = WINDOW * axes_px[:, :, axis]
+        ahead, behind = trace(scene, pixel + reach).plane_mm, trace(scene, pixel - reach).plane_mm
+        odd = 0.5 * (ahead - behind) / square_mm - WINDOW * np.eye(2)[axis]
+        in_px = np.linalg.norm((axes_px @ odd[:, :, None])[:, :, 0], axis=1)
+        twist = np.maximum(twist, np.nan_to_num(in_px, nan=np.inf))
+        uneven += (axes_px @ (0.5 * (ahead + behind) - middle)[:, :, None])[:, :, 0] / square_mm
+    shorter = np.minimum(1.0, np.cbrt(TWIST_PX / np.maximum(twist, 1e-12)))
+    half_px = np.fmax(WINDOW * shorter * np.linalg.norm(axes_px, axis=1).mean(axis=1), LEAST_PX)
+    pull = PULLED * np.minimum(twist, TWIST_PX) * shorter**2 / half_px
+    return np.asarray(WINDOW * shorter), pull[:, None] * np.nan_to_num(uneven)
+
+
+def _lattice(scene: Scene, board: Chessboard) -> PlaneGrid:
+    """Raster whose nodes are the lattice corners around the bare view, with corner (0, 0) in its middle."""
+    width, height = scene.camera.sensor_px
+    border = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+    rays = scene.camera.directions(border)
+    x, y, z = scene.camera.position_mm
+    reach = np.abs(np.array([x, y]) - z * rays[:, :2] / rays[:, 2:]).max()
+    half = int(np.ceil(WIDER * reach / board.square_mm))
+    a = board.square_mm
+    return PlaneGrid((-half * a, half * a), a, (2 * half + 1, 2 * half + 1))

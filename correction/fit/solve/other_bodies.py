@@ -1,0 +1,109 @@
+"""Numbers of bodies that are no spheres, as a fit moves them: windows, tubes, whatever has `Body.numbers`.
+
+The fit's numbers are those that people know (a tilt, a radius); landing points depend on the kernels' rows
+(`tracer.strategies.sensitivity`), which hold a direction in three parts and an index relative to what is around.
+Between them stands T = d rows / d numbers, by differences of the closed form in which a body makes its row.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.solve.sides import Side, sides_of
+from tracer.bodies import Body, Number
+from tracer.kernels.world import KINDS
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
+
+STEP = 1e-5  # mm or rad: rows bend over metres and radians, and are rounded at 1e-13
+
+
+@dataclass(frozen=True)
+class OtherBodies:
+    """Bodies of a nominal scene that are no spheres, and numbers of theirs.
+
+    Parameters
+    ----------
+    scene : Scene
+        The nominal scene.
+    """
+
+    scene: Scene
+
+    @cached_property
+    def bodies(self) -> tuple[tuple[Body, tuple[Number, ...]], ...]:
+        """Those with numbers, in the order of the kernels' tables."""
+        every = ((body, body.numbers(self.scene.wavelength_nm)) for body in self.scene.others)
+        return tuple((body, numbers) for body, numbers in every if numbers)
+
+    @cached_property
+    def sides(self) -> tuple[Side, ...]:
+        """Which ball stands on which side of which wall."""
+        return sides_of(self.scene)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all their numbers (K,)."""
+        return tuple(f"{body.name}.{number.name}" for body, numbers in self.bodies for number in numbers)
+
+    @property
+    def start(self) -> list[float]:
+        """Nominal values (K,)."""
+        return [number.value for _, numbers in self.bodies for number in numbers]
+
+    def spread(self, priors: FitTable) -> list[float]:
+        """What is known of them (K,) before any frame is seen."""
+        return [_sigma(body, number, priors) for body, numbers in self.bodies for number in numbers]
+
+    def moved(self, values: NDArray[np.float64]) -> dict[str, Body]:
+        """Name -> body with the values (K,) of its numbers.
+
+        Raises
+        ------
+        SceneError
+            There is no such body.
+        """
+        return {body.name: body.with_numbers(own.tolist(), self._nm) for body, _, own in self._each(values)}
+
+    def row_rates(self, values: NDArray[np.float64], glass: bool) -> NDArray[np.float64]:
+        """T (R, K): rows of those that stand there, with the glass or without, by the numbers of all."""
+        parts, first = [np.zeros((0, len(values)))], 0
+        for body, numbers, own in self._each(values):
+            if glass or body.stays:
+                rate = np.zeros((len(self.scene.row_of(body)), len(values)))
+                for place in range(len(numbers)):
+                    move = STEP * np.eye(len(numbers))[place]
+                    ahead, back = (
+                        self.scene.row_of(body.with_numbers((own + by).tolist(), self._nm)) for by in (move, -move)
+                    )
+                    rate[:, first + place] = (ahead - back) / (2.0 * STEP)
+                parts.append(rate)
+            first += len(numbers)
+        return np.concatenate(parts)
+
+    @property
+    def _nm(self) -> float:
+        return self.scene.wavelength_nm
+
+    def _each(self, values: NDArray[np.float64]) -> Iterator[tuple[Body, tuple[Number, ...], NDArray[np.float64]]]:
+        """Each body with its numbers and their values."""
+        first = 0
+        for body, numbers in self.bodies:
+            yield body, numbers, values[first : first + len(numbers)]
+            first += len(numbers)
+
+
+def rows_of(scene: Scene) -> int:
+    """How many numbers of rows landing points of a scene are to depend on (`tracer.strategies.sensitivity`)."""
+    return sum(len(table.rows) * len(KINDS[type(table)].numbers) for table in scene.other_tables())
+
+
+def _sigma(body: Body, number: Number, priors: FitTable) -> float:
+    """Prior sigma of one number, in its own unit."""
+    if number.known == "n":
+        return priors.index(body.media[0][1].name)
+    sigma = float(getattr(priors.wall(body.name), number.known))
+    return float(np.deg2rad(sigma)) if number.known == "tilt_deg" else sigma

@@ -1,0 +1,312 @@
+"""Robust least squares over corners, with exact derivatives and without root finding.
+
+A corner measured at pixel u that shows lattice point X_k has the residual
+
+    e = W J^-1 (X(u; theta) - X_k),        J = dX/du,        W^T W = covariance^-1 of u
+
+the reprojection error in sigmas, to first order: tracing goes from pixels to the plane, so no inverse has to
+be iterated.  Its derivative is W J^-1 dX/dtheta (the missing term is proportional to the residual itself).
+Far from the solution J says little; there e = (X - X_k) / scale is used, on the plane.
+
+The cost is  sum rho(|e|^2) + x . x + walls,  rho(s) = c^2 log(1 + s/c^2) (Cauchy) on data only: priors are
+Gaussian.  Minimised by Levenberg-Marquardt on the normal equations with iteratively reweighted corners.
+Why not scipy's least_squares: its loss bends priors as well, its set of residuals must not change, and here
+rays leave and enter the glass from step to step.  A ray that does not land costs as much as one LOST
+sigmas off and pulls nowhere.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.fit.solve.contact import WALL_MM, walls
+from correction.fit.solve.room_contact import room_depths
+from correction.fit.solve.unknowns import Unknowns, left_jacobian
+from tracer.errors import SceneError
+from tracer.strategies.sensitivity import CAMERA, TARGET, Landings, landings_through
+
+LOST = 12.0  # [residual units] what a ray that lands nowhere costs
+STEPS = 40
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Measured corners of one frame.
+
+    Parameters
+    ----------
+    height_number : int
+        Number of the target's height in the bench.
+    glass : bool
+        Whether the glass stood before the camera.
+    pixel : (N, 2) float64
+        Acquired pixels.
+    node_mm : (N, 2) float64
+        Their points on the target.
+    whiten : (N, 2, 2) float64 or float
+        W; a number means: residuals on the plane, in units of that many mm.
+    """
+
+    height_number: int
+    glass: bool
+    pixel: NDArray[np.float64]
+    node_mm: NDArray[np.float64]
+    whiten: NDArray[np.float64] | float
+
+    def __len__(self) -> int:
+        return len(self.pixel)
+
+    def take(self, chosen: NDArray[np.bool_]) -> "Corners":
+        """Return the corners where `chosen`."""
+        whiten = self.whiten if isinstance(self.whiten, float) else self.whiten[chosen]
+        return replace(self, pixel=self.pixel[chosen], node_mm=self.node_mm[chosen], whiten=whiten)
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals (N, 2), derivatives (N, 2, P) by the free vector; NaN where the ray does not land."""
+
+    value: NDArray[np.float64]
+    rate: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a minimisation ended.
+
+    Parameters
+    ----------
+    x : (P,) float64
+        Free vector.
+    cost : float
+        Value of the cost.
+    normal : (P, P) float64
+        Normal matrix of the data, without priors and walls.
+    settled : bool
+        Whether the last step was negligible.
+    steps : int
+        Steps taken.
+    """
+
+    x: NDArray[np.float64]
+    cost: float
+    normal: NDArray[np.float64]
+    settled: bool
+    steps: int
+
+
+def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, by_walls: bool = False) -> Landings:
+    """Landing points of the corners' pixels on their target; none if there are no such bodies.
+
+    Derivatives by the numbers of windows and tubes are there where these are free, or asked for.
+    """
+    by_walls = by_walls or bool(unknowns.columns[unknowns.others].any())
+    pose, camera = unknowns.pose(full, corners.height_number), unknowns.camera(full)
+    try:
+        world = unknowns.world(full, corners.glass)
+    except SceneError:
+        world = unknowns.world(unknowns.start, corners.glass)
+        return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient, by_walls).nowhere()
+    return landings_through(camera, world, corners.pixel, pose, unknowns.scene.n_ambient, by_walls)
+
+
+def free_rates(
+    unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, rays: Landings
+) -> NDArray[np.float64]:
+    """Derivatives (N, 2, P) [mm per sigma] of the landing points by the free vector."""
+    if not rays.recovered.any():
+        return np.full((len(rays.status), 2, len(unknowns.names)), np.nan)
+    camera, place = slice(len(CAMERA)), unknowns.place(corners.height_number)
+    glass = unknowns.columns[unknowns.glass][: None if corners.glass else 0]
+    by_number = unknowns.columns[unknowns.others]
+    shapes = unknowns.columns[unknowns.all_shapes][: None if corners.glass else 0]
+    known = len(CAMERA) + len(glass) + len(shapes) + len(TARGET)
+    rows = np.zeros((rays.rate.shape[2] - known, len(unknowns.names)))
+    if by_number.any():
+        rows = unknowns.other_bodies.row_rates(full[unknowns.others], corners.glass) @ by_number
+    turned = np.concatenate((unknowns.columns[camera], glass, rows, shapes, unknowns.columns[place]))
+    turned[3:6] = left_jacobian(full[3:6]) @ turned[3:6]
+    turned[-3:] = left_jacobian(full[place][3:]) @ turned[-3:]
+    count, _, numbers = rays.rate.shape
+    return np.asarray((rays.rate.reshape(-1, numbers) @ turned).reshape(count, 2, -1))
+
+
+def residuals(unknowns: Unknowns, x: NDArray[np.float64], corners: Corners) -> Residuals:
+    """Residuals of corners at the free vector x."""
+    full = unknowns.full(x)
+    rays = landed(unknowns, full, corners)
+    off = rays.point_mm - corners.node_mm
+    rate = free_rates(unknowns, full, corners, rays)
+    if isinstance(corners.whiten, float):
+        return Residuals(off / corners.whiten, rate / corners.whiten)
+    j = rays.pixel_rate
+    det = j[:, 0, 0] * j[:, 1, 1] - j[:, 0, 1] * j[:, 1, 0]
+    inverse = np.stack((j[:, 1, 1], -j[:, 0, 1], -j[:, 1, 0], j[:, 0, 0]), axis=-1).reshape(-1, 2, 2)
+    to_sigma = corners.whiten @ (inverse / det[:, None, None])
+    return Residuals((to_sigma @ off[:, :, None])[:, :, 0], to_sigma @ rate)
+
+
+Evaluate = Callable[[NDArray[np.float64]], list[Residuals]]
+
+
+def normal_equations(
+    unknowns: Unknowns, x: NDArray[np.float64], parts: Sequence[Residuals], knee: float
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    """Cost with walls, gradient (P,) of data and priors, normal matrix (P, P) of data alone."""
+    free = len(x)
+    cost, gradient, normal = float(x @ x), x.copy(), np.zeros((free, free))
+    for part in parts:
+        square = (part.value**2).sum(axis=1)
+        seen = np.isfinite(square)
+        cost += float(np.count_nonzero(~seen)) * knee**2 * np.log1p(LOST**2 / knee**2)
+        cost += float(np.sum(knee**2 * np.log1p(square[seen] / knee**2)))
+        root = np.sqrt(1.0 / (1.0 + square[seen] / knee**2))
+        flat = (part.rate[seen] * root[:, None, None]).reshape(-1, free)
+        gradient += flat.T @ (part.value[seen] * root[:, None]).ravel()
+        normal += flat.T @ flat
+    depth, _ = _walls(unknowns, x)
+    return cost + float(np.sum(np.maximum(depth, 0.0) ** 2)), gradient, normal
+
+
+def _walls(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Signed overlaps (K,) in units of WALL_MM and their derivatives (K, P)."""
+    full = unknowns.full(x)
+    depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
+    columns = np.concatenate((unknowns.columns[unknowns.glass], unknowns.columns[unknowns.all_shapes]))
+    of_rooms, room_rate = room_depths(unknowns, full)
+    every = np.concatenate((rate.reshape(len(depth), rate.shape[1] * rate.shape[2]), by_shape), axis=1)
+    rates = (every @ columns, room_rate @ unknowns.columns)
+    return np.concatenate((depth, of_rooms)) / WALL_MM, np.concatenate(rates) / WALL_MM
+
+
+def _step(
+    gradient: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    damping: float,
+    depth: NDArray[np.float64],
+    rate: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], float]:
+    """Damped step that does not run through walls: those that it would enter push back beforehand.
+
+    Returns the step and the decrease of the cost that the linear model promises.
+    """
+    eye = np.eye(len(gradient))
+    active = depth > 0.0
+    for _ in range(6):
+        a = rate[active]
+        matrix = normal + eye + a.T @ a
+        slope = gradient + a.T @ depth[active]
+        step = -np.linalg.solve(matrix + damping * np.diag(np.diag(normal + eye)), slope)
+        entered = depth + rate @ step > 0.0
+        if not np.any(entered & ~active):
+            break
+        active |= entered
+    return np.asarray(step, dtype=np.float64), float(-slope @ step)
+
+
+def newton_step(
+    unknowns: Unknowns, x: NDArray[np.float64], gradient: NDArray[np.float64], normal: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Step (P,) from x to the minimum of the linear model: gradient (P,), normal matrix (P, P) of data alone."""
+    depth, wall = touching(unknowns, x)
+    return pushed_step(gradient, normal + np.eye(len(x)), depth, wall @ unknowns.columns)[0]
+
+
+def pushed_step(
+    gradient: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    depth: NDArray[np.float64],
+    wall: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Newton step of a linear model with walls, which push and do not pull: what they would pull lets them go.
+
+    Parameters
+    ----------
+    gradient, normal : (P,), (P, P) float64
+        Half the gradient of the squares, priors counted, and its derivative.
+    depth, wall : (K,), (K, P) float64
+        Overlaps of what touches, and their derivatives.
+
+    Returns
+    -------
+    step : (P,) float64
+    inverse : (P, P) float64
+        Of the normal matrix with the walls that push on.
+    gain : float
+        By how much the squares go down, those of the overlaps counted.
+    """
+    pushing = np.ones(len(depth), np.bool_)
+    while True:
+        rows, by = wall[pushing], depth[pushing]
+        inverse = np.linalg.inv(normal + rows.T @ rows)
+        slope = gradient + rows.T @ by
+        step = -inverse @ slope
+        let_go = pushing & (depth + wall @ step < 0.0)
+        if not let_go.any():
+            free_of = float(np.sum(depth[~pushing] ** 2))
+            return np.asarray(step), np.asarray(inverse), float(-slope @ step) + free_of
+        pushing &= ~let_go
+
+
+def touching(unknowns: Unknowns, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Overlaps (K,) that push at x, in units of WALL_MM, and their derivatives (K, F) by the full vector."""
+    full = unknowns.full(x)
+    depth, rate, by_shape = walls(unknowns.spheres(full), unknowns.shapes(full))
+    active = depth > 0.0
+    out = np.zeros((int(active.sum()), len(unknowns.start)))
+    out[:, unknowns.glass] = rate.reshape(len(depth), -1)[active]
+    out[:, unknowns.all_shapes] = by_shape[active]
+    of_rooms, room_rate = room_depths(unknowns, full)
+    cut = of_rooms > 0.0
+    deep, rates = (depth[active], of_rooms[cut]), (out, room_rate[cut])
+    return np.concatenate(deep) / WALL_MM, np.concatenate(rates) / WALL_MM
+
+
+def minimise(
+    unknowns: Unknowns,
+    evaluate: Evaluate,
+    x: NDArray[np.float64],
+    *,
+    knee: float,
+    steps: int = STEPS,
+    tolerance: float = 1e-5,
+) -> Solution:
+    """Levenberg-Marquardt from x.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+        What is free.
+    evaluate : callable
+        x -> residuals of every frame.
+    x : (P,) float64
+        Start.
+    knee : float
+        c of the loss, in residual units.
+    steps : int
+        Most steps.
+    tolerance : float
+        A step below this many posterior sigmas in every number is negligible.
+    """
+    x = np.array(x, dtype=np.float64)
+    cost, gradient, normal = normal_equations(unknowns, x, evaluate(x), knee)
+    damping = 1e-4
+    for count in range(steps):
+        step, decrement = _step(gradient, normal, damping, *_walls(unknowns, x))
+        if decrement <= tolerance**2:
+            return Solution(x, cost, normal, True, count)
+        trial = normal_equations(unknowns, x + step, evaluate(x + step), knee)
+        if trial[0] <= cost:
+            small = cost - trial[0] <= 1e-9 * cost and decrement <= 1e-6 * cost
+            x = x + step
+            cost, gradient, normal = trial
+            damping = max(0.1 * damping, 1e-12)
+            if small:
+                return Solution(x, cost, normal, True, count + 1)
+        else:
+            damping = max(10.0 * damping, 1e-6)
+            if damping > 1e10:
+                return Solution(x, cost, normal, True, count + 1)
+    return Solution(x, cost, normal, False, steps)

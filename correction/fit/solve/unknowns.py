@@ -1,0 +1,380 @@
+"""What a scene fit may change, as one vector of numbers measured in their own sigmas.
+
+All numbers of the bench stand in one FULL vector:
+
+    camera (14) | 5 of each sphere in front of the plane | those of windows and tubes (`other_bodies`)
+                | 45 of each ball out of round | 6 of each height of the target
+
+in the units of `tracer.strategies.sensitivity`.  The FREE vector x is shorter and in units of the prior's sigmas:
+
+    full = full_0 + A x,        prior  p(x) ~ exp(-x . x / 2)
+
+so "fixed" is a column that A lacks, and spheres of one glass share one column for n.  A ball out of round has the
+harmonics of its shape [mm], of degree 2 and more: what its radius and its place could do as well is not among
+them, and which way it is turned is said by them (``tracer.harmonics``).  Rotations are rotation
+vectors from the nominal pose; the tracer's derivatives turn about the world's axes at the present pose,
+which the left Jacobian of the rotation group turns into derivatives by the vector (Sola et al.,
+arXiv:1812.01537, eq. 145):
+
+    J(w) = I + (1 - cos |w|)/|w|^2 [w] + (|w| - sin |w|)/|w|^3 [w]^2
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.fit.solve.other_bodies import OtherBodies
+from correction.fit.solve.supports import carried
+from tracer.bodies import Sphere
+from tracer.camera import Camera, Lens, Vector3
+from tracer.harmonics import COUNT, NAMES
+from tracer.kernels.sphere import SOLID
+from tracer.kernels.world import World
+from tracer.media import Medium, shifted
+from tracer.scene.fit_section import FOCAL_SHARE, FitTable
+from tracer.scene.scene import Scene
+from tracer.strategies.cells import world_from
+from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
+
+LENS = ("k1", "k2", "k3", "p1", "p2")
+SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """The numbers that a fit may move, around those of a nominal scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Nominal scene; its values are the centres of the priors.
+    heights_mm : tuple of float
+        Heights of the target, each once; number 0 is z = 0, which defines the world.
+    names : tuple of str
+        Free numbers.
+    full_names : tuple of str
+        All numbers.
+    start : (F,) float64
+        The full vector of the nominal scene.
+    columns : (F, P) float64
+        A: change of the full vector per sigma of each free number.
+    """
+
+    scene: Scene
+    heights_mm: tuple[float, ...]
+    names: tuple[str, ...]
+    full_names: tuple[str, ...]
+    start: NDArray[np.float64]
+    columns: NDArray[np.float64]
+
+    @property
+    def glass(self) -> slice:
+        """Place of the spheres' numbers in the full vector."""
+        return slice(len(CAMERA), len(CAMERA) + len(SPHERE) * len(self.scene.spheres))
+
+    @cached_property
+    def other_bodies(self) -> OtherBodies:
+        """Windows and tubes, and which numbers of theirs there are."""
+        return OtherBodies(self.scene)
+
+    @property
+    def others(self) -> slice:
+        """Place of the numbers of windows and tubes in the full vector."""
+        return slice(self.glass.stop, self.glass.stop + len(self.other_bodies.names))
+
+    @cached_property
+    def uneven(self) -> dict[int, slice]:
+        """Number of each ball with a shape, nominal or free, and the place of its harmonics in the full vector."""
+        first = {
+            number: self.full_names.index(f"{sphere.name}.{NAMES[0]}")
+            for number, sphere in enumerate(self.scene.spheres)
+            if f"{sphere.name}.{NAMES[0]}" in self.full_names
+        }
+        return {number: slice(at, at + COUNT) for number, at in first.items()}
+
+    @property
+    def all_shapes(self) -> slice:
+        """Place of all harmonics in the full vector."""
+        return slice(self.others.stop, self.others.stop + COUNT * len(self.uneven))
+
+    def shapes(self, full: NDArray[np.float64]) -> dict[int, NDArray[np.float64]]:
+        """Shapes (45,) [mm] of a full vector by the numbers of the balls."""
+        return {number: full[place] for number, place in self.uneven.items()}
+
+    def place(self, height_number: int) -> slice:
+        """Place of a height's pose in the full vector."""
+        first = self.all_shapes.stop + len(TARGET) * height_number
+        return slice(first, first + len(TARGET))
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """Prior sigma of each free number in its own unit (P,)."""
+        return np.asarray(np.abs(self.columns).max(axis=0))
+
+    def full(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the full vector (F,) at x (P,)."""
+        return np.asarray(self.start + self.columns @ x)
+
+    def free(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return x (P,) of a full vector that `full` made."""
+        size = (self.columns**2).sum(axis=0)
+        return np.asarray((full - self.start) @ self.columns / size)
+
+    def only(self, prefixes: Sequence[str]) -> "Unknowns":
+        """Return the same unknowns with only those numbers free whose name begins with one of `prefixes`."""
+        kept = [i for i, name in enumerate(self.names) if name.startswith(tuple(prefixes))]
+        return replace(self, names=tuple(self.names[i] for i in kept), columns=self.columns[:, kept])
+
+    def around(self, full: NDArray[np.float64]) -> "Unknowns":
+        """Return the same unknowns with another centre for its fixed numbers and priors."""
+        return replace(self, start=full)
+
+    def loosened(self, names: Sequence[str], least: float) -> "Unknowns":
+        """Return the same unknowns with the sigma of some free numbers raised to `least`, in their own unit."""
+        chosen = np.array([name in names for name in self.names], dtype=np.bool_)
+        factor = np.where(chosen, np.maximum(least / self.sigma, 1.0), 1.0)
+        return replace(self, columns=self.columns * factor)
+
+    def camera(self, full: NDArray[np.float64]) -> Camera:
+        """Return the camera of a full vector."""
+        x, y, z, *turn, focal, cu, cv = full[:9].tolist()
+        rotation = (
+            self.scene.camera.rotation_matrix @ scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T
+        )
+        lens = Lens(*full[9:14].tolist())
+        return replace(
+            self.scene.camera,
+            position_mm=(x, y, z),
+            rotation=_rows(rotation),
+            focal_px=focal,
+            principal_px=(cu, cv),
+            lens=lens,
+        )
+
+    def spheres(self, full: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the kernels' sphere table (N, 6) of a full vector; overlap is allowed."""
+        table = self._table.copy()
+        table[:, :5] = full[self.glass].reshape(-1, len(SPHERE))
+        table[:, 4] /= self.n_around
+        return table
+
+    def world(self, full: NDArray[np.float64], glass: bool) -> World:
+        """Return the bodies of a full vector for the kernels, with glass or without; overlap is allowed.
+
+        Raises
+        ------
+        SceneError
+            There is no such window or tube.
+        """
+        scene = self.scene if glass else self._bare
+        spheres = self.spheres(full) if glass else np.zeros((0, SOLID))
+        tables = self._tables(glass, full[self.others])
+        return world_from(spheres, tables, scene.rooms(), self.shapes(full) if glass else {})
+
+    def _tables(self, glass: bool, values: NDArray[np.float64]) -> tuple[Any, ...]:
+        """Windows and tubes for the kernels; the last are kept: a search for balls asks thousands of times."""
+        asked = glass, values.tobytes()
+        if asked not in self._kept:
+            scene = self.scene if glass else self._bare
+            tables = scene.other_tables(self.other_bodies.moved(values))
+            self._kept.clear()
+            self._kept[asked] = tables
+        return self._kept[asked]
+
+    @cached_property
+    def _kept(self) -> dict[tuple[bool, bytes], tuple[Any, ...]]:
+        return {}
+
+    @cached_property
+    def _bare(self) -> Scene:
+        return self.scene.bare()
+
+    def pose(self, full: NDArray[np.float64], height_number: int) -> TargetPose:
+        """Return the target's pose at one of the heights."""
+        x, y, z, *turn = full[self.place(height_number)].tolist()
+        return TargetPose((x, y, z), _rows(scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix().T))
+
+    def moved(self, full: NDArray[np.float64]) -> Scene:
+        """Return the scene of a full vector; supports go with the balls that they hold (`supports`).
+
+        Raises
+        ------
+        SceneError
+            Bodies overlap: make it legal first (`correction.fit.solve.contact`); or there is no such window or
+            tube.
+        """
+        rows = full[self.glass].reshape(-1, len(SPHERE)).tolist()
+        moved = self.other_bodies.moved(full[self.others])
+        shapes, olds = self.shapes(full), self.start_of_glass()
+        for number, (sphere, (x, y, z, radius, n)) in enumerate(zip(self.scene.spheres, rows, strict=True)):
+            medium = None if sphere.medium is None else shifted(sphere.medium, n - float(olds[number, 4]))
+            shape = tuple((1e3 * shapes[number]).tolist()) if number in shapes else ()
+            moved[sphere.name] = replace(
+                sphere, centre_mm=(x, y, z), radius_mm=radius, medium=medium, shape_um=shape
+            )
+        balls = Sphere.among(moved.values())
+        bodies = tuple(
+            moved.get(body.name)
+            or (body if isinstance(body, Sphere) or body.room else carried(body, self.scene.spheres, balls))
+            for body in self.scene.bodies
+        )
+        return replace(self.scene, camera=self.camera(full), bodies=bodies)
+
+    @cached_property
+    def n_around(self) -> NDArray[np.float64]:
+        """Index of the medium around each sphere (N,)."""
+        return np.array([self.scene.n_around(sphere) for sphere in self.scene.spheres])
+
+    @cached_property
+    def _table(self) -> NDArray[np.float64]:
+        """Sphere table (N, 6) of the nominal scene."""
+        return self.scene.sphere_table()
+
+    def start_of_glass(self) -> NDArray[np.float64]:
+        """Numbers of the nominal spheres (N, 5), n absolute."""
+        table = self.scene.sphere_table()[:, :5]
+        table[:, 4] *= self.n_around
+        return table
+
+
+def unknowns_of(
+    scene: Scene,
+    heights_mm: Sequence[float],
+    priors: FitTable,
+    focal_free: bool = False,
+    travel: Vector3 = (0.0, 0.0, 1.0),
+) -> Unknowns:
+    """Number everything and decide what is free.
+
+    Parameters
+    ----------
+    scene : Scene
+        Nominal scene.
+    heights_mm : sequence of float
+        Heights of the target in the frames; 0 is added.
+    priors : FitTable
+        The scene file's ``fit:`` section.
+    focal_free : bool
+        Whether the focal length is free if the section does not say: the bare target was seen at several heights.
+    travel : (float, float, float)
+        Unit vector along which the stage moves the target to its heights.
+    """
+    heights = distinct_heights(heights_mm)
+    start, columns, names = _Columns(), [], []
+    sigma = priors.camera
+    focal = sigma.focal_px
+    if focal is None:
+        focal = FOCAL_SHARE * scene.camera.focal_px if focal_free else 0.0
+    camera = scene.camera
+    values = [*camera.position_mm, 0.0, 0.0, 0.0, camera.focal_px, *camera.principal_px, *camera.lens.terms()]
+    turn = float(np.deg2rad(sigma.rotation_deg))
+    sigmas = [*[sigma.position_mm] * 3, *[turn] * 3, focal, *[sigma.principal_px] * 2]
+    sigmas += [getattr(sigma, term) for term in LENS]
+    start.add([f"camera.{part}" for part in CAMERA], values, sigmas)
+    for sphere, row in zip(scene.spheres, scene.sphere_table(), strict=True):
+        known = priors.sphere(sphere.name)
+        names_here = [f"{sphere.name}.{part}" for part in SPHERE]
+        spread = [0.0] * 5 if sphere.medium is None else [*[known.centre_mm] * 3, known.radius_mm, 0.0]
+        start.add(names_here, [*row[:4], row[4] * scene.n_around(sphere)], spread)
+    others = OtherBodies(scene)
+    start.add(others.names, others.start, others.spread(priors))
+    for sphere in scene.spheres:
+        shape_sigma = priors.sphere(sphere.name).shape_mm() * float(sphere.may_be_uneven)
+        if sphere.shape_um or shape_sigma.any():
+            start.add([f"{sphere.name}.{term}" for term in NAMES], sphere.shape_mm.tolist(), shape_sigma.tolist())
+    for height in heights:
+        known_z = 0.0 if height == 0.0 else 1.0
+        target = priors.target
+        tilt = float(np.deg2rad(target.rotation_deg))
+        spread = [*[target.sideways_mm] * 2, target.z_mm, *[tilt] * 3]
+        label = f"target{height:+g}mm"
+        start.add(
+            [f"{label}.{part}" for part in TARGET],
+            [*(height * along for along in travel), 0.0, 0.0, 0.0],
+            [s * known_z for s in spread],
+        )
+    for place, spread_of in enumerate(start.sigmas):
+        if spread_of > 0.0:
+            column = np.zeros(len(start.names))
+            column[place] = spread_of
+            columns.append(column)
+            names.append(start.names[place])
+    for name, medium in glasses(scene).items():
+        spread_of = priors.index(medium.name)
+        if spread_of > 0.0:
+            column = np.zeros(len(start.names))
+            for sphere in scene.spheres:
+                if sphere.medium == medium:
+                    column[start.names.index(f"{sphere.name}.n")] = spread_of
+            columns.append(column)
+            names.append(name)
+    matrix = np.stack(columns, axis=1) if columns else np.zeros((len(start.names), 0))
+    return Unknowns(scene, heights, tuple(names), tuple(start.names), np.array(start.values), matrix)
+
+
+def unit_of(name: str) -> tuple[str, float]:
+    """Unit in which a number is shown to people, and the factor to it from the unit of its value."""
+    part = name.rsplit(".", 1)[-1]
+    if part in ("x", "y", "z", "radius", "distance", "thickness", "outer_radius", "inner_radius"):
+        return "mm", 1.0
+    if part in ("rx", "ry", "rz", "tilt_x", "tilt_y", "tilt_z"):
+        return "deg", float(np.rad2deg(1.0))
+    if part in NAMES:
+        return "um", 1e3
+    return ("px", 1.0) if part in ("focal_px", "cu", "cv") else ("", 1.0)
+
+
+def distinct_heights(heights_mm: Sequence[float]) -> tuple[float, ...]:
+    """Return 0 and the other heights, each once, in order."""
+    found = [0.0]
+    for height in sorted(heights_mm):
+        if all(abs(height - other) > SAME_HEIGHT_MM for other in found):
+            found.append(float(height))
+    return tuple(found)
+
+
+def left_jacobian(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Left Jacobian (3, 3) of a rotation vector (3,)."""
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    if angle < 1e-4:
+        return np.asarray(np.eye(3) + cross / 2.0 + cross @ cross / 6.0)
+    half = (1.0 - np.cos(angle)) / angle**2
+    third = (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + half * cross + third * cross @ cross)
+
+
+def glasses(scene: Scene) -> dict[str, Medium]:
+    """Name of the free number -> medium; spheres of equal media are of one glass."""
+    found: dict[str, Medium] = {}
+    for sphere in scene.spheres:
+        if sphere.medium is not None and sphere.medium not in found.values():
+            label = sphere.medium.name or "+".join(s.name for s in scene.spheres if s.medium == sphere.medium)
+            found[f"glass {label}.n"] = sphere.medium
+    return found
+
+
+class _Columns:
+    """Names, values and sigmas while the full vector grows."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+        self.values: list[float] = []
+        self.sigmas: list[float] = []
+
+    def add(self, names: Sequence[str], values: Sequence[float], sigmas: Sequence[float]) -> None:
+        """Add numbers at the end."""
+        self.names += names
+        self.values += [float(value) for value in values]
+        self.sigmas += [float(sigma) for sigma in sigmas]
+
+
+def _rows(matrix: NDArray[np.float64]) -> tuple[Vector3, Vector3, Vector3]:
+    a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in matrix)
+    return a, b, c

@@ -1,0 +1,184 @@
+"""A correction ready for frames: the scene, traced and inverted, and the dewarp, composed with it; made once.
+
+    scene -> ray map -> correction map (kept on the disk where asked) -> Corrector (with dewarp and method)
+
+Whoever corrects takes it from here: the lanes of a run, `correct`, `evaluate`, `report`, the figures of a fit.
+`PreparedCorrections` keeps the latest: what is asked for again, by what it is made of (`content_key`), is at hand.
+
+The ray map is not kept: once inverted, only the velocity route asks for it, and tracing it once more (`ray_map`)
+costs less than its 80 MB.
+"""
+
+import hashlib
+import json
+from collections import OrderedDict
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from correction.fitted.sigma_limit import SigmaLimit
+from correction.grid import PlaneGrid, grid_of
+from correction.maps.aperture import through_pupil
+from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.maps.corrector import Corrector
+from correction.maps.dewarp import Dewarp
+from correction.maps.in_glass import outside_glass
+from ground.errors import GroundError
+from piv.resampling.sample import Method
+from tracer.errors import TracerError
+from tracer.scene.scene import Scene
+from tracer.strategies.ray_map import RayMap, build_ray_map
+
+KEPT = 2  # through the glass and without it: 0.3 GB each at 4 million pixels
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedCorrection:
+    """What turns frames of one scene into frames without its glass.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the camera looked through.
+    corrector : Corrector
+        With the correction map and the dewarp that it was made from.
+    content_key : str
+        Of everything that the corrected pixels depend on, see `content_key`.
+    """
+
+    scene: Scene
+    corrector: Corrector
+    content_key: str
+
+    @cached_property
+    def ray_map(self) -> RayMap:
+        """Ray map of the scene (H, W), traced when it is first asked for."""
+        return build_ray_map(self.scene)
+
+
+def content_key(
+    scene: Scene,
+    dewarp: Dewarp | None = None,
+    method: Method = "quintic",
+    layers: int = 1,
+    limit: SigmaLimit | None = None,
+    grid: PlaneGrid | None = None,
+) -> str:
+    """Hex digest (16 characters) of everything that corrected pixels depend on, but for the frame itself."""
+    tree: list[Any] = [scene.content_hash(), None if dewarp is None else dewarp.to_dict(), method, layers]
+    if scene.camera.pupil is not None:
+        tree += [scene.camera.pupil.radius_mm, scene.camera.pupil.focus_mm]
+    if scene.masked:
+        tree += [asdict(part) for part in scene.masked]
+    if limit is not None:
+        of_sigma = (
+            limit.sigma.root.tobytes() + limit.sigma.plane_root.tobytes() + limit.sigma.shapes.root.tobytes()
+        )
+        tree += [limit.limit_px, hashlib.sha256(of_sigma).hexdigest()]
+    if (grid := _other(grid, scene)) is not None:
+        tree.append(asdict(grid))
+    text = json.dumps(tree, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def prepare(
+    scene: Scene,
+    dewarp: Dewarp | None = None,
+    method: Method = "quintic",
+    layers: int = 1,
+    maps: Path | None = None,
+    limit: SigmaLimit | None = None,
+    grid: PlaneGrid | None = None,
+) -> PreparedCorrection:
+    """Make a correction ready.
+
+    Parameters
+    ----------
+    scene : Scene
+        As known, or as fitted.
+    dewarp : Dewarp, optional
+        Ideal pixel -> acquired pixel; without it the camera's lens terms are taken as they are.
+    method : {"quintic", "bilinear"}
+        Interpolation.
+    layers : int
+        Views joined a node; 1 takes the best.
+    maps : Path, optional
+        Folder of stored correction maps, by the hash of their scene; a map that is missing or damaged is made and
+        put there.
+    limit : SigmaLimit, optional
+        Nodes of which the map is less sure are left out.
+    grid : PlaneGrid, optional
+        Nodes of the corrected frame; default `grid_of` the camera. That of another scene lets frames of two days,
+        each with a camera of its own fit, be corrected node by node alike.
+
+    Raises
+    ------
+    MapUsageError
+        `layers` is not 1 to MAX_LAYERS.
+    StaleMap
+        The limit is that of another scene's fit.
+    """
+    found = outside_glass(through_pupil(_map(scene, layers, maps, _other(grid, scene)), scene), scene)
+    corrector = Corrector(found if limit is None else limit.within(found, scene), dewarp, method)
+    return PreparedCorrection(scene, corrector, content_key(scene, dewarp, method, layers, limit, grid))
+
+
+class PreparedCorrections:
+    """The corrections used last, by what they are made of.
+
+    Parameters
+    ----------
+    maps : Path, optional
+        Folder of stored correction maps, see `prepare`.
+    kept : int
+        Corrections that stay in memory; the one not used for longest goes first.
+    """
+
+    def __init__(self, maps: Path | None = None, kept: int = KEPT) -> None:
+        self._maps, self._kept = maps, kept
+        self._latest: OrderedDict[str, PreparedCorrection] = OrderedDict()
+
+    def of(
+        self,
+        scene: Scene,
+        dewarp: Dewarp | None = None,
+        method: Method = "quintic",
+        layers: int = 1,
+        limit: SigmaLimit | None = None,
+        grid: PlaneGrid | None = None,
+    ) -> PreparedCorrection:
+        """Return a correction, made now if it is not at hand; what is taken and raised is that of `prepare`."""
+        key = content_key(scene, dewarp, method, layers, limit, grid)
+        if key not in self._latest:
+            while len(self._latest) >= self._kept:  # before, so that memory holds no more than `kept` at any time
+                self._latest.popitem(last=False)
+            self._latest[key] = prepare(scene, dewarp, method, layers, self._maps, limit, grid)
+        self._latest.move_to_end(key)
+        return self._latest[key]
+
+
+def _other(grid: PlaneGrid | None, scene: Scene) -> PlaneGrid | None:
+    """A grid that is not the camera's own; None if it is."""
+    return None if grid is None or grid == grid_of(scene.camera) else grid
+
+
+def _map(scene: Scene, layers: int, maps: Path | None, grid: PlaneGrid | None) -> CorrectionMap:
+    if maps is None:
+        return build_correction_map(scene, build_ray_map(scene), grid, layers=layers)
+    own = ""
+    for what in (grid, scene.masked or None):
+        own += "" if what is None else "_" + hashlib.sha256(repr(what).encode()).hexdigest()[:16]
+    path = maps / f"{scene.content_hash()}{f'_{layers}' if layers > 1 else ''}{own}.map"
+    if path.exists():
+        try:
+            stored = CorrectionMap.load(path)
+            stored.check(scene)
+            if stored.grid == (grid or grid_of(scene.camera)):
+                return stored
+        except (GroundError, TracerError):
+            path.unlink()  # damaged or of an older layout: made again below
+    built = build_correction_map(scene, build_ray_map(scene), grid, layers=layers)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    built.save(path)
+    return built

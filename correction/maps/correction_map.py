@@ -1,0 +1,257 @@
+"""The correction map: for every node of the plane, the camera pixel that shows it.
+
+The ray map answers "what does this pixel see"; correcting a frame needs the inverse.  Through glass the
+inverse has several values: one plane point can be seen directly, through one chain of spheres, through
+another, and twice through the same chain, once on each side of a fold.  So the sensor is cut into SHEETS:
+connected regions of one branch (sequence of spheres) in which the determinant of d plane / d pixel keeps
+its sign.  On a sheet the map is one-to-one and smooth, and the inverse is found exactly:
+
+1. direct view: projected in closed form, no glass asked beyond "is the line of sight free";
+2. per sheet: starting points from the traced pixels and their differences, then Newton on traced rays until
+   a step changes the derivatives by less than float32 shows (it is still taken, leaving about its square);
+3. a node seen on several sheets keeps the `layers` best of them, by weight
+
+       w = T min(1, |det d pixel / d node|) / (1 + events)
+
+   T the transmittance: what little light comes counts little; the magnification up to one sensor pixel a
+   node: more resolution than the corrected image holds is worth nothing; fewer events: each surface adds
+   its own error.  The direct view has w near 1 and beats every view through glass.  Weights of a node sum
+   to 1.  One layer (the default) takes the best view only.
+
+Limits: where the view shrinks below `min_magnification` sensor pixels a node in any direction the picture
+is not worth correcting (LOW_MAGNIFICATION); where it is stretched beyond `max_magnification` two images
+are about to merge (FOLD).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from correction.errors import MapUsageError
+from correction.grid import PlaneGrid, grid_of
+from correction.inversion.invert import Inversion
+from correction.node_status import NodeStatus
+from ground.config import Pair
+from ground.errors import MapFileError
+from ground.map_file import checked, load_arrays, save_arrays
+from ground.memory import require_memory
+from ground.short_repr import short_repr
+from tracer.scene.scene import Scene, SceneBound
+from tracer.strategies.branches import Branch, Numbers
+from tracer.strategies.ray_map import RayHeader, RayMap
+
+KIND = "correction map"
+MIN_MAGNIFICATION = 0.5  # one sensor pixel may cover two corrected pixels, not more
+MAX_LAYERS = 16
+BYTES_PER_VIEW, BYTES_PER_NODE = 43, 6  # measured: 46 with one view, 128 with three
+LIGHT = 1.0 + 1e-5  # rounding above a transmittance of 1
+MAX_MAGNIFICATION = 16.0  # within 0.2 corrected pixels of the fold behind a 100 mm ball at L = 250 mm
+
+
+class CorrectionHeader(RayHeader):
+    """What the header of a stored correction map holds."""
+
+    origin_mm: Pair
+    pitch_mm: Annotated[float, Field(gt=0.0)]
+    sensor_px: Annotated[list[Annotated[int, Field(ge=2)]], Field(min_length=2, max_length=2)]
+
+
+@short_repr
+@dataclass(frozen=True)
+class CorrectionMap(SceneBound):
+    """Plane node -> camera pixel(s).
+
+    Parameters
+    ----------
+    grid : PlaneGrid
+        The nodes (h, w).
+    status : (h, w) uint8
+        NodeStatus.
+    pixel : (K, h, w, 2) float64
+        Acquired pixel u, v of each layer, best first; NaN where there is none.
+    jacobian : (K, h, w, 4) float32
+        d pixel / d node: du/dcolumn, du/drow, dv/dcolumn, dv/drow.
+    weight : (K, h, w) float32
+        Weights, summing to 1 over the layers of a recovered node.
+    transmittance : (K, h, w) float32
+        Share of the light that passes the glass.
+    branch : (K, h, w) uint16 or uint32, as in the ray map
+        Index into `branches`.
+    branches : sequence of tuple of str
+        Names of the spheres crossed; number 0 is the direct view.
+    sensor_px : (int, int)
+        Width and height of the frames that the map corrects.
+    scene_hash : str
+        Content hash of the scene.
+    """
+
+    grid: PlaneGrid
+    status: NDArray[np.uint8]
+    pixel: NDArray[np.float64]
+    jacobian: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    transmittance: NDArray[np.float32]
+    branch: Numbers
+    branches: Sequence[Branch]
+    sensor_px: tuple[int, int]
+    scene_hash: str
+
+    @property
+    def layers(self) -> int:
+        """Views kept a node."""
+        return int(self.pixel.shape[0])
+
+    @property
+    def recovered(self) -> NDArray[np.bool_]:
+        """Nodes that can be recovered (h, w)."""
+        return np.asarray(self.status == NodeStatus.RECOVERED)
+
+    @property
+    def behind_glass(self) -> NDArray[np.bool_]:
+        """Recovered nodes whose best view goes through glass (h, w)."""
+        return np.asarray(self.recovered & (self.branch[0] != 0))
+
+    def magnification(self, step: int = 1) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Smallest and largest local magnification of the best view (h, w), sensor px per corrected px.
+
+        Their product is the areal magnification, their ratio the anisotropy; of every `step`-th node a side.
+        """
+        uc, ur, vc, vr = np.moveaxis(self.jacobian[0, ::step, ::step], -1, 0)
+        p = np.hypot(uc + vr, vc - ur) / 2
+        q = np.hypot(uc - vr, vc + ur) / 2
+        return np.abs(p - q), p + q
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Its arrays by name, in the order in which kernels take them."""
+        return {name: getattr(self, name) for name in _LAYOUT}
+
+    def save(self, path: Path | str) -> None:
+        """Write the map to a file, atomically."""
+        header = {
+            "scene_hash": self.scene_hash,
+            "branches": [list(names) for names in self.branches],
+            "origin_mm": list(self.grid.origin_mm),
+            "pitch_mm": self.grid.pitch_mm,
+            "sensor_px": list(self.sensor_px),
+        }
+        save_arrays(path, KIND, header, self.arrays())
+
+    @classmethod
+    def load(cls, path: Path | str) -> "CorrectionMap":
+        """Read a map.
+
+        Raises
+        ------
+        MapFileError
+            The file is damaged or holds something else.
+        """
+        header, arrays = load_arrays(path, KIND)
+        if set(arrays) != set(_LAYOUT) or arrays["pixel"].ndim != 4:
+            raise MapFileError(f"{path}: arrays are missing; make the map again")
+        layers, height, width, _ = arrays["pixel"].shape
+        for name, (kind, trailing) in _LAYOUT.items():
+            lead = (height, width) if name == "status" else (layers, height, width)
+            if arrays[name].dtype.str not in kind or arrays[name].shape != lead + trailing:
+                raise MapFileError(f"{path}: array {name!r} does not fit; make the map again")
+        said = checked(path, header, CorrectionHeader)
+        (x0, y0), (columns, rows) = said.origin_mm, said.sensor_px
+        grid = PlaneGrid((x0, y0), said.pitch_mm, (height, width))
+        branches = tuple(map(tuple, said.branches))
+        made = cls(grid, **arrays, branches=branches, sensor_px=(columns, rows), scene_hash=said.scene_hash)
+        if not made._sound():
+            raise MapFileError(f"{path}: holds values that no map has; make the map again")
+        return made
+
+    def _sound(self) -> bool:
+        """Whether all numbers are such as `build_correction_map` makes: nothing outside its range is looked up."""
+        seen, shares = self.weight > 0.0, self.weight.sum(axis=0)
+        right, bottom = self.sensor_px[0] - 1, self.sensor_px[1] - 1
+        u, v = self.pixel[..., 0][seen], self.pixel[..., 1][seen]
+        light = self.transmittance[seen]
+        return bool(
+            1 <= self.layers <= MAX_LAYERS
+            and min(*self.grid.shape, right, bottom) >= 1
+            and np.isfinite(self.grid.origin_mm).all()
+            and 0.0 < self.grid.pitch_mm < np.inf
+            and int(self.status.max()) <= max(NodeStatus)
+            and int(self.branch.max()) < len(self.branches)
+            and (self.weight >= 0.0).all()
+            and np.abs(shares - self.recovered).max() <= 1e-5
+            and ((u >= 0.0) & (u <= right) & (v >= 0.0) & (v <= bottom)).all()
+            and np.isfinite(self.jacobian[seen]).all()
+            and ((light > 0.0) & (light <= LIGHT)).all()
+        )
+
+
+_LAYOUT: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
+    "status": (("|u1",), ()),
+    "pixel": (("<f8",), (2,)),
+    "jacobian": (("<f4",), (4,)),
+    "weight": (("<f4",), ()),
+    "transmittance": (("<f4",), ()),
+    "branch": (("<u2", "<u4"), ()),
+}
+
+
+def build_correction_map(
+    scene: Scene,
+    ray_map: RayMap,
+    grid: PlaneGrid | None = None,
+    *,
+    layers: int = 1,
+    min_magnification: float = MIN_MAGNIFICATION,
+    max_magnification: float = MAX_MAGNIFICATION,
+    out: CorrectionMap | None = None,
+    skip: bool = True,
+) -> CorrectionMap:
+    """Invert the ray map exactly.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    ray_map : RayMap
+        Its ray map.
+    grid : PlaneGrid, optional
+        Nodes wanted; default `grid_of` the camera.
+    layers : int
+        Views kept a node, best first; 1 is the best view only.
+    min_magnification, max_magnification : float
+        Limits of the local magnification, sensor px per corrected px.
+    out : CorrectionMap, optional
+        An earlier map of this size whose arrays are written again, so that `out` is worth nothing afterwards.
+    skip : bool
+        Whether views are left out that cannot be among the best; the map has the same bits.
+
+    Raises
+    ------
+    StaleMap
+        The ray map belongs to another scene.
+    MapUsageError
+        `layers` is not 1 to MAX_LAYERS.
+    MemoryShort
+        Such a map does not fit into memory.
+    """
+    ray_map.check(scene)
+    grid = grid or grid_of(scene.camera)
+    if not 1 <= layers <= MAX_LAYERS:
+        raise MapUsageError(f"a node can join 1 to {MAX_LAYERS} views, not {layers}")
+    (height, width), needed = (
+        grid.shape,
+        (BYTES_PER_VIEW * layers + BYTES_PER_NODE) * np.prod(grid.shape, dtype=float),
+    )
+    require_memory(float(needed), f"a correction map of {width} x {height} nodes with {layers} views each")
+    arrays = None if out is None else out.arrays()
+    work = Inversion(scene, ray_map, grid, layers, (min_magnification, max_magnification), arrays, skip)
+    work.direct()
+    work.glass()
+    work.join()
+    sensor_px, branches = scene.camera.sensor_px, ray_map.branches
+    return CorrectionMap(
+        grid, **work.arrays, branches=branches, sensor_px=sensor_px, scene_hash=ray_map.scene_hash
+    )

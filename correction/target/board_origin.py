@@ -1,0 +1,199 @@
+"""Where on the board a patch of lattice lies: the three discs, or a prediction.
+
+Discs: every square with four known corners is sampled in its own bilinear frame.  A plain square is as
+bright in the middle as towards its corners; a disc square is not.  The pattern of discs fits the lattice in
+exactly one of four turns and one shift, or the frame does not show this board.  The mean of the profile
+from the middle to the edge gives the disc's diameter: another ratio of disc to square is another board.
+
+Prediction: every corner votes for the turn and shift that put it on the nearest predicted corner of its
+kind; right votes agree, wrong ones scatter.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.errors import TargetNotFound
+from correction.target.chessboard import QUARTER_TURNS, Chessboard
+from correction.target.lattice_growth import Patch
+
+RATIO_TOLERANCE = 0.25  # of the disc's diameter in squares; squeezed views blur a disc of 6 px by as much
+LEAST_SHARE = 0.5  # of the votes
+
+
+@dataclass(frozen=True)
+class Placing:
+    """Turn and shift from relative to board indices: relative = turn @ board + shift."""
+
+    turn: tuple[tuple[int, int], tuple[int, int]]
+    shift: tuple[int, int]
+
+    def board_index(self, relative: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Board indices (N, 2) of relative ones."""
+        return np.asarray((relative - np.array(self.shift)) @ np.array(self.turn))  # the inverse turn, on rows
+
+    def board_axes(self, axes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Columns along the board's x, y from columns (N, 2, 2) along relative i, j."""
+        return axes @ np.array(self.turn, dtype=np.float64)
+
+
+def place_by_discs(frame: NDArray[Any], patch: Patch, board: Chessboard) -> Placing | None:
+    """Placing of a patch from the discs in it; None if the discs are not all in the patch.
+
+    Raises
+    ------
+    TargetNotFound
+        The discs are there, but of another size or with the shades exchanged, or they fit more than once.
+    """
+    cells, bright, diameter = _disc_squares(frame, patch)
+    wanted = np.array(board.discs)
+    fits = _matches(cells, bright, board, wanted, board.is_bright(wanted))
+    if len(fits) > 1:
+        raise TargetNotFound(
+            f"the pattern of {len(wanted)} discs fits the frame {len(fits)} times; clean the board or mask the"
+            " spots that look like discs"
+        )
+    if not fits:
+        if _matches(cells, bright, board, wanted, ~board.is_bright(wanted)):
+            raise TargetNotFound(
+                "bright and dark squares are exchanged compared to the board described; describe the board that"
+                " is in the frame"
+            )
+        return None
+    placing, members = fits[0]
+    ratio, expected = float(np.mean(diameter[members])), board.disc_mm / board.square_mm
+    if abs(ratio - expected) > RATIO_TOLERANCE * expected:
+        raise TargetNotFound(
+            f"the discs measure {ratio:.2f} squares across, those of the board described {expected:.2f}; put the"
+            " described board into the frame, or describe this one"
+        )
+    return placing
+
+
+def place_by_prediction(
+    patch: Patch, index: NDArray[np.int64], predicted_px: NDArray[np.float64], board: Chessboard
+) -> Placing | None:
+    """Placing of a patch by votes for predicted corners.
+
+    Parameters
+    ----------
+    patch : Patch
+        Relative lattice.
+    index, predicted_px : (M, 2)
+        Board corners in view and where they are expected.
+    board : Chessboard
+
+    Returns
+    -------
+    Placing or None
+        None if less than half of the corners agree.
+    """
+    if len(index) == 0:
+        return None
+    kinds = board.corner_sign(index)
+    votes: Counter[Placing] = Counter()
+    trees = {turn: scipy.spatial.cKDTree(predicted_px[kinds == turn]) for turn in (1, -1) if np.any(kinds == turn)}
+    for turn in QUARTER_TURNS:
+        # A quarter turn exchanges the kinds of corners; half turns keep them.
+        swap = -1 if turn[0][0] == 0 else 1
+        for kind, tree in trees.items():
+            mine = patch.sign == kind * swap
+            if not mine.any():
+                continue
+            _, nearest = tree.query(patch.position_px[mine])
+            shifts = patch.index[mine] - index[kinds == kind][nearest] @ np.array(turn).T
+            votes.update(Placing(turn, (int(i), int(j))) for i, j in shifts)
+    return _best_vote(votes, patch, index, predicted_px, board)
+
+
+def _best_vote(
+    votes: Counter[Placing],
+    patch: Patch,
+    index: NDArray[np.int64],
+    predicted_px: NDArray[np.float64],
+    board: Chessboard,
+) -> Placing | None:
+    """Most voted placing whose axes point as predicted; a prediction needs no disc to tell the turns apart."""
+    place = {(i, j): p for (i, j), p in zip(index.tolist(), predicted_px, strict=True)}
+    for placing, count in votes.most_common(8):
+        if count < LEAST_SHARE * len(patch.index):
+            return None
+        mine = placing.board_index(patch.index)
+        along = [
+            float(axes[:, 0] @ (place[i + 1, j] - place[i, j]))
+            for (i, j), axes in zip(mine.tolist(), placing.board_axes(patch.axes_px), strict=True)
+            if (i, j) in place and (i + 1, j) in place
+        ]
+        if along and np.mean(np.array(along) > 0.0) > LEAST_SHARE:
+            cross = _agreement(placing, patch, place)
+            if cross > LEAST_SHARE:
+                return placing
+    return None
+
+
+def _agreement(placing: Placing, patch: Patch, place: dict[tuple[int, int], NDArray[np.float64]]) -> float:
+    """Share of corners that lie within 0.6 squares of their predicted place."""
+    near = []
+    for (i, j), p, axes in zip(
+        placing.board_index(patch.index).tolist(), patch.position_px, patch.axes_px, strict=True
+    ):
+        if (i, j) in place:
+            miss = np.linalg.solve(axes, place[i, j] - p)
+            near.append(np.abs(miss).max() < 0.6)
+    return float(np.mean(near)) if near else 0.0
+
+
+def _matches(
+    cells: NDArray[np.int64],
+    bright: NDArray[np.bool_],
+    board: Chessboard,
+    wanted: NDArray[np.int64],
+    shades: NDArray[np.bool_],
+) -> list[tuple[Placing, list[int]]]:
+    """All turns and shifts in which every disc of the board meets a disc square of its shade."""
+    place = {(int(i), int(j), bool(b)): n for n, ((i, j), b) in enumerate(zip(cells, bright, strict=True))}
+    fits = []
+    for turn in QUARTER_TURNS:
+        centres = (wanted + 0.5) @ np.array(turn).T  # a square's middle turns, its corner does not
+        for cell in cells[bright == shades[0]]:
+            shift = np.rint(cell + 0.5 - centres[0]).astype(np.int64)
+            squares: Sequence[Sequence[float]] = (centres + shift - 0.5).tolist()
+            keys = [(round(i), round(j), bool(b)) for (i, j), b in zip(squares, shades, strict=True)]
+            if all(key in place for key in keys):
+                fits.append((Placing(turn, (int(shift[0]), int(shift[1]))), [place[key] for key in keys]))
+    return fits
+
+
+def _disc_squares(
+    frame: NDArray[Any], patch: Patch
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Squares (N, 2) of a patch with a disc, whether the square is bright (N,), disc diameter in squares (N,)."""
+    place = {(int(i), int(j)): n for n, (i, j) in enumerate(patch.index)}
+    cells = [c for c in place if all((c[0] + i, c[1] + j) in place for i, j in ((1, 0), (0, 1), (1, 1)))]
+    if not cells:
+        return np.empty((0, 2), np.int64), np.empty(0, bool), np.empty(0)
+    corners = np.array([[place[i + a, j + b] for a, b in ((0, 0), (1, 0), (0, 1), (1, 1))] for i, j in cells])
+    bright = patch.sign[corners[:, 0]] > 0
+    radii = np.linspace(0.02, 0.42, 21)
+    angles = np.arange(16) * (np.pi / 8.0) + 0.1
+    offset = radii[:, None, None] * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    a, b = 0.5 + offset[..., 0], 0.5 + offset[..., 1]
+    weights = np.stack(((1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b), axis=-1)
+    points = np.einsum("rak,nkc->nrac", weights, patch.position_px[corners])
+    values = scipy.ndimage.map_coordinates(
+        frame.astype(np.float32), [points[..., 1], points[..., 0]], order=1, mode="nearest"
+    ).mean(axis=2)
+    middle, rim = values[:, :3].mean(axis=1), values[:, -2:].mean(axis=1)
+    dark_level, bright_level = np.median(rim[~bright]), np.median(rim[bright])
+    inner = np.where(bright, rim - middle, middle - rim)
+    disc = inner > 0.5 * (bright_level - dark_level)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inside = (values - rim[:, None]) / (middle - rim)[:, None]
+    # Radius of the disc: the profile from 1 to 0, integrated.
+    diameter = 2.0 * (radii[0] + np.clip(inside, 0.0, 1.0).sum(axis=1) * (radii[1] - radii[0]))
+    return np.array(cells)[disc], bright[disc], diameter[disc]

@@ -1,0 +1,218 @@
+"""Least-squares fit of the model of a corner (`corner_model`) to the pixels of its window.
+
+Levenberg-Marquardt with Marquardt's scaling (J. SIAM 11, 431 (1963)) over the pixels of the window, which is
+moved to the fitted corner and fitted again until it stays.
+"""
+
+from math import atan2, hypot, sqrt
+
+import numpy as np
+
+from correction.target.kernels.corner_covariance import covariance
+from correction.target.kernels.corner_model import (
+    FREE,
+    LOST,
+    MOVED,
+    OK,
+    SIDE,
+    SMALL,
+    gather,
+    gradient,
+    set_turn,
+    start_levels,
+)
+from ground.jit import Array, kernel
+from ground.kernels.cholesky import factorise, solve
+
+SETTLED_PX = 5e-4  # a step that no longer matters
+TOLERANCE_RATIO = 2.0  # relative gain in the squares that belongs to a step of 1 px
+MAX_ROUNDS = 4  # moves of the window
+MAX_STEPS = 25  # steps of the optimiser in one window
+RIDGE = 3.0  # weight, in pixels of full contrast, of equal blurs and of an edge like erf
+MIN_BLUR = 0.2  # [px] pixel integration alone gives 0.29; below, no pixel may lie on an edge
+
+
+def new_scratch() -> tuple[Array, ...]:
+    """Return working memory of `fit_corners`: pixels, pulls, block sums, box, small vectors, normal equations."""
+    pixels, pull, sums = np.empty((SIDE * SIDE, 4)), np.empty((SIDE * SIDE, 2)), np.empty((SIDE, 2))
+    return pixels, pull, sums, np.empty(4, np.int64), np.empty((4, 2)), np.zeros((9 + 3 * FREE, FREE))
+
+
+@kernel
+def normal_equations(
+    p: Array,
+    pixels: Array,
+    count: int,
+    ridge: float,
+    shape_ridge: float,
+    turn: Array,
+    row: Array,
+    normal: Array,
+    right: Array,
+) -> float:
+    """Sum J^T J into normal (FREE, FREE, lower half), J^T r into right (FREE,); return the sum of r^2.
+
+    ridge weighs the wish that both blurs agree, shape_ridge the wish that edges look like erf.
+    """
+    normal[:] = 0.0
+    right[:] = 0.0
+    set_turn(p, turn)
+    astigmatism = p[6] - p[7]
+    total = ridge * astigmatism * astigmatism + shape_ridge * p[12] * p[12]
+    normal[6, 6] = normal[7, 7] = ridge
+    normal[7, 6] = -ridge
+    right[6], right[7] = -ridge * astigmatism, ridge * astigmatism
+    normal[12, 12], right[12] = shape_ridge, -shape_ridge * p[12]
+    for k in range(count):
+        residual = pixels[k, 2] - gradient(p, turn, pixels[k, 0], pixels[k, 1], row)
+        total += residual * residual
+        for i in range(FREE):
+            value = row[i]
+            right[i] += value * residual
+            if value != 0.0:  # off an edge its derivatives vanish
+                for j in range(i + 1):
+                    normal[i, j] += value * row[j]
+    return float(total)
+
+
+@kernel
+def optimise(
+    p: Array, pixels: Array, count: int, ridge: float, shape_ridge: float, limit: float, tolerance: float,
+    trial: Array, turn: Array, row: Array, normal: Array,
+    right: Array, trial_normal: Array, trial_right: Array, lower: Array, step: Array, total: Array,
+) -> bool:  # fmt: skip
+    """Levenberg-Marquardt from p (FREE,), in place; True if it settled within `limit` px of the window's centre.
+
+    On return normal holds J^T J at p and total[0] the sum of squares.  A step that is refused costs its own look
+    at the pixels only: the equations at p are kept beside those at the trial.
+    """
+    best = normal_equations(p, pixels, count, ridge, shape_ridge, turn, row, normal, right)
+    damping = 1e-3
+    for _ in range(MAX_STEPS):
+        if not factorise(normal, damping, lower):
+            damping = max(10.0 * damping, 1e-6)
+            continue
+        solve(lower, right, step)
+        for i in range(FREE):
+            trial[i] = p[i] + step[i]
+        for i in range(6, 8):  # a long first step must not jump to a blur where no pixel lies on an edge
+            trial[i] = max(trial[i], 0.5 * p[i], MIN_BLUR)
+        if not hypot(trial[0], trial[1]) <= limit:
+            damping *= 10.0
+            if damping > 1e8:
+                return False
+            continue
+        now = normal_equations(trial, pixels, count, ridge, shape_ridge, turn, row, trial_normal, trial_right)
+        if now <= best:
+            settled = hypot(step[0], step[1]) < tolerance and best - now <= TOLERANCE_RATIO * tolerance * best
+            p[:] = trial
+            normal[:] = trial_normal
+            right[:] = trial_right
+            best = now
+            damping = max(0.1 * damping, 1e-12)
+            total[0] = best
+            if settled:
+                return True
+        else:
+            if hypot(step[0], step[1]) < 1e-5:
+                total[0] = best
+                return True
+            damping = min(damping * 10.0, 1e10)
+    return False
+
+
+@kernel
+def fit_corners(
+    image: Array, mask: Array, start: Array, axes: Array, reaches: Array, arm: float, least_px: float,
+    max_shift: float, start_error_px: float, first: int, last: int, scratch: tuple[Array, ...], out: Array,
+    verdict: Array,
+) -> None:  # fmt: skip
+    """Fit corners first..last-1.
+
+    image (H, W) float32; mask see `gather`; start (N, 2) px; axes (N, 2, 2) px per square, columns +x, +y;
+    reaches (N,) half length of the window in squares; arm half width in squares; least_px the smallest half
+    window [px] to shrink to at a border; max_shift largest move from the start in squares; start_error_px
+    the expected one; scratch from `new_scratch`, one a thread; out (N, 11): u, v, var u, var v, cov, rms
+    residual, A, B, both blurs, reach used; verdict (N,) uint8.
+    """
+    pixels, pull, sums, box, small, square = scratch
+    extent, inverse, total = small[0], small[1:3], small[3]
+    p, trial, row, right, step, trial_right = square[0], square[1], square[2], square[3], square[4], square[5]
+    turn, weights, normal = square[6, :4], square[7:9], square[9 : 9 + FREE]
+    trial_normal, lower = square[9 + FREE : 9 + 2 * FREE], square[9 + 2 * FREE :]
+    for n in range(first, last):
+        out[n, :] = np.nan
+        det = axes[n, 0, 0] * axes[n, 1, 1] - axes[n, 0, 1] * axes[n, 1, 0]
+        inverse[0, 0], inverse[0, 1] = axes[n, 1, 1] / det, -axes[n, 0, 1] / det
+        inverse[1, 0], inverse[1, 1] = -axes[n, 1, 0] / det, axes[n, 0, 0] / det
+        extent[0] = abs(axes[n, 0, 0]) + abs(axes[n, 0, 1])
+        extent[1] = abs(axes[n, 1, 0]) + abs(axes[n, 1, 1])
+        side1, side2 = hypot(axes[n, 0, 0], axes[n, 1, 0]), hypot(axes[n, 0, 1], axes[n, 1, 1])
+        thin = abs(det) / max(side1, side2)  # the smaller distance of opposite sides
+        if not (np.isfinite(start[n, 0] + start[n, 1]) and thin > 0.0 and np.isfinite(thin)):
+            verdict[n] = SMALL
+            continue
+        reach = min(reaches[n], 0.5 * (SIDE - 2) / max(extent[0], extent[1]))
+        least = least_px / thin
+        if reach < least:
+            verdict[n] = SMALL
+            continue
+        p[:] = 0.0
+        p[2] = atan2(axes[n, 1, 0], axes[n, 0, 0])
+        p[3] = atan2(axes[n, 1, 1], axes[n, 0, 1])
+        blur = min(max(min(0.16 * thin, 0.5 * start_error_px), 0.7), 6.0)  # wide enough to feel the edges
+        p[6], p[7] = blur, blur
+        centre_u, centre_v = start[n, 0], start[n, 1]
+        limit = max_shift * min(side1, side2)
+        verdict[n], level = LOST, 0.0
+        for rounds in range(MAX_ROUNDS):
+            count = gather(image, mask, centre_u, centre_v, inverse, extent, reach, arm, box, pixels)
+            while count < 0 and reach > least:
+                reach = max(0.85 * reach, least)
+                count = gather(image, mask, centre_u, centre_v, inverse, extent, reach, arm, box, pixels)
+            if count < 0:
+                verdict[n] = -count
+                break
+            if count < 2 * FREE:
+                verdict[n] = SMALL
+                break
+            if rounds == 0:
+                start_levels(p, pixels, count, turn, row)
+                level = p[9]
+            ridge = RIDGE * level * level
+            # The shape is freed once the blur is right (under a wide first guess it finds a wrong minimum), and
+            # given up where edges along pixel rows cannot tell it from blur.
+            pin = ridge if rounds > 0 else 1e6 * ridge
+            tolerance = SETTLED_PX if rounds > 0 else 0.05
+            found = False
+            for _ in range(2 if rounds > 0 else 1):
+                found = optimise(
+                    p, pixels, count, ridge, pin, limit, tolerance, trial, turn, row, normal, right,
+                    trial_normal, trial_right, lower, step, total,
+                )  # fmt: skip
+                if found:
+                    break
+                p[12], pin = 0.0, 1e6 * ridge
+            if not found:
+                verdict[n] = LOST
+                break
+            moved = hypot(p[0], p[1])
+            centre_u += p[0]
+            centre_v += p[1]
+            du, dv = centre_u - start[n, 0], centre_v - start[n, 1]
+            a, b = inverse[0, 0] * du + inverse[0, 1] * dv, inverse[1, 0] * du + inverse[1, 1] * dv
+            if max(abs(a), abs(b)) > max_shift:
+                verdict[n] = MOVED
+                break
+            if (rounds > 0 and moved < 0.3) or rounds == MAX_ROUNDS - 1:
+                if covariance(
+                    p, pixels, count, box, turn, row, normal, lower, weights, step, pull, sums, out[n, 2:5]
+                ):
+                    verdict[n] = OK
+                    out[n, 0], out[n, 1] = centre_u, centre_v
+                    out[n, 5] = sqrt(total[0] / max(count - FREE, 1.0))
+                    out[n, 6], out[n, 7] = p[8], p[9]
+                    out[n, 8], out[n, 9] = abs(p[6]), abs(p[7])
+                    out[n, 10] = reach
+                break
+            p[0], p[1] = 0.0, 0.0

@@ -1,0 +1,163 @@
+"""From saddle points to patches of a lattice, without a start.
+
+A seed is a saddle with a neighbour of the opposite kind along each of its four edges.  From there the
+lattice grows by one step a round: the position, the edge directions and the kind of each new corner must
+agree with its neighbour's.  Steps are predicted from the last step, so the lattice may bend as a whole as
+much as it likes (perspective, barrel distortion), only not by more than a quarter of a square from one
+square to the next.
+
+Indices are relative here: i along the first axis, j along the second, handed as the board's x, y are in a
+view from the front (v points down, hence det < 0).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.target.saddles import Saddles
+
+TOLERANCE = 0.28  # largest miss of a predicted corner, in squares
+COS_EDGE = 0.9  # edges of neighbours agree to 25 degrees
+LEAST_CORNERS = 9  # a patch smaller than this is chance
+STEPS = ((1, 0), (-1, 0), (0, 1), (0, -1))
+NEIGHBOURS = 13  # nearest saddles looked at around a seed
+
+Index = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A connected piece of lattice with N corners.
+
+    Attributes
+    ----------
+    index : (N, 2) int64
+        Relative i, j.
+    position_px : (N, 2) float64
+    axes_px : (N, 2, 2) float64
+        Columns: displacement by one square along i and along j.
+    sign : (N,) int8
+        +1 if the square to +i, +j is bright.
+    """
+
+    index: NDArray[np.int64]
+    position_px: NDArray[np.float64]
+    axes_px: NDArray[np.float64]
+    sign: NDArray[np.int8]
+
+
+def grow_patches(saddles: Saddles) -> list[Patch]:
+    """Return all patches, largest first."""
+    if len(saddles) < LEAST_CORNERS:
+        return []
+    tree = scipy.spatial.cKDTree(saddles.position_px)
+    axes, good = _seeds(saddles, tree)
+    free = np.ones(len(saddles), dtype=bool)
+    patches = []
+    for seed in np.flatnonzero(good):  # strongest first
+        if free[seed]:
+            patch = _grow(saddles, tree, int(seed), axes[seed], free)
+            if len(patch.index) >= LEAST_CORNERS:
+                patches.append(patch)
+    return sorted(patches, key=lambda patch: -len(patch.index))
+
+
+def lattice_axes(index: NDArray[np.int64], position: NDArray[np.float64], axes: NDArray[np.float64]) -> None:
+    """Replace axes (N, 2, 2) in place by central differences of neighbours where there are any."""
+    place = {(int(i), int(j)): n for n, (i, j) in enumerate(index)}
+    for n, (i, j) in enumerate(index.tolist()):
+        for k, (di, dj) in enumerate(((1, 0), (0, 1))):
+            ahead, behind = place.get((i + di, j + dj)), place.get((i - di, j - dj))
+            if ahead is not None and behind is not None:
+                axes[n, :, k] = 0.5 * (position[ahead] - position[behind])
+            elif ahead is not None:
+                axes[n, :, k] = position[ahead] - position[n]
+            elif behind is not None:
+                axes[n, :, k] = position[n] - position[behind]
+
+
+def _signs(edges: NDArray[np.float64], axes: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Kinds (N,) of saddles with unit edges (N, 2, 2: rows) in axes (N, 2, 2: columns); 0 if edges disagree."""
+    unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    cosine = np.abs(edges @ unit)  # [saddle, edge, axis]
+    straight = np.minimum(cosine[:, 0, 0], cosine[:, 1, 1]) > COS_EDGE
+    crossed = np.minimum(cosine[:, 0, 1], cosine[:, 1, 0]) > COS_EDGE
+    bright = edges[:, 0] + edges[:, 1]
+    both, apart = unit[..., 0] + unit[..., 1], unit[..., 0] - unit[..., 1]
+    # The bisector of the axes is compared in length-free form, so sheared squares count as well.
+    along, across = (np.abs((bright * way).sum(axis=1)) / np.linalg.norm(way, axis=1) for way in (both, apart))
+    return np.where(straight | crossed, np.where(along > across, 1, -1), 0).astype(np.int8)
+
+
+def _seeds(saddles: Saddles, tree: "scipy.spatial.cKDTree") -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Axes (N, 2, 2) of every saddle from its nearest neighbours along its edges, and whether all four exist."""
+    position, edges = saddles.position_px, saddles.edges
+    count = min(NEIGHBOURS, len(saddles))
+    distance, neighbour = tree.query(position, k=count)
+    distance, neighbour = distance[:, 1:], neighbour[:, 1:]
+    towards = (position[neighbour] - position[:, None]) / distance[..., None]
+    axes, good = np.zeros((len(saddles), 2, 2)), np.ones(len(saddles), dtype=bool)
+    rows = np.arange(len(saddles))
+    for k in range(2):
+        along = np.einsum("nmc,nc->nm", towards, edges[:, k])
+        ends = []
+        for side in (1.0, -1.0):
+            reach = np.where(side * along > 0.97, distance, np.inf)
+            best = reach.argmin(axis=1)
+            good &= np.isfinite(reach[rows, best])
+            ends.append(position[neighbour[rows, best]] - position)
+        ahead, behind = np.hypot(*ends[0].T), np.hypot(*ends[1].T)
+        good &= np.abs(ahead - behind) < 0.25 * np.maximum(ahead, behind)
+        axes[:, :, k] = 0.5 * (ends[0] - ends[1])
+    mirrored = np.linalg.det(axes) > 0.0
+    axes[mirrored, :, 1] *= -1.0
+    return axes, good
+
+
+def _grow(
+    saddles: Saddles, tree: "scipy.spatial.cKDTree", seed: int, axes: NDArray[np.float64], free: NDArray[np.bool_]
+) -> Patch:
+    """Grow one patch from a seed; corners taken are no longer free."""
+    sign = int(_signs(saddles.edges[seed][None], axes[None])[0])
+    found: dict[Index, tuple[int, NDArray[np.float64], int]] = {}
+    if sign:
+        found[0, 0] = (seed, axes, sign)
+        free[seed] = False
+    frontier = list(found)
+    while frontier:
+        steps = [
+            (at, step) for at in frontier for step in STEPS if (at[0] + step[0], at[1] + step[1]) not in found
+        ]
+        frontier = []
+        if not steps:
+            break
+        start = np.array([saddles.position_px[found[at][0]] for at, _ in steps])
+        stride = np.array([found[at][1] @ step for at, step in steps])
+        distance, nearest = tree.query(start + stride)
+        near = np.flatnonzero(distance < TOLERANCE * np.hypot(*stride.T))
+        if not len(near):
+            break
+        own = np.array([found[steps[n][0]][1] for n in near])
+        for row, n in enumerate(near):
+            di, dj = steps[n][1]
+            own[row, :, 0 if di else 1] = (saddles.position_px[nearest[n]] - start[n]) * (di + dj)
+        signs = _signs(saddles.edges[nearest[near]], own)
+        for row, n in enumerate(near):
+            (i, j), (di, dj) = steps[n]
+            saddle, key = int(nearest[n]), (i + di, j + dj)
+            if not free[saddle] or key in found:
+                continue
+            parent_sign = found[i, j][2]
+            if signs[row] == -parent_sign:
+                found[key] = (saddle, own[row], -parent_sign)
+                free[saddle] = False
+                frontier.append(key)
+    index = np.array(list(found), dtype=np.int64).reshape(-1, 2)
+    members = list(found.values())
+    position = saddles.position_px[[saddle for saddle, _, _ in members]].reshape(-1, 2)
+    all_axes = np.array([own for _, own, _ in members]).reshape(-1, 2, 2)
+    if len(index):
+        lattice_axes(index, position, all_axes)
+    return Patch(index, position, all_axes, np.array([s for _, _, s in members], dtype=np.int8))

@@ -1,0 +1,258 @@
+"""A bench that is open: devices by name, opened in the order of the file, closed in reverse whatever happens.
+
+With ``simulate`` the file's `simulation` section names, as "package.module:Class", what stands behind ports and
+addresses instead of hardware: it puts another section in place of each device's own.  The drivers, the camera
+backend and everything above them stay the same, and never know.
+"""
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Protocol, cast
+
+from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
+from daq.bench.kinds import kind_of
+from daq.bench.stage_kind import idle_stage
+from daq.cameras import BACKENDS, backend_class, require_libraries
+from daq.cameras.camera import Camera
+from daq.errors import PlanError
+from daq.timing.drivers_by_name import driver_class
+from daq.timing.laser import Laser
+from daq.timing.timing_table import TimingTable
+from ground.config import Table
+from ground.errors import ConfigError, Problem
+from ground.named_program import named_program, require_trust
+from stages.clock import SYSTEM_CLOCK, Clock
+from stages.config import StagesTable
+from stages.stage import Stage
+
+
+class Simulation(Protocol):
+    """What stands in for the hardware."""
+
+    @property
+    def sections(self) -> Mapping[str, Table]:
+        """Section of every device by name, with simulated ports and addresses."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of the simulated world."""
+        ...
+
+    def true_mm(self) -> dict[str, float]:
+        """Where every axis really is, in its own coordinate; nobody at a real bench knows."""
+        ...
+
+    def secrets(self) -> dict[str, str]:
+        """Files that tell the truth, by name, to score a run by; nothing that works on the run may read them."""
+        ...
+
+    def seed(self, is_open: bool) -> None:
+        """Open or close the seeding of a simulated flow, which at a real bench a person does."""
+        ...
+
+    def close(self) -> None:
+        """Take the simulated hardware down."""
+        ...
+
+
+@dataclass(frozen=True)
+class OpenBench:
+    """The hardware in use.
+
+    Parameters
+    ----------
+    bench : Bench
+        What the file says.
+    devices : mapping
+        Every device that was opened, by name, as its kind gives it.
+    sections : mapping
+        What each was opened with.
+    clock : Clock
+        Clock of motions.
+    simulation : Simulation or None
+        The simulated hardware, if it is that.
+    """
+
+    bench: Bench
+    devices: Mapping[str, object]
+    sections: Mapping[str, Table]
+    clock: Clock
+    simulation: Simulation | None
+
+    @property
+    def stage(self) -> Stage:
+        """Every axis; connected."""
+        return cast("Stage", self.devices[STAGES])
+
+    @property
+    def camera(self) -> Camera:
+        """Open, not configured."""
+        return cast("Camera", self.devices[CAMERA])
+
+    @property
+    def camera_section(self) -> CameraSection:
+        """How the camera is to be configured."""
+        return cast("CameraSection", self.sections[CAMERA])
+
+
+def check_devices(bench: Bench, only: Collection[str] = ()) -> None:
+    """Refuse a bench whose devices could not be opened on any computer; nothing is opened.
+
+    Parameters
+    ----------
+    bench : Bench
+        What the file says.
+    only : collection of str
+        Names of the devices that are needed; all if none is named.
+
+    Raises
+    ------
+    StageUsageError, CameraSetupError, TimingUsageError
+        A controller, camera or box cannot be as the file says, or is not there.
+    UntrustedProgram
+        The file names programs that the person does not trust.
+    """
+    sections = [device.section for name, device in bench.devices.items() if not only or name in only]
+    boxes = {section.box for section in sections if isinstance(section, TimingTable)}
+    cameras = [section for section in sections if isinstance(section, CameraSection)]
+    backends = {camera.backend for camera in cameras} - BACKENDS.keys()  # ours are known to be there
+    cores = {str(camera.options["core"]) for camera in cameras if "core" in camera.options}
+    require_trust(sorted(name for name in boxes | backends | cores if ":" in name))
+    for backend in sorted(backends):
+        backend_class(backend)
+    for box in sorted(boxes):
+        driver_class(box)
+    if any(isinstance(section, StagesTable) for section in sections):
+        idle_stage(bench)
+
+
+def start_simulation(bench: Bench, shows: str = "chessboard", exposures_before: int = 0) -> Simulation:
+    """Set the simulated hardware of a bench file up.
+
+    Parameters
+    ----------
+    bench : Bench
+        With a `simulation` section.
+    shows : str
+        What somebody has hung on the target's stage: ``chessboard`` or ``particles``.
+    exposures_before : int
+        Frames that were taken in this world before, so that a resumed run goes on with the noise.
+
+    Raises
+    ------
+    ConfigError
+        There is no such section, or it is wrong.
+    """
+    return cast("Simulation", simulation_class(bench)(bench, shows=shows, exposures_before=exposures_before))
+
+
+def check_simulation(bench: Bench) -> bool:
+    """Whether a bench has a simulation; what is wrong with its section is said, nothing is set up.
+
+    Raises
+    ------
+    ConfigError, SceneError
+        The section is wrong.
+    """
+    if bench.table.simulation is None:
+        return False
+    judge = getattr(simulation_class(bench), "check", None)
+    if judge is not None:
+        judge(bench)
+    return True
+
+
+def simulation_class(bench: Bench) -> Callable[..., object]:
+    """What the bench file names as its simulation; ConfigError if there is none, or it is wrong."""
+    section = bench.table.simulation
+    line = bench.document.line(("simulation", "bench"))
+    dotted = str((section or {}).get("bench", ""))
+    if ":" not in dotted:
+        text = 'the bench has no simulation; say simulation: {bench: "package.module:Class"}'
+        raise ConfigError(bench.path, [Problem(line, text)])
+    try:
+        return cast("Callable[..., object]", named_program(dotted))
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(bench.path, [Problem(line, f"{dotted} cannot be loaded: {error}")]) from error
+
+
+@contextmanager
+def simulated_or_real(
+    bench: Bench, simulate: bool, shows: str = "chessboard", exposures_before: int = 0
+) -> Iterator[tuple[Mapping[str, Table], Clock, Simulation | None]]:
+    """Yield what to open: the sections of the file, or those of its simulation, which ends with the block."""
+    if not simulate:
+        yield {name: device.section for name, device in bench.devices.items()}, SYSTEM_CLOCK, None
+        return
+    simulation = start_simulation(bench, shows, exposures_before)
+    try:
+        yield simulation.sections, simulation.clock, simulation
+    finally:
+        simulation.close()
+
+
+@contextmanager
+def open_bench(
+    bench: Bench,
+    simulate: bool = False,
+    shows: str = "chessboard",
+    exposures_before: int = 0,
+    only: Collection[str] = (),
+) -> Iterator[OpenBench]:
+    """Open the devices of a bench; nothing moves and nothing is switched on.
+
+    Parameters
+    ----------
+    bench : Bench
+        What the file says.
+    simulate, shows, exposures_before
+        As for `start_simulation`.
+    only : collection of str
+        Names of the devices that are needed; all if none is named.
+
+    Raises
+    ------
+    StageError, CameraError
+        Something is not there; what was opened before is closed again.
+    """
+    check_devices(bench, only)
+    wanted = {name: device for name, device in bench.devices.items() if not only or name in only}
+    for device in wanted.values():
+        if isinstance(device.section, CameraSection):
+            require_libraries(device.section.backend)  # before anything is compiled or set up
+    with ExitStack() as stack:
+        opened = simulated_or_real(bench, simulate, shows, exposures_before)
+        sections, clock, simulation = stack.enter_context(opened)
+        devices = {
+            name: stack.enter_context(kind_of(device.kind).open(sections[name], bench, clock))
+            for name, device in wanted.items()
+        }
+        _keep_apart(devices)
+        yield OpenBench(bench, devices, sections, clock, simulation)
+
+
+def _keep_apart(devices: Mapping[str, object]) -> None:
+    """See that nothing moves while light may leave a laser, and none leaves while something moves."""
+    stages = [device for device in devices.values() if isinstance(device, Stage)]
+    for laser in devices.values():
+        if isinstance(laser, Laser):
+            for stage in stages:
+                laser.keep_still(stage)
+
+
+def known_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:
+    """Positions of all axes.
+
+    Raises
+    ------
+    PlanError
+        Some axes do not know where they are.
+    """
+    unknown = [name for name, mm in where_mm.items() if mm is None]
+    if unknown:
+        raise PlanError(
+            f"{', '.join(unknown)} do not know where they are; home them (--home, or rtpiv stage home)"
+        )
+    return {name: float(mm) for name, mm in where_mm.items() if mm is not None}

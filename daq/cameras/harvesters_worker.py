@@ -1,0 +1,326 @@
+"""The process that talks to a GenTL producer through Harvesters.
+
+The genicam binding keeps Python's lock inside every GenTL call, also while it waits for a frame: another thread of
+the same process may stand still (github.com/genicam/harvesters/issues/508).  So this loop has a process of its
+own, and only one thread: look for a request, fetch at most one frame, unpack it into a free slot, tell the parent.
+It waits where something is to come next: for the frame of a software trigger in the producer, and between such
+frames for a request, so that a trigger does not find it waiting for nothing.
+
+Only a small part of Harvesters is used: add_file, update, create, node_map, start, raw fetch, stop.  Its own
+unpacking is not (slow, wrong for padded rows), nor its background thread (drops frames without counting).
+"""
+
+import signal
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+from genicam import genapi, gentl
+from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
+
+from daq.cameras import buffer_facts
+from daq.cameras.camera import Setting
+from daq.cameras.camera_clock import CameraClock
+from daq.cameras.genapi_nodes import GenApiNodes, one_line
+from daq.cameras.quiet import without_complaints
+from daq.cameras.ring import FrameRing
+from daq.cameras.sfnc import (
+    apply_or_restore,
+    count_missed_triggers,
+    enable_chunks,
+    exposure_us,
+    read_known,
+    verify_settings,
+)
+from daq.cameras.wire import Message, pack_error, receive, send
+from daq.errors import BadFrame, CameraBusy, CameraError, CameraLost, CameraSetupError
+
+FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
+LOOK_S = 0.001  # the same where no frame is expected
+MIN_PRODUCER_BUFFERS = 3
+GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
+
+
+class _CountIncomplete(Callback):  # type: ignore[misc]
+    """Harvesters tells of incomplete buffers only through a callback."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def emit(self, context: object | None = None) -> None:
+        self.count += 1
+
+
+class Worker:
+    """State of the camera's process."""
+
+    def __init__(self, pipe: "Connection[Any, Any]", cti: str, serial: str | None) -> None:
+        self._pipe = pipe
+        self._cti = cti
+        self._serial = serial
+        self._harvester: Harvester | None = None
+        self._acquirer: ImageAcquirer | None = None
+        self._ring: FrameRing | None = None
+        self._free: deque[int] = deque()
+        self._configured: dict[str, Setting] = {}
+        self._chunks: list[str] = []
+        self._incomplete = _CountIncomplete()
+        self._underrun_before = 0
+        self._grabbed = 0
+        self._counts_triggers = False
+        self._ignored_before = 0
+        self._incomplete_told = 0
+        self._triggers = self._unanswered = 0  # of this arm
+        self._clock: CameraClock | None = None
+        self._exposure_us = float("nan")
+        self._unpack: Callable[..., Any]
+        self._calls: dict[str, Callable[..., Any]] = {
+            "open": self._open,
+            "configure": self._configure,
+            "verify": lambda: verify_settings(self._nodes, self._configured),
+            "settings": self._settings,
+            "read": lambda names: read_known(self._nodes, names),
+            "arm": self._arm,
+            "clock": self._clock_ns,
+            "trigger": self._trigger,
+            "counts": self._counts,
+            "probe": self._probe,
+            "disarm": self._disarm,
+        }
+
+    def run(self) -> None:
+        """Serve until the parent closes the pipe."""
+        try:
+            while True:
+                is_armed = self._ring is not None
+                while self._pipe.poll(0 if is_armed else None):
+                    self._serve(receive(self._pipe))
+                    is_armed = self._ring is not None
+                if is_armed and self._free and self._triggers and not self._unanswered:
+                    if not self._pipe.poll(FETCH_S):
+                        self._grab(LOOK_S)
+                elif is_armed and self._free:
+                    self._grab(FETCH_S)
+                elif is_armed:
+                    self._pipe.poll(FETCH_S)  # no slot free: frames wait in the producer, which counts underruns
+        except (EOFError, OSError):
+            self._close()
+
+    @property
+    def _nodes(self) -> GenApiNodes:
+        assert self._acquirer is not None
+        return GenApiNodes(self._acquirer.remote_device.node_map)
+
+    def _serve(self, message: Message) -> None:
+        if "release" in message:
+            self._free.append(int(message["release"]))
+            return
+        answer: Message = {"answer": message["number"]}
+        try:
+            answer["result"] = self._calls[message["call"]](**message.get("arguments", {}))
+        except CameraError as error:
+            answer |= pack_error(error)
+        except GENICAM_ERRORS as error:
+            answer |= pack_error(self._translate(error, message["call"]))
+        except Exception as error:  # the parent must hear of it; this process goes on
+            answer |= pack_error(CameraError(f"{message['call']}: {type(error).__name__}: {one_line(error)}"))
+        send(self._pipe, answer)
+
+    def _translate(self, error: Exception, call: str) -> CameraError:
+        """Whose fault is it: a camera that does not answer a probe is lost, whatever the error says."""
+        if call != "open":
+            try:
+                self._probe()
+            except CameraError as lost:
+                return lost
+        return CameraError(f"{call}: {one_line(error)}")
+
+    def _open(self) -> Message:
+        quiet = {ParameterKey.TIMEOUT_PERIOD_ON_UPDATE_EVENT_DATA_CALL: max(1, round(1e3 * FETCH_S))}
+        self._harvester = harvester = Harvester()
+        with without_complaints():
+            harvester.add_file(self._cti)
+            harvester.update()
+        found = [info for info in harvester.device_info_list if self._serial in (None, info.serial_number)]
+        if not found:
+            known = ", ".join(info.serial_number for info in harvester.device_info_list) or "none"
+            wanted = f"camera {self._serial}" if self._serial else "any camera"
+            raise CameraSetupError(f"{self._cti} does not list {wanted}; it lists: {known}")
+        index = harvester.device_info_list.index(found[0])
+        try:
+            self._acquirer = acquirer = harvester.create(index, config=ParameterSet(quiet))
+        except (gentl.ResourceInUseException, gentl.AccessDeniedException) as error:
+            raise CameraBusy(f"another process holds camera {found[0].serial_number}; close it there") from error
+        except (gentl.IoException, gentl.NotAvailableException) as error:
+            raise CameraLost(
+                f"camera {found[0].serial_number} is listed and does not answer: {one_line(error)}"
+            ) from error
+        finally:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # Harvesters takes Ctrl-C; the parent decides about it
+        acquirer.add_callback(ImageAcquirer.Events.INCOMPLETE_BUFFER, self._incomplete)
+        info = found[0]
+        return {"vendor": info.vendor, "model": info.model, "serial": info.serial_number, "tl_type": info.tl_type}
+
+    def _configure(self, settings: dict[str, Setting], chunks: list[str]) -> dict[str, Setting]:
+        readback = apply_or_restore(self._nodes, settings, self._configured)
+        self._configured.update(readback)
+        self._configured.update(enable_chunks(self._nodes, chunks))
+        self._chunks = chunks
+        return readback
+
+    def _settings(self) -> dict[str, Setting]:
+        nodes = self._nodes
+        values = {}
+        for name in nodes.names():
+            try:
+                if nodes.has(name):
+                    values[name] = nodes.get(name)
+            except GENICAM_ERRORS:
+                continue  # not readable in the present state
+        return values
+
+    def _clock_ns(self) -> int | None:
+        nodes = self._nodes
+        if self._clock is None:
+            self._clock = CameraClock(nodes)
+        return self._clock.read_ns(nodes)
+
+    def _trigger(self) -> int | None:
+        before_ns = None
+        with suppress(
+            *GENICAM_ERRORS
+        ):  # a clock that cannot be read is none; a lost camera takes no trigger either
+            before_ns = self._clock_ns()
+        self._nodes.execute("TriggerSoftware")
+        self._triggers += 1
+        self._unanswered += 1
+        return before_ns
+
+    def _arm(self, ring: str, slots: int, pixels: int) -> Message:
+        from daq.cameras.pixels import (  # loads compiled kernels: not before they are needed
+            unpack,
+            warm_up,
+        )
+
+        assert self._acquirer is not None
+        self._unpack = unpack
+        self._ring = FrameRing(slots, pixels, ring)
+        self._free = deque(range(slots))
+        nodes = self._nodes
+        self._counts_triggers = count_missed_triggers(nodes)
+        self._ignored_before = int(nodes.get("CounterValue")) if self._counts_triggers else 0
+        self._exposure_us = exposure_us(nodes)
+        self._incomplete.count = self._incomplete_told = self._grabbed = 0
+        self._triggers = self._unanswered = 0
+        warm_up()
+        try:
+            # As many raw frames again: they bridge the time in which the system lets this process wait.
+            self._acquirer.num_buffers = max(MIN_PRODUCER_BUFFERS, slots)
+            self._acquirer.start()
+        except BaseException:
+            self._drop_ring()
+            raise
+        self._underrun_before = 0
+        self._underrun_before = self._underrun()
+        return {"counts_triggers": self._counts_triggers}
+
+    def _grab(self, wait_s: float) -> None:
+        assert self._acquirer is not None
+        assert self._ring is not None
+        try:
+            self._acquirer.timeout_period_on_update_event_data_call = round(1e3 * wait_s)
+            buffer = self._acquirer.try_fetch(timeout=wait_s, is_raw=True)
+        except GENICAM_ERRORS as error:
+            send(self._pipe, {"broken": one_line(error)})
+            time.sleep(FETCH_S)
+            return
+        if buffer is None:
+            self._tell_incomplete()
+            return
+        received_ns = time.monotonic_ns()
+        self._unanswered = max(0, self._unanswered - 1)
+        slot = self._free.popleft()
+        message: Message
+        try:
+            image = buffer_facts.image_of(buffer)
+            size = (image.form, image.width, image.height, image.padding_bytes)
+            pixels = self._unpack(image.payload, *size, self._ring.slot(slot))
+            message = {"frame": slot, "height": pixels.shape[0], "width": pixels.shape[1]}
+            message["format"] = image.form.name
+        except BadFrame as error:
+            self._free.append(slot)
+            message = {"bad_frame": str(error)}
+        underrun = self._underrun()
+        told = buffer_facts.frame_id(buffer)
+        # A producer that tells no ids hides what was lost on the link; what it counts itself still makes gaps.
+        message["id"] = self._grabbed + self._incomplete.count + underrun if told is None else told
+        message["id_told"] = told is not None
+        message["chunks"] = buffer_facts.chunks_of(buffer, self._nodes, self._chunks)
+        self._grabbed += 1
+        message |= {"timestamp_ns": buffer_facts.timestamp_ns(buffer), "received_ns": received_ns}
+        message |= {"exposure_us": self._exposure_us, "incomplete": self._incomplete.count}
+        message["underrun"] = underrun
+        buffer.parent.queue_buffer(buffer)
+        send(self._pipe, message)
+
+    def _tell_incomplete(self) -> None:
+        """Say at once that a frame was put aside: who waits for it need not wait any longer."""
+        if self._incomplete.count != self._incomplete_told:
+            self._incomplete_told = self._incomplete.count
+            self._unanswered = max(0, self._unanswered - 1)
+            send(self._pipe, {"incomplete": self._incomplete.count})
+
+    def _underrun(self) -> int:
+        assert self._acquirer is not None
+        try:
+            return int(self._acquirer.data_streams[0].num_underrun) - self._underrun_before
+        except gentl.GenericException:  # optional in the standard
+            return 0
+
+    def _counts(self) -> Message:
+        ignored = None
+        if self._counts_triggers:
+            ignored = max(0, int(self._nodes.get("CounterValue")) - self._ignored_before)
+        return {"incomplete": self._incomplete.count, "underrun": self._underrun(), "ignored_triggers": ignored}
+
+    def _probe(self) -> None:
+        """Ask the camera for its width; CameraLost if it does not answer."""
+        try:
+            self._nodes.get("Width")
+        except GENICAM_ERRORS as error:
+            raise CameraLost(f"the camera does not answer ({one_line(error)}); check cable and power") from error
+
+    def _disarm(self) -> Message:
+        assert self._acquirer is not None
+        counts: Message = {"incomplete": self._incomplete.count, "underrun": 0, "ignored_triggers": None}
+        try:
+            counts = self._counts()
+        except GENICAM_ERRORS as error:
+            counts["lost"] = one_line(error)
+        self._acquirer.stop()
+        self._drop_ring()
+        return counts
+
+    def _drop_ring(self) -> None:
+        if self._ring is not None:
+            self._ring.close()
+            self._ring = None
+
+    def _close(self) -> None:
+        """Let go of what there is; a camera that does not answer any more cannot be stopped, and nobody asks."""
+        if self._acquirer is not None:
+            with suppress(*GENICAM_ERRORS):
+                self._acquirer.destroy()
+        if self._harvester is not None:
+            with suppress(*GENICAM_ERRORS):
+                self._harvester.reset()
+        self._drop_ring()
+
+
+def serve(pipe: "Connection[Any, Any]", cti: str, serial: str | None) -> None:
+    """Run the worker in a new process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Worker(pipe, cti, serial).run()

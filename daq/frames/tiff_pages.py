@@ -1,0 +1,63 @@
+"""A TIFF of many pages, two of which are a pair: 1 and 2, 3 and 4, ..."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import tifffile
+
+from daq.frames.source import FramePlaces
+from ground.plain_file import open_plain
+from piv.errors import FrameError
+from piv.files.frame_file import MOST_PAGES, TIFF_ENDINGS, page_of
+
+
+class TiffPages:
+    """Pages of a stack.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    FrameError
+        It cannot be read, or has too many pages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            with open_plain(path) as stream, tifffile.TiffFile(stream) as tiff:
+                self._pages = len(tiff.pages)
+        except OSError as error:
+            raise FrameError(f"{path}: cannot be read: {error.strerror or error}") from None
+        except Exception as error:  # whatever a decoder meets in a damaged file
+            raise FrameError(f"{path}: is no TIFF that can be read ({str(error)[:100]})") from None
+        if self._pages > MOST_PAGES:
+            raise FrameError(f"{path}: has {self._pages} pages, and {MOST_PAGES} are read; cut it")
+
+    @classmethod
+    def takes(cls, path: Path) -> bool:
+        """Whether it is a TIFF as a whole, and not one frame."""
+        if path.suffix.lower() not in TIFF_ENDINGS or page_of(path)[1] is not None:
+            return False
+        try:
+            return cls(path)._pages != 1
+        except FrameError:
+            return True
+
+    def pairs(self) -> Sequence[FramePlaces]:
+        """Pairs of neighbouring pages."""
+        return [(n, self._page(2 * n + 1), self._page(2 * n + 2)) for n in range(self._pages // 2)]
+
+    def alone(self) -> int:
+        """The last page of an odd number."""
+        return self._pages % 2
+
+    def file_of(self, place: Path) -> Path:
+        """The stack."""
+        return self._path
+
+    def _page(self, number: int) -> Path:
+        return self._path.with_name(f"{self._path.name}@{number}")

@@ -1,0 +1,153 @@
+"""What a plan will do, said before anything moves: moves, travel, time, disk, and what is not allowed.
+
+Limits and keep-out are judged by the same code that will judge the real moves (`Stage.check`), on the same
+route, so a plan that passes here is refused later only if the start is another one.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from daq.bench.bench_table import Bench, trigger_is_software
+from daq.bench.opened import simulation_class
+from daq.bench.sheet_clearance import sheet_clearance_mm
+from daq.cameras.camera import Setting
+from daq.plans.link_budget import link_excess, link_said
+from daq.plans.steps import Step, frame_count, route
+from daq.timing.timing_table import TimingTable
+from stages.errors import StageUsageError
+from stages.stage import Stage
+
+FRAME_OVERHEAD_S = 0.05  # trigger, readout, hand-over
+STEP_OVERHEAD_S = 0.1  # reading the positions back, fsync of the journal
+CHUNK_OVERHEAD_S = 1.5  # arming of camera and laser, dark frames at either end, books
+FILE_OVERHEAD_BYTES = 4096
+DEFAULT_RATE_HZ = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A step that must not be made."""
+
+    step: int
+    tag: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """The sum of a plan.
+
+    Parameters
+    ----------
+    frames : int
+        Frames to be written.
+    travel_mm : mapping
+        Way of each axis, approach included.
+    duration_s : float
+        Estimate from speeds, accelerations, settling, exposures.
+    raw_bytes, corrected_bytes : int
+        Estimate of the files.
+    violations : tuple of Violation
+        What is not allowed; empty if the plan may be carried out.
+    link : str
+        What the plan needs of the camera's link; "" if it has no rate.
+    """
+
+    frames: int
+    travel_mm: Mapping[str, float]
+    duration_s: float
+    raw_bytes: int
+    corrected_bytes: int
+    violations: tuple[Violation, ...]
+    link: str = ""
+
+
+def forecast(
+    bench: Bench, stage: Stage, steps: Sequence[Step], start_mm: Mapping[str, float] | None = None
+) -> Forecast:
+    """Go through a list of steps without sending anything.
+
+    Parameters
+    ----------
+    bench : Bench
+        The bench.
+    stage : Stage
+        Its stage, open or not.
+    steps : sequence of Step
+        What is to be done.
+    start_mm : mapping, optional
+        Where the axes are; default is the place at which the scene file holds.
+    """
+    here = dict(bench.home_mm if start_mm is None else start_mm)
+    travel = dict.fromkeys(here, 0.0)
+    duration_s, violations = 0.0, []
+    for step in steps:
+        for move in route(bench, here, step.targets_mm):
+            try:
+                stage.check(here, move)
+            except StageUsageError as error:
+                violations.append(Violation(step.index, step.tag, str(error)))
+            for piece in stage.way(here, move):
+                travel[piece.axis] += abs(piece.end_mm - piece.start_mm)
+            duration_s += stage.duration_s(here, move)
+            here |= move
+        for said in (link_excess(bench, step), _sheet_blocked(bench, step)):
+            if said:
+                violations.append(Violation(step.index, step.tag, said))
+        duration_s += step.settle_s + STEP_OVERHEAD_S + _frames_s(bench, step)
+    duration_s += max((step.pulses.warm_up_s for step in steps if step.pulses is not None), default=0.0)
+    frames, frame_bytes = frame_count(steps), _frame_bytes(bench)
+    on_plane = sum(step.frames for step in steps if step.on_plane)
+    disk = frames * frame_bytes, on_plane * frame_bytes
+    return Forecast(frames, travel, duration_s, *disk, tuple(violations), link_said(bench, steps))
+
+
+def _sheet_blocked(bench: Bench, step: Step) -> str:
+    """Why the laser would refuse to fire where a step has everything; "" if it would not."""
+    if step.pulses is None:
+        return ""
+    laser = bench.more.get(step.pulses.laser)
+    if laser is None or not isinstance(laser.section, TimingTable):
+        return ""
+    free_mm, wanted_mm = sheet_clearance_mm(bench, step.targets_mm), laser.section.clear_mm
+    if free_mm >= wanted_mm:
+        return ""
+    return (
+        f"glass or target would be {free_mm:.3g} mm from the light sheet, and {wanted_mm:g} mm must be free"
+        f" (clear_mm of {step.pulses.laser}); say glass_z_mm and target_z_mm in the plan"
+    )
+
+
+def _frames_s(bench: Bench, step: Step) -> float:
+    order = step.pulses
+    if order is None:
+        return step.frames * _frame_s(bench.table.camera.settings)
+    pairs = step.frames // 2
+    return pairs / order.rate_hz + math.ceil(pairs / order.chunk) * CHUNK_OVERHEAD_S
+
+
+def _frame_s(settings: Mapping[str, Setting]) -> float:
+    if trigger_is_software(settings):
+        return FRAME_OVERHEAD_S + float(settings.get("ExposureTime", 1000.0)) * 1e-6
+    return 1.0 / float(settings.get("AcquisitionFrameRate", DEFAULT_RATE_HZ))
+
+
+def _frame_bytes(bench: Bench) -> int:
+    width, height = bench.scene.camera.sensor_px
+    return 2 * width * height + FILE_OVERHEAD_BYTES  # frames are stored unpacked, 16 bit a pixel
+
+
+def check_views(bench: Bench, steps: Iterable[Step]) -> None:
+    """Refuse a plan that the simulated hardware of a bench file cannot show, if that is able to tell.
+
+    Raises
+    ------
+    ConfigError
+        There is no such section, or it is wrong.
+    PlanError
+        A step cannot be shown.
+    """
+    judge = getattr(simulation_class(bench), "check_views", None)
+    if judge is not None:
+        judge(bench, steps)

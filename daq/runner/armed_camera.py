@@ -1,0 +1,293 @@
+"""The camera of a run, whoever takes its frames: arming, disarming, waiting, rejecting, and the books of all that.
+
+Every wait is cut into slices, and before each slice and each trigger the bench's stop is asked.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, NoReturn
+
+from daq.bench.bench_table import CameraSection, trigger_is_software
+from daq.cameras.camera import Camera, Counters, Setting
+from daq.cameras.frame import Frame, FrameMeta
+from daq.cameras.waiting import probe_s
+from daq.errors import (
+    BadFrame,
+    CameraError,
+    CameraLost,
+    CameraTimeout,
+    FrameDoubt,
+    OtherFormat,
+    SettingsChanged,
+)
+from daq.runner.frame_format import FrameFormat
+from daq.runner.patience import require_patience
+from daq.runner.trigger_match import UNCONFIRMED, TriggerMatch
+from daq.runs.conservation import Bookkeeper, Ledger
+from stages.stop_latch import StopLatch
+
+SLICE_S = 0.05
+
+
+class ArmedCamera:
+    """A camera with its books; base of `exposures.Exposures`.
+
+    Parameters
+    ----------
+    camera : Camera
+        Open.
+    section : CameraSection
+        Settings, patience, retakes.
+    latch : StopLatch, optional
+        The bench's stop, which ends exposures too; None where nothing can be stopped.
+    tell_doubt : callable, optional
+        Called at once with everything that makes frames doubtful; it is also kept in `doubts`.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        section: CameraSection,
+        latch: StopLatch | None = None,
+        tell_doubt: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self.camera = camera
+        self.section = section
+        self.software = trigger_is_software(section.settings)
+        self.match = TriggerMatch(1e9 * section.timeout_s)
+        self.counts = Bookkeeper(self.software)
+        self.discarded = 0  # frames that were written and are not wanted after all
+        self.doubts: list[str] = []
+        self.settings: dict[str, Setting] = {}  # as the camera read them back
+        self._latch = latch
+        self._tell_doubt = tell_doubt
+        self._token = 0
+        self._format = FrameFormat({})
+        self._is_armed = False
+        self._ended = Ledger()  # when the last arm ended, as the next two
+        self._handed_before = self._rejected_before = 0
+
+    # ---- the books -----------------------------------------------------------------------------
+
+    def books(self, written: int) -> Ledger:
+        """Books of the arms that have ended.
+
+        Parameters
+        ----------
+        written : int
+            Frames of this session that are on the disk; what was handed over and is not there counts as lost.
+        """
+        ledger, discarded = self.counts.ledger(), self.discarded
+        unwritten = ledger.written - written
+        return ledger + Ledger(written=-unwritten - discarded, unwritten=unwritten, rejected=discarded)
+
+    def books_so_far(self, written: int) -> Ledger:
+        """Books in the middle of an arm, without asking the camera; frames under way are not counted yet."""
+        counts, ended = self.counts, self._ended
+        handed, rejected = counts.handed - self._handed_before, counts.rejected - self._rejected_before
+        ledger = ended + Ledger(triggered=handed + rejected, written=handed, rejected=rejected)
+        under_way, discarded = ledger.written - written, self.discarded
+        return ledger + Ledger(triggered=-under_way, written=-under_way - discarded, rejected=discarded)
+
+    # ---- what a run asks for -------------------------------------------------------------------
+
+    def set_up(self) -> dict[str, Setting]:
+        """Configure the camera; return everything it can tell about its settings."""
+        markers = () if self.section.pairs is None else self.section.pairs.chunks
+        chunks = tuple(dict.fromkeys((*markers, *self.section.chunks)))
+        self.camera.configure(self.section.settings, **({"chunks": chunks} if chunks else {}))
+        settings = self.settings = self.camera.settings()
+        self._format = FrameFormat(settings)
+        return settings
+
+    def facts(self, frame: Frame) -> dict[str, Any]:
+        """What the record of a frame says of the chunk data that the bench file wants kept."""
+        chunks = {name: frame.meta.chunks[name] for name in self.section.chunks if name in frame.meta.chunks}
+        return {"chunks": chunks} if chunks else {}
+
+    def require_patience(self, settings: Mapping[str, Setting]) -> None:
+        """Refuse a timeout that no frame can meet, by what `set_up` returned; RunUsageError says what would do."""
+        require_patience(self.section.timeout_s, settings)
+
+    def verify(self) -> None:
+        """Make sure that the camera still has its settings.
+
+        Raises
+        ------
+        SettingsChanged, CameraLost
+            It has not, or does not answer; frames since the last check are in doubt.
+        """
+        try:
+            self.camera.verify()
+        except (SettingsChanged, CameraLost):
+            self.counts.in_doubt |= self._is_armed
+            raise
+
+    def end(self) -> None:
+        """Disarm and close the books of this arm.  Harmless when repeated."""
+        if not self._is_armed:
+            return
+        with suppress(CameraError, FrameDoubt):  # gone; or said and kept
+            self.drain()
+        self._is_armed = False
+        try:
+            counters = self.camera.disarm()
+        except CameraError:  # what it counted before is all that will ever be known
+            counters = _last_counters(self.camera)
+        self.counts.by_time = self.match.by_time
+        self.counts.unasked += self.match.not_owed(counters.unused)
+        self._ended = self.counts.close(counters)
+        self._handed_before, self._rejected_before = self.counts.handed, self.counts.rejected
+
+    def conclude(self, written: int) -> Ledger:
+        """End the session: close the books, and find what is in doubt now that nothing can clear it any more.
+
+        Parameters
+        ----------
+        written : int
+            As for `books`.
+        """
+        self.end()
+        ledger = self.books(written)
+        if ledger.imbalance:
+            self.doubts.append(f"the books do not balance ({ledger.sentence()})")
+        if self.match.first_is_unconfirmed:
+            self.doubts.append(UNCONFIRMED)
+        return ledger
+
+    def reopen(self) -> None:
+        """Bring a lost camera back: close, open, configure.
+
+        Raises
+        ------
+        CameraError
+            It is still away.
+        """
+        self.end()
+        self.camera.close()
+        self.camera.open()
+        self.match.reopened()
+        self.set_up()
+
+    # ---- what the two ways of taking frames ask for --------------------------------------------
+
+    def ask(self) -> None:
+        """Ask the bench's stop; MotionStopped if nothing may be exposed any more."""
+        if self._latch is not None:
+            self._latch.check(self._token)
+
+    def make_ready(self) -> None:
+        """Arm the camera, or empty its queue."""
+        self.ask()
+        if self._is_armed:
+            self.drain()
+            return
+        self.camera.arm(self.section.buffers)
+        self.match.armed()
+        self._is_armed = True
+
+    def clock_ns(self) -> int | None:
+        """The camera's clock now; None if it cannot be read."""
+        try:
+            return self.camera.clock_ns()
+        except CameraLost:
+            raise
+        except CameraError:
+            return None
+
+    def wait_until(self, deadline_s: float) -> Frame:
+        """Next whole frame.
+
+        Raises
+        ------
+        CameraTimeout
+            None came by then, and the camera answers.
+        BadFrame
+            One came that cannot be used.
+        """
+        while True:
+            self.ask()
+            left_s = deadline_s - time.monotonic()
+            frame = self.camera.poll(max(0.0, min(SLICE_S, left_s)))
+            if frame is not None:
+                return frame
+            if left_s <= 0.0:
+                break
+        timeout_s = self.section.timeout_s
+        self.camera.probe(probe_s(timeout_s))
+        frame = self.camera.poll(0.0)  # the probe may have let a late one through
+        if frame is None:
+            raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")
+        return frame
+
+    def look(self, timeout_s: float) -> Frame | None:
+        """Next whole frame within a short time, or None; BadFrame if one came that cannot be used."""
+        self.ask()
+        return self.camera.poll(timeout_s)
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether the camera waits for triggers."""
+        return self._is_armed
+
+    def begin(self) -> None:
+        """Take over the stop as it is now: what is exposed from here on ends with it."""
+        self._token = self._latch.begin() if self._latch is not None else 0
+
+    def hand_over(self, frame: Frame) -> Frame:
+        """Count a frame as given to whoever asked for it.
+
+        Raises
+        ------
+        SettingsChanged, OtherFormat
+            It is not in the format that the camera was set to; it is rejected.
+        """
+        said = self._format.contradiction(frame)
+        if said:
+            self.reject(frame, True)
+            self.verify()
+            raise OtherFormat(f"the camera {said}")
+        self.counts.handed += 1
+        return frame
+
+    def reject(self, frame: Frame, was_asked_for: bool) -> None:
+        """Count a frame that arrived whole and is not wanted; its memory is given back."""
+        frame.release()
+        self.counts.rejected += 1
+        self.counts.unasked += not was_asked_for
+
+    def drain(self) -> list[FrameMeta]:
+        """Reject what has come by now; return what it was."""
+        found: list[FrameMeta] = []
+        while True:
+            try:
+                frame = self.camera.poll(0.0)
+            except BadFrame:  # counted by the camera
+                continue
+            if frame is None:
+                return found
+            found.append(frame.meta)
+            was_owed = self.match.was_owed(frame.meta)
+            self.reject(frame, was_owed)
+            if not was_owed and (said := self.match.came_unasked(frame.meta)):
+                self.doubt(said)
+
+    def doubt(self, said: str) -> NoReturn:
+        """End everything: some frame may not show what it is filed under.
+
+        Raises
+        ------
+        FrameDoubt
+            Always.
+        """
+        self.doubts.append(said)
+        self._tell_doubt(said)
+        raise FrameDoubt(f"{said}; look at link and trigger, raise timeout_s, and begin a new run")
+
+
+def _last_counters(camera: Camera) -> Counters:
+    try:
+        return camera.counters
+    except CameraError:
+        return Counters()

@@ -1,0 +1,195 @@
+"""The pairs of a step that is lit by pulses, chunk by chunk, of one camera or of several at once.
+
+    cameras armed and empty -> laser armed -> n pairs fired -> frames to pairs (pair_finder) -> books -> next chunk
+
+A pair is kept when it is sure, and gets the next two places of the step; what was lost is counted in the line of
+its chunk and fired again, so a step has no gaps.  A flow goes on meanwhile: the time of each pair stands in its
+record.  Frames of pairs before the first light and behind the last are dropped (brightness).  Several cameras keep
+only what all of them have of one trigger (together), so frames of one number show the same light.
+
+    frames:  2 triggers = 2 pairs + dropped by reason + those that never came
+    pairs:   fired = kept + lost + surplus
+"""
+
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from datetime import UTC, datetime
+from typing import Any
+
+from daq.errors import FramesLost
+from daq.plans.pulse_order import PulseOrder
+from daq.plans.steps import Step
+from daq.runner.chunk import Chunk
+from daq.runner.flow_side import FlowSide
+from daq.runner.interrupts import Interrupts
+from daq.runner.light import Light, require_buffers, require_rate
+from daq.runner.pair_source import Pair
+from daq.runner.progress import Progress
+from daq.runner.together import together
+from daq.runs.chunk_books import LEFT, SURPLUS
+from daq.timing.laser import Laser
+
+SPARE = 2  # pairs fired beyond those that are still wanted: the first ones are lost most easily
+BARREN, MANY = 2, 10  # chunks in a row without a pair; one is enough if so many were fired
+LOST_ANYHOW = 2  # pairs that may be lost, however few were fired
+
+
+class FlowStep:
+    """Takes the pairs of one step after the other.
+
+    Parameters
+    ----------
+    sides : sequence of FlowSide
+        The cameras; light pulses are placed by the first.
+    interrupts : Interrupts
+        What was asked for meanwhile.
+    progress : Progress
+        Gets the number of frames of the first camera.
+    tell : callable
+        Called with what is being done, after every pair.
+    light : Light
+        The laser of the session.
+    """
+
+    def __init__(
+        self,
+        sides: Sequence[FlowSide],
+        interrupts: Interrupts,
+        progress: Progress,
+        tell: Callable[[str], None],
+        light: Light,
+    ) -> None:
+        self._sides = sides
+        self._interrupts = interrupts
+        self._progress = progress
+        self._tell = tell
+        self._light = light
+
+    def take(self, step: Step, record: Mapping[str, Any]) -> bool:
+        """Have every pair of a step on the disk; False if the end was asked for before the last one.
+
+        Parameters
+        ----------
+        step : Step
+            The step; every axis stands where it shall.
+        record : mapping
+            What its frames say about positions.
+
+        Raises
+        ------
+        FramesLost
+            Too many pairs that were fired are not sure; what was kept stays, and the run can be resumed.
+        FrameDoubt
+            A and B have changed places, the marker calls B an A, or clocks do not say what belongs together.
+        CameraError, TimingError, MotionStopped
+            What came between; the laser is off, and the run can be resumed.
+        """
+        order = step.pulses
+        assert order is not None
+        place = min(side.whole_pairs(step) for side in self._sides)
+        number = max(side.chunks_so_far(step) for side in self._sides)
+        for side in self._sides:
+            side.cut_to(step, place)
+            side.require_same_exposure()
+            side.source.begin_step()
+        laser = self._light.prepare(order, self._sides[0].source.exposures.settings, self._tell)
+        for side in self._sides[1:]:
+            exposures = side.source.exposures
+            require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
+            require_buffers(laser, order, exposures.section.buffers, side.source.name)
+        spare, barren, fired, lost, edges = 0, 0, 0, 0, 0
+        while place < step.frames:
+            if self._interrupts.wanted:
+                return False
+            wanted = (step.frames - place) // 2
+            pairs = min(order.chunk, wanted + max(spare, SPARE), laser.most_pairs)
+            chunks = [Chunk(pairs, pairs) for _ in self._sides]
+            utc = _utc()
+            try:
+                with closing(self._chunk(order, laser, chunks, min(wanted, pairs))) as found:
+                    for each in found:
+                        self._keep(step, record, place, number, each)
+                        place += 2
+            finally:
+                for side, chunk in zip(self._sides, chunks, strict=True):
+                    side.close(step, chunk, number, utc)
+            for side in self._sides:
+                side.source.trust_marker(is_final=False)
+            number, chunk = number + 1, chunks[0]
+            fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
+            barren = 0 if chunk.kept else barren + 1
+            edges += chunk.triggers > chunk.fired  # where lamps run, a chunk may begin or end with half a pair
+            too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired) + edges
+            if barren == BARREN or (barren and pairs >= MANY) or too_many:
+                raise FramesLost(
+                    f"{lost} of {fired} pairs are lost, in the last chunk {self._sentence(chunks)}; look at the "
+                    "marker, the camera's trigger and the rate, then resume the run"
+                )
+        for side in self._sides:
+            side.source.trust_marker(is_final=True)
+            side.pipeline.flush()
+            side.source.exposures.verify()
+        return True
+
+    def _sentence(self, chunks: Sequence[Chunk]) -> str:
+        if len(chunks) == 1:
+            return chunks[0].sentence()
+        told = zip(self._sides, chunks, strict=True)
+        return "; ".join(f"of {side.source.name} {chunk.sentence()}" for side, chunk in told)
+
+    def _chunk(
+        self, order: PulseOrder, laser: Laser, chunks: Sequence[Chunk], wanted: int
+    ) -> Generator[tuple[Pair, ...], None, None]:
+        """Fire, and yield the pairs that are sure and had light, one a camera, as many as are wanted."""
+        light = self._light.exposures
+        assert light is not None
+        sources = [side.source for side in self._sides]
+        try:
+            for source in sources:
+                source.arm()
+                if len(sources) > 1:
+                    source.tell_clock()
+            fired = chunks[0].fired
+            watch = self._light.fire(laser, fired, lambda: all(source.exposures.is_armed for source in sources))
+            with watch, ExitStack() as streams:
+                self._tell("firing")
+                found = []
+                for source, chunk in zip(sources, chunks, strict=True):
+                    chunk.triggers = laser.camera_triggers
+                    found.append(streams.enter_context(closing(source.pairs(order, laser, light, chunk))))
+                for pairs in streams.enter_context(closing(together(sources, found, chunks, order.rate_hz))):
+                    if chunks[0].kept == wanted:
+                        self._drop(chunks, SURPLUS, pairs)
+                        continue
+                    flipped = [source.is_flipped(pair) for source, pair in zip(sources, pairs, strict=True)]
+                    if any(flipped):
+                        self._drop(chunks, LEFT, pairs)
+                        sources[flipped.index(True)].exposures.doubt(
+                            "exposures A and B have changed places: the other one is brighter now"
+                        )
+                    each = zip(sources, chunks, pairs, strict=True)
+                    yield tuple(source.hand_over(chunk, pair) for source, chunk, pair in each)
+                watch.wait()
+        finally:
+            for source in sources:
+                source.exposures.end()
+
+    def _drop(self, chunks: Sequence[Chunk], why: str, pairs: tuple[Pair, ...]) -> None:
+        """Give a pair of every camera back."""
+        for side, chunk, pair in zip(self._sides, chunks, pairs, strict=True):
+            chunk.surplus += why == SURPLUS
+            side.source.drop(chunk, why, *pair)
+
+    def _keep(
+        self, step: Step, record: Mapping[str, Any], place: int, number: int, pairs: tuple[Pair, ...]
+    ) -> None:
+        """Give the pairs of one trigger to the lanes."""
+        for side, pair in zip(self._sides, pairs, strict=True):
+            side.keep(step, record, place, number, pair)
+        self._progress.frames += 2
+        self._progress.waiting = self._sides[0].pipeline.waiting
+        self._tell("exposing")
+
+
+def _utc() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

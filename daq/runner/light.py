@@ -1,0 +1,235 @@
+"""The laser of a run: warm once, one word of the operator, a chunk at a time, and off in every end.
+
+The word is asked for once a run and holds for its chunks; it is the one that the laser has made up when it was
+opened (daq.timing.laser), so no plan, script or habit can hold it.
+"""
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from itertools import cycle
+from typing import Protocol, cast
+
+from daq.bench.opened import OpenBench, known_positions
+from daq.bench.sheet_clearance import sheet_clearance_mm
+from daq.cameras.camera import Setting
+from daq.errors import DaqError, PlanError, RunInterrupted, RunUsageError
+from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section
+from daq.runner.interrupts import Interrupts
+from daq.runs.run_folder import RunFolder
+from daq.timing.conditions import Conditions
+from daq.timing.laser import Laser
+from daq.timing.pulses import PairExposures
+from daq.timing.states import LaserState
+from daq.timing.vigil import Vigil
+from stages.clock import SYSTEM_CLOCK
+from stages.errors import StageError
+
+LOOK_S = 0.05
+CAMERA_RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
+
+
+class Operator(Protocol):
+    """The person at the bench."""
+
+    def word(self, challenge: str) -> str:
+        """Return what was typed when the laser asked for its word."""
+        ...
+
+    def open_seeding(self) -> None:
+        """Return when the seeding has been opened; the background is done."""
+        ...
+
+    def stands_mm(self, axis: str) -> float:
+        """Return where an axis stands that is homed by hand, as read on its scale [mm]."""
+        ...
+
+
+class NoOperator:
+    """Nobody is there."""
+
+    def word(self, challenge: str) -> str:
+        """Nobody can say it.
+
+        Raises
+        ------
+        RunUsageError
+            Always.
+        """
+        raise RunUsageError(
+            "the word that arms the laser cannot be typed here; use a terminal, or --operator NAME for a"
+            " simulated one"
+        )
+
+    def open_seeding(self) -> None:
+        """Go on."""
+
+    def stands_mm(self, axis: str) -> float:
+        """Nobody can read it.
+
+        Raises
+        ------
+        RunUsageError
+            Always.
+        """
+        raise RunUsageError(
+            f"{axis} is homed by hand, which needs an operator at a terminal to say where it stands"
+        )
+
+
+class Light:
+    """The laser of one session.
+
+    Parameters
+    ----------
+    hardware : OpenBench
+        Open.
+    folder : RunFolder
+        On the disk that has to have room.
+    operator : Operator
+        Says the word.
+    interrupts : Interrupts
+        What was asked for meanwhile.
+    """
+
+    def __init__(self, hardware: OpenBench, folder: RunFolder, operator: Operator, interrupts: Interrupts) -> None:
+        self._hardware = hardware
+        self._folder = folder
+        self._operator = operator
+        self._interrupts = interrupts
+        self._laser: Laser | None = None
+        self._word = ""
+        self._where_mm: dict[str, float | None] = {}
+        self._turn: Iterator[str] = iter(())
+        self.exposures: PairExposures | None = None
+
+    @property
+    def state(self) -> LaserState | None:
+        """What is believed of the laser; None before it is asked for."""
+        return None if self._laser is None else self._laser.state
+
+    def prepare(self, order: PulseOrder, settings: Mapping[str, Setting], tell: Callable[[str], None]) -> Laser:
+        """Bring the laser to where it can be armed with these pulses; nothing is fired.
+
+        Parameters
+        ----------
+        order : PulseOrder
+            What is asked for.
+        settings : mapping
+            What the camera read back.
+        tell : callable
+            Called with what is being done.
+
+        Raises
+        ------
+        RunUsageError
+            Camera and pulses do not go together, or nobody says the word.
+        TimingError, StageError
+            The laser cannot.
+        RunInterrupted
+            The end was asked for while it warmed up.
+        """
+        section = pairs_section(self._hardware.bench)
+        exposure_us = exposure_of(settings)
+        require_rate(settings, section.frames, order.rate_hz)
+        check_marker(section, exposure_us, order.rate_hz)
+        self.exposures = pair_exposures(section, exposure_us)
+        laser = cast("Laser", self._hardware.devices[order.laser])
+        self._laser = laser
+        require_buffers(laser, order, self._hardware.camera_section.buffers)
+        if laser.state is LaserState.UNKNOWN:
+            laser.safe()
+        if laser.state is LaserState.SAFE:
+            tell(f"waiting for the operator to type {laser.challenge}")
+            self._word = self._operator.word(laser.challenge)
+            laser.warm(order.rate_hz)
+            self._wait_until_warm(laser, order.warm_up_s, tell)
+        laser.set(order.timing, self.exposures)
+        return laser
+
+    def fire(self, laser: Laser, pairs: int, armed: Callable[[], bool]) -> Vigil:
+        """Arm and fire one chunk; return the watch over it, to be entered.
+
+        Parameters
+        ----------
+        laser : Laser
+            Prepared.
+        pairs : int
+            To be fired.
+        armed : callable
+            Whether the camera waits for triggers; called from another thread.
+        """
+        laser.arm(self._conditions(armed, True), self._word)
+        try:
+            laser.fire(pairs)
+        except BaseException:
+            if laser.state is LaserState.ARMED:
+                laser.disarm()
+            raise
+        return Vigil(laser, lambda: self._conditions(armed, False), self._hardware.clock, SYSTEM_CLOCK)
+
+    def off(self) -> None:
+        """Switch everything off; what is in doubt stays said in the laser's own words."""
+        if self._laser is not None and self._laser.state is not LaserState.SAFE:
+            with suppress(DaqError, StageError):
+                self._laser.safe()
+
+    def _wait_until_warm(self, laser: Laser, least_s: float, tell: Callable[[str], None]) -> None:
+        clock = self._hardware.clock
+        end_s = clock.now_s() + max(least_s, laser.warm_in_s)
+        while (left_s := end_s - clock.now_s()) > 0.0 or laser.state is LaserState.WARM:
+            if self._interrupts.wanted:
+                raise RunInterrupted("ended on request while the laser warmed up")
+            if laser.state not in (LaserState.WARM, LaserState.READY):
+                break  # set() says what is wrong
+            tell(f"the laser warms up, {max(0.0, left_s):.0f} s left")
+            clock.sleep_s(LOOK_S)
+
+    def _conditions(self, armed: Callable[[], bool], is_empty: bool) -> Conditions:
+        """How things stand: every axis is asked before arming, one after the other while it fires."""
+        stage = self._hardware.stage
+        if is_empty:
+            self._where_mm = stage.where_mm()
+            self._turn = cycle(self._where_mm)
+        else:
+            name = next(self._turn)
+            self._where_mm[name] = stage.where_mm([name])[name]
+        where = self._where_mm
+        at_rest = all(mm is not None for mm in where.values())
+        bench = self._hardware.bench
+        clearance_mm = sheet_clearance_mm(bench, known_positions(where)) if at_rest else None
+        height, width = bench.scene.camera.shape
+        room = shutil.disk_usage(self._folder.path).free // (4 * height * width)
+        # no shutter is wired to the bench: where there is one, the operator's word stands for it
+        return Conditions(armed(), is_empty, at_rest, clearance_mm, int(room), True)
+
+
+def exposure_of(settings: Mapping[str, Setting]) -> float:
+    """Exposure time that the camera has read back [us]; PlanError if it tells none."""
+    for name in ("ExposureTime", "ExposureTimeAbs"):
+        value = settings.get(name)
+        if isinstance(value, int | float) and value > 0:
+            return float(value)
+    raise PlanError("the camera does not tell its ExposureTime, so no pulse can be placed")
+
+
+def require_buffers(laser: Laser, order: PulseOrder, buffers: int, name: str = "the camera") -> None:
+    """Refuse a camera that cannot hold the pairs that come before the first light; RunUsageError."""
+    early = laser.box.camera_triggers(order.chunk) - order.chunk
+    least = 4 * (early + 2)
+    if early and buffers < least:
+        raise RunUsageError(
+            f"the lamps run before the first pair, so up to {early} pairs are held until the light is found; "
+            f"set buffers of {name} to {least} (it is {buffers})"
+        )
+
+
+def require_rate(settings: Mapping[str, Setting], frames: int, rate_hz: float) -> None:
+    """Refuse more pairs a second than the camera says it can take; RunUsageError."""
+    for name in CAMERA_RATES_HZ:
+        most = settings.get(name)
+        if isinstance(most, int | float) and 0 < most < frames * rate_hz:
+            raise RunUsageError(
+                f"{rate_hz:g} pairs/s are {frames * rate_hz:g} frames/s, and the camera can take {most:.4g} "
+                f"({name}); ask for less, or shorten its exposure"
+            )

@@ -1,0 +1,199 @@
+"""Frames in the order of their arrival to pairs that are sure; a pair that is not sure is none, and is counted.
+
+The camera shows A, B, A, B ... at a known rate, and anything may happen on the way: first frames are skipped,
+later ones too, with or without an id; frames come twice, too late or not at all; a trigger bounces and exposes
+once more.  Two frames are a pair only if everything that is known says so:
+
+* the marker calls the first one A and the second one B, and no frame came between them, by their ids;
+* they are as far apart as the camera is set to take A and B, and nearer than two exposures of different pulses can
+  be: B of the next pulse comes a whole period later;
+* no other frame was exposed within their period, so the frame behind them is waited for.
+
+What is doubtful is dropped with all that it touches.  A frame is told by its own marker and time, so nothing has
+to be learnt by counting, and no fault can swap the pairs behind it.  What no stream of frames can show is a marker
+that is wired to exposure B of evenly spaced frames.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Literal, TypeVar
+
+from daq.bench.pairs_section import UNEVEN, PairsSection
+from daq.cameras.frame import FrameMeta
+
+T = TypeVar("T")
+Exposure = Literal["A", "B"]
+OTHER_PULSE = 0.9  # of a period: what is farther apart than that shows another pulse
+STRADDLING = 0.6  # evenly spaced frames are half a period apart
+GAP_OFF_NS, GAP_OFF = 100_000, 0.01  # by which the gap of a pair may differ from the settings, and a share of it
+
+LATE, DOUBLED, UNMARKED = "came late", "came twice", "not marked"
+ALONE, UNSURE, NO_CLOCK = "without its partner", "in doubt", "without a time stamp"
+
+
+@dataclass(slots=True)
+class _Held(Generic[T]):
+    meta: FrameMeta
+    item: T
+    is_doubtful: bool = False
+
+
+class PairFinder(Generic[T]):
+    """Finds the pairs among the frames of one arm.
+
+    Parameters
+    ----------
+    section : PairsSection
+        How pairs come and are marked.
+    rate_hz : float
+        Pairs a second.
+    gap_us : float
+        From the start of exposure A to the start of exposure B.
+    reject : callable
+        Gets every item that is in no pair, once.
+    """
+
+    def __init__(self, section: PairsSection, rate_hz: float, gap_us: float, reject: Callable[[T], None]) -> None:
+        self._section = section
+        self._period_ns, self._gap_ns = 1e9 / rate_hz, 1e3 * gap_us
+        self._longest_ns = longest_gap(section) * self._period_ns
+        self._off_ns = GAP_OFF_NS + GAP_OFF * self._gap_ns
+        self._reject_item = reject
+        self._first: _Held[T] | None = None  # an A that waits for its B
+        self._pair: tuple[_Held[T], _Held[T]] | None = None  # waits for the frame behind it
+        self._last: FrameMeta | None = None
+        self.rejected: Counter[str] = Counter()  # frames, by reason
+        self.pairs = 0
+
+    def add(self, meta: FrameMeta, item: T) -> tuple[T, T] | None:
+        """Take the next frame; return the pair before it if that is sure now."""
+        held, last = _Held(meta, item), self._last
+        if self._section.told_by != "halves" and meta.timestamp_ns == 0:
+            self._reject(held, NO_CLOCK)
+            return None
+        if last is not None and meta.sequence <= last.sequence:
+            self._reject(held, DOUBLED if meta.timestamp_ns == last.timestamp_ns else LATE)
+            return None
+        if last is not None and self._is_copy(meta, last):  # the same exposure with an id of its own
+            self._reject(held, DOUBLED)
+            self._last = meta
+            return None
+        exposure, self._last = self._exposure(meta), meta
+        if last is not None and meta.timestamp_ns < last.timestamp_ns:
+            exposure = None
+        if exposure == "A":
+            return self._begin(held)
+        if exposure == "B":
+            return self._complete(held, last)
+        self._doubt(meta)
+        self._reject(held, UNMARKED)
+        return None
+
+    def end(self) -> tuple[T, T] | None:
+        """No frame comes any more; return the pair that waits, if there is one."""
+        if self._first is not None:
+            self._reject(self._first, ALONE)
+            self._first = None
+        return self._release()
+
+    @property
+    def last(self) -> Exposure | None:
+        """What the marker says of the frame that was exposed last; None if nothing, or of `spacing`."""
+        return None if self._last is None or self._section.told_by == "spacing" else self._exposure(self._last)
+
+    def _exposure(self, meta: FrameMeta) -> Exposure | None:
+        """What the marker says; of `spacing`, B is what comes soon after another frame."""
+        section = self._section
+        if section.told_by == "halves":
+            return "B" if meta.sequence % 2 else "A"
+        if section.told_by == "spacing":
+            last = self._last
+            return "B" if last and meta.timestamp_ns - last.timestamp_ns <= self._longest_ns else "A"
+        value = meta.chunks.get(section.chunks[0])
+        if value is None:
+            return None
+        if section.told_by == "line_status":
+            return "A" if int(value) >> (section.line or 0) & 1 else "B"
+        return {section.first: "A", section.first + 1: "B"}.get(int(value))  # type: ignore[return-value]
+
+    def _begin(self, held: _Held[T]) -> tuple[T, T] | None:
+        if self._is_of_last_pulse(held.meta):
+            self._doubt(held.meta)
+            held.is_doubtful = True
+        if self._first is not None:
+            # by its spacing alone a B without its A looks like another A
+            is_spaced = self._section.told_by == "spacing"
+            held.is_doubtful |= not is_spaced and self._is_near(self._first.meta, held.meta)
+            self._reject(self._first, UNSURE if self._first.is_doubtful else ALONE)
+        self._first = held
+        return self._release()
+
+    def _complete(self, held: _Held[T], last: FrameMeta | None) -> tuple[T, T] | None:
+        if self._is_of_last_pulse(held.meta):
+            self._doubt(held.meta)
+            self._reject(held, UNSURE)
+            return None
+        found, first = self._release(), self._first
+        self._first = None
+        if first is None:
+            self._reject(held, ALONE)
+            return found
+        follows = last is not None and last.sequence + 1 == held.meta.sequence
+        if first.is_doubtful or not follows or not self._is_the_gap(first.meta, held.meta):
+            for each in (first, held):
+                self._reject(each, UNSURE)
+            return found
+        self._pair = (first, held)
+        return found
+
+    def _is_copy(self, meta: FrameMeta, last: FrameMeta) -> bool:
+        """Whether a frame is the one before once more; the halves of a buffer have one stamp."""
+        is_second_half = (
+            self._section.told_by == "halves" and meta.sequence == last.sequence + 1 and meta.sequence % 2
+        )
+        return meta.timestamp_ns == last.timestamp_ns != 0 and not is_second_half
+
+    def _is_the_gap(self, first: FrameMeta, second: FrameMeta) -> bool:
+        if self._section.told_by == "halves":
+            return True
+        gap_ns = second.timestamp_ns - first.timestamp_ns
+        return gap_ns <= self._longest_ns and abs(gap_ns - self._gap_ns) <= self._off_ns
+
+    def _is_near(self, one: FrameMeta, other: FrameMeta) -> bool:
+        """Whether two exposures are nearer than two A of different pulses can be."""
+        if other.timestamp_ns == 0:  # halves of a buffer are a pair without any clock
+            return False
+        return abs(other.timestamp_ns - one.timestamp_ns) < OTHER_PULSE * self._period_ns
+
+    def _is_of_last_pulse(self, meta: FrameMeta) -> bool:
+        return self._pair is not None and self._is_near(self._pair[0].meta, meta)
+
+    def _doubt(self, meta: FrameMeta) -> None:
+        """Drop the pair that waits if `meta` was exposed within its period; doubt the A that waits."""
+        if self._is_of_last_pulse(meta) and self._pair is not None:
+            for each in self._pair:
+                self._reject(each, UNSURE)
+            self._pair = None
+        if self._first is not None and self._is_near(self._first.meta, meta):
+            self._first.is_doubtful = True
+
+    def _release(self) -> tuple[T, T] | None:
+        pair, self._pair = self._pair, None
+        if pair is None:
+            return None
+        self.pairs += 1
+        return pair[0].item, pair[1].item
+
+    def _reject(self, held: _Held[T], why: str) -> None:
+        self.rejected[why] += 1
+        self._reject_item(held.item)
+
+
+def longest_gap(section: PairsSection) -> float:
+    """Longest time from A to B, as a share of the period.
+
+    A to B shorter than B to A by the factor `UNEVEN` is at most 1 / (1 + UNEVEN) of the period.  Where another
+    marker tells them apart the frames may be evenly spaced; two of different pulses are 3/2 of a period apart.
+    """
+    return STRADDLING if section.shape == "straddling" and section.told_by != "spacing" else 1 / (1 + UNEVEN)

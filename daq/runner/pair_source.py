@@ -1,0 +1,209 @@
+"""The pairs of one camera in a chunk of light pulses: armed before the first pulse, sure and lit when handed over.
+
+    frames of one camera -> pairs that are sure (pair_finder) -> those that had light (brightness)
+
+Several cameras are asked in turn by one thread, so a source that has nothing yet says so (None) after a moment.
+"""
+
+import time
+from collections.abc import Generator
+from contextlib import closing
+
+from daq.bench.pairs_section import PairsSection
+from daq.cameras.frame import Frame
+from daq.errors import BadFrame, CameraTimeout, OtherFormat, RunUsageError
+from daq.plans.pulse_order import PulseOrder
+from daq.runner.brightness import BrightnessSign, LightWatch, mean_counts
+from daq.runner.camera_watch import ask_clock
+from daq.runner.chunk import Chunk
+from daq.runner.exposures import Exposures
+from daq.runner.marker_sense import MarkerSense
+from daq.runner.pair_finder import PairFinder
+from daq.runner.shot import Shot
+from daq.runs.chunk_books import DARK, HALF, LEFT
+from daq.timing.laser import Laser
+from daq.timing.pulses import PairExposures
+from daq.timing.states import EMITS
+
+SLICE_S = 0.05
+ROUNDED_NS = 2_000_000  # by which a stamp on the computer's clock may be off, and a little more
+Pair = tuple[Frame, Frame]
+
+
+class PairSource:
+    """Pairs of one camera.
+
+    Parameters
+    ----------
+    name : str
+        Device of the bench.
+    exposures : Exposures
+        The camera, set up.
+    section : PairsSection
+        How its pairs come.
+    """
+
+    def __init__(self, name: str, exposures: Exposures, section: PairsSection) -> None:
+        self.name = name
+        self.exposures = exposures
+        self.section = section
+        self._watches = (LightWatch(), LightWatch())
+        self._sense = MarkerSense(section)
+        self._sign = BrightnessSign()
+        self._arm = Shot(None, 0, 0)
+        self._clock: tuple[int, int] | None = None  # the computer's, the camera's
+
+    def begin_step(self) -> None:
+        """Forget what was learnt of the light of another step."""
+        self._watches, self._sense = (LightWatch(), LightWatch()), MarkerSense(self.section)
+        self._sign = BrightnessSign()
+
+    def arm(self) -> None:
+        """Make the camera wait for triggers, with nothing of before in its queue."""
+        exposures = self.exposures
+        exposures.begin()
+        before_ns, clock_ns = time.monotonic_ns(), exposures.clock_ns()
+        exposures.make_ready()
+        self._arm = Shot(clock_ns, before_ns, time.monotonic_ns())
+
+    def tell_clock(self) -> None:
+        """Learn how the camera's clock stands to the computer's.
+
+        Raises
+        ------
+        RunUsageError
+            It cannot be read, so nothing tells which of its frames another camera's belong to.
+        """
+        found = ask_clock(self.exposures.camera)
+        if found is None:
+            raise RunUsageError(
+                f"the clock of {self.name} cannot be read, so nothing tells which of its pairs another camera's "
+                "belong to; take it out of the plan's cameras, or another camera"
+            )
+        self._clock = (found[0] + found[2]) // 2, found[1]
+
+    def host_ns(self, pair: Pair) -> int:
+        """When exposure A of a pair began, on the computer's clock; FrameDoubt if that cannot be."""
+        assert self._clock is not None
+        meta = pair[0].meta
+        at_ns = self._clock[0] + meta.timestamp_ns - self._clock[1]
+        if not self._arm.before_ns - ROUNDED_NS <= at_ns <= meta.received_ns + ROUNDED_NS:
+            self.exposures.doubt(f"the time stamps of {self.name} are not those of the clock that it lets us read")
+        return at_ns
+
+    def pairs(
+        self, order: PulseOrder, laser: Laser, light: PairExposures, chunk: Chunk
+    ) -> Generator[Pair | None, None, None]:
+        """Pairs that are sure and had light, None now and then, until the burst has ended and no frame comes."""
+        sure = self._sure_pairs(order, laser, light, chunk)
+        with closing(sure):
+            yield from self._lit_pairs(order, chunk, sure)
+
+    def is_flipped(self, pair: Pair) -> bool:
+        """Whether the other exposure is the brighter one now."""
+        return self._sign.is_flipped(*(mean_counts(frame.pixels) for frame in pair))
+
+    def hand_over(self, chunk: Chunk, pair: Pair) -> Pair:
+        """Count a pair as kept; SettingsChanged or OtherFormat if its frames are not what was set."""
+        first, second = pair
+        try:
+            first = self.exposures.hand_over(first)
+        except BaseException:
+            self.drop(chunk, LEFT, second)
+            raise
+        second = self.exposures.hand_over(second)
+        chunk.kept += 1
+        return first, second
+
+    def drop(self, chunk: Chunk, why: str, *frames: Frame) -> None:
+        """Give frames back that are in no pair that is kept."""
+        chunk.dropped[why] += len(frames)
+        for frame in frames:
+            self.exposures.reject(frame, True)
+
+    def trust_marker(self, is_final: bool) -> None:
+        """End the run in doubt where the marker calls exposure B an A."""
+        if said := self._sense.doubt(is_final):
+            self.exposures.doubt(said)
+
+    def _sure_pairs(
+        self, order: PulseOrder, laser: Laser, light: PairExposures, chunk: Chunk
+    ) -> Generator[Pair | None, None, None]:
+        """Pairs as the finder lets them go."""
+        exposures = self.exposures
+        finder: PairFinder[Frame] = PairFinder(
+            self.section, order.rate_hz, light.exposure_a_us + light.gap_us, lambda f: exposures.reject(f, True)
+        )
+        patience_s = exposures.section.timeout_s + 1.0 / order.rate_hz
+        heard_s, is_first, seen = time.monotonic(), True, 0
+        try:
+            while True:
+                try:
+                    frame = exposures.look(SLICE_S)
+                except OtherFormat:
+                    raise
+                except BadFrame:  # counted by the camera; its partner finds no pair
+                    seen, heard_s = seen + 1, time.monotonic()
+                    continue
+                if frame is None:
+                    is_over = laser.state not in EMITS
+                    if is_over and (seen >= 2 * chunk.triggers or time.monotonic() - heard_s > patience_s):
+                        break
+                    heard_s = heard_s if seen or is_over else time.monotonic()  # the first light may be far
+                    if not is_over and time.monotonic() - heard_s > patience_s:
+                        raise CameraTimeout(f"no frame within {patience_s:.1f} s; look at the camera's trigger")
+                    yield None
+                    continue
+                heard_s = time.monotonic()
+                if is_first and not exposures.match.is_of_arm(frame.meta, self._arm):
+                    exposures.reject(frame, True)  # no trigger of this chunk made it
+                    continue
+                is_first, seen = False, seen + 1
+                yield finder.add(frame.meta, frame)
+            self._sense.chunk_ended(finder.last)
+            if pair := finder.end():
+                yield pair
+        finally:
+            if pair := finder.end():  # something came between
+                self.drop(chunk, LEFT, *pair)
+            chunk.dropped.update(finder.rejected)
+
+    def _lit_pairs(
+        self, order: PulseOrder, chunk: Chunk, pairs: Generator[Pair | None, None, None]
+    ) -> Generator[Pair | None, None, None]:
+        """Leave out what came before the first light and behind the last; see `brightness`."""
+        extra = chunk.triggers - chunk.fired
+        if extra <= 0:
+            yield from pairs
+            return
+        held: list[Pair] = []
+        is_begin, period_ns = True, 1e9 / order.rate_hz
+        try:
+            for pair in pairs:
+                if pair is None:
+                    yield None
+                    continue
+                held.append(pair)
+                since_ns = pair[0].meta.timestamp_ns - held[0][0].meta.timestamp_ns
+                if is_begin and since_ns < (extra - 0.5) * period_ns:
+                    continue
+                yield from self._with_light(chunk, held, is_begin)
+                is_begin = False
+            yield from self._with_light(chunk, held, is_begin)
+        finally:
+            for pair in held:
+                self.drop(chunk, LEFT, *pair)
+
+    def _with_light(self, chunk: Chunk, held: list[Pair], is_begin: bool) -> Generator[Pair, None, None]:
+        """Take pairs out of `held`; yield those of which both exposures had light."""
+        counts = [(mean_counts(first.pixels), mean_counts(second.pixels)) for first, second in held]
+        both = [
+            watch.are_lit(one) if is_begin else [watch.is_lit(each) for each in one]
+            for watch, one in zip(self._watches, zip(*counts, strict=True), strict=False)
+        ]
+        for lit in list(zip(*both, strict=True)):
+            pair = held.pop(0)
+            if all(lit) and chunk.kept + chunk.surplus < chunk.fired:
+                yield pair
+            else:
+                self.drop(chunk, HALF if any(lit) and not all(lit) else DARK, *pair)

@@ -1,0 +1,344 @@
+"""A run from its files: what `acquire` begins and `resume` goes on with.
+
+run.json holds the files' texts for the record and their paths to read them again; hashes of what they mean decide
+whether a run may be continued.  The scene used for correction may be another file than the bench's (a fitted one);
+what moves depends on the bench's scene only through keep-out and scale, so both are hashed.
+"""
+
+import shutil
+from collections.abc import Callable, Collection, Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from daq.bench.bench_file import load_bench
+from daq.bench.bench_table import Bench, digest
+from daq.bench.opened import OpenBench, open_bench
+from daq.errors import DiskError, ResumeRefused, RunDamaged
+from daq.pipeline.corrections import Corrections
+from daq.pipeline.job import Show
+from daq.pipeline.lanes import LIVE_QUEUE
+from daq.plans.experiments.align import AlignPlan
+from daq.plans.plan import Plan, load_plan
+from daq.plans.steps import BEHIND_GLASS, Step, frame_count
+from daq.runner.companion import Companion
+from daq.runner.light import NoOperator, Operator
+from daq.runner.progress import Progress, Watcher
+from daq.runner.retake import steps_to_retake
+from daq.runner.runner import Runner
+from daq.runner.same_boxes import require_same_boxes
+from daq.runs.bare_target import dewarp_of
+from daq.runs.displacement import FILE as MOVED
+from daq.runs.done_file import FILE as DONE
+from daq.runs.frame_check import Track, untracked
+from daq.runs.gaps import next_place
+from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
+from daq.runs.run_folder import RunFolder, frame_entries, remaining, versions
+from daq.runs.session_books import doubts
+from daq.runs.unclaimed import unclaimed
+from daq.whole_text import write_text
+from piv.resampling.sample import Method
+from tracer.scene.scene_file import dump_scene, load_priors, load_scene
+
+DISK_MARGIN = 1.05
+MAPS = "maps"  # beside the runs: maps by the hash of their scene
+
+
+@dataclass(frozen=True)
+class Request:
+    """What somebody asked for; everything that run.json needs to ask again.
+
+    Parameters
+    ----------
+    bench, plan : Path
+        The files.
+    simulate : bool
+        Whether the bench's simulation stands in for the hardware.
+    correct : bool
+        Whether frames are corrected as they arrive.
+    scene : Path, optional
+        Scene for the correction, if another than the bench's.
+    target_clear : Path, optional
+        Frame of the bare target for the dewarp.
+    dewarp_order : int
+        Its order.
+    method : str
+        Interpolation.
+    live_queue : int
+        Frames that may wait to be corrected.
+    """
+
+    bench: Path
+    plan: Path
+    simulate: bool = False
+    correct: bool = True
+    scene: Path | None = None
+    target_clear: Path | None = None
+    dewarp_order: int = 2
+    method: Method = "quintic"
+    live_queue: int = LIVE_QUEUE
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain data, paths made absolute."""
+        return {name: str(v.resolve()) if isinstance(v, Path) else v for name, v in vars(self).items()}
+
+    @classmethod
+    def from_dict(cls, tree: Mapping[str, Any]) -> "Request":
+        """Inverse of `to_dict`."""
+        paths = ("bench", "plan", "scene", "target_clear")
+        known: dict[str, Any] = {n: Path(v) if n in paths and v is not None else v for n, v in tree.items()}
+        return cls(**known)
+
+
+def hashes(request: Request, bench: Bench, plan: Plan) -> dict[str, str | None]:
+    """What must not change between the sessions of a run."""
+    corrected = load_scene(request.scene) if request.scene is not None else bench.scene
+    sheet = corrected.sheet
+    beside = [(name, bench.seen_by(name).scene.content_hash()) for name in plan.table.further_cameras]
+    return {
+        "plan": plan.content_hash(),
+        "bench": bench.content_hash(),
+        "scene": bench.scene.content_hash(),
+        "scene for the correction": corrected.content_hash() if request.correct else None,
+        "light sheet": digest(asdict(sheet)) if request.correct and sheet is not None else None,
+        **({"further cameras": digest(beside)} if beside else {}),
+    }
+
+
+def make_corrections(request: Request, bench: Bench, maps: Path, steps: Iterable[Step] = ()) -> Corrections | None:
+    """Return what corrects the frames of a run, the dewarp fitted; None if nothing is to be corrected.
+
+    The glass is taken where the steps have it: a flow plan keeps it off the light sheet, which its frames show.
+    """
+    if not request.correct:
+        return None
+    scene = load_scene(request.scene) if request.scene is not None else bench.scene
+    dewarp = dewarp_of(request.target_clear, scene.camera, bench.table.target.board, request.dewarp_order)
+    seen = [step for step in steps if step.on_plane]
+    places = {glass_off_scene_mm(bench.table, step.targets_mm) for step in seen if step.view == BEHIND_GLASS}
+    if len(places) == 1:
+        scene = with_glass_at(scene, places.pop())
+    if any(step.shows_light_sheet for step in seen):
+        scene = scene.in_light_sheet()
+    return Corrections(scene, dewarp, request.method, maps)
+
+
+def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder:
+    """Make the folder of a new run, and in it those of its further cameras."""
+    beside = list(plan.table.further_cameras)
+    about = _about(request, bench, plan)
+    folder = RunFolder.create(parent, plan.name, {**about, **({"cameras": beside} if beside else {})})
+    for name in beside:
+        folder.create_camera(name, _about(_for_companion(request), bench.seen_by(name), plan))
+    return folder
+
+
+def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
+    """What run.json says of a camera's run."""
+    board = bench.table.target.board
+    scene_file = getattr(bench.table.camera, "scene", None) or bench.table.scene
+    return {
+        "name": plan.name,
+        "request": request.to_dict(),
+        "hashes": hashes(request, bench, plan),
+        "versions": versions(),
+        "plan": plan.path.read_text(encoding="utf-8"),
+        "bench": bench.path.read_text(encoding="utf-8"),
+        "scene": dump_scene(bench.scene, load_priors(bench.path.parent / scene_file)),
+        "square_mm": board.square_mm,
+        "disc_mm": board.disc_mm,
+        "steps": [{"index": s.index, "tag": s.tag, "first_frame": s.first_frame, "frames": s.frames,
+                   "view": s.view, "shows": s.shows, "on_plane": s.on_plane, "reference": s.reference,
+                   "group": s.group, **_pulses_of(s)}
+                  for s in plan.steps],
+    }  # fmt: skip
+
+
+def _for_companion(request: Request) -> Request:
+    """What is asked of a further camera: its scene is that of the bench file alone, and it has no dewarp."""
+    return replace(request, scene=None, target_clear=None)
+
+
+def _pulses_of(step: Step) -> dict[str, Any]:
+    """What those who work on finished runs need of a step's pulses."""
+    if step.pulses is None:
+        return {}
+    return {"dt_us": step.pulses.dt_us, **({"background": True} if step.pulses.is_background else {})}
+
+
+@dataclass(frozen=True)
+class Reopened:
+    """A run that may go on: what was asked for, its files read again, and the finished steps to take `again`."""
+
+    request: Request
+    bench: Bench
+    plan: Plan
+    folder: RunFolder
+    again: frozenset[int] = frozenset()
+
+
+def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Reopened:
+    """Read a run's files again, and make sure that they still mean the same and that its frames are whole.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the run.
+    retake : bool
+        Whether steps with a frame that is missing or damaged are to be taken again, also those of a finished run.
+    track : Track, optional
+        Shows how many frames have been read.
+
+    Raises
+    ------
+    ResumeRefused
+        The run is finished or in doubt, or a file means something else than when the run began.
+    RunDamaged
+        A record is not what was written; or, without `retake`, a frame that would count as done.
+    """
+    folder = RunFolder.open(path)
+    about = folder.about
+    if folder.is_done and not retake:
+        raise ResumeRefused(f"{path} is finished; there is nothing to resume")
+    entries = folder.entries()
+    if said := doubts(entries):
+        raise ResumeRefused(f"{path}: {said[0]}, so frames may show another stop than they say; begin a new run")
+    request = Request.from_dict(about["request"])
+    bench = load_bench(request.bench)
+    plan = load_plan(request.plan, bench)
+    for name, now in hashes(request, bench, plan).items():
+        then = about["hashes"].get(name)
+        if now != then:
+            raise ResumeRefused(
+                f"{path}: the {name} is another than when the run began ({now}, was {then}); "
+                "put the old file back, or begin a new run"
+            )
+    if strange := unclaimed(folder, about["steps"], entries).sentence:
+        raise RunDamaged(f"{path}: {strange}")
+    again = steps_to_retake(folder, plan.steps, entries, retake, track)
+    if folder.is_done and not again:
+        raise ResumeRefused(f"{path} is finished and all of its frames are right; there is nothing to take again")
+    return Reopened(request, bench, plan, folder, again)
+
+
+def check_disk(folder: Path, needed_bytes: int) -> None:
+    """Refuse to begin what the disk cannot hold.
+
+    Raises
+    ------
+    DiskError
+        There is too little room.
+    """
+    free_bytes = shutil.disk_usage(folder).free
+    if needed_bytes * DISK_MARGIN > free_bytes:
+        raise DiskError(
+            f"{folder}: the run needs about {needed_bytes / 1e9:.2f} GB and {free_bytes / 1e9:.2f} GB are free; "
+            "make room, or choose another folder with -o"
+        )
+
+
+def carry_out(
+    request: Request,
+    bench: Bench,
+    plan: Plan,
+    folder: RunFolder,
+    home: bool,
+    watcher: Watcher | None = None,
+    before: Callable[[OpenBench], None] | None = None,
+    again: Collection[int] = (),
+    operator: Operator | None = None,
+    show: Show | None = None,
+    say: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Open the bench and do what is left of a run; return the contents of done.json.
+
+    Parameters
+    ----------
+    request, bench, plan, folder
+        The run.
+    home : bool
+        Home every axis first, in the configured order.
+    watcher : callable, optional
+        Gets the progress.
+    before : callable, optional
+        Called with the open bench before anything moves.
+    again : collection of int
+        Finished steps that are to be taken again, see `reopen`.
+    operator : Operator, optional
+        The person at the bench, whom a laser asks for its word.
+    show : callable, optional
+        Gets each frame that is corrected as it arrives, for a page.
+    say : callable, optional
+        Gets what an alignment sees and moves, a sentence each.
+
+    Raises
+    ------
+    WrongDevice
+        Other controllers answer than those that the run began with; nothing has moved.
+    """
+    left = remaining(plan.steps, folder.entries(), again)
+    beside = folder.cameras()
+    shapes = [bench.scene.camera.shape, *(bench.seen_by(name).scene.camera.shape for name in beside)]
+    pixels = sum(height * width for height, width in shapes)
+    check_disk(folder.path, 2 * pixels * frame_count(left) * (2 if request.correct else 1))
+    progress = Progress(len(plan.steps))
+
+    def tell(doing: str) -> None:
+        progress.doing = doing
+        if watcher is not None:
+            watcher(progress)
+
+    corrections = make_corrections(request, bench, folder.path.parent / MAPS, left)
+    if corrections is not None:
+        tell("making the correction; the first one on a computer compiles for about a minute")
+        corrections.prepare(step.view for step in left if step.on_plane)
+    shows, exposures_before = plan.table.shows, frame_count(plan.steps)
+    if left:
+        goes_on = left[0].may_have_gaps and left[0].index not in again
+        kept = next_place(left[0], frame_entries(folder.entries())) if goes_on else 0
+        exposures_before = left[0].first_frame + kept
+    tell("opening the devices")
+    with ExitStack() as stack:
+        hardware = stack.enter_context(open_bench(bench, request.simulate, shows, exposures_before))
+        boxes = {name: box.identity for name, box in hardware.stage.controllers.items()}
+        require_same_boxes(folder.entries(), boxes)
+        if hardware.simulation is not None:
+            for name, text in hardware.simulation.secrets().items():
+                write_text(folder.path / name, text)
+        if before is not None:
+            before(hardware)
+        if home:
+
+            def ask(axis: str) -> float:
+                if hardware.simulation is not None:  # a simulated person reads a simulated scale
+                    return hardware.simulation.true_mm()[axis]
+                return (operator or NoOperator()).stands_mm(axis)
+
+            hardware.stage.home(tell=lambda axis: tell(f"homing {axis}"), ask=ask)
+        asked = _for_companion(request)
+        companions = [
+            Companion(
+                name, hardware, its, make_corrections(asked, bench.seen_by(name), folder.path.parent / MAPS, left),
+                request.live_queue,
+            )
+            for name, its in beside.items()
+        ]  # fmt: skip
+        if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
+            for name in (DONE, MOVED):
+                (folder.path / name).unlink(missing_ok=True)
+        aiming, end = None, None
+        if isinstance(plan.table, AlignPlan):
+            from daq.runner.aiming import Aiming, end_in_words  # what finds glass loads slowly
+
+            end = end_in_words
+            aiming = Aiming(hardware, folder, plan.table, say or (lambda sentence: None))
+        runner = Runner(
+            hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator, show, aiming,
+            companions,
+        )  # fmt: skip
+        done = runner.run()
+        if aiming is not None and end is not None and say is not None and aiming.looks:
+            for sentence in end(aiming.wanted(), aiming.looks[-1].seen.spheres):
+                say(sentence)
+        return done

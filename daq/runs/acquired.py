@@ -1,0 +1,111 @@
+"""Frames as acquired, wherever they lie: one of a run is what the run's journal says it is, or it is refused.
+
+Verbs are given paths.  A path that lies in the `frames` of a run is looked up in its journal, and its pixels must
+have the checksum that was written there when the frame was; so a frame passes neither with damaged pixels nor with
+a damaged description that has lost its checksum.  A frame elsewhere, such as a copy, is compared with the checksum
+that it carries itself, if it carries one.
+"""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import RunDamaged
+from daq.frames.hdf5_stack import is_image, read_image
+from daq.frames.named_frame import read_named
+from daq.runs.run_file import FILE
+from daq.runs.run_folder import RunFolder, frame_entries
+from piv.errors import FrameError
+from piv.files.frame_file import read_frame
+
+
+def read_acquired(path: Path, shape: tuple[int, int] | None = None) -> NDArray[Any]:
+    """Read one acquired frame.
+
+    Parameters
+    ----------
+    path : Path
+        A frame of a run, any file that `read_frame` takes, or an image of a stack by its name.
+    shape : (int, int), optional
+        Rows and columns that the frame must have.
+
+    Returns
+    -------
+    ndarray (H, W) of uint8, uint16 or finite float32
+
+    Raises
+    ------
+    FrameError
+        Missing, colour, several pages, another size, another kind of number, NaN.
+    FrameDamaged, RunDamaged
+        It is not what was written, or its run does not know it.
+    """
+    run = run_of(path)
+    if run is None:
+        return _finite(path, read_image(path, shape, None) if is_image(path) else read_frame(path, shape))
+    _require(path)
+    known = _checksums(run, _stamp(run.journal_path))
+    if path.name not in known:
+        raise RunDamaged(f"{path}: is not in the journal of its run, so it cannot be verified; leave it out")
+    return read_frame(path, shape, known[path.name])
+
+
+def read_promised(path: Path, crc32: str, shape: tuple[int, int]) -> NDArray[Any]:
+    """Read a frame whose checksum was looked up before; the journal of its run is not asked again.
+
+    Parameters
+    ----------
+    path : Path
+        The frame.
+    crc32 : str
+        Checksum that its pixels must have.
+    shape : (int, int)
+        Rows and columns that it must have.
+
+    Raises
+    ------
+    FrameError
+        Another size, another kind of number.
+    FrameDamaged, RunDamaged
+        It is not what was promised, or missing.
+    """
+    if run_of(path) is None:
+        return read_named(path, shape, crc32)
+    _require(path)
+    return read_frame(path, shape, crc32)
+
+
+def _require(path: Path) -> None:
+    if not path.is_file():
+        raise RunDamaged(f"{path}: is missing; restore it, or take it again with rtpiv resume --retake")
+
+
+def _finite(path: Path, frame: NDArray[Any]) -> NDArray[Any]:
+    """Refuse what no camera delivers, before anything is made from this frame or from one beside it."""
+    if frame.dtype.kind == "f" and not (good := np.isfinite(frame)).all():
+        row, column = np.argwhere(~good)[0]
+        raise FrameError(
+            f"{path}: holds {frame[row, column]} in row {row}, column {column}, and {np.count_nonzero(~good)} such"
+            " values in all; give frames as acquired, not corrected ones"
+        )
+    return frame
+
+
+def run_of(path: Path) -> RunFolder | None:
+    """Run to whose raw frames a path belongs; None for a file elsewhere."""
+    folder = path.absolute().parent
+    return RunFolder(folder.parent) if folder.name == "frames" and (folder.parent / FILE).is_file() else None
+
+
+def _stamp(journal: Path) -> tuple[int, int]:
+    facts = journal.stat() if journal.exists() else None
+    return (0, 0) if facts is None else (facts.st_mtime_ns, facts.st_size)
+
+
+@lru_cache(maxsize=2)
+def _checksums(run: RunFolder, stamp: tuple[int, int]) -> dict[str, str]:
+    """Checksum of every frame that the journal of a run has, by the name of its file; read again if it changed."""
+    return {Path(entry["file"]).name: entry["crc32"] for entry in frame_entries(run.entries()).values()}

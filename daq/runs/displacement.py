@@ -1,0 +1,146 @@
+"""What a shift experiment really did: commanded, measured and (simulated bench only) true displacement, apart.
+
+The displacement is that of the target between a step and its reference step, in world coordinates:
+
+    commanded   from the planned positions
+    measured    from what the controllers reported at rest
+    true        from where the carriages of the simulated bench really stood
+
+Evaluations must use `measured`; `true` is there to score them.
+
+displacements.json is a list with one entry a line, each with its seal (runs.seal).
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, with_config
+from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+
+from daq.bench.bench_table import TARGET, Bench, Vector
+from daq.errors import RunDamaged, RunUnsuitable
+from daq.plans.steps import Step
+from daq.runs.journal import Entry
+from daq.runs.records import CURE, MOST_BYTES, STRICT, Count, Tag, Way, parsed, read_record
+from daq.runs.run_file import SEALED_FROM
+from daq.runs.run_folder import RunFolder
+from daq.runs.seal import sealed
+from daq.whole_text import write_text
+from ground.plain_file import read_plain
+
+FILE = "displacements.json"
+
+
+@with_config(STRICT)
+class Moved(TypedDict):
+    """An entry of displacements.json."""
+
+    tag: Tag
+    frames: tuple[Count, Count]
+    commanded_mm: Way
+    measured_mm: Way
+    true_mm: Way | None
+
+
+_ENTRY: TypeAdapter[Moved] = TypeAdapter(Moved)
+_LIST: TypeAdapter[list[Moved]] = TypeAdapter(list[Moved])
+
+
+@dataclass(frozen=True, slots=True)
+class Displacement:
+    """Displacement of one step from its reference [mm]."""
+
+    tag: str
+    frames: tuple[int, int]  # first frame of the reference, first frame of the step
+    commanded_mm: Vector
+    measured_mm: Vector
+    true_mm: Vector | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain data."""
+        return asdict(self)
+
+
+def displacements(bench: Bench, steps: Sequence[Step], entries: Sequence[Entry]) -> list[Displacement]:
+    """Return the displacement of every finished step that has a reference.
+
+    Parameters
+    ----------
+    bench : Bench
+        Says which axes carry the target.
+    steps : sequence of Step
+        The plan.
+    entries : sequence of dict
+        The journal.
+    """
+    done = {int(entry["step"]): entry for entry in entries if entry["kind"] == "step"}
+    found = []
+    for step in steps:
+        if step.reference is None or step.index not in done or step.reference not in done:
+            continue
+        before, after = done[step.reference], done[step.index]
+        has_truth = "true_mm" in before and "true_mm" in after
+        found.append(
+            Displacement(
+                step.tag,
+                (steps[step.reference].first_frame, step.first_frame),
+                _between(bench, before["planned_mm"], after["planned_mm"]),
+                _between(bench, before["measured_mm"], after["measured_mm"]),
+                _between(bench, before["true_mm"], after["true_mm"]) if has_truth else None,
+            )
+        )
+    return found
+
+
+def _between(bench: Bench, before_mm: Mapping[str, float], after_mm: Mapping[str, float]) -> Vector:
+    before, after = bench.table.offset_mm(TARGET, before_mm), bench.table.offset_mm(TARGET, after_mm)
+    x, y, z = (b - a for a, b in zip(before, after, strict=True))
+    return (x, y, z)
+
+
+def write_displacements(folder: RunFolder, found: Sequence[Displacement]) -> None:
+    """Write what `displacements` found to displacements.json; DiskError if it cannot be written."""
+    records = [sealed(json.dumps(entry.to_dict(), allow_nan=False).encode()).decode() for entry in found]
+    write_text(folder.path / FILE, "\n".join(["[", *[f"{r}," for r in records[:-1]], *records[-1:], "]", ""]))
+
+
+def read_displacements(folder: RunFolder) -> list[Moved]:
+    """Read displacements.json.
+
+    Raises
+    ------
+    RunUnsuitable
+        There is none: no shift run, or one that is not finished.
+    RunDamaged
+        An entry is not what was written, or is not what the plan leads to.
+    """
+    path = folder.path / FILE
+    if not path.is_file():
+        raise RunUnsuitable(f"{folder.path}: holds no displacements; evaluate a finished shift run")
+    about = folder.about
+    found = _sealed_entries(path) if about["layout"] >= SEALED_FROM else read_record(_LIST, path, sealed=False)
+    steps = about["steps"]
+    wanted = [
+        (step["tag"], (steps[step["reference"]]["first_frame"], step["first_frame"]))
+        for step in steps
+        if step["reference"] is not None
+    ]
+    if [(entry["tag"], entry["frames"]) for entry in found] != wanted:
+        raise RunDamaged(f"{path}: its {len(found)} entries are not the {len(wanted)} of the plan; {CURE}")
+    return found
+
+
+def _sealed_entries(path: Path) -> list[Moved]:
+    try:
+        lines = read_plain(path, MOST_BYTES).split(b"\n")
+    except OSError as error:
+        raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
+    if lines[0] != b"[" or lines[-2:] != [b"]", b""]:
+        raise RunDamaged(f"{path}: is not a list with an entry a line; {CURE}")
+    return [
+        parsed(_ENTRY, line.removesuffix(b","), path, number, sealed=True)
+        for number, line in enumerate(lines[1:-2], start=2)
+    ]

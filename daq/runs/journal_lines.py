@@ -1,0 +1,240 @@
+"""Lines of a journal by kind: the keys that each has, and what they may hold.
+
+A line of a kind that is not in this table is refused when it is read, so who writes a new kind adds it here.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, NotRequired
+
+from pydantic import Field, TypeAdapter, with_config
+from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+
+from daq.runs.records import STRICT, Count, Crc, Positions, Tag, Text, Way, Wide
+
+Entry = Mapping[str, Any]
+
+
+@with_config(STRICT)
+class SessionLine(TypedDict):
+    """A process began to work on the run."""
+
+    kind: Literal["session"]
+    utc: Text
+    versions: dict[str, str]
+    steps_left: Count
+    controllers: NotRequired[dict[Text, str]]  # name in the bench file -> who the box says it is
+    monotonic_ns: NotRequired[Wide]  # the computer's clock that stamps `received_ns`, at `utc`
+
+
+Microseconds = Annotated[float, Field(gt=0.0, le=1e9)]
+
+
+@with_config(STRICT)
+class PairRecord(TypedDict):
+    """Which exposure of which pair of light pulses a frame is, and by what that was told."""
+
+    exposure: Literal["A", "B"]
+    chunk: Count  # of the step: pairs that were fired in one go
+    dt_us: Microseconds  # as commanded
+    dt_measured_us: NotRequired[Microseconds]
+    dt_sigma_us: NotRequired[Annotated[float, Field(ge=0.0, le=1e9)]]  # of the measured one
+    marker: Literal["line_status", "counter", "spacing", "halves"]
+    background: NotRequired[bool]  # taken before the seeding was opened
+
+
+@with_config(STRICT)
+class FrameLine(TypedDict):
+    """A frame is on the disk under its final name."""
+
+    kind: Literal["frame"]
+    frame: Count
+    file: Text
+    step: Count
+    tag: Tag
+    crc32: Crc
+    frame_id: Wide
+    sequence: Wide
+    timestamp_ns: Wide
+    received_ns: Wide
+    exposure_us: Annotated[float, Field(ge=0.0)] | None
+    bits: Annotated[int, Field(ge=1, le=16)]
+    sensor_px: NotRequired[Annotated[list[Count], Field(min_length=2, max_length=2)]]  # width, height
+    planned_mm: Positions
+    measured_mm: Positions
+    true_mm: NotRequired[Positions]
+    pair: NotRequired[PairRecord]  # of a flow run
+    chunks: NotRequired[dict[Text, Wide | float]]  # what the camera sent with the frame, by SFNC name
+
+
+Gap = Annotated[list[Count], Field(min_length=2, max_length=2)]  # first and last frame that never came
+
+
+@with_config(STRICT)
+class StepLine(TypedDict):
+    """All frames of a step are on the disk, but for the gaps of one that may have some."""
+
+    kind: Literal["step"]
+    step: Count
+    tag: Tag
+    utc: Text
+    planned_mm: Positions
+    measured_mm: Positions
+    true_mm: NotRequired[Positions]
+    gaps: NotRequired[list[Gap]]
+
+
+@with_config(STRICT)
+class CameraLine(TypedDict):
+    """What the camera told of itself when a session or a step had begun or ended; see runs.clock_map."""
+
+    kind: Literal["camera"]
+    utc: Text
+    monotonic_ns: Annotated[list[Wide], Field(min_length=2, max_length=2)]  # right before and behind the question
+    camera_ns: NotRequired[Wide]  # its own clock between the two, the one of `timestamp_ns`
+    celsius: NotRequired[float]
+
+
+@with_config(STRICT)
+class ArmLine(TypedDict):
+    """A step that keeps what it has goes on with a further arm of the camera, from this frame."""
+
+    kind: Literal["arm"]
+    step: Count
+    tag: Tag
+    frame: Count
+    utc: Text
+    why: Text
+
+
+@with_config(STRICT)
+class ChunkLine(TypedDict):
+    """Pairs that were fired in one go, and what became of them and of their frames."""
+
+    kind: Literal["chunk"]
+    step: Count
+    tag: Tag
+    utc: Text  # when the camera was armed
+    chunk: Count
+    fired: Count  # pairs of pulses, counted by the timing unit
+    triggers: Count  # pairs of frames that the camera was triggered for; more than fired where lamps run
+    pairs: Count  # kept
+    surplus: Count  # sure, and more than were wanted
+    lost: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]
+    dropped: dict[str, Count]  # frames, by reason
+    never_came: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]  # frames
+
+
+@with_config(STRICT)
+class LookLine(TypedDict):
+    """What the frames of a step of an alignment show, off the places of the scene file."""
+
+    kind: Literal["look"]
+    step: Count
+    tag: Tag
+    utc: Text
+    glass_mm: Way
+    glass_sigma_mm: Way
+    camera_mm: NotRequired[Way]  # where a board says it
+    spheres: dict[Text, Way]  # those that show a rim
+    remarks: list[Text]
+
+
+@with_config(STRICT)
+class MissLine(TypedDict):
+    """Axes stood elsewhere than a step had sent them; the step has failed."""
+
+    kind: Literal["miss"]
+    step: Count
+    tag: Tag
+    utc: Text
+    planned_mm: Positions
+    measured_mm: Positions
+
+
+@with_config(STRICT)
+class DiscardLine(TypedDict):
+    """Frames that do not count any more, and whose files are gone."""
+
+    kind: Literal["discard"]
+    frames: list[Count]
+    why: NotRequired[str]
+
+
+@with_config(STRICT)
+class Books(TypedDict):
+    """A ledger, see runs.conservation; the sides may differ, so only the imbalance may be below 0."""
+
+    triggered: Count
+    written: Count
+    incomplete: Count
+    rejected: Count
+    underrun: Count
+    missing: Count
+    ignored: Count
+    silent: Count
+    unwritten: Count
+    lost: Count
+    imbalance: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]
+
+
+@with_config(STRICT)
+class Percentiles(TypedDict):
+    """Of a latency."""
+
+    p50: float
+    p99: float
+
+
+@with_config(STRICT)
+class FlowFigures(TypedDict):
+    """What the lanes of a session have done, see pipeline.flow."""
+
+    corrected_live: Count
+    skipped_live: Count
+    latency_ms: Percentiles | None
+
+
+@with_config(STRICT)
+class CountsLine(TypedDict):
+    """What became of every triggered frame of a session."""
+
+    kind: Literal["counts"]
+    books: Books
+    flow: FlowFigures
+    doubt: NotRequired[Text]
+
+
+@with_config(STRICT)
+class EndLine(TypedDict):
+    """A session ended by itself."""
+
+    kind: Literal["end"]
+    utc: Text
+    why: Text
+    error: str
+    doubt: NotRequired[Text]
+
+
+@with_config(STRICT)
+class DoubtLine(TypedDict):
+    """A frame of this session may not show what its line says; see runs.session_books."""
+
+    kind: Literal["doubt"]
+    doubt: Text
+
+
+Line = (
+    SessionLine
+    | FrameLine
+    | StepLine
+    | CameraLine
+    | ArmLine
+    | ChunkLine
+    | LookLine
+    | MissLine
+    | DiscardLine
+    | CountsLine
+    | EndLine
+    | DoubtLine
+)
+LINE: TypeAdapter[Any] = TypeAdapter(Annotated[Line, Field(discriminator="kind")])

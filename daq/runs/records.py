@@ -1,0 +1,145 @@
+"""Records that are read back: JSON becomes typed data here, or one sentence with file and line.
+
+What a run wrote may come back with a flipped bit, cut short, or edited.  Every record is checked once, where it is
+read, against its seal (runs.seal) and against types: whole numbers within bounds, finite positions, names that
+cannot lead out of a folder.  What comes out of here can be computed with; nothing behind has to doubt it again.
+Keys that this version does not know are kept: a newer one may have written them.
+"""
+
+import re
+from json import JSONDecoder
+from json.decoder import scanstring  # type: ignore[attr-defined]  # the half of the parser that knows where it is
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+
+from daq.errors import RunDamaged
+from daq.runs.seal import SealBroken, unsealed
+from ground.plain_file import read_plain
+
+T = TypeVar("T")
+CURE = "restore the file from a copy, or begin a new run"
+STRICT = ConfigDict(extra="allow", strict=True, allow_inf_nan=False)
+_PLACE = re.compile(r" at line (\d+) column \d+")
+MOST_BYTES = 500_000_000  # of a record; a plan of a million steps has 300 MB
+LONGEST_SHOWN = 40  # characters of a wrong value
+
+Count = Annotated[int, Field(ge=0, le=1_000_000_000)]
+Wide = Annotated[int, Field(ge=0, lt=2**64)]  # ids and clocks of cameras
+Mm = Annotated[float, Field(ge=-1e7, le=1e7)]
+Way = tuple[Mm, Mm, Mm]
+Positions = dict[Annotated[str, Field(min_length=1)], Mm]
+Crc = Annotated[str, Field(pattern=r"^[0-9a-f]{8}$")]
+Sha = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Text = Annotated[str, Field(min_length=1)]
+Tag = Annotated[str, Field(pattern=r"^\w[\w.+-]*$", max_length=200)]  # names folders of results
+
+
+def parsed(adapter: TypeAdapter[T], record: bytes, path: Path, line: int, sealed: bool) -> T:
+    """Check one record and return it.
+
+    Parameters
+    ----------
+    adapter : TypeAdapter
+        Its types.
+    record : bytes
+        A JSON object.
+    path, line
+        Where it stands, for the message.
+    sealed : bool
+        Whether it must carry a seal; one that is there is always checked.
+
+    Raises
+    ------
+    RunDamaged
+        In one sentence.
+    """
+    try:
+        return adapter.validate_json(unsealed(record, sealed))
+    except SealBroken as error:
+        raise RunDamaged(f"{path}:{line}: {error}, so it is not what was written; {CURE}") from None
+    except ValidationError as error:
+        raise RunDamaged(f"{path}:{line}: {_sentence(error)}; {CURE}") from None
+
+
+def read_record(adapter: TypeAdapter[T], path: Path, sealed: bool) -> T:
+    """Read a file that is one record.
+
+    Raises
+    ------
+    RunDamaged
+        It cannot be read, or is not what was written; with the line where that is known.
+    """
+    try:
+        data = read_plain(path, MOST_BYTES)
+    except OSError as error:
+        raise RunDamaged(f"{path}: cannot be read ({error.strerror}); {CURE}") from None
+    try:
+        return adapter.validate_json(unsealed(data, sealed))
+    except SealBroken as error:
+        raise RunDamaged(f"{path}: {error}, so it is not what was written; {CURE}") from None
+    except ValidationError as error:
+        raise RunDamaged(f"{path}:{_line(data, error)}: {_sentence(error)}; {CURE}") from None
+
+
+def _sentence(error: ValidationError) -> str:
+    """First of what is wrong, without the end of a sentence."""
+    first = error.errors(include_url=False)[0]
+    kind, message = first["type"], first["msg"]
+    name = ".".join(str(part) for part in first["loc"]) or "it"
+    if kind == "json_invalid":
+        return "is damaged" + _PLACE.sub("", message.removeprefix("Invalid JSON"))
+    if kind == "missing":
+        return f"the key {name} is missing"
+    if kind == "union_tag_invalid":
+        return f"is of a kind that is not known here, {_shown(first['ctx']['tag'])}"
+    if kind == "union_tag_not_found":
+        return "does not say of which kind it is"
+    if kind == "value_error":
+        return message.removeprefix("Value error, ")
+    return f"{name} should be {message.removeprefix('Input should be ')}, not {_shown(first['input'])}"
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= LONGEST_SHOWN else text[: LONGEST_SHOWN - 3] + "..."
+
+
+def _line(data: bytes, error: ValidationError) -> int:
+    """Line of what is wrong, 1 first; of the nearest place around it where a key is missing."""
+    first = error.errors(include_url=False)[0]
+    if said := _PLACE.search(first["msg"]):
+        return int(said[1])
+    text, at = data.decode(errors="replace"), 0
+    try:
+        for part in first["loc"]:
+            at = _inside(text, _skip(text, at), part)
+    except (ValueError, IndexError):
+        pass
+    return text.count("\n", 0, at) + 1
+
+
+def _inside(text: str, at: int, part: int | str) -> int:
+    """Index of the value of a key, or of an item, within the object or list that begins at `at`."""
+    decoder: Any = JSONDecoder()
+    is_object, place = text[at] == "{", 0
+    at = _skip(text, at + 1)
+    while text[at] not in "]}":
+        key: int | str = place
+        if is_object:
+            key, at = scanstring(text, at + 1)
+            at = _skip(text, _skip(text, at) + 1)
+        if key == part:
+            return at
+        at = _skip(text, decoder.raw_decode(text, at)[1])
+        if text[at] == ",":
+            at = _skip(text, at + 1)
+        place += 1
+    raise ValueError(part)
+
+
+def _skip(text: str, at: int) -> int:
+    while text[at] in " \t\r\n":
+        at += 1
+    return at

@@ -1,0 +1,259 @@
+"""The run folder: everything about one acquisition, safe against a crash at any moment.
+
+    runs/<UTC time>_<plan>/
+        run.json        plan, bench, scene, hashes, versions; on the disk before the first frame
+        frames/         000123.tif, raw, never written twice
+        steps.jsonl     the journal, see runs.journal
+        corrected/      000123.tif, mask.tif; can be made again from the frames at any time
+        camera_1.json   every setting the camera could tell, per session
+        done.json       last: counts, latencies, the hash of the run; a run without it is not finished
+        cameras/NAME/   a run folder like this one for each further camera, with the same steps and frame numbers
+
+Nothing that is read back is trusted: records carry seals and are checked against types (runs.records), frames
+carry checksums, and what they name must be of the plan and lie inside the folder.
+Layout and reasons: docs/adr/0007-run-folder.md.
+"""
+
+import platform
+import shutil
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.errors import DiskError, RunDamaged, RunUnsuitable
+from daq.runs.frame_entry import frame_name as frame_name
+from daq.runs.journal import read_journal
+from daq.runs.journal_lines import Entry
+from daq.runs.records import CURE
+from daq.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
+from daq.runs.seal import write_record
+from daq.whole_text import sync_folder
+
+if TYPE_CHECKING:
+    from daq.plans.steps import Step
+
+CAMERAS = "cameras"
+PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program and what it computes with."""
+    found = {"python": platform.python_version(), "system": platform.platform()}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run on the disk.
+
+    Parameters
+    ----------
+    path : Path
+        The folder.
+    """
+
+    path: Path
+
+    @classmethod
+    def create(cls, parent: Path, plan: str, about: Mapping[str, Any]) -> "RunFolder":
+        """Make a new folder and write run.json; a name that is taken gets a number.
+
+        Raises
+        ------
+        DiskError
+            The folder cannot be made.
+        """
+        stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+        safe = "".join(c if c.isalnum() or c in "-_" else "-" for c in plan)[:60] or "plan"
+        try:
+            parent.mkdir(parents=True, exist_ok=True)
+            for number in range(1000):
+                path = parent / (f"{stamp}_{safe}" + (f"_{number}" if number else ""))
+                try:
+                    path.mkdir()
+                    break
+                except FileExistsError:
+                    continue
+            (path / "frames").mkdir()
+            (path / "corrected").mkdir()
+        except OSError as error:
+            raise DiskError(f"{parent}: {error.strerror}; choose another folder with -o") from error
+        write_record(path / FILE, {"layout": LAYOUT, **about})
+        sync_folder(parent)
+        return cls(path)
+
+    def remove_if_empty(self) -> bool:
+        """Remove a run that was begun and has neither a line in its journal nor a frame; return whether it was."""
+        has_lines = self.journal_path.is_file() and self.journal_path.stat().st_size > 0
+        if has_lines or any((self.path / "frames").iterdir()):
+            return False
+        shutil.rmtree(self.path)
+        return True
+
+    def create_camera(self, name: str, about: Mapping[str, Any]) -> "RunFolder":
+        """Make the folder of a further camera of this run; DiskError if that cannot be."""
+        path = self.path / CAMERAS / name
+        try:
+            for inner in ("frames", "corrected"):
+                (path / inner).mkdir(parents=True)
+        except OSError as error:
+            raise DiskError(f"{path}: {error.strerror}; choose another folder with -o") from error
+        write_record(path / FILE, {"layout": LAYOUT, **about})
+        sync_folder(path.parent)
+        return RunFolder(path)
+
+    def cameras(self) -> "dict[str, RunFolder]":
+        """Folders of the further cameras of this run, by name; RunUnsuitable or RunDamaged as for `open`."""
+        names = self.about.get("cameras", ())
+        return {name: RunFolder.open(self.inside(f"{CAMERAS}/{name}")) for name in names}
+
+    @classmethod
+    def open(cls, path: Path) -> "RunFolder":
+        """Open an existing run.
+
+        Raises
+        ------
+        RunUnsuitable
+            It is no run folder, of an unknown layout, or has links that lead out of it.
+        RunDamaged
+            run.json is not what was written.
+        """
+        folder = cls(path)
+        read_run_file(path)
+        for name in ("frames", "corrected"):
+            folder.own(name).mkdir(exist_ok=True)
+        return folder
+
+    @property
+    def about(self) -> RunFile:
+        """Contents of run.json, checked; RunUnsuitable or RunDamaged as for `open`."""
+        return read_run_file(self.path)
+
+    @property
+    def journal_path(self) -> Path:
+        """The journal's file."""
+        return self.path / "steps.jsonl"
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the run was finished."""
+        return (self.path / "done.json").exists()
+
+    def entries(self) -> list[Entry]:
+        """Whole lines of the journal, checked one by one and against the plan.
+
+        Raises
+        ------
+        RunDamaged
+            A line is not what was written, or says what this plan cannot have led to.
+        """
+        if not self.journal_path.exists():
+            return []
+        about = self.about
+        entries = read_journal(self.journal_path, about["layout"] >= SEALED_FROM)
+        for line, entry in enumerate(entries, start=1):
+            if problem := _against_plan(entry, about["steps"]):
+                raise RunDamaged(f"{self.journal_path}:{line}: {problem}; {CURE}")
+        return entries
+
+    def frame_path(self, number: int) -> Path:
+        """File of a raw frame."""
+        return self.path / frame_name(number)
+
+    def corrected_path(self, number: int) -> Path:
+        """File of a corrected frame."""
+        return self.path / "corrected" / f"{number:06d}.tif"
+
+    def absent(self, entries: Iterable[Entry]) -> list[int]:
+        """Frames of the journal that have no file."""
+        return [n for n, entry in frame_entries(entries).items() if not self.inside(str(entry["file"])).is_file()]
+
+    def own(self, name: str) -> Path:
+        """Path of a folder or file of ours in the run that something will be written to.
+
+        Raises
+        ------
+        RunUnsuitable
+            It is a link that leads out of the run folder: whoever made that writes there himself, by -o.
+        """
+        self.inside(name)
+        return self.path / name
+
+    def inside(self, name: str) -> Path:
+        """Path of a name that was read from a file of the run.
+
+        Raises
+        ------
+        RunUnsuitable
+            It leads out of the run folder.
+        """
+        try:
+            path = (self.path / name).resolve()
+        except (OSError, RuntimeError) as error:  # a link to itself
+            raise RunUnsuitable(f"{self.path}: {name!r} leads nowhere ({error})") from None
+        if not path.is_relative_to(self.path.resolve()):
+            raise RunUnsuitable(f"{self.path}: {name!r} lies outside the run, so it is not touched; see -o")
+        return path
+
+
+def _against_plan(entry: Entry, steps: Sequence[PlannedStep]) -> str:
+    """What a line of a journal says that its plan cannot have led to; "" if nothing."""
+    kind = entry["kind"]
+    if kind == "discard":
+        last = steps[-1] if steps else None
+        frames = 0 if last is None else last["first_frame"] + last["frames"]
+        outside = [number for number in entry["frames"] if number >= frames]
+        return f"discards frame {outside[0]}, and the plan has {frames}" if outside else ""
+    if kind not in ("frame", "step", "miss", "arm", "chunk", "look"):
+        return ""
+    number = entry["step"]
+    if number >= len(steps):
+        return f"is about step {number}, and the plan has {len(steps)}"
+    if kind != "frame":
+        return ""
+    step, frame = steps[number], entry["frame"]
+    if not 0 <= frame - step["first_frame"] < step["frames"]:
+        return f"is about frame {frame}, which is none of step {number}"
+    if entry["file"] != frame_name(frame):
+        return f"names {entry['file']!r} for frame {frame}, which a run writes to {frame_name(frame)}"
+    return ""
+
+
+def frame_entries(entries: Iterable[Entry]) -> dict[int, Entry]:
+    """Frame lines that still hold, by frame number: discarded ones are left out."""
+    frames: dict[int, Entry] = {}
+    for entry in entries:
+        if entry["kind"] == "frame":
+            frames[entry["frame"]] = entry
+        elif entry["kind"] == "discard":
+            for number in entry["frames"]:
+                frames.pop(number, None)
+    return frames
+
+
+def finished_steps(entries: Iterable[Entry]) -> set[int]:
+    """Steps whose every frame is on the disk: their line is there and no frame of theirs was discarded later."""
+    finished: set[int] = set()
+    step_of: dict[int, int] = {}
+    for entry in entries:
+        if entry["kind"] == "frame":
+            step_of[entry["frame"]] = entry["step"]
+        elif entry["kind"] == "step":
+            finished.add(entry["step"])
+        elif entry["kind"] == "discard":
+            finished -= {step_of[number] for number in entry["frames"] if number in step_of}
+    return finished
+
+
+def remaining(steps: Iterable["Step"], entries: Iterable[Entry], again: Container[int] = ()) -> list["Step"]:
+    """Plan minus journal, and the finished steps that are to be taken `again`."""
+    done = finished_steps(entries)
+    return [step for step in steps if step.index not in done or step.index in again]

@@ -1,0 +1,160 @@
+"""What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view."""
+
+import os
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Literal, TypeVar
+
+from daq.errors import RunDamaged
+from daq.runs.records import CURE
+from daq.runs.run_file import FILE
+from daq.runs.run_folder import RunFolder, frame_entries
+from daq.whole_text import write_text
+from ground.config import read
+from ground.errors import ConfigError, GroundError
+from tracer.errors import TracerError
+from tracer.scene.scene_file import load_scene
+
+if TYPE_CHECKING:  # most commands have no run, and do not wait for the models of benches
+    from daq.bench.bench_table import BenchTable
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class TargetView:
+    """A frame of the board, through the glass or bare, and how far before the plane the board stood, measured."""
+
+    tag: str
+    path: Path
+    glass: bool
+    height_mm: float
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame of a run and what it shows: `shows` names the print, `on_plane` says that it stood at z = 0."""
+
+    path: Path
+    tag: str
+    shows: str
+    glass: bool
+    on_plane: bool
+
+
+def is_run(path: Path) -> bool:
+    """Whether a folder is a run, if only by the name of a record that can no longer be read."""
+    return os.path.lexists(path / FILE)
+
+
+def bench_scene(path: Path) -> str:
+    """Text of the bench's scene file as it was when a run began."""
+    return RunFolder.open(path).about["scene"]
+
+
+def load_kept(folder: RunFolder, what: Literal["bench", "scene", "plan"], load: Callable[[Path], T]) -> T:
+    """Load the text of a file that the run keeps in its record.
+
+    Raises
+    ------
+    RunDamaged
+        It was loaded when the run began, and cannot be any more.
+    """
+    with TemporaryDirectory() as place:
+        own = Path(place) / f"{what}.yaml"
+        write_text(own, folder.about[what])
+        try:
+            return load(own)
+        except ConfigError as error:
+            problem = error.problems[0].text
+            raise RunDamaged(f"{folder.path / FILE}: its {what} cannot be read: {problem}; {CURE}") from None
+
+
+def scene_file(path: Path, out: Path) -> Path:
+    """Scene file of a run: the one its frames were corrected with as they arrived, if it still says the same.
+
+    Otherwise the bench's scene as it was when the run began, written to ``scene.yaml`` in `out`.
+    """
+    about = RunFolder.open(path).about
+    used = about["request"].get("scene")
+    if used is not None and Path(used).is_file():
+        try:
+            if load_scene(used).content_hash() == about["hashes"].get("scene for the correction"):
+                return Path(used)
+        except (GroundError, TracerError):
+            pass  # no longer a scene: not the file that was used
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(out / "scene.yaml", bench_scene(path))
+    return out / "scene.yaml"
+
+
+def target_views(path: Path) -> list[TargetView]:
+    """First frame of every step that photographed the board, in the order of the plan.
+
+    The investigation plane is where the board stood when the plan had it there.  Frames that were planned at one
+    height share the mean of what the stages reported, so that the last digit of an encoder is no other height.
+
+    Raises
+    ------
+    RunUnsuitable
+        The folder is no run.
+    RunDamaged
+        What it says is not what was written.
+    """
+    from daq.bench.bench_table import TARGET
+
+    folder = RunFolder.open(path)
+    about, entries = folder.about, frame_entries(folder.entries())
+    steps = [s for s in about["steps"] if s["shows"] == "chessboard" and s["first_frame"] in entries]
+    if not steps:
+        return []
+    table = bench_table(folder)
+    reported_mm = defaultdict[float, list[float]](list)
+    planned_mm: list[float] = []
+    for step in steps:
+        entry = entries[step["first_frame"]]
+        try:
+            planned, measured = (table.offset_mm(TARGET, entry[name])[2] for name in ("planned_mm", "measured_mm"))
+        except KeyError as error:
+            raise RunDamaged(f"{path}: frame {entry['frame']} does not say where {error} was; {CURE}") from None
+        planned_mm.append(0.0 if step["on_plane"] else planned)
+        reported_mm[planned_mm[-1]].append(measured)
+    heights_mm = {planned: fmean(reported) for planned, reported in reported_mm.items()}
+    plane_mm = heights_mm.get(0.0, 0.0)
+    views = []
+    for step, planned in zip(steps, planned_mm, strict=True):
+        file = folder.inside(entries[step["first_frame"]]["file"])
+        views.append(TargetView(step["tag"], file, step["view"] == "glass", heights_mm[planned] - plane_mm))
+    return views
+
+
+def first_view(folder: RunFolder) -> View | None:
+    """First frame through the glass with the print in the plane, else what comes nearest to that.
+
+    Of an alignment it is the last look, which shows what it has come to.
+    """
+    files = _files(folder)
+    views = [
+        View(files[s["first_frame"]], s["tag"], s["shows"], s["view"] == "glass", s["on_plane"])
+        for s in folder.about["steps"]
+        if s["first_frame"] in files
+    ]
+    if views and views[0].tag.startswith("look_"):
+        return views[-1]
+    return max(views, key=lambda view: (view.glass, view.on_plane), default=None)
+
+
+def _files(folder: RunFolder) -> dict[int, Path]:
+    """Frames that are on the disk, by number; every name is confined to the run."""
+    return {number: folder.inside(entry["file"]) for number, entry in frame_entries(folder.entries()).items()}
+
+
+def bench_table(folder: RunFolder) -> "BenchTable":
+    """Bench file of a run as it was when the run began."""
+    from daq.bench.bench_table import BenchTable
+
+    return load_kept(folder, "bench", lambda file: read(file, BenchTable))

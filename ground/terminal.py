@@ -1,0 +1,85 @@
+"""What a person sees while a verb works: tables wide enough to read, progress with time left.
+
+Names of files and what stands in them may hold anything, also bytes that a terminal takes for commands: it would
+clear its screen, rename its window, or answer.  All that is said goes through `printable`.
+"""
+
+import time
+from collections.abc import Iterable, Iterator
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.text import Text
+
+from ground.printable import printable as printable  # who prints without a console needs it
+
+Item = TypeVar("Item")
+LONG_S = 1.0
+LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wide it is
+
+
+class _Screen(Console):
+    """Prints text as it is: neither markup nor commands to the terminal."""
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401
+        super().__init__(markup=False, emoji=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401
+        """Every text and cell comes through here."""
+        return super().render_str(printable(text), **options)
+
+
+def console() -> Console:
+    """Return the console for results, on standard output.
+
+    Text is printed as it is: `[px]` is a unit and `[a]` may be part of a path, never markup.
+    """
+    found = _Screen()
+    return found if found.is_terminal else _Screen(width=LEAST_WIDTH)
+
+
+def error_console() -> Console:
+    """Return the console for what is said while a verb works, on standard error."""
+    return _Screen(stderr=True)
+
+
+def progress(items: Iterable[Item], total: int, what: str, after_s: float = 0.0) -> Iterator[Item]:
+    """Yield `items` while a bar shows how many of `total` are done and how long the rest will take.
+
+    Parameters
+    ----------
+    items : iterable
+        The work.
+    total : int
+        How many there are.
+    what : str
+        Said beside the bar.
+    after_s : float
+        How long nothing is shown: what is through by then needs no bar.
+    """
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    bar, begun_s = Progress(*columns, *times, console=error_console()), time.monotonic()
+    task = bar.add_task(what, total=total)
+    try:
+        for item in items:
+            if not bar.live.is_started and time.monotonic() - begun_s >= after_s:
+                bar.start()
+            yield item
+            bar.advance(task)
+    finally:
+        if bar.live.is_started:
+            bar.stop()
+
+
+def progress_if_long(items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
+    """Yield `items` as `progress` does, with a bar only if they take longer than a second."""
+    return progress(items, total, what, LONG_S)

@@ -1,0 +1,123 @@
+"""One pass: look at whole windows, or within a pixel of what is known, and say which vectors to believe."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piv.correlation.correlate import correlate_some, correlate_windows, peak_ratios
+from piv.correlation.deform import DeformedPair
+from piv.correlation.evidence import WEAK, proven
+from piv.correlation.outliers import outliers
+from piv.correlation.prepare import Pair
+from piv.correlation.refine import Refined, refine
+from piv.correlation.settings import PivSettings
+from piv.correlation.windows import WindowGrid, interpolated
+from piv.errors import PairError
+
+HALVED_PX = 64  # first windows of this side are looked at in frames of half the resolution
+LEAST_CORRELATION = (
+    0.5  # with less, what lies in the middle may be there by chance; later passes: times the usual one
+)
+
+Floats = NDArray[np.float64]
+
+
+class Measured(NamedTuple):
+    """What a pass has found: vectors_px, seen_px, left_px (ny, nx, 2), the others (ny, nx).
+
+    seen_px is what whole windows showed where they were asked, even if their peak was one of many, and elsewhere
+    the vectors. `refined` is None of a pass that has searched.
+    """
+
+    vectors_px: Floats
+    seen_px: Floats
+    correlation: Floats
+    peak_ratio: Floats
+    valid_fraction: Floats
+    good: NDArray[np.bool_]
+    left_px: Floats
+    refined: Refined | None
+
+
+def search(pair: Pair, grid: WindowGrid, settings: PivSettings, threads: int | None) -> Measured:
+    """Look at whole windows; large ones at half the resolution, since only whole pixels count yet."""
+    halves = grid.size_px >= HALVED_PX and len(settings.windows_px) > 1
+    half = WindowGrid(grid.row // 2, grid.column // 2, grid.size_px // 2, grid.step_px // 2) if halves else grid
+    seen = pair.halved() if halves else pair
+    frames = DeformedPair(seen.a, seen.b, seen.valid, seen.floor)
+    raw = correlate_windows(frames, half, settings.min_valid, threads)
+    good, ratio = _accepted(raw.shift_px, np.full(grid.shape, np.nan), frames, half, settings, threads)
+    shift = raw.shift_px * (2.0 if halves else 1.0)
+    return Measured(shift, shift, raw.correlation, ratio, raw.valid_fraction, good, shift, None)
+
+
+def refine_pass(
+    pair: DeformedPair,
+    grid: WindowGrid,
+    predictor: Floats,
+    is_first: bool,
+    settings: PivSettings,
+    threads: int | None,
+) -> Measured:
+    """Look within a pixel, and at whole windows where no peak is there or little correlates.
+
+    What is little depends on the frames, but in the first pass of this kind nothing is known of them: a predictor
+    may be wrong everywhere.
+    """
+    raw = refine(pair, grid, settings.window_sigma, threads)
+    shift, ratio = raw.shift_px.copy(), np.full(grid.shape, np.nan)
+    dense = raw.valid_fraction >= settings.min_valid
+    shift[~dense] = np.nan
+    least = LEAST_CORRELATION * (1.0 if is_first or not dense.any() else np.nanmedian(raw.correlation[dense]))
+    lost = dense & (np.isnan(shift).any(axis=-1) | (raw.correlation < least))
+    seen = predictor + shift
+    if lost.any() and pair.worth is None:  # frames that complete each other match in the middle, always
+        found, ratio[lost] = correlate_some(pair, grid, lost, settings.min_valid, threads)
+        seen[lost] = predictor[lost] + found
+        # Not where it was expected, and one of many; what lies in the middle may be right in later passes.
+        doubtful = ratio[lost] < WEAK
+        found[doubtful] = np.nan if is_first else shift[lost][doubtful]
+        shift[lost] = found
+    if dense.any() and not np.isfinite(shift).any():
+        raise PairError("no window shows a peak that stands out; check exposure, seeding and pairing")
+    vectors = predictor + shift
+    good, ratio = _accepted(vectors, ratio, pair, grid, settings, threads)
+    return Measured(vectors, seen, raw.correlation, ratio, raw.valid_fraction, good, shift, raw)
+
+
+def _accepted(
+    vectors: Floats,
+    ratio: Floats,
+    pair: DeformedPair,
+    grid: WindowGrid,
+    settings: PivSettings,
+    threads: int | None,
+) -> tuple[NDArray[np.bool_], Floats]:
+    """Vectors that were measured and fit their neighbours, or are proven by their own peak; and peak ratios."""
+    candidates: NDArray[np.bool_] = np.all(np.isfinite(vectors), axis=-1)
+    suspects = outliers(vectors, candidates, settings.outlier_threshold, settings.outlier_epsilon_px)
+    good = candidates & ~suspects
+    unknown = suspects & np.isnan(ratio)
+    if unknown.any():
+        ratio = np.where(unknown, peak_ratios(pair, grid, unknown, settings.min_valid, threads), ratio)
+    if suspects.any():
+        good |= proven(vectors, candidates, suspects, ratio, grid.size_px)
+    if not good.any():
+        if candidates.any():
+            raise PairError(
+                "no window gave a vector that fits its neighbours; check exposure, seeding and pairing"
+            )
+        raise PairError(
+            f"no window holds {settings.min_valid:.0%} valid pixels with particles; check the mask or use smaller "
+            "windows"
+        )
+    return good, ratio
+
+
+def moved(field: NDArray[np.float64], source: WindowGrid, target: WindowGrid) -> NDArray[np.float64]:
+    """Field on the nodes of one grid, interpolated at the nodes of another."""
+    if source is target or (np.array_equal(source.row, target.row) and source.size_px == target.size_px):
+        return field
+    along_u = interpolated(field, 1, source.x_px, target.x_px, source.step_px)
+    return interpolated(along_u, 0, source.y_px, target.y_px, source.step_px)

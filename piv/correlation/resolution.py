@@ -1,0 +1,124 @@
+"""What a vector is unsure of because its window is large, apart from noise.
+
+Four things, the first three added as squares:
+
+1. **Taken off.** Detail that is no stronger than its noise goes with the noise (`piv.correlation.denoise`, which
+   knows what it takes).
+2. **Not seen.** Of a wave of two windows the passes show the share g (`piv.correlation.response`); second
+   differences over half a window are twice its height, so (1 - g)/2 of them is missing.
+3. **Seen in the wrong place.** A window weighs particles, not places. In a field of second derivative c its N
+   independent pieces lie elsewhere than its weights, so what it sees of a curved field is off by about
+   s^2 c/sqrt(N), s^2 the variance of its weights. The passes bend the predictor to the field, but by what windows
+   saw, and see the rest in the same wrong places: what stays in the end is s^2 c/N times a number (`UNEVEN`,
+   measured in waves of 48 to 256 px and turbulence at N = 3 to 19, windows of 16 and 32 px: 1.4 to 2.4).
+4. **Moves otherwise.** Across a shear layer or a core narrower than a window, part of the light does not match at
+   the displacement that was found. With the correlation C, and C_0 where all matches, that share is 1 - C/C_0, of
+   which `LOST_SHARE` may be chance. How else it may move, the surroundings say: D is the range of the vectors in
+   3 x 3 windows, and of what windows showed that are not believed if they are several: a gap is a core that was
+   not followed, a single one is an outlier. The error is the share times D and a number (`OTHERWISE`, measured at
+   steps, in jets whose core of 15 to 62 px moves 6 to 12 px, and in turbulence: 0.3 to 0.6). It is another view of
+   what 2. and 3. see, so the larger counts.
+
+The first two and the last are the same in every pair of a steady flow; the third changes with the particles.
+"""
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from piv.correlation.refine import window_weights
+from piv.correlation.response import response_of
+from piv.correlation.settings import PivSettings
+from piv.correlation.windows import WindowGrid
+
+UNEVEN = 1.9
+OTHERWISE, LOST_SHARE = 0.45, 0.1
+GAP = 3  # windows of 3 x 3
+LARGEST_PX = 1e6  # more than any displacement
+MATCHED = 0.75  # quantile
+
+Floats = NDArray[np.float64]
+
+
+def unresolved_px(
+    vectors: Floats, taken_px: Floats, pieces: Floats, grid: WindowGrid, settings: PivSettings
+) -> Floats:
+    """Standard deviation (ny, nx) of a component by what windows do not resolve.
+
+    Parameters
+    ----------
+    vectors : ndarray of float64, shape (ny, nx, 2)
+        Displacements [px], finite everywhere.
+    taken_px : ndarray of float64, shape (ny, nx)
+        Standard deviation of a component of the flow that the last filter took off.
+    pieces : ndarray of float64, shape (ny, nx)
+        Independent pieces in a window.
+    grid : WindowGrid
+        Where vectors stand.
+    settings : PivSettings
+        How they were measured.
+    """
+    weights = window_weights(grid.size_px, settings.window_sigma)
+    place = np.arange(grid.size_px) - (grid.size_px - 1) / 2
+    spread_px2 = float((weights * place**2).sum() / weights.sum())
+    shown, _ = response_of(settings, np.array([2.0 * grid.size_px]))
+    apart = max(1, round(0.5 * grid.size_px / grid.step_px))
+    bent_px = second_differences(vectors, apart)
+    displaced = UNEVEN * spread_px2 / (apart * grid.step_px) ** 2 * bent_px / pieces
+    missing = 0.5 * (1.0 - float(shown[0])) * bent_px
+    total: Floats = np.sqrt(taken_px**2 + displaced**2 + missing**2)
+    return total
+
+
+def second_differences(vectors: Floats, apart: int) -> Floats:
+    """Root mean square (ny, nx) over 3 x 3 vectors of a component's second differences over `apart` nodes."""
+    square = np.zeros(vectors.shape[:2])
+    for axis in range(2):
+        field = np.moveaxis(vectors, axis, 0)
+        step = min(apart, len(field) - 1)
+        if step < 1:
+            continue
+        ends = 2.0 * field[0] - field[step:0:-1], 2.0 * field[-1] - field[-2 : -step - 2 : -1]
+        wide = np.concatenate([ends[0], field, ends[1]])
+        second = wide[2 * step :] - 2.0 * field + wide[: -2 * step]
+        square += 0.5 * np.square(np.moveaxis(second, 0, axis)).sum(axis=-1)
+    around: Floats = scipy.ndimage.uniform_filter(square, 3, mode="nearest")
+    return np.sqrt(np.maximum(around, 0.0))  # running sums may leave less than nothing
+
+
+def matched_share(correlation: Floats, good: NDArray[np.bool_]) -> Floats:
+    """Share (ny, nx) of the light of windows that moves as their vector says; 1 where nothing is known.
+
+    From their correlation (ny, nx), which is that of windows in which all matches for a quarter of the good ones.
+    """
+    told = correlation[good & np.isfinite(correlation)]
+    usual = float(np.quantile(told, MATCHED)) if told.size else 0.0
+    share: Floats = np.nan_to_num(correlation / usual, nan=1.0) if usual > 0.0 else np.ones(good.shape)
+    return share
+
+
+def unmatched_px(vectors: Floats, seen_px: Floats, correlation: Floats, good: NDArray[np.bool_]) -> Floats:
+    """Standard deviation (ny, nx) of a component by light that moves otherwise than the vector says, see 4. above.
+
+    Parameters
+    ----------
+    vectors : ndarray of float64, shape (ny, nx, 2)
+        Displacements [px].
+    seen_px : ndarray of float64, shape (ny, nx, 2)
+        What windows showed, also those that are not believed; NaN where that was nothing.
+    correlation : ndarray of float64, shape (ny, nx)
+        At the vectors.
+    good : ndarray of bool, shape (ny, nx)
+        Vectors that are believed.
+    """
+    share = 1.0 - matched_share(correlation, good)
+    gap = ~good & np.isfinite(seen_px).all(axis=-1)
+    gap &= scipy.ndimage.convolve(gap.astype(int), np.ones((3, 3), int), mode="constant") >= GAP
+    known, values = (good | gap)[..., None], np.where(good[..., None], vectors, seen_px)
+    high, low = (
+        scipy.ndimage.maximum_filter(np.where(known, sign * values, -LARGEST_PX), (3, 3, 1))
+        for sign in (1.0, -1.0)
+    )
+    range_px = np.sqrt(np.square(np.maximum(high + low, 0.0)).mean(axis=-1))
+    unmatched: Floats = OTHERWISE * np.clip(share - LOST_SHARE, 0.0, 1.0) * range_px
+    return unmatched

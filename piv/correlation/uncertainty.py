@@ -1,0 +1,170 @@
+"""Random uncertainty of each vector, from how unevenly its window leans.
+
+At the final displacement both frames should match; what does not match is noise, and its effect on the
+correlation peak can be added up (Wieneke, Meas. Sci. Technol. 26, 074002 (2015)). Along one axis the products of
+neighbours, forwards minus backwards, q(x) = a(x) b(x+1) - a(x+1) b(x), sum to C+ - C-, on which the peak's place
+depends. With the weights W of the window the variance of that sum is
+
+    var = sum_x W(x)^2 G,      G = sum of all covariances of q at one place.
+
+1. q is summed over blocks of about a particle's size. The square of a block's sum over its area is an estimate
+   of G that lacks the covariances across its borders, by a share of 1/side: with sides h and 2 h, G = (2
+   sqrt(E_2h) - sqrt(E_h))^2, taken over windows of about the same noise, where it is known well (lost particles
+   lean over more than a block, the noise of pixels over less). Its place in the frame comes from the blocks.
+2. What is left to find, r, makes q lean too: by r (m'(x) m(x+1) - m(x) m'(x+1)), m the mean of both frames. This
+   is no noise and is taken off first, block by block. Since r was measured in the same windows, some noise goes
+   with it, as with any fitted number: of N pieces N - 3 are left (1 if they were independent; 3 holds to 10 %
+   from 0.005 to 0.1 particles per px). N = (sum W p)^2/sum (W p)^2, where p, what a displacement makes of a block
+   of 2 h, stands for the light in it.
+3. With C = (C+ + C-)/2 and s = sqrt(var) the 3-point Gaussian fit moves by sigma = [ln(C + s/2) - ln(C - s/2)] /
+   [4 ln C0 - 2 ln(C + s/2) - 2 ln(C - s/2)]. Where the peak is flat, C near C0, that has no limit, but the peak
+   was looked for within a pixel: sigma is never more than that of any place within it, 1/sqrt(3) px.
+
+That is the noise of one correlation; what passes and the last filter make of it says
+`piv.correlation.response`. Particle images of a few pixels leave an error that no noise betrays and no
+filter takes off: where they lie between the pixels moves the peak. It depends on their size alone (`SAMPLING`,
+measured without noise) and is added as it is. What windows do not resolve is told apart
+(`piv.correlation.resolution`); calibration is not seen.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.rows import run_rows
+from piv.correlation.deform import DeformedPair
+from piv.correlation.kernels.statistics import KINDS, block_sums
+from piv.correlation.refine import Refined
+from piv.correlation.windows import WindowGrid, interpolation_matrix
+
+Floats = NDArray[np.float64]
+GROUPS, FEWEST = 8, 50  # of windows with about the same noise, and how many are one
+LOST = 3.0  # pieces that go with what is left to find: neighbours share particles
+LARGEST_PX = 3.0**-0.5  # one pixel to either side, all places alike
+LEAST_LEFT = 0.2  # of all pieces: with one or two particles in a window nobody knows
+SAMPLING = (  # variance of a particle image [px^2], and the error that it leaves [px]
+    (0.17, 0.18, 0.222, 0.331, 0.642, 1.1),
+    (0.011, 0.008, 0.004, 0.0016, 0.0016, 0.0008),
+)
+
+
+class Statistics(NamedTuple):
+    """Sigma (ny, nx, 2) of u and v [px], NaN without a clear peak; independent pieces (ny, nx) of a window."""
+
+    sigma_px: Floats
+    pieces: Floats
+
+
+def sampling_error_px(spread_px2: float) -> float:
+    """Standard deviation of what the pixels make of particle images whose variance is `spread_px2`."""
+    sizes, errors = SAMPLING
+    return float(np.exp(np.interp(spread_px2, sizes, np.log(errors))))
+
+
+def correlation_statistics(
+    pair: DeformedPair,
+    grid: WindowGrid,
+    window_sigma: float,
+    refined: Refined,
+    left_px: Floats,
+    spread_px2: float,
+    threads: int | None = None,
+) -> Statistics:
+    """Standard uncertainty of u and v for every window, of one correlation.
+
+    Parameters
+    ----------
+    pair : DeformedPair
+        Frames deformed by (nearly) the final field, and how far their pixels are valid.
+    grid : WindowGrid
+        Windows.
+    window_sigma : float
+        Their weights, see `piv.correlation.refine.window_weights`.
+    refined : Refined
+        What was measured with them.
+    left_px : ndarray of float64, shape (ny, nx, 2)
+        Displacement that was left to find, finite everywhere.
+    spread_px2 : float
+        Variance of a particle image.
+    threads : int, optional
+        Threads to use.
+
+    """
+    height, width = pair.a.shape
+    block = int(np.clip(round(2.0 * np.sqrt(spread_px2)), 2, 3))
+    sums = np.empty((KINDS, height // block, width // block), np.float32)
+
+    def rows(first: int, last: int) -> None:
+        block_sums(pair.a, pair.b, block, first, last, np.empty((KINDS, width), np.float32), sums)
+
+    run_rows(rows, sums.shape[1], threads=threads)
+    centres = [(np.arange(count) + 0.5) * block - 0.5 for count in sums.shape[1:]]
+    nodes = (grid.y_px, grid.x_px)
+    along = [
+        _square_weights(place, node, grid.size_px, window_sigma)
+        for place, node in zip(centres, nodes, strict=True)
+    ]
+    between = [interpolation_matrix(node, place, grid.step_px) for place, node in zip(centres, nodes, strict=True)]
+    sigma, pieces = np.empty(left_px.shape), np.empty(left_px.shape)
+    for axis in range(2):
+        lean, by_shift = sums[axis], sums[2 + axis]
+        left = between[0] @ (left_px[..., axis].astype(np.float32) @ between[1].T)
+        left *= by_shift
+        power = float(np.vdot(left, left))
+        share = np.float32(np.clip(float(np.vdot(lean, left)) / power, 0.0, 1.5) if power > 0.0 else 0.0)
+        noise = lean - share * left
+        variance = _whole(noise, along)
+        pieces[..., axis] = _pieces(by_shift, along)
+        variance /= np.maximum(1.0 - LOST / pieces[..., axis], LEAST_LEFT)
+        c = refined.sums[..., 1 + 2 * axis : 3 + 2 * axis].mean(axis=-1)
+        sigma[..., axis] = _peak_sigma(refined.sums[..., 0], c, np.sqrt(variance))
+    return Statistics(np.minimum(sigma / refined.gain[..., None], LARGEST_PX), pieces.mean(axis=-1))
+
+
+def _square_weights(place_px: Floats, node_px: Floats, size_px: int, window_sigma: float) -> NDArray[np.float32]:
+    """Squares of the weights (nodes, places) that windows around nodes give to places along one axis."""
+    off = place_px[None] - node_px[:, None]
+    weights = np.exp(-2.0 * (off / (window_sigma * size_px)) ** 2) if window_sigma else np.ones_like(off)
+    return np.where(np.abs(off) <= size_px / 2, weights, 0.0).astype(np.float32)
+
+
+def _pieces(by_shift: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:
+    """Number of independent pieces (ny, nx) that a window holds."""
+    light = by_shift + np.roll(by_shift, -1, 0)
+    light = np.maximum(light + np.roll(light, -1, 1), 0.0)
+    sides = [np.sqrt(weights) for weights in along]
+    total = sides[0] @ light @ sides[1].T
+    squares = along[0] @ np.square(light) @ along[1].T
+    pieces: Floats = np.maximum(total**2 / np.maximum(4.0 * squares, 1e-30), 1.0)
+    return pieces
+
+
+def _whole(noise: NDArray[np.float32], along: list[NDArray[np.float32]]) -> Floats:
+    """Variance (ny, nx) of the sum over a window, from blocks and from blocks of twice their side; see 1. above.
+
+    How much larger the whole is than its blocks is found for windows of about the same noise together.
+    """
+    rows, columns = noise.shape[0] // 2 * 2, noise.shape[1] // 2 * 2
+    even = noise[:rows, :columns]
+    pairs = even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
+    half = [
+        (weights[:, :count:2] + weights[:, 1:count:2]) * np.float32(0.5)
+        for weights, count in zip(along, (rows, columns), strict=True)
+    ]
+    small: Floats = np.asarray(along[0] @ np.square(noise) @ along[1].T, float)
+    large: Floats = np.asarray(half[0] @ np.square(pairs) @ half[1].T, float)
+    order = np.argsort(small, axis=None)
+    groups = np.array_split(order, max(1, min(GROUPS, small.size // FEWEST)))
+    at = np.array([float(np.log(np.maximum(small.flat[group].mean(), 1e-30))) for group in groups])
+    over = [large.flat[group].sum() / max(small.flat[group].sum(), 1e-30) for group in groups]
+    ratio = (2.0 * np.sqrt(over) - 1.0) ** 2
+    return small * np.interp(np.log(np.maximum(small, 1e-30)), at, ratio)
+
+
+def _peak_sigma(c0: Floats, c: Floats, deviation: Floats) -> Floats:
+    """Standard deviation of the 3-point Gaussian peak whose sides differ at random; see 3. above."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        high, low = np.log(c + 0.5 * deviation), np.log(c - 0.5 * deviation)
+        bottom = 4.0 * np.log(c0) - 2.0 * high - 2.0 * low
+        return np.where((c0 > 0.0) & (bottom > 0.0), (high - low) / bottom, np.nan)

@@ -1,0 +1,124 @@
+"""The result of one pair: displacement vectors on a regular grid, each with its flag and quality.
+
+Conventions: pixel (0, 0) is the centre of the top-left pixel.  x_px and y_px are pixel positions of the
+window centres, (w - 1)/2 for the first window of a frame.  u_px points right, v_px points DOWN, along image
+rows.  A view in mm with y up is derived by whoever knows the scale: y_mm = y0 - y_px/scale, v_mm = -v_px/scale.
+Vectors belong to the time halfway between both frames, because both are deformed by half the displacement.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.short_repr import short_repr
+
+Floats = NDArray[np.float64]
+
+
+STATIC_SHARE = 0.08  # of the light; particles alone give 0.00 to 0.03
+TRUSTED_SHARE = 0.7  # of the vectors outside the mask; real pairs have 0.95 and more, strangers 0.3
+
+
+class VectorFlag(IntEnum):
+    """What a vector is worth.  Image mask (pixels) and these flags (vectors) are kept apart."""
+
+    VALID = 0  # measured
+    MASKED = 1  # too few valid pixels in the window: not a vector, NaN
+    REPLACED = 2  # rejected as an outlier, the value is interpolated from valid neighbours
+    REJECTED = 3  # rejected, or a window without texture, and no neighbour to interpolate from: NaN
+
+
+@short_repr
+@dataclass(frozen=True)
+class VectorField:
+    """Displacements of one pair.
+
+    Parameters
+    ----------
+    x_px, y_px : ndarray of float64, shapes (nx,), (ny,)
+        Window centres.
+    u_px, v_px : ndarray of float64, shape (ny, nx)
+        Displacement right and down; NaN where flags say MASKED or REJECTED.
+    flags : ndarray of uint8, shape (ny, nx)
+        VectorFlag.
+    peak_ratio, correlation : ndarray of float64, shape (ny, nx)
+        Highest to second highest correlation peak (inf without a second; NaN where nobody looked because nothing
+        spoke against the vector), and the correlation coefficient, of the last pass; also given for vectors that
+        were replaced afterwards.
+    sigma_u_px, sigma_v_px : ndarray of float64, shape (ny, nx)
+        Random standard uncertainty; NaN where not estimated or not VALID.
+    valid_fraction : ndarray of float64, shape (ny, nx)
+        Share of valid pixels in the window, single dead ones that could be filled among them.
+    window_px, step_px : int
+        Size and spacing of the last windows.
+    nan_pixels : int
+        Pixels that were NaN, infinite or masked in a frame although the mask called them valid; treated as masked.
+    static_share : float
+        Share of the light that does not move, see `piv.correlation.static`; NaN where not known.
+    resolution_px : ndarray of float64, shape (ny, nx), optional
+        Standard uncertainty of a component by what windows do not resolve (`piv.correlation.resolution`), beside
+        the random part: means over pairs keep most of it. NaN where sigma is.
+    added_passes : int
+        Passes with the last windows beyond those asked for, made because vectors still moved: each shows more of
+        short waves (`piv.correlation.response`).
+    """
+
+    x_px: Floats
+    y_px: Floats
+    u_px: Floats
+    v_px: Floats
+    flags: NDArray[np.uint8]
+    peak_ratio: Floats
+    correlation: Floats
+    sigma_u_px: Floats
+    sigma_v_px: Floats
+    valid_fraction: Floats
+    window_px: int
+    step_px: int
+    nan_pixels: int
+    static_share: float = float("nan")
+    resolution_px: Floats | None = None
+    added_passes: int = 0
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Measured vectors, (ny, nx)."""
+        valid: NDArray[np.bool_] = self.flags == VectorFlag.VALID
+        return valid
+
+    @property
+    def total_sigma_px(self) -> Floats:
+        """Standard uncertainty (ny, nx, 2) of u and v: the random part and what windows do not resolve."""
+        random = np.stack((self.sigma_u_px, self.sigma_v_px), axis=-1)
+        return random if self.resolution_px is None else np.hypot(random, self.resolution_px[..., None])
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of vectors by flag, {"valid": ..., "masked": ..., "replaced": ..., "rejected": ...}."""
+        return {flag.name.lower(): int(np.count_nonzero(self.flags == flag)) for flag in VectorFlag}
+
+    @property
+    def doubt(self) -> str:
+        """Why the field as a whole is not to be trusted, in a sentence; empty if nothing speaks against it."""
+        asked = int(np.count_nonzero(self.flags != VectorFlag.MASKED))
+        share = self.counts["valid"] / max(asked, 1)
+        if self.static_share > STATIC_SHARE:
+            return (
+                f"{100.0 * self.static_share:.0f} % of the light does not move and draws every vector to zero;"
+                " take the background off the frames first"
+            )
+        if share >= TRUSTED_SHARE or not asked:
+            return ""
+        return (
+            f"only {100.0 * share:.0f} % of the vectors were measured, the rest are guesses from their neighbours;"
+            " check that the frames are one pair, the time between them, focus and seeding"
+        )
+
+    @property
+    def grid_px(self) -> NDArray[np.float64]:
+        """Window centres as points u, v of shape (ny, nx, 2)."""
+        grid: NDArray[Any] = np.stack(np.meshgrid(self.x_px, self.y_px), -1)
+        return grid

@@ -1,0 +1,1 @@
+"""Frames on disk: read what cameras and other programs write."""

@@ -1,0 +1,302 @@
+"""Ensemble correlation: one correlation plane of all pairs, where a single pair has too few particles.
+
+At a rim, near a wall or with thin seeding a window of one pair shows two particles and many wrong peaks. The
+sum of its planes over all pairs has one peak. With frames A, B deformed by a displacement (half each),
+
+    R_AB(s) = < sum_x A(x - s/2) B(x + s/2) > - sum_x <A>(x - s/2) <B>(x + s/2),
+
+where what stands still in all frames, <A> and <B>, is taken off. Let f be the mean image of a particle and h
+the density of the displacements that are left, then (Scharnowski, Hain, Kaehler, Exp. Fluids 52, 985 (2012))
+
+    R_AB = (f * f) h,  convolved;     R_AA = R_BB = f * f + n K, n noise of the camera.
+
+With Gaussian peaks places and widths add: the mean displacement is the place of R_AB's peak, and the Reynolds
+stresses are what its covariance has more than that of R_AA: R_uu, R_vv, R_uv = C_AB - C_AA. Noise of vectors is
+not in them, as there are none. A skewed h moves the fitted peak by about a quarter of skewness times deviation.
+
+Products are summed over cells (`piv.statistics.cells`) of frames that are deformed by what is known before
+(`piv.statistics.sweep`). The state is L planes of a number a cell and three mean frames, for any number of pairs;
+all sums of a sweep can be added, part by part.
+
+**Fields of pairs.** In a turbulent flow h is wide and a window holds few samples of it: the error of the mean
+is that of some particles. Frames may therefore be deformed by a field d of their own pair (`Sweep.of_pair`: its
+vectors as far as they are flow and not noise). Then h is that of the rest r = u - d alone, and
+
+    mean = <d> + <r>,      R_uu = var(d) + var(r) + 2 cov(d, r),
+
+with cov(d, r) from the sums of d times the templates below, which are linear in r.
+
+**Sigma.** How much Q, the sums of a pair's plane over seven templates (moments of a Gaussian), varies from pair
+to pair is summed window by window as a covariance. A change dQ moves the fitted parameters p by (dQ/dp)^(-1)
+dQ, hence cov(p) = (dQ/dp)^(-1) N cov(Q) (dQ/dp)^(-T), Q and dQ/dp those of all N pairs: noise, few particles,
+and the flow as far as it is in h, are all in it. Pairs count as independent
+(`piv.statistics.effective_samples` knows better). For stresses it is an upper limit: shapes of particles, that
+C_AB and C_AA share, are counted though they drop out.
+
+**Noise.** Sampling between pixels spreads the camera's noise to neighbours, where R_AA would count it as light.
+Its shape K(s) is known (`piv.statistics.sampled_noise`), how much of it there is comes out of the fit of R_AA.
+What is left of it is below 0.02 px^2 with 16 and 32 px; windows of 8 px with a dozen particles in all come out
+up to 0.07 px^2 too small.
+
+**Single dead pixels** stay as they were filled. A linear guess from the neighbours has their covariances, so that
+the peak stays where it is and its foot keeps its width; only its tip is lower by what was not guessed, which with
+20 % of all pixels dead makes stresses 0.05 px^2 too large. Drawing the frames of a pair to each other, as vectors
+do (`piv.correlation.deform`), would be wrong here: they differ by the fluctuation, which would be halved, and the
+mean would move to the sweep's field. Weights of 0 in the gaps leave 0.02 px^2, but a third more noise.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.rows import run_rows
+from piv.correlation.deform import deform_pair
+from piv.correlation.prepare import prepared
+from piv.errors import SeriesError
+from piv.statistics.cells import CELL_PX, WINDOWS_PX, cells_of, lags_of, middles_of, windows_of
+from piv.statistics.kernels.cell_planes import TEMPLATES, cell_products, template_sums
+from piv.statistics.sampled_noise import noise_correlation
+from piv.statistics.sweep import MOST_REACH_PX, Sweep
+
+LEVEL_PX = 32  # side of the surroundings whose mean is taken off the frames
+OWN_REACH_PX = 4  # of the autocorrelation: particle images are small
+PAIRS_OF_TEMPLATES = np.triu_indices(TEMPLATES)
+PARTS = {  # of what is summed for each window, see `EnsembleSums.windows`
+    "products": len(PAIRS_OF_TEMPLATES[0]),
+    "templates": TEMPLATES,
+    "fields": 2,
+    "field_products": 3,
+    "mixed": 2 * TEMPLATES,
+}
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+
+class EnsembleSums:
+    """Sums of a sweep over some pairs: a state that grows with no pair and can be stored.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        What all pairs share.
+    """
+
+    def __init__(self, sweep: Sweep) -> None:
+        self.sweep = sweep
+        self.pairs = 0
+        ny, nx = sweep.cells.shape
+        self.lags, self.own_lags = lags_of(sweep.reach_px), lags_of(OWN_REACH_PX, half=True)
+        self.across = np.zeros((ny, len(self.lags), nx), np.float32)
+        self.own = np.zeros((ny, len(self.own_lags), nx), np.float32)
+        self.noise = np.zeros((ny, len(self.own_lags), nx), np.float32)
+        self._usual_noise: Singles | None = None
+        self.frames = np.zeros((3, *sweep.shape), np.float32)  # A, B, valid
+        self.windows = {
+            side: {
+                name: np.zeros((size, *windows_of(sweep.field_px[..., 0], side).shape))
+                for name, size in PARTS.items()
+            }
+            for side in WINDOWS_PX
+        }
+
+    def add(
+        self,
+        frame_a: NDArray[Any],
+        frame_b: NDArray[Any],
+        valid: NDArray[np.bool_] | None = None,
+        field_px: Floats | None = None,
+        threads: int | None = None,
+    ) -> None:
+        """Take one pair more.
+
+        Parameters
+        ----------
+        frame_a, frame_b, valid, threads
+            As `piv.correlation.pair.evaluate_pair`.
+        field_px : ndarray of float64, shape (ny, nx, 2), optional
+            Displacement of this very pair, from its vectors by `Sweep.of_pair`; default the sweep's field.
+
+        Raises
+        ------
+        SeriesError
+            Frames of another size than those of the sweep.
+        PairError, FrameError
+            Two frames that are no pair; the sums are as before.
+        """
+        if np.shape(frame_a) != self.sweep.shape:
+            raise SeriesError(f"a frame of {np.shape(frame_a)} in a series of {self.sweep.shape} (rows, columns)")
+        pair = prepared(frame_a, frame_b, valid, LEVEL_PX)
+        cells = self.sweep.cells
+        field = self.sweep.field_px if field_px is None else field_px
+        deformed = deform_pair(pair.coefficients(threads), pair.valid, field, cells, pair.floor, threads)
+        ny, nx = cells.shape
+        told = np.empty((TEMPLATES, ny, nx), np.float32)
+        frames = deformed.a, deformed.b
+
+        def rows(first: int, last: int) -> None:
+            line = np.empty(self.sweep.shape[1], np.float32)
+            plane, own = np.empty((len(self.lags), nx), np.float32), np.empty((len(self.own_lags), nx), np.float32)
+            weight = np.empty((self.sweep.reach_px + 1, nx), np.float32)
+            sums = np.empty((TEMPLATES, nx), np.float32)
+            for j in range(first, last):
+                at = cells.row[j], cells.column[0], CELL_PX
+                cell_products(*frames, self.lags, *at, line, plane)
+                self.across[j] += plane
+                template_sums(plane, self.lags, self.sweep.variance_px2[j], weight, sums)
+                told[:, j] = sums
+                for frame in frames:
+                    cell_products(frame, frame, self.own_lags, *at, line, own)
+                    self.own[j] += own
+
+        run_rows(rows, ny, block=2, threads=threads)
+        for total, frame in zip(self.frames, (*frames, deformed.valid), strict=True):
+            total += frame
+        self.noise += self._noise(field_px)
+        self._count(told, np.moveaxis(field - self.sweep.field_px, -1, 0))
+        self.pairs += 1
+
+    def _noise(self, field_px: Floats | None) -> Singles:
+        """What noise correlates with itself (ny, L', nx) in frames deformed by a field, by default the sweep's."""
+        if field_px is None and self._usual_noise is not None:
+            return self._usual_noise
+        field = self.sweep.field_px if field_px is None else field_px
+        shape = noise_correlation(field, self.own_lags, self.sweep.spread_px2)
+        noise = np.ascontiguousarray(np.moveaxis(shape, 0, 1), np.float32)
+        if field_px is None:
+            self._usual_noise = noise
+        return noise
+
+    def _count(self, told: Singles, off: Floats) -> None:
+        """Add up for windows of each side what one pair has to say.
+
+        Parameters
+        ----------
+        told : ndarray of float32, shape (TEMPLATES, ny, nx)
+            Its planes' sums over the templates.
+        off : ndarray of float64, shape (2, ny, nx)
+            Field that has deformed its frames, less that of the sweep.
+        """
+        for side, total in self.windows.items():
+            q, d = windows_of(told, side).astype(np.float64), middles_of(off, side)
+            total["templates"] += q
+            total["fields"] += d
+            for n, (k, m) in enumerate(zip(*PAIRS_OF_TEMPLATES, strict=True)):
+                total["products"][n] += q[k] * q[m]
+            for n, (i, j) in enumerate(((0, 0), (1, 1), (0, 1))):
+                total["field_products"][n] += d[i] * d[j]
+            for i in range(2):
+                total["mixed"][i * TEMPLATES : (i + 1) * TEMPLATES] += d[i] * q
+
+    def merged(self, other: "EnsembleSums") -> "EnsembleSums":
+        """Sums of both.
+
+        Raises
+        ------
+        SeriesError
+            They belong to different sweeps.
+        """
+        if not self.sweep.same(other.sweep):
+            raise SeriesError("sums of different sweeps of the ensemble correlation cannot be added; begin again")
+        both = EnsembleSums.__new__(EnsembleSums)
+        both.sweep, both.lags, both.own_lags = self.sweep, self.lags, self.own_lags
+        both.pairs = self.pairs + other.pairs
+        both.across, both.own = self.across + other.across, self.own + other.own
+        both.frames, both.noise = self.frames + other.frames, self.noise + other.noise
+        both._usual_noise = self._usual_noise
+        both.windows = {
+            side: {name: values + other.windows[side][name] for name, values in total.items()}
+            for side, total in self.windows.items()
+        }
+        return both
+
+    def planes(self, threads: int | None = None) -> tuple[Singles, Singles, Singles]:
+        """Sums over cells without what stands still: across (ny, L, nx), own (ny, L', nx), pixels (ny, L, nx).
+
+        Raises
+        ------
+        SeriesError
+            Fewer than two pairs.
+        """
+        if self.pairs < 2:
+            raise SeriesError("ensemble correlation needs at least two pairs")
+        cells, n = self.sweep.cells, self.pairs
+        a, b, valid = self.frames / np.float32(n)
+        across, seen, own = np.empty_like(self.across), np.empty_like(self.across), np.empty_like(self.own)
+        share, many = (
+            np.float32(1.0 / (n - 1)),
+            np.float32(n),
+        )  # a mean frame holds 1/n of each pair's own products
+
+        def rows(first: int, last: int) -> None:
+            line = np.empty(self.sweep.shape[1], np.float32)
+            still, one, two = np.empty_like(across[0]), np.empty_like(own[0]), np.empty_like(own[0])
+            for j in range(first, last):
+                at = cells.row[j], cells.column[0], CELL_PX
+                cell_products(a, b, self.lags, *at, line, still)
+                cell_products(a, a, self.own_lags, *at, line, one)
+                cell_products(b, b, self.own_lags, *at, line, two)
+                cell_products(valid, valid, self.lags, *at, line, seen[j])
+                across[j] = share * (self.across[j] - many * still)
+                own[j] = np.float32(0.5) * share * (self.own[j] - many * (one + two))
+
+        run_rows(rows, cells.shape[0], block=2, threads=threads)
+        return across, own, seen
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Plain arrays by name, for a file; the sweep's among them."""
+        arrays: dict[str, NDArray[Any]] = {
+            "pairs": np.array(self.pairs),
+            "reach_px": np.array(self.sweep.reach_px),
+            "field_px": self.sweep.field_px,
+            "energy_px2": self.sweep.energy_px2,
+            "spread_px2": np.array(self.sweep.spread_px2),
+            "across": self.across,
+            "own": self.own,
+            "noise": self.noise,
+            "frames": self.frames,
+        }
+        return arrays | self._named_windows()
+
+    def _named_windows(self) -> dict[str, Floats]:
+        return {f"{name}_{side}": x for side, total in self.windows.items() for name, x in total.items()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> "EnsembleSums":
+        """Sums from `to_arrays`, bit for bit.
+
+        Raises
+        ------
+        SeriesError
+            An array is missing, has another shape or kind, or is not finite.
+        """
+        damaged = SeriesError("sums of an ensemble correlation are damaged or from another version; begin again")
+        try:
+            reach, pairs, spread = int(arrays["reach_px"]), int(arrays["pairs"]), float(arrays["spread_px2"])
+            shape = (int(arrays["frames"].shape[1]), int(arrays["frames"].shape[2]))
+            field, energy = (np.asarray(arrays[name], np.float64) for name in ("field_px", "energy_px2"))
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            raise damaged from error
+        if pairs < 0 or not 1 <= reach <= MOST_REACH_PX or min(shape) < CELL_PX or max(shape) > 1 << 16:
+            raise damaged
+        if energy.shape != cells_of(shape).shape or field.shape != (*energy.shape, 2):
+            raise damaged
+        if not (np.isfinite(field).all() and (energy >= 0.0).all() and np.isfinite(energy).all() and spread > 0.0):
+            raise damaged
+        sums = cls(Sweep(shape, field, energy, spread, reach))
+        sums.pairs = pairs
+        targets: dict[str, NDArray[Any]] = {
+            "across": sums.across,
+            "own": sums.own,
+            "noise": sums.noise,
+            "frames": sums.frames,
+        }
+        targets |= sums._named_windows()
+        for name, target in targets.items():
+            given = np.asarray(arrays.get(name, ()))
+            if given.shape != target.shape or given.dtype != target.dtype or not np.isfinite(given).all():
+                raise damaged
+            target[:] = given
+        return sums

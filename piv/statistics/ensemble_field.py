@@ -1,0 +1,214 @@
+"""Mean displacement and Reynolds stresses from the sums of an ensemble correlation; theory: see `ensemble`."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.rows import run_rows
+from piv.correlation.outliers import outliers
+from piv.correlation.windows import WindowGrid
+from piv.errors import SeriesError
+from piv.statistics.cells import CELL_PX, WINDOWS_PX, lags_of, middles_of, window_cells, windows_of
+from piv.statistics.ensemble import OWN_REACH_PX, PAIRS_OF_TEMPLATES, EnsembleSums
+from piv.statistics.kernels.cell_planes import TEMPLATES
+from piv.statistics.kernels.peak_fit import OF_PEAK, PARAMETERS, fit_row
+from piv.statistics.sweep import Sweep, sweep_with
+
+LEAST_VALID = 0.3  # share of a window's pixels
+LARGEST_SIGMA_PX = 0.5  # of a mean that is worth being called one
+THRESHOLD, EPSILON_PX = 3.0, 0.1  # of the universal outlier detection, as for single pairs
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class EnsembleField:
+    """Mean field of an ensemble correlation; all arrays (ny, nx) or (ny, nx, k), NaN where not `valid`.
+
+    Parameters
+    ----------
+    grid : WindowGrid
+        Its windows.
+    mean_px : ndarray of float64, shape (ny, nx, 2)
+        Mean displacement, u right and v down.
+    stress_px2 : ndarray of float64, shape (ny, nx, 3)
+        Reynolds stresses R_uu, R_vv, R_uv; free of the noise of correlation.
+    sigma_px, stress_sigma_px2 : ndarray of float64, shapes (ny, nx, 2), (ny, nx, 3)
+        Random standard uncertainties of both, for independent pairs.
+    correlation : ndarray of float64, shape (ny, nx)
+        Volume of the peak over that of the autocorrelation: the share of particles that stay.
+    valid : ndarray of bool, shape (ny, nx)
+        Windows with a clear peak that fits its neighbours.
+    pairs : int
+        Pairs in the sums.
+    """
+
+    grid: WindowGrid
+    mean_px: Floats
+    stress_px2: Floats
+    sigma_px: Floats
+    stress_sigma_px2: Floats
+    correlation: Floats
+    valid: NDArray[np.bool_]
+    pairs: int
+
+
+def ensemble_field(sums: EnsembleSums, window_px: int, threads: int | None = None) -> EnsembleField:
+    """Read the sums with windows of a side, 50 % overlapping (those of one cell: side by side).
+
+    Raises
+    ------
+    SeriesError
+        Fewer than two pairs, a side that was not kept, or frames smaller than a window.
+    """
+    if window_px not in WINDOWS_PX:
+        raise SeriesError(f"windows of {window_px} px were not kept; choose one of {WINDOWS_PX}")
+    cells, (many, step) = sums.sweep.cells, window_cells(window_px)
+    if min(cells.shape) < many:
+        raise SeriesError(f"a window of {window_px} px does not fit frames of {sums.sweep.shape} px")
+    row, column = (places[: len(places) - many + 1 : step] for places in (cells.row, cells.column))
+    grid = WindowGrid(row, column, window_px, step * CELL_PX)
+    across, own, seen = (windows_of(np.moveaxis(part, 1, 0), window_px) for part in sums.planes(threads))
+    middle = len(sums.lags) // 2
+    seen_there = seen[middle].astype(np.float64)
+    across /= np.maximum(seen, np.float32(1.0))
+    own /= np.maximum(seen[_places(sums.own_lags, sums.sweep.reach_px)], np.float32(1.0))
+    del seen
+    variance = windows_of(sums.sweep.variance_px2, window_px).astype(np.float64) / many**2
+    noise = np.asarray(windows_of(np.moveaxis(sums.noise, 1, 0), window_px) / (sums.pairs * many**2), np.float32)
+    peak, slopes = _fits(across, sums.lags, variance, None, threads)
+    itself, _ = _fits(own, lags_of(OWN_REACH_PX, half=True), variance, noise, threads)
+    covariance, own_covariance = _covariance(peak), _covariance(itself)
+    back = _by_templates(slopes, sums.pairs * seen_there)
+    spread = _parameter_covariance(sums, window_px, back)
+    fields = (
+        middles_of(np.moveaxis(sums.sweep.field_px, -1, 0), window_px)
+        + sums.windows[window_px]["fields"] / sums.pairs
+    )
+    mean = np.moveaxis(fields, 0, -1) + peak[..., 1:3]
+    sigma = np.sqrt(np.stack((spread[..., 1, 1], spread[..., 2, 2]), axis=-1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        volume = peak[..., 0] * _area(covariance) / (itself[..., 0] * _area(own_covariance))
+    near = 0.8 * sums.sweep.reach_px
+    inside = (np.abs(peak[..., 1:3]) < near).all(axis=-1) & (covariance[..., :2] < near**2).all(axis=-1)
+    valid = (
+        inside
+        & (seen_there >= LEAST_VALID * window_px**2)
+        & (sigma < LARGEST_SIGMA_PX).all(axis=-1)
+        & np.isfinite(volume)
+    )
+    valid &= ~outliers(np.where(valid[..., None], mean, 0.0), valid, THRESHOLD, EPSILON_PX)
+
+    def kept(values: Floats) -> Floats:
+        return np.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, np.nan)
+
+    return EnsembleField(
+        grid,
+        kept(mean),
+        kept(covariance - own_covariance + _of_fields(sums, window_px, back)),
+        kept(sigma),
+        kept(_stress_sigma(covariance, spread[..., 3:6, 3:6])),
+        kept(volume),
+        valid,
+        sums.pairs,
+    )
+
+
+def next_sweep(field: EnsembleField, sweep: Sweep) -> Sweep:
+    """Get ready for a sweep that begins with what another has found."""
+    return sweep_with(sweep.shape, field.mean_px, field.stress_px2, field.grid, sweep.spread_px2)
+
+
+def _places(lags: NDArray[np.int64], reach_px: int) -> NDArray[np.int64]:
+    """Where displacements stand in `lags_of(reach_px)`."""
+    places: NDArray[np.int64] = (lags[:, 0] + reach_px) * (2 * reach_px + 1) + lags[:, 1] + reach_px
+    return places
+
+
+def _fits(
+    planes: Singles, lags: NDArray[np.int64], variance: Floats, noise: Singles | None, threads: int | None
+) -> tuple[Floats, Floats]:
+    """Parameters (ny, nx, 8) of `peak_fit` and slopes (ny, nx, 7, 7) of the templates, from planes (L, ny, nx).
+
+    With the shape of noise (L, ny, nx) planes are autocorrelations, whose peaks stand at no displacement.
+    """
+    _, ny, nx = planes.shape
+    fits, slopes = np.empty((ny, nx, PARAMETERS)), np.empty((ny, nx, TEMPLATES, OF_PEAK))
+    at = lags.astype(np.float64)
+    free = np.ones(PARAMETERS, np.bool_)
+    free[1:3], free[7] = noise is None, noise is not None
+    shape = np.zeros_like(planes) if noise is None else noise
+
+    def rows(first: int, last: int) -> None:
+        work, line = np.empty((22, PARAMETERS)), np.empty((2, len(lags)))
+        for j in range(first, last):
+            here = (
+                np.ascontiguousarray(planes[:, j], np.float64),
+                at,
+                np.ascontiguousarray(shape[:, j], np.float64),
+            )
+            fit_row(*here, free, variance[j], work, line, fits[j], slopes[j])
+
+    run_rows(rows, ny, block=1, threads=threads)
+    return fits, slopes
+
+
+def _covariance(fits: Floats) -> Floats:
+    """Variances along u, v and covariance (ny, nx, 3) of fitted peaks."""
+    uu, vv, uv = fits[..., 3], fits[..., 4], fits[..., 5]
+    return np.stack((vv, uu, -uv), axis=-1) / (uu * vv - uv**2)[..., None]
+
+
+def _area(covariance: Floats) -> Floats:
+    area: Floats = np.sqrt(covariance[..., 0] * covariance[..., 1] - covariance[..., 2] ** 2)
+    return area
+
+
+def _by_templates(slopes: Floats, pixels: Floats) -> Floats:
+    """How fitted parameters change with the templates' sums over all pairs (ny, nx, 7, 7); NaN without a peak.
+
+    The fit was to a plane of one pair and one pixel, the sums are over `pixels` (ny, nx) of all pairs.
+    """
+    slopes = slopes * pixels[..., None, None]
+    good = np.isfinite(slopes).all(axis=(-1, -2)) & (pixels > 0.0)
+    good[good] = np.linalg.cond(slopes[good]) < 1.0 / np.finfo(float).eps
+    back = np.full(slopes.shape, np.nan)
+    back[good] = np.linalg.inv(slopes[good])
+    return back
+
+
+def _parameter_covariance(sums: EnsembleSums, window_px: int, back: Floats) -> Floats:
+    """Covariance (ny, nx, 7, 7) of the fitted parameters, see "Sigma" in `ensemble`."""
+    total, n = sums.windows[window_px], sums.pairs
+    q, spread = total["templates"], np.empty((*back.shape[:2], TEMPLATES, TEMPLATES))
+    for number, (k, m) in enumerate(zip(*PAIRS_OF_TEMPLATES, strict=True)):
+        spread[..., k, m] = spread[..., m, k] = (total["products"][number] - q[k] * q[m] / n) * (n / (n - 1))
+    result: Floats = back @ spread @ np.swapaxes(back, -1, -2)
+    return result
+
+
+def _of_fields(sums: EnsembleSums, window_px: int, back: Floats) -> Floats:
+    """Stresses (ny, nx, 3) of the fields that have deformed the frames, and of them with what was left."""
+    total, n = sums.windows[window_px], sums.pairs
+    d, q = total["fields"], total["templates"]
+    mixed = total["mixed"].reshape(2, TEMPLATES, *d.shape[1:]) - d[:, None] * q[None] / n
+    left = (
+        n / (n - 1) * np.einsum("...km,am...->...ak", back[..., 1:3, :], mixed)
+    )  # field a with what is left of k
+    stresses = []
+    for number, (a, b) in enumerate(((0, 0), (1, 1), (0, 1))):
+        own = (total["field_products"][number] - d[a] * d[b] / n) / (n - 1)
+        stresses.append(own + left[..., a, b] + left[..., b, a])
+    return np.stack(stresses, axis=-1)
+
+
+def _stress_sigma(covariance: Floats, inverse_spread: Floats) -> Floats:
+    """Sigma (ny, nx, 3) of a covariance C from that of P = C^-1 (ny, nx, 3, 3): dC = -C dP C."""
+    uu, vv, uv = covariance[..., 0], covariance[..., 1], covariance[..., 2]
+    rows = [[uu**2, uv**2, 2 * uu * uv], [uv**2, vv**2, 2 * vv * uv], [uu * uv, vv * uv, uu * vv + uv**2]]
+    turn = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    variance = np.einsum("...kl,...lm,...km->...k", turn, inverse_spread, turn)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(variance), np.float64)

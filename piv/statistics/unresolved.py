@@ -1,0 +1,122 @@
+"""What the mean of many pairs does not resolve: the part of each vector's resolution that all pairs share.
+
+A vector is unsure by what its window does not resolve, beside noise (`piv.correlation.resolution`): r, in
+proportion to how much its field bends. What bends in the same way in every pair is missed in every pair, and no
+number of pairs makes it smaller; what bends anew each time (turbulence, noise) is missed now to one side and now
+to the other. How much is which, second differences say: b of single fields, whose mean square is <b^2>, and B of
+the mean field,
+
+    R^2 = <r^2> min(1, B^2/<b^2>).
+
+In a steady flow R is r; where nothing but fluctuations bends B is b/sqrt(N), and so is R. What remains, f^2 =
+<r^2> - R^2, is missing in the fluctuations. It moves with what is seen of them, so stresses may lack up to
+
+    2 sqrt(R_uu) f + f^2,      and R_uv  (sqrt(R_uu) + sqrt(R_vv)) f + f^2.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piv.correlation.outliers import filled
+from piv.correlation.resolution import second_differences
+from piv.errors import SeriesError
+from piv.statistics.arrays import shaped
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Unresolved:
+    """Sums over pairs, vector by vector, in the unit of the vectors; to be merged by the numbers of the pairs.
+
+    Parameters
+    ----------
+    apart : int
+        Nodes over which second differences are taken: half a window.
+    count : ndarray of int64, shape (ny, nx)
+        Vectors whose resolution was known.
+    squares : ndarray of float64, shape (ny, nx)
+        Sum of the squares of their resolution.
+    bent_squares : ndarray of float64, shape (ny, nx)
+        Sum of the squares of second differences of these pairs' fields.
+    """
+
+    apart: int
+    count: NDArray[np.int64]
+    squares: Floats
+    bent_squares: Floats
+
+    @classmethod
+    def nothing(cls, shape: tuple[int, int], apart: int) -> "Unresolved":
+        """Of no pair."""
+        return cls(apart, np.zeros(shape, np.int64), np.zeros(shape), np.zeros(shape))
+
+    @classmethod
+    def of(cls, vectors: Floats, valid: NDArray[np.bool_], resolution: Floats, apart: int) -> "Unresolved":
+        """One pair.
+
+        Parameters
+        ----------
+        vectors : ndarray of float64, shape (ny, nx, 2)
+            Its vectors.
+        valid : ndarray of bool, shape (ny, nx)
+            Those that were measured.
+        resolution : ndarray of float64, shape (ny, nx)
+            Standard uncertainty of a component by what windows do not resolve; NaN where not known.
+        apart : int
+            See above.
+
+        Raises
+        ------
+        SeriesError
+            Arrays of different grids.
+        """
+        valid = shaped("valid", np.asarray(valid, np.bool_), vectors.shape[:2])
+        resolution = shaped("resolution", np.asarray(resolution, np.float64), vectors.shape[:2])
+        good: NDArray[np.bool_] = np.asarray(valid & np.isfinite(vectors).all(axis=-1) & np.isfinite(resolution))
+        if not good.any():
+            return cls.nothing((len(valid), len(valid[0])), apart)
+        bent = _bent(vectors, good, apart)
+        squares = np.square(np.where(good, resolution, 0.0))
+        return cls(apart, good.astype(np.int64), squares, np.where(good, np.square(bent), 0.0))
+
+    def merged(self, other: "Unresolved") -> "Unresolved":
+        """Of both; SeriesError if they belong to different grids."""
+        if self.count.shape != other.count.shape or self.apart != other.apart:
+            raise SeriesError(
+                "what two grids do not resolve cannot be merged; evaluate all pairs with the same windows"
+            )
+        return Unresolved(
+            self.apart,
+            self.count + other.count,
+            self.squares + other.squares,
+            self.bent_squares + other.bent_squares,
+        )
+
+    def shared(self, mean: Floats) -> Floats:
+        """R (ny, nx): what the mean (ny, nx, 2) of these pairs is unsure of; NaN where no resolution was known."""
+        known: NDArray[np.bool_] = np.asarray(np.isfinite(mean).all(axis=-1))
+        if not known.any():
+            return np.full(self.count.shape, np.nan)
+        bent = np.square(_bent(mean, known, self.apart)) * self.count
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(self.bent_squares > 0.0, np.minimum(bent / self.bent_squares, 1.0), 1.0)
+            return np.where(self.count > 0, np.sqrt(self.squares / self.count * share), np.nan)
+
+    def of_stresses(self, shared: Floats, stresses: Floats) -> Floats:
+        """By how much stresses (ny, nx, 3) may be too small, see the top; `shared` is R."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            single = np.where(self.count > 0, self.squares / self.count, np.nan)
+        f = np.sqrt(np.maximum(single - np.square(shared), 0.0))[..., None]
+        deviation = np.sqrt(np.maximum(stresses[..., :2], 0.0))
+        both = np.concatenate((2.0 * deviation, deviation.sum(axis=-1, keepdims=True)), axis=-1)
+        result: Floats = both * f + f**2
+        return result
+
+
+def _bent(vectors: Floats, good: NDArray[np.bool_], apart: int) -> Floats:
+    """Second differences (ny, nx) of the good vectors, and of a plane through them where they lack."""
+    field, _ = filled(np.where(good[..., None], vectors, 0.0), good)
+    return second_differences(field, apart)

@@ -1,0 +1,147 @@
+"""What is said about a calibration: its numbers, Table 2 before and after, what the frames left open."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.evaluate.table2 import RegionErrors, aligned, computed_against_acquired, corrected_against_grid
+from correction.evaluate.target_error import TargetError
+from correction.fit.judge.result import SceneFit
+from correction.fit.judge.weakness import Weakness, weaknesses
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.solve.unknowns import unit_of
+from correction.fitted.map_sigma import MapSigma
+from correction.target import Chessboard
+from rtpiv.analysis.through_glass import ThroughGlass, through_glass
+
+Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]  # title, pixels (N, 2), errors (N, 2) [px]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A fit with all that was found out about it.
+
+    Parameters
+    ----------
+    fit : SceneFit
+    sigma : MapSigma
+        Of its map.
+    senses : dict
+        Scene name -> computer-generated minus acquired, by region.
+    grids : dict
+        Scene name -> corrected frame against the regular grid.
+    panels : list
+        The first sense, to be drawn.
+    weak : list of Weakness
+        What the frames left open.
+    seconds : float
+        The fit took.
+    """
+
+    fit: SceneFit
+    sigma: MapSigma
+    senses: dict[str, list[RegionErrors]]
+    grids: dict[str, TargetError]
+    panels: list[Panel]
+    weak: list[Weakness]
+    seconds: float
+
+    @property
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """Free numbers in the units of files (mm, deg, px): value, sigma, sigma before, how far it moved."""
+        fit, found = self.fit, dict[str, dict[str, Any]]()
+        rows = zip(fit.names, fit.values, fit.sigmas, fit.unknowns.sigma, fit.x, strict=True)
+        for name, value, sigma, prior, x in rows:
+            unit, factor = unit_of(name)
+            found[name] = {
+                "unit": unit,
+                "value": float(value) * factor,
+                "sigma": float(sigma) * factor,
+                "prior_sigma": float(prior) * factor,
+                "moved": float(x * prior) * factor,
+            }
+        return found
+
+    @property
+    def through(self) -> ThroughGlass | None:
+        """How much of what the balls hide the fitted map recovers; None if they hide nothing."""
+        recovered = np.isfinite(self.sigma.sigma_px[..., 0])
+        return through_glass(self.fit.measured_scene, self.sigma.grid, recovered)
+
+    @property
+    def percentiles(self) -> dict[str, dict[str, float]]:
+        """Median and largest standard deviation of the map per region, worse axis."""
+        worst = self.sigma.sigma_px.max(axis=-1)
+        regions = {"seen directly": ~self.sigma.behind_glass, "behind glass": self.sigma.behind_glass}
+        return {
+            name: {"median": float(np.median(values)), "largest": float(values.max())}
+            for name, region in regions.items()
+            if len(values := worst[region & np.isfinite(worst)])
+        }
+
+    @property
+    def account(self) -> dict[str, dict[str, int]]:
+        """What became of the corners, by region: measured = used + rejected; behind glass also all visible."""
+        fit, found = self.fit, dict[str, dict[str, int]]()
+        for name, behind in (("seen directly", False), ("behind glass", True)):
+            here = fit.corners.behind == behind
+            measured, used = int(np.count_nonzero(here)), int(np.count_nonzero(here & fit.corners.inlier))
+            found[name] = {"measured": measured, "used": used, "rejected": measured - used}
+        found["behind glass"]["visible"] = fit.expected_behind
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything a later reader needs, JSON-able."""
+        fit, corners = self.fit, self.fit.corners
+        return {
+            "scene_hash": fit.measured_scene.content_hash(),
+            "nominal_hash": fit.unknowns.scene.content_hash(),
+            "wavelength_nm": fit.scene.wavelength_nm,
+            "frames": list(fit.frames),
+            "seconds": round(self.seconds, 2),
+            "numbers": self.numbers,
+            "rms_px": {
+                name: corners.rms_px(behind).tolist()
+                for name, behind in (("seen directly", False), ("behind glass", True))
+                if np.any(corners.inlier & (corners.behind == behind))
+            },
+            "visible_behind_glass": fit.expected_behind,
+            "used_behind_glass": fit.paired_behind,
+            "outliers": int(np.count_nonzero(~corners.inlier)),
+            "corners": self.account,
+            "through_glass": None if self.through is None else self.through.share,
+            "model": fit.verdict.to_dict(),
+            "refused": fit.refused,
+            "overlap_removed_mm": fit.pushed_mm,
+            "map_sigma_px": self.percentiles,
+            "weak": [weakness.sentence for weakness in self.weak],
+            "table2_computed_minus_acquired_px": {
+                name: [
+                    {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(r).items()}
+                    for r in regions
+                ]
+                for name, regions in self.senses.items()
+            },
+            "table2_corrected_minus_grid_px": {name: error.to_dict() for name, error in self.grids.items()},
+            "history": [str(step) for step in fit.history],
+        }
+
+
+def calibration_of(
+    fit: SceneFit, sigma: MapSigma, frames: Sequence[TargetFrame], board: Chessboard, seconds: float
+) -> Calibration:
+    """Compare nominal and fitted glass in both senses of Table 2, on the frame through glass at z = 0."""
+    senses: dict[str, list[RegionErrors]] = {}
+    grids: dict[str, TargetError] = {}
+    panels: list[Panel] = []
+    for frame in [frame for frame in frames if frame.glass and frame.height_mm == 0.0][:1]:
+        number = fit.frames.index(frame.name)
+        scenes = {"nominal glass": aligned(fit), "fitted": fit.scene}
+        grids = dict(zip(scenes, corrected_against_grid([*scenes.values()], frame.image, board), strict=True))
+        for name, scene in scenes.items():
+            senses[name], pixel, error = computed_against_acquired(scene, fit.corners, number, board)
+            panels.append((f"{name}, computer-generated minus acquired", pixel, error))
+    return Calibration(fit, sigma, senses, grids, panels, weaknesses(fit), seconds)

@@ -1,0 +1,292 @@
+"""From runs to chunks: what a campaign consists of, how much of it is there, what the rest will cost.
+
+A run is planned anew whenever its chunks are made: keys come from its journal, its scene, the settings and the
+versions as they are then, and nothing that was planned before is believed.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from correction.grid import grid_of
+from daq.errors import DiskError, RunUnsuitable
+from daq.frames.source import is_source
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import is_run, scene_file
+from daq.whole_text import copy_whole, why, write_json
+from ground.plain_words import counted
+from piv.correlation.windows import window_grid
+from piv.errors import PairError, SeriesError
+from piv.preprocessing.preparation import SLIDING_MINIMUM
+from rtpiv.analysis.campaign.books import read_books
+from rtpiv.analysis.campaign.campaign_folder import FILE, LAYOUT, CampaignFile, CampaignFolder, HowAsked, choice_of
+from rtpiv.analysis.pairs.piv_file import PivChoice
+from rtpiv.analysis.series.light_file import light_of
+from rtpiv.analysis.series.run_series import about_series
+from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, keep_scene, series_input
+from rtpiv.analysis.series.series_plan import ChunkJob, jobs_of
+from rtpiv.analysis.series.source_pairs import FILE as CHECKSUMS
+from rtpiv.analysis.series.workers import worker_processes
+from tracer.scene.scene_file import load_scene
+
+S_PER_MPX = 0.5  # of one core for a pair, before this campaign has shown its own: 2 s at 4 million pixels
+VECTOR_BYTES = 34  # of a chunk's file: 8 float32 and 2 int8
+PIXEL_BYTES = 2
+LONG_BYTES = 10_000_000  # of journals: below, processes take longer to start than to read
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """A run as chunks.
+
+    Parameters
+    ----------
+    name : str
+        Of the run within the campaign.
+    given : SeriesInput
+        Its pairs and how they are evaluated.
+    jobs : tuple of ChunkJob
+        All its chunks.
+    """
+
+    name: str
+    given: SeriesInput
+    jobs: tuple[ChunkJob, ...]
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a run asks for.
+
+    Parameters
+    ----------
+    name : str
+        Of the run.
+    pairs, chunks : int
+        In all.
+    done : int
+        Chunks that are there, by their markers.
+    again : int
+        Finished chunks among the others, whose frames have changed or whose run has grown.
+    left_s : float
+        Time of one core for the others.
+    read_bytes, write_bytes : float
+        Raw frames that they read, and what they write.
+    """
+
+    name: str
+    pairs: int
+    chunks: int
+    done: int
+    again: int
+    left_s: float
+    read_bytes: float
+    write_bytes: float
+
+
+def ask_for(
+    folder: CampaignFolder,
+    runs: Sequence[Path],
+    scenes: Sequence[Path],
+    choice: PivChoice,
+    chunk_pairs: int,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    dt_us: float | None = None,
+    sigma_limit_px: float | None = None,
+    used: CampaignFolder | None = None,
+) -> None:
+    """Write campaign.json, and beside each run's series the scene that it is seen through.
+
+    Parameters
+    ----------
+    folder : CampaignFolder
+        Of the campaign.
+    runs : sequence of Path
+        Flow runs, or frames of others in pairs.
+    scenes : sequence of Path
+        One for all, one for each, or none: then each run is seen through the scene its frames were corrected with.
+    choice : PivChoice
+        How pairs are evaluated.
+    chunk_pairs : int
+        Pairs a chunk, a power of two.
+    target_clear, dewarp_order, dt_us, sigma_limit_px
+        As for the verb `evaluate`.
+    used : CampaignFolder, optional
+        Whose checksums of foreign frames are taken over where files have not changed since.
+
+    Raises
+    ------
+    SeriesError
+        Two runs are one, or there are scenes for some runs and not for others.
+    RunUnsuitable, ConfigError, DiskError
+        What a run or its scene make impossible, or the folder cannot hold.
+    """
+    if len({run.resolve() for run in runs}) < len(runs):
+        raise SeriesError("a run is named twice; its pairs would count twice")
+    if len(scenes) not in (0, 1, len(runs)):
+        raise SeriesError(f"{len(scenes)} scenes for {len(runs)} runs; give one for all, or one for each in order")
+    for scene in scenes:
+        load_scene(scene)
+    for run in runs:
+        if not scenes and not is_run(run) and is_source(run):
+            raise PairError(f"{run}: what its camera looked through is not known; give --scene")
+    names = _names(runs)
+    for place, (name, run) in enumerate(zip(names, runs, strict=True)):
+        out = folder.series(name).path
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
+        keep_scene(scenes[place if len(scenes) > 1 else 0] if scenes else scene_file(run, out), out)
+        if used is not None and (known := used.series(name).path / CHECKSUMS).is_file():
+            copy_whole(known, out / CHECKSUMS)
+    how: HowAsked = {
+        "settings": {n: list(v) if isinstance(v, tuple) else v for n, v in asdict(choice.settings).items()},
+        "prepare": None if choice.preparation is None else list(choice.preparation.steps),
+        "target_clear": None if target_clear is None else str(target_clear.resolve()),
+        "dewarp_order": dewarp_order,
+        "dt_us": dt_us,
+        "sigma_limit_px": sigma_limit_px,
+    }
+    asked: CampaignFile = {
+        "layout": LAYOUT,
+        "chunk_pairs": chunk_pairs,
+        "runs": [{"name": name, "path": str(run.resolve())} for name, run in zip(names, runs, strict=True)],
+        "how": how,
+    }
+    write_json(folder.path / FILE, asked)
+
+
+def planned_runs(folder: CampaignFolder) -> Iterator[PlannedRun]:
+    """Plan one run after the other, and write down what each consists of, unless that would lose finished chunks.
+
+    All are evaluated on the grid of the first one: cameras of two fits differ a little, and means of vectors need
+    one place.
+
+    Raises
+    ------
+    PairError, RunUnsuitable, RunDamaged, ConfigError, FrameError, BoardError, TargetNotFound, DewarpError
+        As `rtpiv.analysis.series.series_input.series_input`.
+    SeriesError
+        The folder holds finished chunks of another recipe.
+    DiskError
+        The folder cannot be written to.
+    """
+    for place in range(len(folder.about["runs"])):
+        yield _planned(folder, place)
+
+
+def forecasts(folder: CampaignFolder, processes: int, used: CampaignFolder | None = None) -> list[Forecast]:
+    """Plan all runs as `planned_runs` does, long journals on several cores, and say what each asks for.
+
+    What is finished is looked for in `used`, or in `folder` itself.
+    """
+    used = used or folder
+    runs = folder.about["runs"]
+    places, found = range(len(runs)), dict[int, Forecast | None]()
+    if processes > 1 and sum(_journal_bytes(Path(run["path"])) for run in runs) > LONG_BYTES:
+        with worker_processes(min(processes, len(runs))) as pool:
+            found = dict(
+                zip(places, pool.map(_forecast_of, [folder] * len(runs), places, [used] * len(runs)), strict=True)
+            )
+    return [found.get(place) or forecast(used, _planned(folder, place)) for place in places]
+
+
+def _journal_bytes(run: Path) -> int:
+    try:
+        return RunFolder(run).journal_path.stat().st_size
+    except OSError:
+        return 0
+
+
+def _forecast_of(folder: CampaignFolder, place: int, used: CampaignFolder) -> Forecast | None:
+    """Forecast of one run, in a process of its own; what is wrong with it is said by the one who asked."""
+    try:
+        return forecast(used, _planned(folder, place))
+    except Exception:  # it is planned there again, and fails there with its own error
+        return None
+
+
+def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
+    """Plan one run."""
+    about = folder.about
+    asked, how = about["runs"][place], about["how"]
+    out = folder.series(asked["name"]).path
+    given = series_input(
+        Path(asked["path"]),
+        out,
+        choice_of(how),
+        out / SCENE_FILE,
+        None if how["target_clear"] is None else Path(how["target_clear"]),
+        how["dewarp_order"],
+        dt_us=how["dt_us"],
+        sigma_limit_px=how["sigma_limit_px"],
+    )
+    first = load_scene(folder.series(about["runs"][0]["name"]).path / SCENE_FILE)
+    grid = grid_of(first.in_light_sheet().camera)  # particles are seen where the light is
+    if grid != grid_of(given.method.scene.camera):
+        given = replace(given, method=replace(given.method, grid=grid))
+    background = given.method.preparation.background
+    if background == SLIDING_MINIMUM and len(given.given.pairs) < 2:
+        raise PairError(f"{asked['path']}: a sliding minimum compares frames of several pairs, and it has one")
+    light = light_of(out, background, given.given.pairs, given.given.unseeded)
+    jobs = jobs_of(out, given.given.pairs, given.method, light, about["chunk_pairs"])
+    said = about_series(Path(asked["path"]).name, given.given, given.method, jobs, about["chunk_pairs"])
+    series = SeriesFolder(out)
+    if differences := series.unlike(said).differences:
+        raise SeriesError(would_be_lost(out, series.unlike(said).lost, differences))
+    series.begin(said)
+    return PlannedRun(asked["name"], given, tuple(jobs))
+
+
+def would_be_lost(folder: Path, chunks: int, differences: Sequence[str]) -> str:
+    """What a person is told whose wish would replace finished chunks."""
+    return (
+        f"{folder}: {counted(chunks, 'finished chunk')} would be made anew: {'; '.join(differences)};"
+        " choose another folder with -o, or delete this one"
+    )
+
+
+def forecast(folder: CampaignFolder, planned: PlannedRun) -> Forecast:
+    """What is there of a run, and what the rest will cost; by what this campaign has shown, if it has."""
+    scene, settings = planned.given.method.scene, planned.given.method.settings
+    shape = (planned.given.method.grid or grid_of(scene.camera)).shape
+    vectors = int(np.prod(window_grid(shape, settings.windows_px[-1], settings.overlap).shape))
+    pixels = float(np.prod(scene.camera.shape))
+    series = folder.series(planned.name).path  # not that of the jobs, if the plan is a trial
+    finished = SeriesFolder(series).finished()
+    left = [job for job in planned.jobs if finished.get(job.number) != job.key]
+    pairs = sum(len(job.pairs) for job in left)
+    reads = sum(len(job.pairs) + len(job.before) + len(job.after) for job in left)
+    known = [line["seconds"] / line["pairs"] for line in read_books(folder.books) if line["what"] == "made"]
+    each_s = float(np.median(known)) if known else S_PER_MPX * 1e-6 * pixels
+    return Forecast(
+        planned.name,
+        len(planned.given.given.pairs),
+        len(planned.jobs),
+        len(planned.jobs) - len(left),
+        sum(job.number in finished for job in left),
+        each_s * pairs,
+        2.0 * PIXEL_BYTES * pixels * reads,
+        float(VECTOR_BYTES * vectors * pairs),
+    )
+
+
+def _names(runs: Sequence[Path]) -> list[str]:
+    """A name for each run: that of its folder, with a number where several share it."""
+    names: list[str] = []
+    for run in runs:
+        name, number = re.sub(r"[^\w.+-]+", "-", run.resolve().name).strip("-."), 1
+        if not name:
+            raise RunUnsuitable(f"{run}: a run needs a folder with a name")
+        own = name
+        while own in names:
+            number += 1
+            own = f"{name}_{number}"
+        names.append(own)
+    return names

@@ -1,0 +1,132 @@
+"""Maps and masks of a scene for programs that know nothing of rtpiv: NetCDF, or plain TIFF.
+
+    NAME_correction.nc   for each node of the plane (y, x; y up, both axes rising) which pixel shows it
+        pixel_u, pixel_v     acquired pixel of the best view [px]: column, row; 0, 0 is the upper left one
+        status, branch       NodeStatus; which way through the glass, by number (flag_meanings names both)
+        transmittance        share of the light that passes the glass
+        magnification_low, _high   sensor pixels a node, the least and the most of all directions
+    NAME_rays.nc         for each pixel (row, column) where its ray meets the plane
+        plane_x, plane_y [mm], status (RayStatus), branch
+
+TIFF has a file for each array, the first row on top, as images lie: NAME_u.tif and NAME_v.tif are what
+`cv2.remap` and MATLAB's `interp2` take (float32: 1e-4 px), NAME_mask.tif is 255 where a node is recovered and
+NAME_status.tif says why it is not, NAME_x.tif and NAME_y.tif are the rays.  Where there is nothing stands NaN.
+"""
+
+import io
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.node_status import MEANING
+from ground.whole_file import whole_file
+from piv.files.frame_file import write_frame
+from tracer.scene.scene import Scene
+from tracer.status import RayStatus
+from tracer.strategies.branches import Branch
+from tracer.strategies.ray_map import RayMap, build_ray_map
+
+Variables = Mapping[str, tuple[NDArray[Any], str]]  # array and unit by name
+
+
+def write_map_netcdf(scene: Scene, path: Path) -> list[Path]:
+    """Trace a scene and write its correction map and its ray map (``.nc``); `path` without suffix."""
+    rays, found = _maps(scene)
+    least, most = found.magnification()
+    nodes = found.grid
+    height, width = nodes.shape
+    of_nodes: dict[str, tuple[NDArray[Any], str]] = {
+        "pixel_u": (found.pixel[0, ..., 0], "px"),
+        "pixel_v": (found.pixel[0, ..., 1], "px"),
+        "status": (found.status, "1"),
+        "branch": (found.branch[0], "1"),
+        "transmittance": (found.transmittance[0], "1"),
+        "magnification_low": (least, "1"),
+        "magnification_high": (most, "1"),
+    }
+    x_mm = nodes.to_mm(np.column_stack((np.arange(width), np.zeros(width))))[:, 0]
+    y_mm = nodes.to_mm(np.column_stack((np.zeros(height), np.arange(height))))[::-1, 1]
+    written = path.with_name(f"{path.name}_correction.nc")
+    upwards = {name: (values[::-1], unit) for name, (values, unit) in of_nodes.items()}
+    meanings = [f"{status.value} {MEANING[status]}" for status in MEANING]
+    _netcdf(written, {"y": (y_mm, "mm"), "x": (x_mm, "mm")}, upwards, meanings, scene, found.branches)
+    of_rays = {
+        "plane_x": (rays.plane_mm[..., 0], "mm"),
+        "plane_y": (rays.plane_mm[..., 1], "mm"),
+        "status": (rays.status, "1"),
+        "branch": (rays.branch, "1"),
+    }
+    rows, columns = (np.arange(count, dtype=np.float64) for count in rays.status.shape)
+    beside = path.with_name(f"{path.name}_rays.nc")
+    meanings = [f"{status.value} {status.name.lower()}" for status in RayStatus]
+    _netcdf(beside, {"row": (rows, "px"), "column": (columns, "px")}, of_rays, meanings, scene, rays.branches)
+    return [written, beside]
+
+
+def write_map_tiff(scene: Scene, path: Path) -> list[Path]:
+    """Trace a scene and write its maps and its mask as images (``.tif``); `path` without suffix."""
+    rays, found = _maps(scene)
+    images: dict[str, NDArray[Any]] = {
+        "u": found.pixel[0, ..., 0].astype(np.float32),
+        "v": found.pixel[0, ..., 1].astype(np.float32),
+        "mask": np.where(found.recovered, 255, 0).astype(np.uint8),
+        "status": found.status,
+        "x": rays.plane_mm[..., 0].astype(np.float32),
+        "y": rays.plane_mm[..., 1].astype(np.float32),
+    }
+    about = {"scene": scene.content_hash(), "origin_mm": list(found.grid.origin_mm)}
+    written = []
+    for name, image in images.items():
+        written.append(path.with_name(f"{path.name}_{name}.tif"))
+        write_frame(written[-1], image, found.grid.px_per_mm, {"holds": name, **about})
+    return written
+
+
+def _maps(scene: Scene) -> tuple[RayMap, CorrectionMap]:
+    rays = build_ray_map(scene)
+    return rays, build_correction_map(scene, rays)
+
+
+def _netcdf(
+    path: Path,
+    axes: Variables,
+    variables: Variables,
+    meanings: Sequence[str],
+    scene: Scene,
+    branches: Sequence[Branch],
+) -> None:
+    stream = io.BytesIO()
+    with scipy.io.netcdf_file(stream, "w", version=2) as file:
+        for name, (values, unit) in {**axes, **variables}.items():
+            if name in axes:
+                file.createDimension(name, len(values))
+            one = file.createVariable(name, _kind(values), (name,) if name in axes else tuple(axes))
+            one[:] = values
+            one.units = unit
+        file.variables["status"].flag_meanings = ", ".join(meanings)
+        ways = (f"{number} {' > '.join(way) or 'direct'}" for number, way in enumerate(branches))
+        file.variables["branch"].flag_meanings = "; ".join(ways)
+        file.Conventions = "CF-1.8"
+        file.scene_hash = scene.content_hash()
+        file.flush()
+        content = stream.getvalue()
+    with whole_file(path) as whole:
+        whole.write(content)
+
+
+def _kind(values: NDArray[Any]) -> str:
+    """Type in a classic NetCDF file, which has no unsigned numbers."""
+    if values.dtype.kind == "f":
+        return f"f{values.dtype.itemsize}"
+    return "i1" if values.dtype.itemsize == 1 else "i4"
+
+
+MAP_FORMATS: dict[str, Callable[[Scene, Path], list[Path]]] = {
+    "netcdf": write_map_netcdf,
+    "tiff": write_map_tiff,
+}

@@ -1,0 +1,1 @@
+"""One pair from frames to vectors, errors and uncertainty."""

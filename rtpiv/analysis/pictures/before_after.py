@@ -1,0 +1,67 @@
+"""A frame before and after the correction, for a page: small pictures, and figures that say what it cost."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.maps.corrector import Corrector
+from correction.node_status import NodeStatus
+from piv.preprocessing.image_figures import ImageFigures, image_figures
+from rtpiv.analysis.pictures.embedded import embedded, grey, tinted
+from rtpiv.analysis.pictures.mask_colours import covered, mask_picture
+from rtpiv.analysis.through_glass import ThroughGlass, through_glass
+from tracer.scene.scene import Scene
+
+DEPTHS = (255.0, 4095.0, 65535.0)  # full scales of cameras; 12 bit come in uint16, right- or left-aligned
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """What remains of a frame and its correction when both are gone.
+
+    Parameters
+    ----------
+    layers : tuple of (str, str)
+        Name and data address of pictures that lie over each other: acquired (if of the same size), corrected,
+        mask.
+    shares : dict
+        Status -> share of the nodes, 0 to 1, of those that occur.
+    full_scale : float
+        Grey level at which a pixel counts as saturated.
+    figures : dict
+        ``acquired`` and ``corrected`` -> figures of merit.
+    through : ThroughGlass or None
+        How much of what the balls hide is recovered; None if they hide nothing.
+    """
+
+    layers: tuple[tuple[str, str], ...]
+    shares: dict[NodeStatus, float]
+    full_scale: float
+    figures: dict[str, ImageFigures]
+    through: ThroughGlass | None
+
+    @property
+    def recovered(self) -> float:
+        """Share of the corrected frame that was recovered, 0 to 1."""
+        return self.shares.get(NodeStatus.RECOVERED, 0.0)
+
+
+def before_after(
+    frame: NDArray[Any], corrected: NDArray[np.float32], corrector: Corrector, scene: Scene
+) -> BeforeAfter:
+    """Look at a frame (H, W) as acquired and (h, w) as corrected, NaN where nothing is recovered."""
+    limits = (float(np.percentile(frame, 1)), float(np.percentile(frame, 99.0)))
+    shown = tinted(grey(corrected, limits), covered(corrector.status))
+    layers = [("corrected", embedded(shown)), ("mask", embedded(mask_picture(corrector.status)))]
+    if frame.shape == corrected.shape:
+        layers.insert(0, ("acquired", embedded(grey(frame, limits))))
+    counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
+    shares = {status: float(counts[status] / corrector.status.size) for status in NodeStatus if counts[status]}
+    least = DEPTHS[0] if frame.dtype == np.uint8 else DEPTHS[1]
+    full = next((depth for depth in DEPTHS if depth >= max(least, float(np.nanmax(frame)))), DEPTHS[-1])
+    named = {"acquired": (frame, None), "corrected": (corrected, corrector.recovered)}
+    figures = {name: image_figures(image, full, which) for name, (image, which) in named.items()}
+    through = through_glass(scene, corrector.map.grid, corrector.recovered)
+    return BeforeAfter(tuple(layers), shares, full, figures, through)

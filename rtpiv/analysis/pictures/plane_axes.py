@@ -1,0 +1,127 @@
+"""Axes of pictures on the plane: outlines of bodies, colour bars as tall as what they belong to, short names."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colorbar import Colorbar
+from numpy.typing import NDArray
+
+from rtpiv.analysis.pictures.canvas import Figure
+from rtpiv.analysis.pictures.names import short
+from tracer.bodies import Body
+from tracer.scene.scene import Scene
+
+INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
+MOST_NAMES = 12
+ROUND_STEPS = 72
+
+Floats = NDArray[np.float64]
+
+
+def colour_bar(shown: ScalarMappable, axes: Axes, label: str, extend: str = "neither") -> Colorbar:
+    """Add a colour bar exactly as tall as the axes are, whatever their aspect."""
+    beside = axes.inset_axes((1.03, 0.0, 0.045, 1.0))
+    bar = axes.figure.colorbar(shown, cax=beside, label=label, extend=extend)
+    bar.outline.set_visible(False)
+    return bar
+
+
+def outline_mm(body: Body, pinhole_mm: Iterable[float]) -> Floats | None:
+    """Outline (N, 2) [mm] that a body throws on the plane from the pinhole; None if it reaches beyond any frame.
+
+    Rays that touch a sphere of radius R at distance d open a cone of half angle asin(R / d); the outline of a
+    body is the hull of those of the points around which it lies.
+    """
+    import cv2
+
+    pinhole, (ends, radius) = np.array(list(pinhole_mm)), body.outline_mm
+    to_ends = np.asarray(ends) - pinhole
+    distances = np.linalg.norm(to_ends, axis=1)
+    if (distances <= radius).any():  # the camera is in it
+        return None
+    axes = to_ends / distances[:, None]
+    ways = axes[:, None]
+    if radius > 0.0:
+        side = np.cross(axes, np.where(np.abs(axes[:, :1]) < 0.9, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        angle, sine = np.linspace(0.0, 2.0 * np.pi, ROUND_STEPS, endpoint=False)[:, None], radius / distances
+        around = np.cos(angle) * side[:, None] + np.sin(angle) * np.cross(axes, side)[:, None]
+        ways = np.sqrt(1.0 - sine * sine)[:, None, None] * axes[:, None] + sine[:, None, None] * around
+    ways = ways.reshape(-1, 3)
+    if (ways[:, 2] > -1e-3).any():
+        return None
+    found = (pinhole - pinhole[2] / ways[:, 2:] * ways)[:, :2]
+    hull = cv2.convexHull(found.astype(np.float32))
+    return np.asarray(hull[:, 0], dtype=np.float64)
+
+
+def draw_outlines(axes: Axes, scene: Scene, names: bool = True) -> None:
+    """Draw what each body throws on the plane as one artist; opaque ones with a broken line."""
+    outlines = [(body, outline_mm(body, scene.camera.position_mm)) for body in scene.seen]
+    known = [(body, outline) for body, outline in outlines if outline is not None]
+    if not known:
+        return
+    styles = ["-" if body.media else "--" for body, _ in known]
+    edges = PolyCollection(
+        [outline for _, outline in known], facecolors="none", edgecolors=INK, linewidths=0.8, linestyles=styles
+    )
+    axes.add_collection(edges, autolim=False)
+    for body, outline in known[:MOST_NAMES] if names else ():
+        x, y = 0.5 * (outline[:, 0].min() + outline[:, 0].max()), outline[:, 1].max()
+        name = axes.annotate(
+            short(body.name), (x, y), (0, 3), textcoords="offset points", ha="center", fontsize=8, color=INK,
+            parse_math=False, annotation_clip=True,
+            bbox={"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.75, "linewidth": 0},
+        )  # fmt: skip
+        name.set_in_layout(False)
+
+
+def plane_panels(
+    ratio: float, count: int = 1, columns: int = 1, width_in: float = 4.2
+) -> tuple[Figure, list[Axes]]:
+    """A figure of panels of one fixed shape with room for labels and a colour bar at each.
+
+    A layout engine does not know how wide a picture of fixed aspect will be, and cuts the label of its bar off.
+
+    Parameters
+    ----------
+    ratio : float
+        Height of a panel over its width.
+    count, columns : int
+        Panels, and how many stand beside each other.
+    width_in : float
+        Width of a panel in inches; a tall one is narrower.
+    """
+    wide = width_in / max(1.0, ratio)
+    tall = max(wide * ratio, 0.3 * wide)
+    left, right, below, above = 0.8, 1.25, 0.6, 0.3
+    rows = -(-count // columns)
+    width, height = columns * (left + wide + right), rows * (below + tall + above)
+    figure = Figure(figsize=(width, height))
+    panels = []
+    for number in range(count):
+        row, column = divmod(number, columns)
+        x, y = column * (left + wide + right) + left, height - (row + 1) * (below + tall + above) + below
+        panels.append(figure.add_axes((x / width, y / height, wide / width, tall / height)))
+        bare(panels[-1])
+    return figure, panels
+
+
+def bare_figure(width_in: float, height_in: float) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes, without frame."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    axes = figure.add_subplot()
+    bare(axes)
+    return figure, axes
+
+
+def bare(axes: Axes) -> None:
+    """Take the frame of axes away but for two quiet sides."""
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(SOFT)
+    axes.tick_params(color=SOFT, labelcolor=INK)

@@ -1,0 +1,129 @@
+"""The page of a calibration, and its chapter in the pages of what is measured with it: is the model right."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from correction.fitted.fit_file import StoredVerdict, load_verdict
+from correction.masked import STATUS
+from correction.node_status import MEANING
+from ground.errors import MapFileError
+from ground.plain_words import counted
+from rtpiv.analysis.calibration import Calibration
+from rtpiv.analysis.digits import places
+from rtpiv.analysis.pictures.calibration import map_sigma_figure
+from rtpiv.analysis.pictures.smooth import smooth_figure
+from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.through import through_lead
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import text_of
+
+CAPTION = (
+    "Smooth part of the residuals of the calibration, a panel for each path through the glass; arrows are scaled"
+    " panel by panel. What is smooth is no noise of corners: it is an error of the model, and the sigma of the map"
+    " includes it."
+)
+
+
+def calibration_chapter(page: Page, fit_file: Path, scene: Scene) -> None:
+    """Say how good the model of the scene is, if the fit file beside it knows; nothing without one."""
+    if not fit_file.is_file():
+        return
+    try:
+        found = load_verdict(fit_file)
+    except MapFileError as error:
+        page.heading("Calibration")
+        page.text(f"{error}.")
+        return
+    if found.scene_hash == scene.content_hash():
+        verdict_chapter(page, found)
+
+
+def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
+    """Write the page of a calibration of the frames called `of`."""
+    fit = found.fit
+    page = Page(f"{of}: calibration", f"{counted(len(fit.frames), 'frame')} of the target")
+    recovered = np.isfinite(found.sigma.sigma_px[..., 0])
+    through_lead(page, found.through, fit.measured_scene, float(recovered.mean()))
+    page.lead(*calibration_lead(found))
+    with page.row():
+        said = "Standard uncertainty of the map [px of a corrected frame], both axes together."
+        page.figure("map_sigma", map_sigma_figure(found.sigma, fit.measured_scene), said, dense=True)
+        figure = smooth_figure(StoredVerdict.of(fit), "first")
+        if figure is not None:
+            said = "Smooth part of the residuals of the largest view; the other views stand below."
+            page.figure("smooth_first", figure, said, dense=True)
+    verdict_chapter(page, StoredVerdict.of(fit), "others")
+    masked_table(page, fit.measured_scene)
+    if found.weak:
+        page.heading("What these frames cannot determine")
+        for weakness in found.weak:
+            page.text(f"{sentence_case(weakness.sentence)}.")
+    page.heading("What was found")
+    rows: list[tuple[str, ...]] = [(name, row["unit"], *_numbers(row)) for name, row in found.numbers.items()]
+    said = "Every other number was held fixed"
+    page.table(("fitted parameter", "unit", "fitted", "sigma", "moved", "prior sigma"), rows, said)
+    page.write(path)
+
+
+def calibration_lead(found: Calibration) -> tuple[str, str, tuple[str, ...], list[tuple[str, ...]]]:
+    """The sigma of the map behind glass, or without glass beside it, and what the corners say, by region."""
+    fit, regions = found.fit, found.percentiles
+    region = "behind glass" if "behind glass" in regions else "seen directly"
+    known = regions.get(region)
+    value = "-" if known is None else f"{known['median']:.2g} px"
+    said = f"standard uncertainty of the map {region}: median of its worse axis"
+    head = ("region", "map sigma: median, largest [px]", "rms of residuals [px]", "corners used", "rejected")
+    rows: list[tuple[str, ...]] = []
+    for name, behind in (("behind glass", True), ("seen directly", False)):
+        count, sigma = found.account[name], regions.get(name)
+        if not count["measured"]:
+            continue
+        unsure = "-" if sigma is None else f"{sigma['median']:.2g}, {sigma['largest']:.2g}"
+        rms = "{:.3f}, {:.3f}".format(*fit.corners.rms_px(behind)) if count["used"] else "-"
+        rows.append((name, unsure, rms, f"{count['used']} of {count['measured']}", str(count["rejected"])))
+    return value, said, head, rows
+
+
+def verdict_chapter(page: Page, found: StoredVerdict, views: Literal["all", "others"] = "all") -> None:
+    """The verdict in words and its picture, without the view that a page has shown already."""
+    page.heading("Calibration: is the model right?")
+    for sentence in found.sentences:
+        say = page.text if found.right else page.warning
+        say(f"{sentence_case(sentence)}.")
+    figure = smooth_figure(found, views)
+    if figure is not None:
+        page.figure("smooth_residuals", figure, CAPTION, dense=True)
+
+
+def masked_table(page: Page, scene: Scene) -> None:
+    """Say what parts of the view every map leaves out, and why; nothing where there are none."""
+    if not scene.masked:
+        return
+    page.heading("What every map leaves out")
+    rows: list[tuple[str, ...]] = []
+    for part in scene.masked:
+        where, size = f"all that is seen through {text_of(part.through)}", "-"
+        if part.outline_px:
+            (left, top), (right, bottom) = np.min(part.outline_px, axis=0), np.max(part.outline_px, axis=0)
+            where = f"around pixel ({(left + right) / 2:.0f}, {(top + bottom) / 2:.0f})"
+            share = part.within(scene.camera.shape).mean()
+            size = f"{right - left:.0f} x {bottom - top:.0f} px, {100.0 * share:.2g} % of the frame"
+        rows.append((MEANING[STATUS[part.why]], where, size))
+    said = "`masked` in the fitted scene file holds these; take out what you know to be right"
+    page.table(("reason", "where", "size"), rows, said)
+
+
+def sentence_case(text: str) -> str:
+    """A text as a sentence begins; names of parameters, with a dot in their first word, stay as they are."""
+    first = text.split(" ", 1)[0]
+    return text if "." in first else f"{text[:1].upper()}{text[1:]}"
+
+
+def _numbers(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Value, sigma, movement and sigma before, to the second digit of sigma."""
+    digits = places(float(row["sigma"]))
+    value, known, moved = (f"{row[key]:.{digits}f}" for key in ("value", "sigma", "moved"))
+    return value, known, moved, f"{row['prior_sigma']:.3g}"

@@ -1,0 +1,194 @@
+"""The page of a mean flow: the field, how sure it is, its fluctuations, and every pair that is not in it."""
+
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.evaluate.regions import Region, Regions
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import is_run
+from rtpiv.analysis.digits import two_digits, with_sigma
+from rtpiv.analysis.report.calibration import calibration_chapter
+from rtpiv.analysis.report.figures import vector_figure
+from rtpiv.analysis.report.flow import corrector_of_mean, flow_chapters, regions_of_mean
+from rtpiv.analysis.report.page import Link, Page
+from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
+from rtpiv.analysis.report.run import books_chapter
+from rtpiv.analysis.report.self_check import self_check_chapter
+from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
+from rtpiv.analysis.report.through import through_lead
+from rtpiv.analysis.series.ensemble_series import EnsembleFlow
+from rtpiv.analysis.series.image_field import image_field
+from rtpiv.analysis.series.mean_flow import MeanFlow
+from rtpiv.analysis.series.run_series import SeriesBooks
+from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.series_input import SeriesInput
+from rtpiv.analysis.series.series_mean import grid_of_series, scene_of, standing_of, windows_of
+from rtpiv.analysis.series.tasks import FIT_FILE
+from rtpiv.analysis.through_glass import through_glass
+
+SHOWN_PAIRS = 60
+
+
+def write_mean_page(
+    path: Path,
+    folder: Path,
+    mean: MeanFlow,
+    figures: bool = False,
+    ensemble: EnsembleFlow | None = None,
+    series: tuple[SeriesInput, SeriesBooks] | None = None,
+) -> None:
+    """Write the page of a mean flow.
+
+    Parameters
+    ----------
+    path : Path
+        Of the page.
+    folder : Path
+        Of the series.
+    mean : MeanFlow
+        Its statistics.
+    figures : bool
+        Write every figure as SVG and as PNG.
+    ensemble : EnsembleFlow, optional
+        The same by ensemble correlation.
+    series : (SeriesInput, SeriesBooks), optional
+        What it was evaluated from, if that is at hand: frames and one pair are shown, and the run's books.
+    """
+    about = SeriesFolder(folder).about
+    page = Page(f"{about['run']}: mean flow through glass", f"{mean.used} pairs", twice=figures)
+    if mean.doubt:
+        page.warning(mean.doubt + ".")
+    corrector, scene = corrector_of_mean(folder), scene_of(folder)
+    regions = regions_of_mean(folder, mean, corrector)
+    through = through_glass(scene, corrector.map.grid, corrector.recovered)
+    through_lead(page, through, scene, float(corrector.recovered.mean()))
+    page.lead(*mean_lead(mean, regions))
+    _velocity_figures(page, folder, mean)
+    page.tiles(mean_tiles(mean))
+    mean_chapters(page, folder, mean)
+    if series is not None and (shown := shown_pair(*series)) is not None:
+        frames_chapter(page, shown)
+        pair_chapter(page, series[0], shown)
+    flow_chapters(page, folder, mean, regions)
+    if ensemble is not None:
+        ensemble_chapter(page, folder, ensemble)
+    left_out_chapter(page, mean)
+    if series is not None:
+        self_check_chapter(page, series[0])
+        if is_run(series[0].run):  # frames of others have no books
+            books_chapter(page, RunFolder.open(series[0].run))
+    scene_chapter(page, scene)
+    light_sheet_line(page, standing_of(folder))
+    calibration_chapter(page, folder / FIT_FILE, scene)
+    page.heading("Files")
+    names = ("mean.nc", "mean_ensemble.nc", "scene.yaml", "series.json")
+    page.links([Link(name, name) for name in names if (folder / name).is_file()])
+    page.heading("Provenance")
+    content = about["content"]
+    page.facts([
+        ("run", about["run"]), ("frames", ", ".join(content["preparation"]) or "as acquired"),
+        ("correlation", ", ".join(f"{name} {value}" for name, value in content["settings"].items())),
+        ("scene", scene.content_hash()), ("rtpiv", version("rtpiv")),
+    ])  # fmt: skip
+    page.write(path)
+
+
+def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
+    """The highest mean velocity, behind glass if anything is, and the parts of its uncertainty, along itself."""
+    known = (mean.count > 0) & np.isfinite(mean.total_sigma_m_s).all(axis=-1)
+    behind = known & (regions.region == Region.GLASS)
+    where, name = (behind, "behind glass") if behind.any() else (known, "seen directly")
+    head = ("parts of its uncertainty", "m/s", "px")
+    if not where.any():
+        return "-", f"highest mean velocity {name}", head, []
+    speed = np.where(where, np.linalg.norm(mean.mean_m_s, axis=-1), -1.0)
+    top = np.unravel_index(int(np.argmax(speed)), speed.shape)
+    along = mean.mean_m_s[top] / max(float(speed[top]), 1e-300)
+
+    def of_it(part: NDArray[np.float64]) -> float:
+        return float(np.linalg.norm(along * part[top]))
+
+    unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
+    asked = (("scatter of the pairs", mean.sigma_m_s), ("not resolved by the windows", unresolved),
+             ("dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s))  # fmt: skip
+    rows: list[tuple[str, ...]] = []
+    for what, part in (*asked, ("total", mean.total_sigma_m_s)):
+        sizes = () if part is None else (of_it(part), of_it(part) * mean.px_per_m_s)
+        numbers = [two_digits(size) for size in sizes if np.isfinite(size)] or ["not known", ""]
+        rows.append((what, *numbers))
+    said = f"highest mean velocity {name}, one vector of {int(where.sum())} there, and its standard uncertainty"
+    return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} m/s", said, head, rows
+
+
+def mean_tiles(mean: MeanFlow) -> list[tuple[str, str, str]]:
+    """The figures that matter next: value, name, what it is measured against."""
+    known = mean.count > 0
+    worth = float(np.nanmedian(mean.effective.samples[known])) if known.any() else float("nan")
+    return [
+        (f"{mean.used}", "pairs in the mean", f"{len(mean.left_out)} are left out"),
+        (f"{int(known.sum())}", "places with a mean", f"of {known.size}"),
+        (f"{worth:.0f}", "effective samples", mean.effective.way),
+    ]
+
+
+def _velocity_figures(page: Page, folder: Path, mean: MeanFlow) -> None:
+    """The mean and its random uncertainty, side by side."""
+    scene, grid = scene_of(folder), grid_of_series(folder)
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
+    speed = np.linalg.norm(mean.mean_m_s, axis=-1)[::-1]
+    sigma = np.linalg.norm(mean.sigma_m_s, axis=-1)[::-1]
+    with page.row():
+        said = "Mean velocity; its magnitude in colour."
+        page.figure("mean", vector_figure(field, grid, scene, speed, "mean speed [m/s]"), said, dense=True)
+        said = f"Random standard uncertainty of the mean behind it; effective samples by {mean.effective.way}."
+        figure = vector_figure(field, grid, scene, sigma, "sigma of the mean [m/s]")
+        page.figure("mean_sigma", figure, said, dense=True)
+
+
+def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
+    """Add what the uncertainty of the mean leaves out, and the fluctuations."""
+    scene, grid = scene_of(folder), grid_of_series(folder)
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows_of(folder))
+    if not mean.effective.converged:
+        page.warning("The series is too short for its slowest motion: the sigma of the mean is a lower limit.")
+    if np.isnan(mean.dt_sigma_share):
+        page.text("The uncertainty of dt is not known: it was not measured (dt_sigma_us in the plan).")
+    if mean.no_map_sigma:
+        page.text(f"The uncertainty of the correction map is not known: {mean.no_map_sigma}.")
+    page.heading("Fluctuations")
+    energy = np.maximum(mean.stresses_m2_s2[..., :2].sum(axis=-1), 0.0)[::-1]
+    page.figure(
+        "fluctuation",
+        vector_figure(field, grid, scene, np.sqrt(energy), "sqrt(R_uu + R_vv) [m/s]"),
+        "Fluctuating velocity without the noise of the correlation; mean.nc has every stress with and without it.",
+        dense=True,
+    )
+
+
+def ensemble_chapter(page: Page, folder: Path, flow: EnsembleFlow) -> None:
+    """The mean by ensemble correlation."""
+    page.heading("By ensemble correlation")
+    page.text(
+        f"Correlation planes of {flow.pairs} pairs added up, windows of {flow.windows.size_px} px: for rims, "
+        "walls and thin seeding, where a window of one pair sees too few particles. Stresses: mean_ensemble.nc."
+    )
+    field = image_field(flow.mean_m_s, flow.sigma_m_s, flow.px_per_m_s, flow.windows)
+    speed = np.linalg.norm(flow.mean_m_s, axis=-1)[::-1]
+    figure = vector_figure(field, grid_of_series(folder), scene_of(folder), speed, "mean speed [m/s]")
+    page.figure("mean_ensemble", figure, "Mean velocity by ensemble correlation.", dense=True)
+
+
+def left_out_chapter(page: Page, mean: MeanFlow) -> None:
+    """Every pair that is not in the mean, and why."""
+    page.heading("Every pair accounted for")
+    page.text(f"{mean.used} pairs are in the mean, {len(mean.left_out)} are not.")
+    if mean.gaps:
+        page.text(mean.gaps.capitalize() + ".")
+    if mean.left_out:
+        unseen = len(mean.left_out) - SHOWN_PAIRS
+        more = f"; {unseen} more are in mean.nc" if unseen > 0 else ""
+        page.table(("pair", "why"), mean.left_out[:SHOWN_PAIRS], f"Pairs that are left out{more}")

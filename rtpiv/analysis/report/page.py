@@ -1,0 +1,223 @@
+"""One self-contained HTML page: pictures, figures and tables that go straight into a lab book.
+
+No script or style comes from anywhere else, and everything is embedded, so the page can be mailed and will look
+the same in ten years; only links lead to files beside it.  Every text that came from a file or a name is escaped.
+Figures are also written beside the page as they stand in it.  Who wants all of them as SVG for papers and PNG for
+slides says so: drawing them twice takes longer than measuring what they show.
+"""
+
+import base64
+import html
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from ground.whole_file import whole_file
+from rtpiv.analysis.pictures.saved import lay_out, write_png
+
+if TYPE_CHECKING:
+    from rtpiv.analysis.pictures.canvas import Figure
+
+PNG_DPI = 170
+
+_STYLE = Path(__file__).with_name("page.css")
+
+
+@dataclass(frozen=True)
+class Link:
+    """Text that leads to a file in the page's folder or below it; `path` is relative to that, with slashes."""
+
+    text: str
+    path: str
+
+    @property
+    def html(self) -> str:
+        """As it stands in a page."""
+        return f'<a href="{html.escape(quote(self.path))}">{html.escape(self.text)}</a>'
+
+
+Row = Sequence[str | Link]
+
+
+class Page:
+    """A page that grows chapter by chapter.
+
+    Parameters
+    ----------
+    title, subtitle : str
+        Heading, and what stands under it.
+    twice : bool
+        Write every figure as SVG and as PNG.
+    """
+
+    def __init__(self, title: str, subtitle: str = "", twice: bool = False) -> None:
+        self._title, self._subtitle, self._twice = title, subtitle, twice
+        self._parts: list[str] = []
+        self._files: dict[str, bytes] = {}
+        self._sliders = 0
+
+    def heading(self, text: str) -> None:
+        """Start a chapter."""
+        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+
+    def text(self, text: str) -> None:
+        """Add a paragraph."""
+        self._parts.append(f"<p>{html.escape(text)}</p>")
+
+    def warning(self, text: str) -> None:
+        """Add a paragraph that nobody overlooks."""
+        self._parts.append(f'<p class="warning">{html.escape(text)}</p>')
+
+    def lead(self, value: str, name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Add the one figure that matters most: value, what it is, and a small table of its parts."""
+        top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+        self._parts.append(
+            f'<div class="lead"><div><b>{html.escape(value)}</b><span>{html.escape(name)}</span></div>'
+            f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+        )
+
+    @contextmanager
+    def row(self) -> Iterator[None]:
+        """Set what is added within side by side, where the screen is wide enough."""
+        self._parts.append('<div class="row">')
+        yield
+        self._parts.append("</div>")
+
+    def links(self, links: Sequence[Link]) -> None:
+        """Add a line of links to files in the page's folder."""
+        inner = "".join(f"<li>{link.html}</li>" for link in links)
+        self._parts.append(f'<ul class="links">{inner}</ul>')
+
+    def tiles(self, tiles: Sequence[tuple[str, str, str]]) -> None:
+        """Add the figures that matter most, large: (value, what it is, what it is measured against)."""
+        inner = "".join(
+            f"<div><b>{html.escape(value)}</b><span>{html.escape(name)}</span><small>{html.escape(rest)}</small></div>"
+            for value, name, rest in tiles
+        )
+        self._parts.append(f'<div class="tiles">{inner}</div>')
+
+    def table(self, head: Row, rows: Sequence[Row], caption: str = "") -> None:
+        """Add a table; the first column is text, the others numbers."""
+        top = "".join(f"<th>{_cell(cell)}</th>" for cell in head)
+        body = "".join("<tr>" + "".join(f"<td>{_cell(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+        said = f"<figcaption>{html.escape(caption)}</figcaption>" if caption else ""
+        inner = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+        self._parts.append(f'<figure class="table">{said}<div class="wide" tabindex="0">{inner}</div></figure>')
+
+    def facts(self, rows: Sequence[tuple[str, str]]) -> None:
+        """Add names and what they stand for."""
+        inner = "".join(f"<dt>{html.escape(name)}</dt><dd>{html.escape(value)}</dd>" for name, value in rows)
+        self._parts.append(f"<dl>{inner}</dl>")
+
+    def folded(self, name: str, text: str) -> None:
+        """Add a long text, such as a file, that opens on a click."""
+        self._parts.append(
+            f"<details><summary>{html.escape(name)}</summary><pre>{html.escape(text)}</pre></details>"
+        )
+
+    def figure(self, name: str, figure: "Figure", caption: str, dense: bool = False) -> None:
+        """Add a figure; `write` also puts NAME.svg or NAME.png beside the page, or both.
+
+        Parameters
+        ----------
+        name : str
+            Of the files, once a page.
+        figure : Figure
+            What was drawn.
+        caption : str
+            Said below.
+        dense : bool
+            Embed pixels: thousands of arrows as lines would make the page slow.
+        """
+        if self._twice:
+            figure.draw_without_rendering()
+            figure.set_layout_engine("none")  # settled: drawing it twice need not arrange it twice
+        kind, mime = ("png", "image/png") if dense else ("svg", "image/svg+xml")
+        for each in ("svg", "png") if self._twice else (kind,):
+            self._files[f"{name}.{each}"] = _drawn(figure, each)
+        data = base64.b64encode(self._files[f"{name}.{kind}"]).decode()
+        self._parts.append(_framed(f'<img alt="{html.escape(caption)}" src="data:{mime};base64,{data}">', caption))
+
+    def slider(self, layers: Sequence[tuple[str, str]], caption: str) -> None:
+        """Lay pictures of one shape over each other: a line to drag uncovers one beside the next.
+
+        Parameters
+        ----------
+        layers : sequence of (name, data address)
+            Two or more, see `rtpiv.analysis.pictures.embedded`; neighbours in the order in which they are
+            compared.
+        caption : str
+            Said below.
+        """
+        self._sliders += 1
+        name = f"slider{self._sliders}"
+        pictures = "".join(
+            f'<div class="layer"><img alt="{html.escape(title)}" src="{address}"><i>{html.escape(title)}</i></div>'
+            for title, address in layers
+        )
+        choices = "".join(
+            f'<label><input type="radio" name="{name}" {"checked" if k == 0 else ""} '
+            f"onchange=\"this.closest('.slider').dataset.pair={k}\">"
+            f"{html.escape(layers[k][0])} | {html.escape(layers[k + 1][0])}</label>"
+            for k in range(len(layers) - 1)
+        )
+        self._parts.append(
+            f'<figure class="slider" data-pair="0">'
+            f'<div class="choice">{choices if len(layers) > 2 else ""}</div><div class="stage">{pictures}<hr>'
+            '<input type="range" min="0" max="100" value="50" aria-label="uncover" '
+            "oninput=\"this.parentNode.style.setProperty('--cut',this.value+'%')\"></div>"
+            f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        )
+
+    def swatches(self, rows: Sequence[tuple[str, str, str]]) -> None:
+        """Add a legend: (colour as #rrggbb, what it means, a figure)."""
+        inner = "".join(
+            f'<li><i style="background:{html.escape(colour)}"></i>{html.escape(name)} <b>{html.escape(value)}</b>'
+            for colour, name, value in rows
+        )
+        self._parts.append(f'<ul class="swatches">{inner}</ul>')
+
+    def html(self) -> str:
+        """Return the whole page."""
+        title, style = html.escape(self._title), _STYLE.read_text(encoding="utf-8")
+        return (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            f"<title>{title}</title><style>{style}</style></head><body>"
+            f"<header><h1>{title}</h1><p>{html.escape(self._subtitle)}</p></header>"
+            + "".join(self._parts)
+            + "</body></html>\n"
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the page and its figures, each atomically, the page last."""
+        for name, content in (*self._files.items(), (path.name, self.html().encode())):
+            with whole_file(path.with_name(name)) as stream:
+                stream.write(content)
+
+
+def _cell(cell: str | Link) -> str:
+    return cell.html if isinstance(cell, Link) else html.escape(cell)
+
+
+def _framed(inner: str, caption: str) -> str:
+    return f"<figure>{inner}<figcaption>{html.escape(caption)}</figcaption></figure>"
+
+
+def _drawn(figure: "Figure", kind: str) -> bytes:
+    """Bytes of a figure as SVG or PNG."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    buffer = io.BytesIO()
+    if kind == "png":
+        write_png(figure, buffer, PNG_DPI)
+    else:
+        FigureCanvasAgg(figure)
+        lay_out(figure, PNG_DPI)
+        figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None})
+    return buffer.getvalue()

@@ -1,0 +1,280 @@
+"""The chapters of one evaluated pair: pictures, vectors, errors, uncertainty, both routes, images."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.evaluate.shift import shift_errors
+from daq.runs.shown_plane import where_lit
+from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.pictures.before_after import BeforeAfter
+from rtpiv.analysis.pictures.blur import CAPTION as BLUR_CAPTION
+from rtpiv.analysis.pictures.blur import blur_figure, blur_of
+from rtpiv.analysis.pictures.drawing import CAPTION, scene_figure
+from rtpiv.analysis.report.figures import (
+    colour_limit,
+    error_histogram,
+    grey_histogram,
+    radius_figure,
+    track_figure,
+    vector_figure,
+)
+from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.tables import (
+    BUDGET_HEAD,
+    CLAIM_HEAD,
+    IMAGE_HEAD,
+    RESPONSE_HEAD,
+    ROUTE_HEAD,
+    SHIFT_HEAD,
+    SIGMA_HEAD,
+    TRACK_HEAD,
+    budget_rows,
+    claim_rows,
+    image_rows,
+    lead_of,
+    mask_swatches,
+    region_masks,
+    response_rows,
+    route_rows,
+    shift_rows,
+    sigma_rows,
+    track_rows,
+)
+from rtpiv.analysis.report.through import through_lead
+from rtpiv.analysis.report.total import Total, coverage_of, totals_of
+from tracer.scene.scene import Scene
+
+
+def pair_summary(page: Page, evaluation: Evaluation) -> None:
+    """Begin a page: what is seen through glass, how well it is measured there, and the pictures of it.
+
+    All figures are of the vectors behind glass; of those seen directly where there are none behind it.
+    """
+    seen, field = _seen(evaluation), evaluation.field
+    through_lead(page, seen.through, evaluation.task.scene, seen.recovered)
+    if field.doubt:
+        page.warning(field.doubt + ".")
+    if totals := totals_of(evaluation):
+        page.lead(*lead_of(totals[0]))
+        page.tiles(_region_tiles(evaluation, totals[0]))
+    with page.row():
+        page.slider(seen.layers, "Frame A, as acquired and corrected. Drag to compare.")
+        _vector_figure(page, evaluation)
+    page.swatches(mask_swatches(seen.shares))
+
+
+def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, str]]:
+    """Figures of the vectors of the region that the page is about: value, name, what it is measured against."""
+    where = total.where(evaluation)
+    asked = total.nodes(evaluation)
+    tiles = [(str(total.count), f"valid vectors {total.region}", f"of {asked} nodes there")]
+    found = coverage_of(evaluation, where)
+    if found is not None:
+        inside = "{:.0f}, {:.0f} %".format(*(100 * share for share in found.within_1))
+        tiles.append((inside, "of their errors u, v within 1 sigma", f"68 % claimed: sigma is {found.claim}"))
+        tiles.append(("{:.2f}, {:.2f}".format(*found.ratio), "scatter u, v over sigma", "1 if sigma is right"))
+    return tiles
+
+
+def _seen(evaluation: Evaluation) -> BeforeAfter:
+    """Frame A; whoever writes a page has asked for it."""
+    assert evaluation.seen is not None
+    return evaluation.seen
+
+
+def slider_chapter(page: Page, seen: BeforeAfter, what: str) -> None:
+    """Acquired | corrected | mask, and what the mask says."""
+    page.heading("Acquired, corrected, recovered")
+    page.slider(seen.layers, f"{what} Drag to compare; the colours of the mask, and their share of the nodes:")
+    page.swatches(mask_swatches(seen.shares))
+
+
+def pair_chapters(page: Page, evaluation: Evaluation) -> None:
+    """Add the chapters of a pair."""
+    if evaluation.task.note:
+        page.text(evaluation.task.note)
+    _vectors(page, evaluation)
+    if evaluation.shift is not None:
+        _errors(page, evaluation)
+    _uncertainty(page, evaluation)
+    if evaluation.routes is not None:
+        _routes(page, evaluation)
+    if evaluation.tracks is not None or evaluation.no_tracks:
+        _tracks(page, evaluation)
+    _images(page, evaluation)
+    scene_chapter(page, evaluation.task.scene)
+
+
+def scene_chapter(page: Page, scene: Scene) -> None:
+    """What stood before the camera."""
+    page.heading("Scene")
+    page.figure("scene", scene_figure(scene), CAPTION)
+    rows = [
+        (s.name, ", ".join(f"{c:.4f}" for c in s.centre_mm), f"{s.radius_mm:.4f}",
+         "opaque" if s.medium is None else ", ".join(
+             [f"{s.medium.n(scene.wavelength_nm):.5f}"]
+             + [f"{c.medium.n(scene.wavelength_nm):.5f} within {c.radius_mm:.4f} mm" for c in s.cores]))
+        for s in scene.spheres
+    ]  # fmt: skip
+    if rows:
+        page.table(("sphere", "centre x, y, z [mm]", "radius [mm]", f"n at {scene.wavelength_nm:g} nm"), rows)
+    if scene.camera.pupil is not None and rows:
+        page.figure("blur", blur_figure(*blur_of(scene)), BLUR_CAPTION, dense=True)
+
+
+def light_sheet_line(page: Page, scene: Scene) -> None:
+    """Say where particles were taken to lie; `scene` still has its light sheet."""
+    say = page.warning if scene.sheet is None and scene.bodies else page.text
+    say(where_lit(scene))
+
+
+def _vector_figure(page: Page, evaluation: Evaluation) -> None:
+    """The vectors: before their error where it is known, else in the colour of their length."""
+    field = evaluation.field
+    if evaluation.shift is None:
+        colour, label = np.hypot(field.u_px, field.v_px), "displacement [px]"
+        said = "Vectors, their length in colour; lines: outlines of the bodies on the plane."
+    else:
+        colour, label = np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1), "true error [px]"
+        said = "Vectors; the background is their distance from the known shift."
+    figure = vector_figure(
+        field, evaluation.grid, evaluation.task.scene, colour, label, _limit(evaluation, colour)
+    )
+    page.figure("vectors", figure, said, dense=True)
+
+
+def _limit(evaluation: Evaluation, error: NDArray[np.float64]) -> float | None:
+    """One scale for errors and their sigma; None where no error is known."""
+    return None if evaluation.shift is None else max(colour_limit(error), colour_limit(_sigma(evaluation)))
+
+
+def _sigma(evaluation: Evaluation) -> NDArray[np.float64]:
+    return np.asarray(np.hypot(evaluation.field.sigma_u_px, evaluation.field.sigma_v_px))
+
+
+def _vectors(page: Page, evaluation: Evaluation) -> None:
+    field, grid, scene = evaluation.field, evaluation.grid, evaluation.task.scene
+    page.heading("Displacement")
+    sigma = _sigma(evaluation)
+    if np.isfinite(sigma).any():
+        limit = None
+        if evaluation.shift is not None:
+            error = np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1)
+            limit = _limit(evaluation, error)
+        page.figure(
+            "uncertainty",
+            vector_figure(field, grid, scene, sigma, "estimated sigma [px]", limit),
+            "The vectors before the uncertainty that the evaluation itself estimates, without any truth.",
+            dense=True,
+        )
+    if evaluation.task.dt_s is not None:
+        per_px = grid.pitch_mm / evaluation.task.dt_s
+        page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
+                    ("1 px of displacement is", f"{per_px:.6g} mm/s")])  # fmt: skip
+    page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
+    rule = (
+        f"Windows of {field.window_px} px, {field.step_px} px apart. A window is masked if less than 30 % of its "
+        "pixels are recovered in both frames; replaced vectors are interpolated and count nowhere as measured."
+    )
+    page.text(rule + (f" NaN pixels inside the mask, left out: {field.nan_pixels}." if field.nan_pixels else ""))
+
+
+def _errors(page: Page, evaluation: Evaluation) -> None:
+    result = evaluation.shift
+    assert result is not None
+    page.heading("Errors against the known shift")
+    page.table(SHIFT_HEAD, shift_rows(result), "Errors of the vectors [px of the corrected frame], v down")
+    scale = evaluation.grid.px_per_mm
+    shift_mm = (result.shift_px[0] / scale, -result.shift_px[1] / scale)
+    facts = [("known shift x, y", f"{shift_mm[0]:+.4f}, {shift_mm[1]:+.4f} mm")]
+    facts.append(("in corrected pixels", f"{np.hypot(*result.shift_px):.4f} px"))
+    if evaluation.task.commanded_mm is not None:
+        facts.insert(0, ("commanded x, y", "{:+.4f}, {:+.4f} mm".format(*evaluation.task.commanded_mm)))
+    direct = result.regions.get("seen directly")
+    if direct is not None:
+        found = [(b + s) / scale for b, s in zip(direct.bias_px, result.shift_px, strict=True)]
+        facts.append(("found beside the glass", f"{found[0]:+.4f}, {-found[1]:+.4f} mm"))
+    page.facts(facts)
+    page.table(BUDGET_HEAD, budget_rows(evaluation), "Budget of the comparison, behind the glass")
+    field = evaluation.field
+    errors = shift_errors(field, result.shift_px)
+    spread = {name: errors[where] for name, where in region_masks(evaluation).items()}
+    page.figure("errors", error_histogram(spread), "Errors by region, with the number of vectors.")
+    if result.rings and evaluation.routes is None:
+        page.figure("radius", radius_figure(result.rings, {}), "Behind the glass, by radius on the plane.")
+
+
+def _uncertainty(page: Page, evaluation: Evaluation) -> None:
+    page.heading("Uncertainty")
+    caption = "Root mean square of the standard uncertainty [px of the corrected frame]"
+    page.table(SIGMA_HEAD, sigma_rows(evaluation), caption)
+    if claims := claim_rows(evaluation):
+        caption = (
+            "How the errors keep to it, the common error of the stage taken off; sigma claims 68 % within 1 sigma "
+            "and 95 % within 2. As claimed: what chance does in 95 of 100 cases to the scatter of vectors whose "
+            "windows do not overlap, or within 10 %"
+        )
+        page.table(CLAIM_HEAD, claims, caption)
+    caption = (
+        f"Share of a wave along one axis that windows of {evaluation.settings.windows_px[-1]} px show, by the "
+        "linear theory of the passes: smaller windows show more and are noisier (--final-window)"
+    )
+    page.table(RESPONSE_HEAD, response_rows(evaluation.settings), caption)
+    if evaluation.map_sigma is None:
+        page.text(f"The uncertainty of the correction map is not known: {evaluation.no_map_sigma}.")
+        return
+    page.text(
+        "Random: from the correlation statistics of each vector. Map: the covariance of the scene fit, carried "
+        "through the traced rays. A position can be off by more than a displacement, because what both ends of a "
+        "vector share cancels; the map's share is the same in every pair and does not average out."
+    )
+
+
+def _routes(page: Page, evaluation: Evaluation) -> None:
+    routes = evaluation.routes
+    assert routes is not None
+    page.heading("Image route and velocity route")
+    unit = "rms error [px]" if routes.known else "rms of its own sigma [px]"
+    page.text(
+        "Image route: correct the frames, then correlate. Velocity route: correlate the raw frames, then trace "
+        "both ends of every vector through the glass."
+    )
+    rule = (
+        "better: by 5 % at least, and by more than chance does in 95 of 100 cases to vectors whose windows do not"
+        " overlap; else equal"
+        if routes.known
+        else "better: by 5 % at least; else equal"
+    )
+    page.table(ROUTE_HEAD, route_rows(routes), f"Behind glass by radius, {unit}; {rule}")
+    if evaluation.by_velocity is not None:
+        page.text(f"{int(evaluation.by_velocity.sum())} vectors of the field are of the velocity route.")
+    if routes.known and routes.image:
+        page.figure("radius", radius_figure(routes.image, routes.velocity), "Behind the glass, by radius.")
+
+
+def _tracks(page: Page, evaluation: Evaluation) -> None:
+    page.heading("Single particles")
+    if evaluation.tracks is None:
+        page.text(f"No tracks: {evaluation.no_tracks}.")
+        return
+    page.text(
+        "Particles found in the raw frames, both ends traced through the glass, each seen the same way in both. "
+        "A track has no window: its error is the same in every gradient. Where particles are many, vectors of "
+        "windows are better."
+    )
+    page.table(TRACK_HEAD, track_rows(evaluation), "Displacement of a particle [px of the corrected frame]")
+    said = "Tracks; blue: seen directly, red: through glass."
+    page.figure("tracks", track_figure(evaluation.tracks.vectors, evaluation.task.scene), said, dense=True)
+
+
+def image_table(page: Page, seen: BeforeAfter) -> None:
+    """Figures of merit, acquired against corrected."""
+    what = f"Figures of merit of the frame; saturated at {seen.full_scale:.0f}"
+    page.table(IMAGE_HEAD, image_rows(seen.figures), what)
+
+
+def _images(page: Page, evaluation: Evaluation) -> None:
+    page.heading("Images")
+    image_table(page, _seen(evaluation))
+    counts = {name: (f.edges, f.histogram.astype(np.float64)) for name, f in _seen(evaluation).figures.items()}
+    page.figure("intensity", grey_histogram(counts), "Intensity of frame A.")

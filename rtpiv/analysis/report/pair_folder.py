@@ -1,0 +1,82 @@
+"""The folder of an evaluated pair: vectors and figures as JSON, then a page, which alone needs matplotlib."""
+
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
+from daq.whole_text import write_json
+from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.report.tables import (
+    CLAIM_HEAD,
+    ROUTE_HEAD,
+    SIGMA_HEAD,
+    claim_rows,
+    route_rows,
+    sigma_rows,
+    track_summary,
+)
+
+
+def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
+    """Write all files of the folder of a pair but its page."""
+    task, field, grid = evaluation.task, evaluation.field, evaluation.grid
+    out, about = task.out, _about(evaluation)
+    out.mkdir(parents=True, exist_ok=True)
+    write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
+    if evaluation.traced is not None:
+        write_traced(out / "vectors_velocity.nc", evaluation.traced, about, task.dt_s)
+    if evaluation.tracks is not None:
+        write_traced(out / "tracks.nc", evaluation.tracks.vectors, about, task.dt_s)
+    if vtk:
+        write_vtk(out / "vectors.vtk", field, grid, task.dt_s)
+    summary: dict[str, Any] = {
+        **about,
+        "note": task.note,
+        "dt_s": task.dt_s,
+        "no_map_sigma": evaluation.no_map_sigma,
+    }
+    summary |= {"vectors": field.counts, "nan_pixels": field.nan_pixels, "doubt": field.doubt}
+    summary["correlation"] = asdict(evaluation.settings)
+    if np.isfinite(field.static_share):
+        summary["static_share"] = field.static_share
+    summary["sigma_px"] = [dict(zip(SIGMA_HEAD, row, strict=True)) for row in sigma_rows(evaluation)]
+    summary["sigma_claims"] = [dict(zip(CLAIM_HEAD, row, strict=True)) for row in claim_rows(evaluation)]
+    if evaluation.shift is not None:
+        summary["shift"] = evaluation.shift.to_dict()
+    if evaluation.routes is not None:
+        summary["routes"] = [dict(zip(ROUTE_HEAD, row, strict=True)) for row in route_rows(evaluation.routes)]
+    if evaluation.tracks is not None:
+        summary["tracks"] = track_summary(evaluation)
+    if evaluation.no_tracks:
+        summary["no_tracks"] = evaluation.no_tracks
+    write_json(out / "evaluation.json", summary)
+
+
+def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
+    """Write the page of a pair, with the figures on request also as files; it names what is there."""
+    from rtpiv.analysis.report.page import Link, Page
+    from rtpiv.analysis.report.pair import pair_chapters, pair_summary
+
+    task, out, about = evaluation.task, evaluation.task.out, _about(evaluation)
+    page = Page("PIV through glass: " + task.name, about["frames"], twice=figures)
+    pair_summary(page, evaluation)
+    pair_chapters(page, evaluation)
+    names = ("vectors.nc", "vectors_velocity.nc", "tracks.nc", "vectors.vtk", "evaluation.json")
+    page.heading("Files")
+    page.links([Link(name, name) for name in names if (out / name).is_file()])
+    page.heading("Provenance")
+    page.facts([*about.items(), ("bodies", ", ".join(body.name for body in task.scene.bodies) or "none")])
+    page.write(out / "report.html")
+
+
+def _about(evaluation: Evaluation) -> dict[str, str]:
+    """Where a pair comes from."""
+    frames = ", ".join(path.name for path in evaluation.task.frames)
+    return {
+        "scene_hash": evaluation.task.scene.content_hash(),
+        "frames": frames,
+        "rtpiv_version": version("rtpiv"),
+    }

@@ -1,0 +1,103 @@
+"""The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
+
+from daq.runs.chunk_books import chunk_sentences
+from daq.runs.conservation import Ledger
+from daq.runs.displacement import FILE as MOVED
+from daq.runs.displacement import read_displacements
+from daq.runs.done_file import read_done
+from daq.runs.run_folder import RunFolder
+from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.report.page import Link, Page
+from rtpiv.analysis.report.total import DIRECT, GLASS, totals_of
+
+PAIRS_HEAD = (
+    "pair",
+    "valid vectors",
+    "behind glass",
+    "known shift x, y [mm]",
+    "total error beside glass u, v [px]",
+    "total error behind glass u, v [px]",
+)
+SHOWN_PAIRS = 60
+SHOWN_STEPS = 60
+
+
+def pairs_chapter(page: Page, found: list[Evaluation]) -> None:
+    """Every pair of a run in one line; the pages of the single pairs lie in folders of their names."""
+    page.heading("Pairs of this run")
+    rows: list[tuple[str | Link, ...]] = []
+    for evaluation in found[:SHOWN_PAIRS]:
+        result, task = evaluation.shift, evaluation.task
+        totals = {total.region: total for total in totals_of(evaluation)}
+        cells = ["-", "-", "-"]
+        if result is not None and task.shift_mm is not None:
+            cells = ["{:+.4f}, {:+.4f}".format(*task.shift_mm)]
+            known = (totals.get(region) for region in (DIRECT, GLASS))
+            cells += ["-" if total is None else "{:.4f}, {:.4f}".format(*total.total_px) for total in known]
+        behind = str(totals[GLASS].count) if GLASS in totals else "0"
+        name = Link(task.name, f"{task.out.name}/report.html")
+        rows.append((name, str(evaluation.field.counts["valid"]), behind, *cells))
+    more = f"; {len(found) - SHOWN_PAIRS} more are in their folders" if len(found) > SHOWN_PAIRS else ""
+    page.table(PAIRS_HEAD, rows, f"Total error: bias and scatter, rms{more}")
+    for note in dict.fromkeys(evaluation.task.note for evaluation in found if evaluation.task.note):
+        about = ", ".join(evaluation.task.name for evaluation in found if evaluation.task.note == note)
+        page.text(f"{about}: {note}")
+
+
+def books_chapter(page: Page, folder: RunFolder) -> None:
+    """What became of every frame."""
+    page.heading("Every frame accounted for")
+    for sentence in chunk_sentences(folder.entries()):
+        page.text(f"{sentence[:1].upper()}{sentence[1:]}.")
+    done = read_done(folder)
+    if done is None:
+        page.text("The run is not finished: resume it, or what follows is a part of the plan.")
+        return
+    books = Ledger.from_dict(done["conservation"])
+    page.text(books.sentence() + ("." if books.imbalance == 0 else f", out by {books.imbalance}."))
+    counts = [(name, str(count)) for name, count in books.to_dict().items()]
+    page.table(("frames", "count"), counts)
+    rows: list[tuple[str, ...]] = []
+    for flow in done["flow"]:
+        latency = flow["latency_ms"]
+        times = ("-", "-") if latency is None else (f"{latency['p50']:.0f}", f"{latency['p99']:.0f}")
+        rows.append((str(len(rows) + 1), str(flow["corrected_live"]), str(flow["skipped_live"]), *times))
+    if rows:
+        page.table(("session", "corrected live", "corrected after", "latency p50 [ms]", "p99 [ms]"), rows)
+
+
+def moved_chapter(page: Page, folder: RunFolder) -> None:
+    """What was commanded, what the stages reported, and (simulated bench only) what they did."""
+    if not (folder.path / MOVED).is_file():
+        return
+    moved = read_displacements(folder)
+    page.heading("What the stages did")
+    rows = [
+        (entry["tag"], *("-" if moved_mm is None else ", ".join(f"{c:+.4f}" for c in moved_mm)
+                         for moved_mm in (entry["commanded_mm"], entry["measured_mm"], entry["true_mm"])))
+        for entry in moved[:SHOWN_PAIRS]
+    ]  # fmt: skip
+    head = ("step", "commanded x, y, z [mm]", "measured", "true (simulation)")
+    page.table(head, rows, "Displacement of the target. Errors above are against the measured one.")
+
+
+def provenance_chapter(page: Page, folder: RunFolder, scene_hash: str, rows: list[tuple[str, str]]) -> None:
+    """Which files, scenes and versions made these figures."""
+    about = folder.about
+    page.heading("Provenance")
+    hashes = [(f"hash of the {name}", str(value)) for name, value in about["hashes"].items() if value]
+    facts = [("run", folder.path.name), ("plan", str(about["name"])), *rows]
+    facts += [("hash of the scene used here", scene_hash), *hashes]
+    facts += [(name, str(version)) for name, version in about["versions"].items()]
+    page.facts(facts)
+    steps = about["steps"]
+    page.table(
+        ("step", "tag", "view", "first frame", "frames"),
+        [
+            (str(s["index"]), str(s["tag"]), str(s["view"]), str(s["first_frame"]), str(s["frames"]))
+            for s in steps[:SHOWN_STEPS]
+        ],
+        f"Steps of the plan{f', the first {SHOWN_STEPS} of {len(steps)}' if len(steps) > SHOWN_STEPS else ''}",
+    )
+    for name in ("plan", "bench", "scene"):
+        page.folded(f"{name}.yaml as it was when the run began", str(about[name]))

@@ -1,0 +1,140 @@
+"""The page of a series: what was done to its frames, one pair of it, and every pair that has no vectors."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from rtpiv.analysis.report.figures import vector_figure
+from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
+from rtpiv.analysis.report.tables import mask_swatches
+from rtpiv.analysis.report.through import through_lead
+from rtpiv.analysis.series.light_file import make_light
+from rtpiv.analysis.series.preview import Preview, preview
+from rtpiv.analysis.series.run_series import SeriesBooks
+from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput
+from rtpiv.analysis.series.series_plan import jobs_of
+from tracer.scene.scene_file import load_scene
+
+SHOWN_PAIRS = 60
+
+
+def write_series_page(path: Path, given: SeriesInput, books: SeriesBooks, figures: bool = False) -> None:
+    """Write the page of a series that was evaluated."""
+    page = Page(f"{given.run.resolve().name}: a flow through glass", f"{books.pairs} pairs", twice=figures)
+    shown = shown_pair(given, books)
+    if shown is not None:
+        through_lead(page, shown.seen.through, given.method.scene, shown.seen.recovered)
+        page.lead(*series_lead(shown))
+    page.tiles(series_tiles(given, books, shown))
+    series_chapters(page, given, books, shown)
+    page.write(path)
+
+
+def shown_pair(given: SeriesInput, books: SeriesBooks) -> Preview | None:
+    """The pair nearest to the middle of the series that has vectors."""
+    method, pairs = given.method, given.given.pairs
+    light = make_light(
+        given.out, method.preparation.background, pairs, given.given.unseeded, method.scene.camera.shape
+    )
+    jobs = jobs_of(given.out, pairs, method, light, 1)
+    middle = len(jobs) // 2
+    for job in sorted(jobs, key=lambda job: abs(job.number - middle)):
+        if job.pairs[0].tag not in books.failed:
+            return preview(job)
+    return None
+
+
+def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str, ...]]]:
+    """Random uncertainty of a vector of one pair, u and v apart; what the map adds is said with the mean."""
+    field = shown.field
+    both = [np.median(sigma[field.valid]) if field.valid.any() else np.nan
+            for sigma in (field.sigma_u_px, field.sigma_v_px)]  # fmt: skip
+    m_s_per_px = 1e-3 * shown.grid.pitch_mm / shown.dt_s
+    said = (
+        f"random standard uncertainty u, v of one vector: median of {int(field.valid.sum())} of pair {shown.tag}"
+    )
+    rows = [("the same in m/s", *(f"{m_s_per_px * sigma:.4g}" for sigma in both))]
+    return "{:.4f}, {:.4f} px".format(*both), said, ("", "u", "v"), rows
+
+
+def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> list[tuple[str, str, str]]:
+    """The figures that matter most: value, name, what it is measured against."""
+    tiles = [(f"{books.pairs - len(books.failed)}", "pairs with vectors", f"of {books.pairs} pairs")]
+    times_us = 1e6 * np.array([pair.dt_s for pair in given.given.pairs])
+    spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
+    tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
+    if shown is not None:
+        counts = shown.field.counts
+        asked = shown.field.flags.size - counts["masked"]
+        tiles.append((f"{counts['valid']}", "valid vectors in one pair", f"of {asked} that the glass shows"))
+    return tiles
+
+
+def series_chapters(page: Page, given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> None:
+    """Add what was done to the frames, one pair, the pairs left out, the scene and where all this comes from."""
+    if shown is not None:
+        frames_chapter(page, shown)
+        pair_chapter(page, given, shown)
+    _left_out(page, given, books)
+    scene_chapter(page, given.method.scene)
+    light_sheet_line(page, replace(given.method.scene, sheet=load_scene(given.out / SCENE_FILE).sheet))
+    _provenance(page, given)
+
+
+def frames_chapter(page: Page, shown: Preview) -> None:
+    """Frame A of a pair after every step."""
+    page.heading("Frames, step by step")
+    said = f"Frame A of {shown.tag}. Drag to compare; the colours of the mask, and their share of the nodes:"
+    page.slider(shown.seen.layers, said)
+    page.swatches(mask_swatches(shown.seen.shares))
+    if shown.steps:
+        page.table(
+            ("step", "what it does"), shown.steps, "In this order; the background goes before the correction"
+        )
+    else:
+        page.text("Nothing was done to the frames but the correction.")
+    image_table(page, shown.seen)
+
+
+def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
+    """The vectors of one pair."""
+    field, grid = shown.field, shown.grid
+    page.heading("One pair")
+    if field.doubt:
+        page.warning(field.doubt + ".")
+    m_s_per_px = 1e-3 * grid.pitch_mm / shown.dt_s
+    speed = np.hypot(field.u_px, field.v_px) * m_s_per_px
+    sigma = np.hypot(field.sigma_u_px, field.sigma_v_px) * m_s_per_px
+    with page.row():
+        figure = vector_figure(field, grid, given.method.scene, speed, "speed [m/s]")
+        page.figure("pair", figure, f"Pair {shown.tag}: vectors, their speed in colour.", dense=True)
+        if np.isfinite(sigma).any():
+            figure = vector_figure(field, grid, given.method.scene, sigma, "estimated sigma [m/s]")
+            page.figure("pair_sigma", figure, "The same before their own random uncertainty.", dense=True)
+    page.facts([("time between the frames", f"{shown.dt_s * 1e6:.3f} us"),
+                ("1 px of displacement is", f"{m_s_per_px:.6g} m/s")])  # fmt: skip
+    page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
+
+
+def _left_out(page: Page, given: SeriesInput, books: SeriesBooks) -> None:
+    page.heading("Every pair accounted for")
+    said = f"{books.pairs} pairs, {len(books.failed)} without vectors"
+    page.text(f"{said}; {given.given.alone} frames of the run lost their partner and are in no pair.")
+    rows = list(books.failed.items())
+    if rows:
+        more = (
+            f"; {len(rows) - SHOWN_PAIRS} more are in the markers of the chunks" if len(rows) > SHOWN_PAIRS else ""
+        )
+        page.table(("pair", "why it has no vectors"), rows[:SHOWN_PAIRS], f"Pairs that are left out{more}")
+
+
+def _provenance(page: Page, given: SeriesInput) -> None:
+    page.heading("Provenance")
+    content = given.method.content
+    settings = ", ".join(f"{name} {value}" for name, value in content["settings"].items())
+    page.facts([("run", given.run.resolve().name), ("scene", given.method.scene.content_hash()),
+                ("correlation", settings), ("rtpiv", version("rtpiv"))])  # fmt: skip

@@ -1,0 +1,231 @@
+"""Figures of an evaluation as rows of text, for the page and for the terminal."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.evaluate.regions import MIDDLE, Region
+from correction.evaluate.routes import Routes
+from correction.evaluate.shift import ShiftResult
+from correction.node_status import MEANING, NodeStatus
+from piv.correlation.response import response_of
+from piv.correlation.settings import PivSettings
+from piv.preprocessing.image_figures import ImageFigures
+from rtpiv.analysis.digits import two_digits
+from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.pictures.mask_colours import COLOURS, web
+from rtpiv.analysis.report.total import Total, coverage_of
+
+SHIFT_HEAD = ("region", "vectors", "total u, v", "bias u, v", "scatter u, v", "estimated sigma u, v")
+RESPONSE_HEAD = ("wavelength in windows", "clear wave", "wave below the noise")
+SIGMA_HEAD = ("region", "vectors", "random u, v", "map: displacement u, v", "map: position u, v")
+CLAIM_HEAD = (
+    "region",
+    "vectors",
+    "within 1 sigma u, v",
+    "within 2 sigma u, v",
+    "scatter / sigma u, v",
+    "sigma is",
+)
+ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
+TRACK_HEAD = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
+IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
+BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
+
+Row = tuple[str, ...]
+
+
+def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, str]]:
+    """Colour, meaning and share of what became of the nodes."""
+    return [(web(COLOURS[status]), MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
+
+
+def shift_rows(result: ShiftResult) -> list[Row]:
+    """Rows under SHIFT_HEAD."""
+    return [
+        (
+            name,
+            str(found.count),
+            *(_pair(found.total_px), _signed(found.bias_px), _pair(found.std_px), _pair(found.sigma_px)),
+        )
+        for name, found in result.regions.items()
+    ]
+
+
+def sigma_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under SIGMA_HEAD: rms of each share of the uncertainty along u and v."""
+    field, joined = evaluation.field, evaluation.map_sigma
+    random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)
+    nothing = np.full_like(random, np.nan)
+    place, moved = (nothing, nothing) if joined is None else (joined.position_px, joined.displacement_px)
+    return [
+        (name, str(int(where.sum())), *(_rms_pair(sigma[where]) for sigma in (random, moved, place)))
+        for name, where in region_masks(evaluation).items()
+    ]
+
+
+def claim_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under CLAIM_HEAD: whether errors keep to random and map sigma; none without a known shift.
+
+    What the stage missed is the same for all vectors, and is taken off first.
+    """
+    rows: list[Row] = []
+    for name, where in region_masks(evaluation).items():
+        found = coverage_of(evaluation, where)
+        if found is not None:
+            inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
+            ratio = "{:.2f}, {:.2f}".format(*found.ratio)
+            rows.append((name, str(int(where.sum())), *inside, ratio, found.claim))
+    return rows
+
+
+def region_masks(evaluation: Evaluation) -> dict[str, NDArray[np.bool_]]:
+    """Measured vectors (ny, nx) by region."""
+    field, regions = evaluation.field, evaluation.regions
+    glass = regions.region == Region.GLASS
+    chosen = {
+        "seen directly": regions.region == Region.DIRECT,
+        f"behind glass, r < {MIDDLE} R": regions.middle,
+        f"behind glass, r > {MIDDLE} R": glass & ~regions.middle,
+        "across a rim": regions.region == Region.RIM,
+    }
+    return {name: where & field.valid for name, where in chosen.items() if (where & field.valid).any()}
+
+
+def route_rows(routes: Routes) -> list[Row]:
+    """Rows under ROUTE_HEAD: rms error of each route, or its own sigma where no error is known."""
+    rows: list[Row] = []
+    for name, one, two, better in routes.rows():
+        cells = [
+            (str(s.count), f"{s.rms_px if routes.known else np.sqrt(np.mean(np.square(s.sigma_px))):.4f}")
+            if s is not None and s.count
+            else ("0", "-")
+            for s in (one, two)
+        ]
+        rows.append((name, *cells[0], *cells[1], better))
+    return rows
+
+
+def track_summary(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Tracks by region: how many, and in corrected px the median sigma of a component and its rms error.
+
+    The error and `within_sigma`, a share, are None where no true shift is known.
+    """
+    tracks = evaluation.tracks
+    assert tracks is not None
+    pitch, radius = evaluation.grid.pitch_mm, tracks.radius
+    sigma = tracks.vectors.sigma_mm / pitch
+    errors = None
+    if evaluation.shift is not None:
+        errors = tracks.vectors.shift_mm / pitch * (1.0, -1.0) - evaluation.shift.shift_px
+    chosen = {
+        "seen directly": tracks.vectors.branch == 0,
+        f"behind glass, r < {MIDDLE} R": radius < MIDDLE,
+        f"behind glass, r > {MIDDLE} R": radius >= MIDDLE,
+    }
+    return [
+        {
+            "region": name,
+            "tracks": int(where.sum()),
+            "median_sigma_px": float(np.median(sigma[where])),
+            "rms_error_px": None if errors is None else float(np.sqrt(np.mean(np.square(errors[where])))),
+            "within_sigma": None if errors is None else float(np.mean(np.abs(errors[where]) < sigma[where])),
+        }
+        for name, where in chosen.items()
+        if where.any()
+    ]
+
+
+def track_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under TRACK_HEAD."""
+    return [
+        (
+            str(found["region"]),
+            str(found["tracks"]),
+            f"{found['median_sigma_px']:.4f}",
+            "-" if found["rms_error_px"] is None else f"{found['rms_error_px']:.4f}",
+            "-" if found["within_sigma"] is None else f"{100 * found['within_sigma']:.0f} %",
+        )
+        for found in track_summary(evaluation)
+    ]
+
+
+def image_rows(figures: dict[str, ImageFigures]) -> list[Row]:
+    """Rows under IMAGE_HEAD."""
+    return [
+        (
+            name,
+            f"{f.particles_per_px:.4f}",
+            f"{f.diameter_u_px:.2f}, {f.diameter_v_px:.2f}",
+            _ratio(f.signal_to_noise),
+            f"{100 * f.saturated:.3f} %",
+            str(f.nan_pixels),
+        )
+        for name, f in figures.items()
+    ]
+
+
+def _ratio(signal_to_noise: float) -> str:
+    """Ratio of a frame, whose noise may be too small to be told from its particles."""
+    if np.isinf(signal_to_noise):
+        return "no noise seen"
+    return "-" if np.isnan(signal_to_noise) else f"{signal_to_noise:.1f}"
+
+
+def lead_of(total: Total) -> tuple[str, str, Row, list[Row]]:
+    """The total with its parts, for the head of a page: value, what it is, head and rows of a small table."""
+    value = "{:.4f}, {:.4f} px".format(*total.total_px)
+    rows = [(name, *(f"{part:+.4f}" if name == "bias" else f"{part:.4f}" for part in pair))
+            for name, pair in total.parts]  # fmt: skip
+    rows.append(("total, in squares", *(f"{part:.4f}" for part in total.total_px)))
+    return value, total.said, ("[px]", "u", "v"), rows
+
+
+def budget_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under BUDGET_HEAD: what the comparison with the true shift can be off by, behind the glass."""
+    result = evaluation.shift
+    assert result is not None
+    where = region_masks(evaluation).get(f"behind glass, r < {MIDDLE} R")
+    if where is None:
+        where = evaluation.field.valid
+    field = evaluation.field
+    random = np.stack((field.sigma_u_px, field.sigma_v_px), axis=-1)[where]
+    rows: list[Row] = [
+        ("correlation of one vector: scatter", _rms(random)),
+        ("stage, two positions: a common bias of all vectors", two_digits(np.sqrt(2.0) * result.stage_px)),
+    ]
+    if evaluation.map_sigma is not None:
+        moved = evaluation.map_sigma.displacement_px[where]
+        rows.insert(1, ("fitted map, displacement: smooth over the plane, the same in every pair", _rms(moved)))
+    return rows
+
+
+def _pair(values: tuple[float, float]) -> str:
+    return f"{values[0]:.4f}, {values[1]:.4f}"
+
+
+def _signed(values: tuple[float, float]) -> str:
+    return f"{values[0]:+.4f}, {values[1]:+.4f}"
+
+
+def _rms_pair(values: NDArray[np.float64]) -> str:
+    """Rms of (N, 2) along u and v."""
+    return ", ".join(_rms(values[:, component]) for component in range(2)) if np.isfinite(values).any() else "-"
+
+
+def _rms(values: NDArray[np.float64]) -> str:
+    known = values[np.isfinite(values)]
+    return two_digits(float(np.sqrt(np.mean(known**2)))) if len(known) else "-"
+
+
+def response_rows(settings: PivSettings) -> list[Row]:
+    """What the settings make of waves: wavelength, share of a strong one and of one below the noise."""
+    window = settings.windows_px[-1]
+    lengths = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 6.0])
+    strong, weak = response_of(settings, window * lengths)
+    return [
+        (f"{length:g} ({window * length:.0f} px)", f"{100 * high:.0f} %", f"{100 * low:.0f} %")
+        for length, high, low in zip(lengths, strong, weak, strict=True)
+    ]

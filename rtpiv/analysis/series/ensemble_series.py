@@ -1,0 +1,212 @@
+"""The ensemble correlation of a series: sweeps over all its pairs, each begun with what is known by then.
+
+The first sweep begins with the mean of vectors, the second with what the first has found.  Sums of all pairs are
+one state, so memory does not grow with their number; parts of a sweep lie on the disk until the sweep is done.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.grid import PlaneGrid
+from ground.rows import thread_count
+from ground.terminal import progress
+from piv.correlation.prepare import prepared as prepared_pair
+from piv.correlation.windows import WindowGrid
+from piv.errors import SeriesError
+from piv.statistics.ensemble import EnsembleSums
+from piv.statistics.ensemble_field import EnsembleField, ensemble_field, next_sweep
+from piv.statistics.sweep import Sweep, sweep_with
+from rtpiv.analysis.series.chunk import correction_of, windows_of
+from rtpiv.analysis.series.clean_frames import clean_frames
+from rtpiv.analysis.series.ensemble_part import PartJob, part_sums, sum_part
+from rtpiv.analysis.series.image_field import image_field
+from rtpiv.analysis.series.light_file import make_light
+from rtpiv.analysis.series.mean_flow import MeanFlow
+from rtpiv.analysis.series.series_input import SeriesInput
+from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, SeriesPair, jobs_of
+from rtpiv.analysis.series.workers import carried_out, worker_processes
+
+PARTS = 8  # of a sweep at least, where there are pairs for so many
+SWEEPS = 2
+LEAST_SHARE = 0.25  # of the pairs that must have a vector where the first sweep believes their mean
+SAME_DT = 0.01  # relative
+LEVEL_PX = 32
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class EnsembleFlow:
+    """Mean flow by ensemble correlation; rows from the lowest y up, u to the right, v UP, in m/s.
+
+    Parameters
+    ----------
+    x_mm, y_mm : (nx,), (ny,) float64
+        Places, both rising.
+    px_per_m_s : float
+        Displacement [px] of 1 m/s.
+    windows : WindowGrid
+        Where the vectors lie on the corrected image, whose rows go down.
+    mean_m_s, sigma_m_s : (ny, nx, 2) float64
+        Mean velocity and its random standard uncertainty, for independent pairs.
+    stresses_m2_s2, stress_sigma_m2_s2 : (ny, nx, 3) float64
+        Reynolds stresses R_uu, R_vv, R_uv, free of the noise of correlation, and their uncertainty.
+    correlation : (ny, nx) float64
+        Share of particles that stay.
+    pairs : int
+        Pairs in the sums.
+    dt_sigma_share : float
+        Standard uncertainty of dt over dt, one factor for all vectors; NaN if nobody measured it.
+    """
+
+    x_mm: Floats
+    y_mm: Floats
+    px_per_m_s: float
+    windows: WindowGrid
+    mean_m_s: Floats
+    sigma_m_s: Floats
+    stresses_m2_s2: Floats
+    stress_sigma_m2_s2: Floats
+    correlation: Floats
+    pairs: int
+    dt_sigma_share: float = float("nan")
+
+
+def ensemble_flow(
+    given: SeriesInput,
+    mean: MeanFlow,
+    window_px: int,
+    workers: int | None = None,
+    executor: Executor | None = None,
+) -> EnsembleFlow:
+    """Mean flow of a series by ensemble correlation.
+
+    Parameters
+    ----------
+    given : SeriesInput
+        The series, whose vectors are evaluated.
+    mean : MeanFlow
+        Their mean, with which it begins.
+    window_px : int
+        Side of the windows: 8, 16 or 32.
+    workers : int, optional
+        Processes; default one a core.
+    executor : Executor, optional
+        Whose workers are used instead.
+
+    Raises
+    ------
+    SeriesError
+        Pairs of different dt, no mean to begin with, fewer than two pairs, or windows of another side.
+    DiskError, RunInterrupted
+        As `run_series`.
+    """
+    dts = np.array([pair.dt_s for pair in given.given.pairs])
+    if np.ptp(dts) > SAME_DT * dts.mean():
+        raise SeriesError("ensemble correlation adds displacements of one dt, and this run has several")
+    prepared = correction_of(given.out / "maps", given.method)
+    windows = windows_of(prepared, given.method)
+    shape = prepared.corrector.map.grid.shape
+    field = image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows)
+    known = mean.count[::-1, :, None] > LEAST_SHARE * mean.used
+    vectors = np.where(known, np.stack((field.u_px, field.v_px), axis=-1), np.nan)
+    stresses = mean.stresses_m2_s2[::-1] * mean.px_per_m_s**2
+    sweep = sweep_with(shape, vectors, stresses, windows, _spread_px2(given, mean))
+    found: EnsembleField | None = None
+    for number in range(1, SWEEPS + 1):
+        sums = _swept(given, mean, sweep, number, workers, executor)
+        found = ensemble_field(sums, window_px)
+        if number < SWEEPS:
+            sweep = next_sweep(found, sweep)
+    assert found is not None
+    on_plane = _on_plane(found, prepared.corrector.map.grid, float(dts.mean()))
+    return replace(on_plane, dt_sigma_share=mean.dt_sigma_share)
+
+
+def _swept(
+    given: SeriesInput, mean: MeanFlow, sweep: Sweep, number: int, workers: int | None, executor: Executor | None
+) -> EnsembleSums:
+    """Sums of one sweep over all pairs; its parts' files are removed."""
+    jobs = _parts(given, mean, sweep, number)
+    own = executor is None and len(jobs) > 1 and (workers or thread_count()) > 1
+    count = min(workers or thread_count(), len(jobs))
+    with worker_processes(count) if own else nullcontext(executor) as pool:
+        done = carried_out(sum_part, jobs, pool)
+        for _ in progress(done, len(jobs), f"ensemble correlation, sweep {number}"):
+            pass
+    total: EnsembleSums | None = None
+    for job in jobs:
+        part = part_sums(job)
+        if part is None:
+            raise SeriesError(f"{job.path}: is not what was written; give the same command again")
+        total = part if total is None else total.merged(part)
+    assert total is not None
+    for job in jobs:
+        job.path.unlink(missing_ok=True)
+    return total
+
+
+def _parts(given: SeriesInput, mean: MeanFlow, sweep: Sweep, number: int) -> list[PartJob]:
+    pairs = given.given.pairs
+    length = CHUNK_PAIRS
+    while length * PARTS < len(pairs):
+        length *= 2
+    chunks, parts = _jobs(given, CHUNK_PAIRS), _jobs(given, length)
+    per = length // CHUNK_PAIRS
+    return [
+        PartJob(
+            part,
+            tuple((job.number, job.key) for job in chunks[part.number * per : (part.number + 1) * per]),
+            sweep,
+            number,
+            mean.usual_share,
+        )
+        for part in parts
+    ]
+
+
+def _jobs(given: SeriesInput, length: int, pairs: Sequence[SeriesPair] | None = None) -> list[ChunkJob]:
+    series = given.given
+    background, shape = given.method.preparation.background, given.method.scene.camera.shape
+    light = make_light(given.out, background, series.pairs, series.unseeded, shape)
+    return jobs_of(given.out, pairs or series.pairs, given.method, light, length)
+
+
+def _spread_px2(given: SeriesInput, mean: MeanFlow) -> float:
+    """Variance of a particle image in the pair nearest to the middle of the series that is used."""
+    left_out = {tag for tag, _ in mean.left_out}
+    jobs = [job for job in _jobs(given, 1) if job.pairs[0].tag not in left_out]
+    job = jobs[len(jobs) // 2]
+    corrector = correction_of(job.maps, job.method).corrector
+    frames = [next(clean_frames(job, pulse)) for pulse in (0, 1)]
+    if isinstance(frames[0], str) or isinstance(frames[1], str):
+        raise SeriesError(f"{job.pairs[0].tag}: its frames have changed since they were evaluated; check the run")
+    one, two = (
+        job.method.preparation.finished(corrector(frame), corrector.recovered)
+        for frame in frames
+        if not isinstance(frame, str)
+    )
+    return prepared_pair(one, two, corrector.recovered, LEVEL_PX).spread_px2
+
+
+def _on_plane(found: EnsembleField, grid: PlaneGrid, dt_s: float) -> EnsembleFlow:
+    origin_mm, pitch_mm = grid.origin_mm, grid.pitch_mm
+    px_per_m_s = 1e3 * dt_s / pitch_mm
+    up = np.array((1.0, -1.0))
+    turned = np.array((1.0, 1.0, -1.0))  # v up: R_uv changes its sign
+    return EnsembleFlow(
+        x_mm=origin_mm[0] + found.grid.x_px * pitch_mm,
+        y_mm=(origin_mm[1] - found.grid.y_px * pitch_mm)[::-1],
+        px_per_m_s=px_per_m_s,
+        windows=found.grid,
+        mean_m_s=(found.mean_px * up / px_per_m_s)[::-1],
+        sigma_m_s=(found.sigma_px / px_per_m_s)[::-1],
+        stresses_m2_s2=(found.stress_px2 * turned / px_per_m_s**2)[::-1],
+        stress_sigma_m2_s2=(found.stress_sigma_px2 / px_per_m_s**2)[::-1],
+        correlation=found.correlation[::-1],
+        pairs=found.pairs,
+    )

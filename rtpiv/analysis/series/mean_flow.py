@@ -1,0 +1,278 @@
+"""What a series says together: mean velocity, Reynolds stresses, and how sure they are.
+
+Pairs are added one by one and merged by their numbers (`piv.statistics.merge_tree`), so neither workers nor the
+length of chunks show in any bit.  Memory holds one chunk and some log2(N) sums.
+
+A pair is left out, named and counted, if it has no vectors, or if fewer than half as many were measured in it as
+is usual in its series: a failed flash or two strangers still give some vectors, and these are noise.
+
+Effective samples come from the autocorrelation of each vector while the whole series fits into `KEPT_BYTES`, and
+from blocking beyond that.
+
+**Four errors, kept apart**, since only the first becomes smaller with more pairs: the random one; what windows do
+not resolve of the mean (`piv.statistics.unresolved`), together with what dropped vectors take from it where some
+pairs have none (`piv.statistics.survivors`; where most have none there is no mean); the time between the
+pulses, which is measured once for a run, so that its relative error is one factor for all vectors (and two for
+stresses); and the fitted map (`map_sigma`).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.short_repr import short_repr
+from piv.correlation.vector_field import VectorFlag
+from piv.errors import SeriesError
+from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
+from piv.statistics.merge_tree import MergeTree
+from piv.statistics.moments import Moments
+from piv.statistics.survivors import measured_often, selection_sigma
+from piv.statistics.unresolved import Unresolved
+from rtpiv.analysis.series.chunk_file import ChunkContent, SeriesField
+
+BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
+LEAST_OF_USUAL = 0.5  # of the share of measured vectors
+KEPT_BYTES = 1 << 28  # 2100 pairs of 126 x 126 vectors in float32
+ROWS = 8  # of the grid whose autocorrelation is taken at a time
+Floats = NDArray[np.float64]
+
+
+@short_repr
+@dataclass(frozen=True, eq=False)
+class MeanFlow:
+    """Statistics of a flow on the plane; rows from the lowest y up, u to the right, v UP, in m/s.
+
+    Parameters
+    ----------
+    x_mm, y_mm : (nx,), (ny,) float64
+        Places, both rising.
+    px_per_mm : float
+        Scale of the corrected image.
+    window_px, step_px : int
+        Side and spacing of the windows.
+    dt_s : float
+        Mean time between the frames of a pair.
+    moments : Moments
+        Of the vectors [m/s].
+    effective : EffectiveSamples
+        Independent vectors that they are worth.
+    used : int
+        Pairs in these statistics.
+    usual_share : float
+        Median over the pairs of the share of vectors that were measured, of those outside the mask.
+    resolution_m_s : (ny, nx) float64
+        Standard uncertainty of a component of the mean by what windows do not resolve, and by the vectors that
+        were lost; NaN where not known.
+    stress_resolution_m2_s2 : (ny, nx, 3) float64
+        By how much stresses may be too small for the same reason: an upper limit.
+    dt_sigma_share : float
+        Standard uncertainty of dt over dt, the same for all pairs; NaN if nobody measured it.
+    left_out : tuple of (str, str)
+        Pairs that are not, by tag, and why.
+    map_sigma_m_s : (ny, nx, 2) float64 or None
+        Standard uncertainty of the mean by the fitted map: the same in every pair, so no number of pairs makes it
+        smaller.
+    map_sigma_position_mm : (ny, nx, 2) float64 or None
+        That of the places.
+    no_map_sigma : str
+        Why these two are None.
+    too_few : (ny, nx) bool or None
+        Places without a mean because fewer than half of the pairs that looked at them have a vector there.
+    """
+
+    x_mm: Floats
+    y_mm: Floats
+    px_per_mm: float
+    window_px: int
+    step_px: int
+    dt_s: float
+    moments: Moments
+    effective: EffectiveSamples
+    used: int
+    usual_share: float
+    resolution_m_s: Floats
+    stress_resolution_m2_s2: Floats
+    dt_sigma_share: float
+    left_out: tuple[tuple[str, str], ...]
+    map_sigma_m_s: Floats | None = None
+    map_sigma_position_mm: Floats | None = None
+    no_map_sigma: str = ""
+    too_few: NDArray[np.bool_] | None = None
+
+    @property
+    def doubt(self) -> str:
+        """Why the mean as a whole is not to be believed, in a sentence; empty if nothing speaks against it."""
+        if self.usual_share >= BELIEVED_SHARE:
+            return ""
+        return (
+            f"only {100 * self.usual_share:.0f} % of the vectors of a usual pair were measured; check seeding, "
+            "focus, background and dt before this mean is believed"
+        )
+
+    @property
+    def gaps(self) -> str:
+        """Where there is no mean although there are vectors, in a sentence; empty if that is nowhere."""
+        places = 0 if self.too_few is None else int(np.count_nonzero(self.too_few))
+        if not places:
+            return ""
+        return (
+            f"{places} places have no mean: fewer than half of the pairs have a vector there, and these are not "
+            "like the others; smaller windows or a shorter dt may resolve what moves there"
+        )
+
+    @property
+    def count(self) -> NDArray[np.int64]:
+        """Number of vectors n (ny, nx)."""
+        return self.moments.count
+
+    @property
+    def mean_m_s(self) -> Floats:
+        """Mean velocity (ny, nx, 2); NaN where there is none."""
+        return self.moments.mean_uv
+
+    @property
+    def mean_px(self) -> Floats:
+        """Mean displacement (ny, nx, 2) [px of the corrected image], y up, of pairs `dt_s` apart."""
+        return self.mean_m_s * self.px_per_m_s
+
+    @property
+    def px_per_m_s(self) -> float:
+        """Displacement [px] of 1 m/s within `dt_s`."""
+        return 1e3 * self.dt_s * self.px_per_mm
+
+    @property
+    def sigma_m_s(self) -> Floats:
+        """Random standard uncertainty of the mean (ny, nx, 2)."""
+        return mean_sigma(self.moments, self.effective)
+
+    @property
+    def dt_sigma_m_s(self) -> Floats:
+        """Standard uncertainty of the mean (ny, nx, 2) by that of dt, one factor for all; NaN if not known."""
+        return np.abs(self.mean_m_s) * self.dt_sigma_share
+
+    @property
+    def local_sigma_m_s(self) -> Floats:
+        """Sigma (ny, nx, 2) of what differs from place to place: random, and not resolved."""
+        return np.hypot(self.sigma_m_s, np.nan_to_num(self.resolution_m_s)[..., None])
+
+    @property
+    def total_sigma_m_s(self) -> Floats:
+        """All that is known of the uncertainty of the mean (ny, nx, 2), added as squares."""
+        parts = [self.local_sigma_m_s, np.nan_to_num(self.dt_sigma_m_s)]
+        parts += [] if self.map_sigma_m_s is None else [np.nan_to_num(self.map_sigma_m_s)]
+        total: Floats = np.sqrt(np.square(parts).sum(axis=0))
+        return total
+
+    @property
+    def stresses_m2_s2(self) -> Floats:
+        """Reynolds stresses R_uu, R_vv, R_uv (ny, nx, 3) without the noise of correlation."""
+        return self.moments.reynolds_stresses
+
+    @property
+    def noisy_stresses_m2_s2(self) -> Floats:
+        """The same as measured, noise included."""
+        return self.moments.covariance
+
+    @property
+    def stress_sigma_m2_s2(self) -> Floats:
+        """Random standard uncertainty of the stresses (ny, nx, 3)."""
+        return stress_sigma(self.moments, self.effective)
+
+
+def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
+    """Statistics of a series from its chunks in order; they are gone through twice, so give a list or the like.
+
+    Raises
+    ------
+    SeriesError
+        No pair has vectors, or chunks lie on different grids.
+    """
+    usual, dt_s, dt_sigma_share, pairs = _usual(chunks)
+    moments, blocks, unresolved = MergeTree[Moments](), MergeTree[Blocking](), MergeTree[Unresolved]()
+    kept: list[NDArray[np.float32]] = []
+    left_out: list[tuple[str, str]] = []
+    used = number = 0
+    looked: NDArray[np.int64] | None = None
+    first: ChunkContent | None = None
+    for chunk in chunks:
+        first = chunk if first is None else first
+        if not (np.array_equal(chunk.x_mm, first.x_mm) and np.array_equal(chunk.y_mm, first.y_mm)):
+            raise SeriesError("chunks of a series lie on different grids; evaluate the run again")
+        apart = max(1, round(0.5 * chunk.window_px / chunk.step_px))
+        keeps = 8 * pairs * len(chunk.x_mm) * len(chunk.y_mm) <= KEPT_BYTES
+        for field in chunk.fields:
+            why = left_out_because(field, usual)
+            if why:
+                left_out.append((field.tag, why))
+                moments.add(number, Moments.nothing(field.flags.shape))
+                blocks.add(number, Blocking.nothing(field.flags.shape))
+                unresolved.add(number, Unresolved.nothing(field.flags.shape, apart))
+            else:
+                used += 1
+                seen = (field.flags != VectorFlag.MASKED).astype(np.int64)
+                looked = seen if looked is None else looked + seen
+                moments.add(number, Moments.of(field.velocity_m_s, field.valid, field.sigma_m_s))
+                blocks.add(number, Blocking.of(field.velocity_m_s, field.valid))
+                unresolved.add(number, Unresolved.of(field.velocity_m_s, field.valid, field.resolution_m_s, apart))
+            if keeps:
+                good = field.valid[..., None] & (not why)
+                kept.append(np.where(good, field.velocity_m_s, np.nan).astype(np.float32))
+            number += 1
+    assert first is not None  # `_usual` has refused a series without chunks
+    total, missing = moments.result(), unresolved.result()
+    looked = np.zeros(total.count.shape, np.int64) if looked is None else looked
+    often = measured_often(total, looked)
+    too_few, total = (total.count > 0) & ~often, total.only(often)
+    shared = missing.shared(total.mean_uv)
+    lost = selection_sigma(total, looked)
+    unsure = np.where(lost > 0.0, np.hypot(np.nan_to_num(shared), lost), shared)
+    return MeanFlow(
+        first.x_mm, first.y_mm, first.px_per_mm, first.window_px, first.step_px, dt_s, total,
+        _of_series(kept) if kept else blocks.result().effective(), used, usual,
+        unsure, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
+        too_few=too_few,
+    )  # fmt: skip
+
+
+def too_few_of(means: Iterable[MeanFlow], without_mean: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Places (ny, nx) of several means together that have none because too few pairs had a vector there."""
+    known = [mean.too_few for mean in means if mean.too_few is not None]
+    return np.logical_or.reduce(known) & without_mean if known else None
+
+
+def left_out_because(field: SeriesField, usual_share: float) -> str:
+    """Why a pair does not belong to the statistics of its series, in a sentence; "" if it does."""
+    if field.failure:
+        return field.failure
+    if field.valid_share < LEAST_OF_USUAL * usual_share:
+        here, usual = (f"{100 * share:.0f} %" for share in (field.valid_share, usual_share))
+        return f"only {here} of its vectors were measured, and {usual} is usual in this series"
+    return ""
+
+
+def _of_series(kept: list[NDArray[np.float32]]) -> EffectiveSamples:
+    """Effective samples of a series that is kept, some rows of the grid at a time."""
+    parts = []
+    for first in range(0, len(kept[0]), ROWS):
+        parts.append(from_series(np.stack([field[first : first + ROWS] for field in kept]).astype(np.float64)))
+    samples = np.concatenate([part.samples for part in parts])
+    return replace(parts[0], samples=samples, converged=all(part.converged for part in parts))
+
+
+def _usual(chunks: Iterable[ChunkContent]) -> tuple[float, float, float, int]:
+    """Median share of measured vectors, mean time between frames [s], its relative sigma, and pairs in all."""
+    shares: list[float] = []
+    times: list[float] = []
+    unsure: list[float] = []
+    pairs = 0
+    for chunk in chunks:
+        pairs += len(chunk.fields)
+        fields = [field for field in chunk.fields if not field.failure]
+        shares += [field.valid_share for field in fields]
+        times += [field.dt_s for field in fields]
+        unsure += [field.dt_sigma_s / field.dt_s for field in fields]
+    if not shares or not max(shares) > 0.0:
+        raise SeriesError("no pair of this series has a vector; look at the reasons that its evaluation gave")
+    return float(np.median(shares)), float(np.mean(times)), float(np.sqrt(np.mean(np.square(unsure)))), pairs

@@ -1,0 +1,87 @@
+"""One pair of a series looked at: its frame A after every step, and its vectors."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.grid import PlaneGrid
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.vector_field import VectorField
+from piv.preprocessing.preparation import CORRECTED, RAW, Preparation
+from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
+from rtpiv.analysis.pictures.embedded import embedded, grey
+from rtpiv.analysis.series.chunk import correction_of
+from rtpiv.analysis.series.clean_frames import clean_frames
+from rtpiv.analysis.series.series_plan import ChunkJob
+
+DARKEST, BRIGHTEST = 1.0, 99.7  # percentiles of a frame that are shown black and white
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A pair of a series.
+
+    Parameters
+    ----------
+    tag : str
+        Names it.
+    dt_s : float
+        Time between its frames.
+    seen : BeforeAfter
+        Frame A as acquired, after each step, and the mask.
+    steps : tuple of (str, str)
+        What each step is called, and what it does.
+    field : VectorField
+        Its vectors.
+    grid : PlaneGrid
+        Scale of the corrected image.
+    """
+
+    tag: str
+    dt_s: float
+    seen: BeforeAfter
+    steps: tuple[tuple[str, str], ...]
+    field: VectorField
+    grid: PlaneGrid
+
+
+def preview(job: ChunkJob) -> Preview | None:
+    """Look at the one pair of a job; None if it has no vectors."""
+    method = job.method
+    prepared = correction_of(job.maps, method)
+    corrector = prepared.corrector
+    (pair,), (a,), (b,) = job.pairs, clean_frames(job, 0), clean_frames(job, 1)
+    bare = replace(job, method=replace(method, preparation=Preparation()), light=None)
+    (raw,) = clean_frames(bare, 0)
+    if isinstance(raw, str) or isinstance(a, str) or isinstance(b, str):
+        return None
+    corrected, second = corrector(a), corrector(b)
+    one, two = (method.preparation.finished(frame, corrector.recovered) for frame in (corrected, second))
+    field = evaluate_pair(one, two, corrector.recovered, method.settings)
+    seen = before_after(raw, corrected, corrector, method.scene)
+    pictures: list[tuple[str, NDArray[Any]]] = [("as acquired", raw)]
+    background = method.preparation.background
+    if background is not None:
+        pictures.append(("without background", a))
+    if raw.shape != corrected.shape:
+        pictures = []
+    pictures.append(("corrected", corrected))
+    for name in method.preparation.steps:
+        if name in CORRECTED:
+            corrected = Preparation((name,)).finished(corrected, corrector.recovered)
+            pictures.append((name, corrected))
+    layers = [(name, embedded(grey(picture, _limits(picture)))) for name, picture in pictures]
+    named = {**RAW, **CORRECTED}
+    steps = tuple((name, named[name]) for name in method.preparation.steps)
+    mask = [layer for layer in seen.layers if layer[0] == "mask"]
+    return Preview(pair.tag, pair.dt_s, replace(seen, layers=(*layers, *mask)), steps, field, corrector.map.grid)
+
+
+def _limits(frame: NDArray[Any]) -> tuple[float, float]:
+    known = frame[np.isfinite(frame)]
+    if not known.size:
+        return 0.0, 1.0
+    low, high = np.percentile(known, (DARKEST, BRIGHTEST))
+    return float(low), float(max(high, low + 1e-6))

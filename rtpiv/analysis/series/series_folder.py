@@ -1,0 +1,238 @@
+"""The folder of a series: what it consists of, its chunks, and nobody else at work in it.
+
+series.json   what was asked, the key of every chunk: on the disk before the first of them
+scene.yaml    what the camera looked through; fit.npz, what its fit is unsure of, if there was one
+chunks/       00042.nc vectors, 00042.json their marker
+maps/         correction maps that all workers share; can be made again at any time
+background.npz   if one of the whole series was taken off
+mean.nc       statistics, by `rtpiv mean`
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field, TypeAdapter, ValidationError, with_config
+from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
+
+from daq.errors import DiskError, RunUnsuitable
+from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
+from daq.whole_text import why, write_json
+from ground.plain_file import read_plain
+from piv.errors import SeriesError
+from rtpiv.analysis.series.chunk_file import ChunkContent, read_chunk
+from rtpiv.analysis.series.marker import Marker, marker_of, sound_content
+from rtpiv.analysis.series.series_plan import chunk_path
+
+try:
+    from fcntl import LOCK_EX, LOCK_NB, flock
+except ImportError:  # not on this system
+    flock = None  # type: ignore[assignment]
+
+FILE = "series.json"
+MEAN = "mean.nc"
+_OURS = re.compile(r"(?P<number>[0-9]{5,9})\.(nc|json)(\.[0-9a-f]{32})?(?P<part>\.part)?")
+
+
+@with_config(STRICT)
+class SeriesFile(TypedDict):
+    """A whole series.json."""
+
+    run: Text
+    pairs: Annotated[int, Field(ge=1, le=1_000_000_000)]
+    alone: Count  # frames that lost their partner
+    glass: bool
+    glass_place_mm: Way  # off the place in the scene file
+    dewarped: bool
+    chunk_pairs: Count
+    keys: list[Sha]
+    content: dict[str, Any]  # settings, preparation, correction, versions
+    shown: Tag  # a pair for pictures
+
+
+_SERIES: TypeAdapter[SeriesFile] = TypeAdapter(SeriesFile)
+
+
+@dataclass(frozen=True)
+class Unlike:
+    """Finished chunks that a series would replace, and why.
+
+    Parameters
+    ----------
+    lost, kept : int
+        Chunks whose key is not that of the series, and those whose key is.
+    run : str, optional
+        Whose they are, if any is lost.
+    differences : tuple of str
+        What of the recipe is another one; empty if only frames have changed, or pairs were added.
+    """
+
+    lost: int
+    kept: int
+    run: str | None = None
+    differences: tuple[str, ...] = ()
+
+
+def _differences(before: SeriesFile, now: SeriesFile) -> tuple[str, ...]:
+    """What differs between two recipes, in the words of options and files."""
+    sides = tuple(
+        {
+            "chunk_pairs": each["chunk_pairs"],
+            **each["content"].get("settings", {}),
+            "prepare": ",".join(each["content"].get("preparation", [])) or "none",
+            **each["content"].get("versions", {}),
+        }
+        for each in (before, now)
+    )
+    names = dict.fromkeys((*sides[0], *sides[1]))
+    found = [
+        f"{name} {_plain(sides[0].get(name))} there, {_plain(sides[1].get(name))} now"
+        for name in names
+        if _plain(sides[0].get(name)) != _plain(sides[1].get(name))
+    ]
+    views = [[each["content"].get("correction"), each["content"].get("grid")] for each in (before, now)]
+    if _plain(views[0]) != _plain(views[1]):
+        found.append("another scene, fit, bare target or limit of sigma")
+    if before["content"].get("layout") != now["content"].get("layout"):
+        found.append("another layout of its files")
+    return tuple(found)
+
+
+def _plain(value: object) -> str:
+    """Text of a value that may have been through JSON, where tuples are lists."""
+    text = json.dumps(value).strip('"')
+    return text.replace("[", "(").replace("]", ")") if isinstance(value, list | tuple) else text
+
+
+@dataclass(frozen=True)
+class SeriesFolder:
+    """A series on the disk."""
+
+    path: Path
+
+    @property
+    def about(self) -> SeriesFile:
+        """Contents of series.json.
+
+        Raises
+        ------
+        RunUnsuitable
+            The folder is no series.
+        SeriesError
+            The file is damaged.
+        """
+        file = self.path / FILE
+        try:
+            return _SERIES.validate_json(read_plain(file, MOST_BYTES))
+        except FileNotFoundError:
+            raise RunUnsuitable(
+                f"{self.path}: is no series (it has no {FILE}); evaluate a flow run first"
+            ) from None
+        except OSError as error:
+            raise SeriesError(f"{file}: cannot be read ({error.strerror}); evaluate the run again") from None
+        except ValidationError as error:
+            problem = error.errors(include_url=False)[0]["msg"]
+            raise SeriesError(f"{file}: is damaged ({problem}); evaluate the run again") from None
+
+    def finished(self) -> dict[int, str]:
+        """Keys of the finished chunks in the folder by their number, whatever series they belong to."""
+        found = {}
+        for file in sorted((self.path / "chunks").glob("*.nc")):
+            marker = marker_of(file) if file.stem.isdecimal() else None
+            if marker is not None:
+                found[int(file.stem)] = marker.key
+        return found
+
+    def unlike(self, about: SeriesFile) -> "Unlike":
+        """Compare the finished chunks of the folder with a series that is to be evaluated into it."""
+        wanted, finished = about["keys"], self.finished()
+        lost = {n for n, key in finished.items() if n >= len(wanted) or wanted[n] != key}
+        if not lost:
+            return Unlike(0, len(finished))
+        try:
+            before = self.about
+        except (RunUnsuitable, SeriesError):
+            return Unlike(len(lost), len(finished) - len(lost), None, (f"{FILE} is missing or damaged",))
+        return Unlike(len(lost), len(finished) - len(lost), before["run"], _differences(before, about))
+
+    def begin(self, about: SeriesFile) -> None:
+        """Write series.json; remove what a killed worker left and what is no longer part of the series.
+
+        That is chunks beyond its end, and the mean of chunks that will be made anew.  Nothing else is touched.
+        """
+        if self.unlike(about).lost:
+            (self.path / MEAN).unlink(missing_ok=True)
+        write_json(self.path / FILE, about)
+        for file in (self.path / "chunks").glob("*"):
+            ours = _OURS.fullmatch(file.name)
+            if ours is not None and (ours["part"] or int(ours["number"]) >= len(about["keys"])):
+                file.unlink()
+
+    def marker(self, number: int, key: str) -> Marker:
+        """Marker of a chunk that must be there; SeriesError as `chunk`."""
+        return self._sound(number, key)[0]
+
+    def chunk(self, number: int, key: str) -> ChunkContent:
+        """Read a chunk that must be there.
+
+        Raises
+        ------
+        SeriesError
+            It is missing, was made otherwise, or is not what was written.
+        """
+        return read_chunk(self._sound(number, key)[1])
+
+    def _sound(self, number: int, key: str) -> tuple[Marker, bytes]:
+        found = sound_content(chunk_path(self.path, number), key)
+        if found is None:
+            raise SeriesError(
+                f"{chunk_path(self.path, number)}: is missing, damaged or made with other settings; "
+                "give rtpiv evaluate again, it makes only what is missing"
+            )
+        return found
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Let nobody else evaluate into this folder.
+
+        Raises
+        ------
+        RunUnsuitable
+            Somebody does.
+        DiskError
+            The folder cannot be written to.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            lock = (self.path / ".lock").open("ab")
+        except OSError as error:
+            raise DiskError(f"{self.path}: {why(error)}; choose another folder with -o") from error
+        with lock as file:
+            try:
+                if flock is not None:
+                    flock(file, LOCK_EX | LOCK_NB)
+            except BlockingIOError:
+                raise RunUnsuitable(f"{self.path}: another process evaluates into it; let it finish") from None
+            yield
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """All chunks of a series in order, read and checked one by one, as often as they are gone through."""
+
+    folder: SeriesFolder
+    keys: tuple[str, ...]
+
+    @classmethod
+    def of(cls, path: Path) -> "Chunks":
+        """Chunks of the series in a folder; raises as `SeriesFolder.about`."""
+        folder = SeriesFolder(path)
+        return cls(folder, tuple(folder.about["keys"]))
+
+    def __iter__(self) -> Iterator[ChunkContent]:
+        for number, key in enumerate(self.keys):
+            yield self.folder.chunk(number, key)

@@ -1,0 +1,91 @@
+"""The statistics of a series from its folder to mean.nc."""
+
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+from correction.fitted.prepared import prepare
+from correction.grid import PlaneGrid, grid_of
+from daq.runs.glass_place import with_glass_at
+from piv.correlation.windows import WindowGrid, window_grid
+from piv.errors import SeriesError
+from rtpiv.analysis.series.map_sigma import with_map_sigma
+from rtpiv.analysis.series.mean_file import write_mean
+from rtpiv.analysis.series.mean_flow import MeanFlow, mean_flow
+from rtpiv.analysis.series.series_folder import MEAN, Chunks, SeriesFolder
+from rtpiv.analysis.series.series_input import SCENE_FILE
+from rtpiv.analysis.series.tasks import scene_sigma_beside
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+
+
+def mean_of_series(folder: Path) -> MeanFlow:
+    """Average a series and write its mean.nc.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the series.
+
+    Raises
+    ------
+    SeriesError
+        A chunk is missing, damaged or made with other settings; or no pair has a vector.
+    RunUnsuitable
+        The folder is no series.
+    ConfigError
+        Its scene cannot be read.
+    DiskError
+        The file cannot be written.
+    """
+    about = SeriesFolder(folder).about
+    mean = mean_flow(Chunks.of(folder))
+    through = scene_of(folder)
+    fitted = load_scene(folder / SCENE_FILE)
+    sigma = scene_sigma_beside(folder / SCENE_FILE, fitted, about["dewarped"], in_light_sheet=False)
+    if isinstance(sigma, str):
+        mean = replace(mean, no_map_sigma=sigma)
+    else:
+        prepared = prepare(through, maps=folder / "maps", grid=grid_of_series(folder))
+        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(standing_of(folder)))
+    said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
+    write_mean(folder / MEAN, mean, said)
+    return mean
+
+
+def scene_of(folder: Path) -> Scene:
+    """Scene that the camera of a series looked through, as particles in its light sheet are seen."""
+    return standing_of(folder).in_light_sheet()
+
+
+def standing_of(folder: Path) -> Scene:
+    """The same with the light sheet where it is."""
+    scene, about = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about
+    return with_glass_at(scene, about["glass_place_mm"]) if about["glass"] else scene.bare()
+
+
+def grid_of_series(folder: Path) -> PlaneGrid:
+    """Nodes of its corrected frames; SeriesError if its file does not say."""
+    own = grid_of(scene_of(folder).camera)
+    said = SeriesFolder(folder).about["content"].get("grid")
+    if said is None:
+        return own
+    try:
+        (x_mm, y_mm), (rows, columns) = said["origin_mm"], said["shape"]
+        return PlaneGrid((float(x_mm), float(y_mm)), float(said["pitch_mm"]), (int(rows), int(columns)))
+    except (KeyError, TypeError, ValueError):
+        raise _says_too_little(folder) from None
+
+
+def _says_too_little(folder: Path) -> SeriesError:
+    return SeriesError(f"{folder}: series.json does not say how its pairs were evaluated; evaluate the run again")
+
+
+def windows_of(folder: Path) -> WindowGrid:
+    """Where the vectors of a series lie on its corrected image; SeriesError if its file does not say."""
+    content = SeriesFolder(folder).about["content"]
+    try:
+        side_px, overlap = int(content["settings"]["windows_px"][-1]), float(content["settings"]["overlap"])
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise _says_too_little(folder) from None
+    return window_grid(grid_of_series(folder).shape, side_px, overlap)

@@ -1,0 +1,127 @@
+"""Pairs of a run that belong into one series: in order, a known time apart, of one view and one exposure."""
+
+from dataclasses import dataclass
+from math import isclose
+from pathlib import Path
+
+from daq.bench.bench_table import Vector
+from daq.runs.glass_place import glass_place_mm
+from daq.runs.journal import Entry
+from daq.runs.pairs import FramePair, RunPairs
+from daq.runs.run_folder import RunFolder
+from piv.errors import PairError
+from rtpiv.analysis.series.series_plan import SeriesPair
+
+FEW_PAIRS = 10  # of a stream, each of which gets a page of its own
+READ_BACK = 1e-6  # relative; of an exposure that nobody has changed
+
+
+@dataclass(frozen=True)
+class PairsOfSeries:
+    """What a run gives a series.
+
+    Parameters
+    ----------
+    pairs : tuple of SeriesPair
+        In order.
+    unseeded : tuple of SeriesPair
+        Those taken before the seeding was opened.
+    alone : int
+        Frames that lost their partner.
+    glass : bool
+        Taken through the glass.
+    glass_place_mm : (float, float, float)
+        By how much that stood off its place in the scene file.
+    """
+
+    pairs: tuple[SeriesPair, ...]
+    unseeded: tuple[SeriesPair, ...]
+    alone: int
+    glass: bool
+    glass_place_mm: Vector = (0.0, 0.0, 0.0)
+
+
+def is_series(run: Path, found: RunPairs) -> bool:
+    """Whether a run is a flow run, or a stream with more pairs than anybody reads pages."""
+    if any(pair.measured_mm is not None for pair in found.pairs):
+        return False
+    return any("dt_us" in step for step in RunFolder(run).about["steps"]) or len(found.pairs) > FEW_PAIRS
+
+
+def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> PairsOfSeries:
+    """Collect the pairs of a series.
+
+    Parameters
+    ----------
+    run : Path
+        The run.
+    found : RunPairs
+        Its pairs.
+    dt_us : float, optional
+        Time between the frames of a pair, for a run that does not know it.
+
+    Raises
+    ------
+    PairError
+        The time between the frames is not known, or contradicts the run's; views or exposures are mixed; or there
+        is no pair with seeding.
+    """
+    entries = {folder_name(entry): entry for entry in found.lines.values()}
+    seeded = [pair for pair in found.pairs if not pair.is_background]
+    if not seeded:
+        raise PairError(f"{run}: holds no pair that was taken with seeding; resume the run first")
+    views = {pair.glass for pair in found.pairs}
+    if len(views) > 1:
+        raise PairError(
+            f"{run}: has pairs through the glass and without it; a series is of one view, take two runs"
+        )
+    _same_exposure(run, found.pairs, entries)
+    made = {pair.tag: _series_pair(run, pair, entries, dt_us) for pair in found.pairs}
+    pairs = tuple(made[pair.tag] for pair in seeded)
+    unseeded = tuple(made[pair.tag] for pair in found.pairs if pair.is_background)
+    glass = views.pop()
+    frames = [pair.frames[0] for pair in found.pairs] if glass else []
+    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, glass_place_mm(run, frames, found.lines))
+
+
+def folder_name(entry: Entry) -> str:
+    """Name of a frame's file, by which a pair finds its line."""
+    return str(entry["file"]).rpartition("/")[2]
+
+
+def dt_of(run: Path, pair: FramePair, dt_us: float | None) -> float | None:
+    """Time between the frames of a pair [s], by the run or as given; PairError if these contradict each other."""
+    given_s = None if dt_us is None else dt_us * 1e-6
+    if pair.dt_s is not None and given_s is not None and not isclose(pair.dt_s, given_s, rel_tol=0.01):
+        raise PairError(
+            f"{run}: the frames of {pair.tag} are {1e6 * pair.dt_s:g} us apart by the run, and {dt_us:g} us by "
+            "--dt-us; leave that out"
+        )
+    return pair.dt_s if pair.dt_s is not None else given_s
+
+
+def _series_pair(run: Path, pair: FramePair, entries: dict[str, Entry], dt_us: float | None) -> SeriesPair:
+    dt_s = dt_of(run, pair, dt_us)
+    if dt_s is None:
+        raise PairError(
+            f"{run}: the time between the frames of {pair.tag} is not known, as the camera has no clock; "
+            "say it with --dt-us"
+        )
+    first, second = (entries[path.name]["crc32"] for path in pair.frames)
+    return SeriesPair(pair.tag, pair.frames, (first, second), dt_s, pair.dt_sigma_s, pair.time_s)
+
+
+def _same_exposure(run: Path, pairs: tuple[FramePair, ...], entries: dict[str, Entry]) -> None:
+    """Refuse pairs of different exposure: their backgrounds and grey levels have nothing in common."""
+    for pulse, name in enumerate("AB"):
+        known: tuple[float, str] | None = None
+        for pair in pairs:
+            exposed_us = entries[pair.frames[pulse].name]["exposure_us"]
+            if exposed_us is None:
+                continue
+            known = known or (exposed_us, pair.tag)
+            if not isclose(known[0], exposed_us, rel_tol=READ_BACK):
+                raise PairError(
+                    f"{run}: exposure {name} of {pair.tag} took {exposed_us:g} us and that of {known[1]} "
+                    f"{known[0]:g} us; evaluate pairs of one exposure, from a run of their own"
+                )

@@ -1,0 +1,183 @@
+"""What a series consists of: pairs in their order, and the chunks that are evaluated apart.
+
+A chunk's file is a function of its job and of nothing else: the raw frames by their checksums, the correction, the
+settings, the versions of what computes.  All that goes into `ChunkJob.key`.  A sliding minimum looks at frames of
+the chunks before and after, so a job names these too, and no vector depends on where a series is cut.
+
+Chunks hold 2^m pairs: statistics are merged by a tree over pairs whose upper part is the tree over chunks
+(`piv.statistics.merge_tree`).
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from correction.fitted.prepared import content_key
+from correction.fitted.sigma_limit import SigmaLimit
+from correction.grid import PlaneGrid
+from correction.maps.dewarp import Dewarp
+from piv.correlation.settings import PivSettings
+from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
+from piv.preprocessing.sliding_minimum import REACH_STEPS
+from piv.statistics.merge_tree import chunks_of
+from tracer.scene.scene import Scene
+
+LAYOUT = 2
+CHUNK_PAIRS = 16  # about half a minute of one core at 4 million pixels
+COMPUTES = ("rtpiv", "numpy", "numba", "scipy")
+
+
+@dataclass(frozen=True)
+class SeriesPair:
+    """A pair of a series.
+
+    Parameters
+    ----------
+    tag : str
+        Names it within its run.
+    frames : (Path, Path)
+        Frame A and frame B as acquired.
+    crc32 : (str, str)
+        Checksums of their pixels, from the run's journal.
+    dt_s : float
+        Time between them.
+    dt_sigma_s : float or None
+        Its standard deviation, if somebody measured it.
+    time_s : float or None
+        Since the first pair of the run; None if the camera has no clock.
+    """
+
+    tag: str
+    frames: tuple[Path, Path]
+    crc32: tuple[str, str]
+    dt_s: float
+    dt_sigma_s: float | None = None
+    time_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Light:
+    """Background of a whole series, in a file that its jobs share; `key` says what it was made from."""
+
+    path: Path
+    key: str
+
+
+@dataclass(frozen=True)
+class Method:
+    """How every pair of a series is evaluated.
+
+    Parameters
+    ----------
+    scene : Scene
+        What the camera looked through.
+    dewarp : Dewarp or None
+        Of the camera, if a bare target was given.
+    settings : PivSettings
+        Of the correlation.
+    preparation : Preparation
+        What is done to the frames.
+    limit : SigmaLimit, optional
+        Nodes of which the map is less sure are left out.
+    grid : PlaneGrid, optional
+        Nodes of the corrected frames, where they are not the camera's own: those of another run.
+    """
+
+    scene: Scene
+    dewarp: Dewarp | None
+    settings: PivSettings
+    preparation: Preparation
+    limit: SigmaLimit | None = None
+    grid: PlaneGrid | None = None
+
+    @cached_property
+    def content(self) -> dict[str, Any]:
+        """Everything that a vector depends on but its frames, as plain data."""
+        return {
+            "layout": LAYOUT,
+            "versions": {name: version(name) for name in COMPUTES},
+            "correction": content_key(self.scene, self.dewarp, limit=self.limit, grid=self.grid),
+            **({} if self.grid is None else {"grid": asdict(self.grid)}),
+            "settings": asdict(self.settings),
+            "preparation": list(self.preparation.steps),
+        }
+
+
+@dataclass(frozen=True)
+class ChunkJob:
+    """Work on one chunk, for any worker that sees the run and the folder of the series.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the series.
+    number : int
+        Of the chunk.
+    method : Method
+        How.
+    pairs : tuple of SeriesPair
+        Pairs of this chunk.
+    before, after : tuple of SeriesPair
+        Neighbours whose frames a sliding minimum looks at.
+    light : Light or None
+        Background of the whole series, if one is taken off.
+    """
+
+    folder: Path
+    number: int
+    method: Method
+    pairs: tuple[SeriesPair, ...]
+    before: tuple[SeriesPair, ...] = ()
+    after: tuple[SeriesPair, ...] = ()
+    light: Light | None = None
+
+    @property
+    def path(self) -> Path:
+        """File of the chunk."""
+        return chunk_path(self.folder, self.number)
+
+    @property
+    def maps(self) -> Path:
+        """Folder of the correction's maps, which all workers share."""
+        return self.folder / "maps"
+
+    @cached_property
+    def key(self) -> str:
+        """SHA-256 of all that the chunk's file is a function of."""
+        tree = {
+            **self.method.content,
+            "light": None if self.light is None else self.light.key,
+            "first": self.number,
+            "pairs": [[p.tag, p.crc32, p.dt_s, p.dt_sigma_s, p.time_s] for p in self.pairs],
+            "near": [[p.crc32 for p in side] for side in (self.before, self.after)],
+        }
+        return digest(tree)
+
+
+def jobs_of(
+    folder: Path, pairs: Sequence[SeriesPair], method: Method, light: Light | None, chunk: int = CHUNK_PAIRS
+) -> list[ChunkJob]:
+    """Cut a series into chunks of `chunk` pairs, a power of two."""
+    reach = REACH_STEPS if method.preparation.background == SLIDING_MINIMUM else 0
+    jobs = []
+    for number, part in enumerate(chunks_of(len(pairs), chunk)):
+        own, before = tuple(pairs[part.start : part.stop]), tuple(pairs[max(0, part.start - reach) : part.start])
+        jobs.append(
+            ChunkJob(folder, number, method, own, before, tuple(pairs[part.stop : part.stop + reach]), light)
+        )
+    return jobs
+
+
+def chunk_path(folder: Path, number: int) -> Path:
+    """File of a chunk of a series."""
+    return folder / "chunks" / f"{number:05d}.nc"
+
+
+def digest(tree: Any) -> str:  # noqa: ANN401 - anything JSON can hold
+    """SHA-256 of plain data, 64 hex digits."""
+    return hashlib.sha256(json.dumps(tree, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -1,0 +1,1 @@
+"""The command line: a verb is called, and what came of it is an exit code and one sentence."""

@@ -1,0 +1,176 @@
+"""The command line: a verb is called, and what came of it is said in one sentence and an exit code.
+
+Every verb is a public function of the same name in ``rtpiv.verbs``; it is imported only when its verb is
+called, so that ``rtpiv --help`` answers at once.  What people can get wrong comes back as one sentence.
+
+Exit codes and what is said with them: `rtpiv.command_line.exit_codes`.
+"""
+
+import importlib
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Any, TextIO
+
+import ground.compile_news as compile_news
+from daq.orderly_end import SIGNALLED, flush_or_leave, orderly_end
+from ground.errors import UntrustedProgram
+from ground.named_program import VARIABLE, trust
+from ground.printable import printable
+from rtpiv.command_line.exit_codes import DEVICE as DEVICE  # who calls main compares with these
+from rtpiv.command_line.exit_codes import DONE as DONE
+from rtpiv.command_line.exit_codes import INTERRUPTED as INTERRUPTED
+from rtpiv.command_line.exit_codes import USAGE as USAGE
+from rtpiv.command_line.exit_codes import exit_code, sentence
+from rtpiv.options import parser
+
+THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
+# Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
+
+
+PICTURES = "rtpiv.analysis.pictures"
+DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are called by whoever draws rays
+    "trace": (f"{PICTURES}.camera_view", f"{PICTURES}.plane", f"{PICTURES}.drawing", "cv2", "ground.compiler"),
+    "compare": (f"{PICTURES}.views",),
+    "correct": (f"{PICTURES}.overview", "cv2"),
+    "evaluate": ("rtpiv.analysis.report.pair", "rtpiv.analysis.report.page", "ground.compiler"),
+    "calibrate": (f"{PICTURES}.calibration", f"{PICTURES}.smooth", "rtpiv.analysis.report.calibration"),
+}
+
+
+def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
+    """Read the words of a command; axes may stand behind options too, where argparse looks for them no more."""
+    known, left = parser().parse_known_args(arguments)
+    options = vars(known)
+    if left and options["verb"] == "stage" and not any(word.startswith("-") for word in left):
+        options["axes"] += left
+    elif left:
+        parser().error(printable(f"unrecognized arguments: {' '.join(left)}"))
+    return options
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; return the exit code."""
+    options = _options(arguments)
+    verb, threads, trusted = options.pop("verb"), options.pop("threads"), options.pop("trust")
+    if verb is None:
+        parser().print_help()
+        return USAGE
+    if trusted is not None:  # for children as well
+        os.environ[VARIABLE] = ",".join(filter(None, (os.environ.get(VARIABLE), trusted)))
+    os.environ.update(ONE_THREAD | os.environ)
+    if threads is not None:
+        os.environ.update(dict.fromkeys(THREADS, str(threads)))  # for children as well; no library is loaded yet
+    compile_news.watch = print_compiling
+    compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
+    compile_news.make_helper, compile_news.helper = lambda: _first_use(verb), None
+    draws = DRAWS.get(verb, ()) if options.get("pictures") else ()
+    with _drawn_apart(draws), orderly_end(), _without_helper(), warnings.catch_warnings():
+        warnings.showwarning = print_warning
+        try:
+            code = _carried_out(verb, options)
+            if code is None:  # the person has said that the programs of the bench file may be called
+                code = _carried_out(verb, options) or DONE
+        except SystemExit as end:
+            if isinstance(end.code, int) and end.code > SIGNALLED:
+                print(f"rtpiv {verb}: ended by {signal.Signals(end.code - SIGNALLED).name}", file=sys.stderr)
+            raise
+        failed = flush_or_leave()
+    if failed is not None and code == DONE:
+        print(f"rtpiv {verb}: {sentence(failed)}", file=sys.stderr)
+        return DEVICE
+    return code
+
+
+def _drawn_apart(modules: Sequence[str]) -> AbstractContextManager[None]:
+    """Let pictures be drawn by a process of their own; who draws none does not wait for it either."""
+    if not modules:
+        return nullcontext()
+    from rtpiv.analysis.pictures.apart import begun
+
+    return begun(modules)
+
+
+def _first_use(verb: str) -> compile_news.Helper:
+    """What helps a verb that finds a kernel missing."""
+    from rtpiv.command_line.first_use import FirstUse
+
+    return FirstUse(verb)
+
+
+@contextmanager
+def _without_helper() -> Iterator[None]:
+    """Let who helped to compile go in the end."""
+    try:
+        yield
+    finally:
+        end = getattr(compile_news.helper, "end", None)
+        if end is not None:
+            end()
+        compile_news.make_helper = compile_news.helper = None
+
+
+def _carried_out(verb: str, options: dict[str, Any]) -> int | None:
+    """Run a verb; exit code, or None if it may be run anew, for a person trusts now what its bench file names."""
+    try:
+        function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
+        function(**options)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except UntrustedProgram as error:
+        if _is_trusted_now(error):
+            return None
+        print(f"rtpiv {verb}: {sentence(error)}", file=sys.stderr)
+        return USAGE
+    except Exception as error:
+        code = exit_code(error)
+        if code is None:
+            raise
+        print(f"rtpiv {verb}: {sentence(error, options.get('out'))}", file=sys.stderr)
+        return code
+    return DONE
+
+
+def _is_trusted_now(error: UntrustedProgram) -> bool:
+    """Ask the person at the terminal whether programs may be called; a yes is kept, and holds from then on."""
+    if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    names = printable(", ".join(error.names))
+    print(f"The bench file names {names}. It would be called, and can do whatever you can.", file=sys.stderr)
+    print("Do you trust who wrote the file? Type yes: ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().casefold() != "yes":
+        return False
+    trust(error.names)
+    return True
+
+
+def print_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Say what a library warns of, without its file and line; it may quote a name with commands in it."""
+    print(f"rtpiv: {printable(str(message))} ({category.__name__})", file=sys.stderr)
+
+
+def print_compiling(functions: int, seconds: float) -> None:
+    """Say on standard error why nothing else happens: kernels are compiled once on each computer."""
+    if functions == 0:
+        text = "compiling, first use on this computer, less than a minute in all"
+    else:
+        left = getattr(compile_news.helper, "seconds_left", lambda: None)()
+        text = f"compiling: {functions} functions, {seconds:.0f} s"
+        text += "" if left is None else f", about {left:.0f} s left"
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,210 @@
+"""What a lab says of itself, and what follows from it by a thin lens.
+
+A lens of focal length f focused on a plane at L has the magnification M = f / (L - f), so the plane is seen with
+M / pixel pitch, and the sensor sees its own size divided by M.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from daq.errors import RunUsageError
+from rtpiv.templates.arrangement import (
+    ARRANGEMENTS,
+    Vector,
+    centres_mm,
+    most_balls,
+    outline_mm,
+    rods_mm,
+    span_mm,
+)
+from stages.config import Name
+from tracer.media import ConstantMedium, Medium, known_media, medium_called
+
+NAME = TypeAdapter(Name)
+DENSEST = 4.0  # index
+LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
+LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
+AROUND = 1.05  # of what the balls hide
+LINES = ("row", "side")  # whose balls may differ
+MOST_DEG = 45.0  # of a camera that looks from the side
+SQUARES_MM = (0.5, 1.0, 1.5, 2.5, 4.0, 5.0, 10.0, 20.0)
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A lab's camera, lens, glass and light; lengths in mm.
+
+    Parameters
+    ----------
+    name : str
+        Letters, digits, underscores.
+    sensor_px : (int, int)
+        Width and height of the camera's frames.
+    pixel_pitch_um : float
+        Size of a pixel.
+    lens_mm : float
+        Focal length.
+    distance_mm : float
+        From the lens (its pinhole) to the investigation plane.
+    arrangement : str
+        One of `ARRANGEMENTS`.
+    balls : int
+        How many.
+    ball_mm : float
+        Their diameter.
+    gap_mm : float
+        Between the lowest ball and the plane.
+    glass : str
+        What they are made of, or its index.
+    support_mm : float
+        Diameter of the opaque rods that hold them from below; 0 for none.
+    wavelength_nm : float
+        Of the light.
+    sizes_mm, glasses : tuple
+        Diameter and glass of each ball of a row or side, where they differ, from the plane on or from the left;
+        `ball_mm` is then the largest, `glass` the first.
+    turn_deg : float
+        By which the camera looks at the plane from the side, about the y axis.
+
+    Raises
+    ------
+    RunUsageError
+        This cannot be; the sentence says which number and what would do.
+    """
+
+    name: str = "lab"
+    sensor_px: tuple[int, int] = (1280, 1024)
+    pixel_pitch_um: float = 4.8
+    lens_mm: float = 35.0
+    distance_mm: float = 500.0
+    arrangement: str = "row"
+    balls: int = 2
+    ball_mm: float = 40.0
+    gap_mm: float = 30.0
+    glass: str = "acrylic"
+    support_mm: float = 0.0
+    wavelength_nm: float = 532.0
+    sizes_mm: tuple[float, ...] = ()
+    glasses: tuple[str, ...] = ()
+    turn_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        if problems := list(self._problems()):
+            raise RunUsageError("; ".join(problems))
+
+    def _problems(self) -> list[str]:
+        said = []
+        try:
+            NAME.validate_python(self.name)
+        except ValidationError:
+            said.append(f"name {self.name!r}: letters, digits and underscores, first a letter, 32 at most")
+        lengths = ("pixel_pitch_um", "lens_mm", "distance_mm", "ball_mm", "wavelength_nm")
+        for key in (*lengths, "gap_mm", "support_mm"):
+            value = getattr(self, key)
+            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and key in lengths):
+                said.append(f"{key}: should be a positive number, not {value:g}")
+        if not all(16 <= side <= 65535 for side in self.sensor_px):
+            said.append(f"sensor_px: should be width and height, 16 to 65535, not {self.sensor_px}")
+        if self.arrangement not in ARRANGEMENTS:
+            said.append(f"arrangement {self.arrangement!r}: there are {', '.join(ARRANGEMENTS)}")
+        elif self.balls not in most_balls(self.arrangement):
+            counts = ", ".join(map(str, most_balls(self.arrangement)))
+            said.append(f"balls: a {self.arrangement} has {counts}, not {self.balls}")
+        for glass in dict.fromkeys(self.each_glass):
+            if _index(glass) is None and medium_called(glass) is None:
+                said.append(f"glass {glass!r} is not known; known are {known_media()}, or its index, 1 to 4")
+        for what, given in (("ball_mm", self.sizes_mm), ("glass", self.glasses)):
+            if given and (self.arrangement not in LINES or len(given) != self.balls):
+                said.append(f"{what}: several are for the balls of a row or side, one for each, not {len(given)}")
+        if self.sizes_mm and not all(0.0 < size <= self.ball_mm for size in self.sizes_mm):
+            said.append("ball_mm: every size should be a positive number")
+        if not abs(self.turn_deg) <= MOST_DEG:
+            said.append(f"turn_deg: should be {-MOST_DEG:g} to {MOST_DEG:g}, not {self.turn_deg:g}")
+        if not said and self.lens_mm >= self.distance_mm:
+            said.append(f"a lens of {self.lens_mm:g} mm cannot focus on a plane {self.distance_mm:g} mm away")
+        if not 300.0 <= self.wavelength_nm <= 2000.0:
+            said.append(f"wavelength_nm: should be 300 to 2000, not {self.wavelength_nm:g}")
+        return said
+
+    @property
+    def each_mm(self) -> tuple[float, ...]:
+        """Diameter of every ball."""
+        return self.sizes_mm or (self.ball_mm,) * self.balls
+
+    @property
+    def each_glass(self) -> tuple[str, ...]:
+        """Glass of every ball."""
+        return self.glasses or (self.glass,) * self.balls
+
+    @property
+    def centres_mm(self) -> list[Vector]:
+        """Centre of every ball."""
+        return centres_mm(self.arrangement, self.balls, self.ball_mm, self.gap_mm, self.sizes_mm)
+
+    @property
+    def rods_mm(self) -> list[tuple[Vector, Vector]]:
+        """Start and end of every rod."""
+        return rods_mm(self.centres_mm, self.ball_mm, self.support_mm, self.sizes_mm)
+
+    @property
+    def pinhole_mm(self) -> Vector:
+        """Where the camera's pinhole is; it looks at the origin."""
+        turn = math.radians(self.turn_deg)
+        x, z = self.distance_mm * math.sin(turn), self.distance_mm * math.cos(turn)
+        return round(x, 4), 0.0, round(z, 4)
+
+    @property
+    def span_mm(self) -> tuple[float, float]:
+        """Width and height of the balls together."""
+        return span_mm(self.centres_mm, self.ball_mm)
+
+    def alike(self, **changes: Any) -> "Lab":  # noqa: ANN401 - of its fields
+        """Return the same lab with changes, and with balls that are all alike, as in other arrangements."""
+        return replace(self, sizes_mm=(), glasses=(), **changes)
+
+    def with_usual_lens(self) -> "Lab":
+        """Return the same lab with the longest lens that sees all balls from this distance."""
+        found = [replace(self, lens_mm=f) for f in LENSES_MM if f < 0.8 * self.distance_mm] or [self]
+        width, height = (AROUND * side for side in outline_mm(self.centres_mm, self.ball_mm, self.distance_mm))
+        height_mm = max(z for _, _, z in self.centres_mm) + self.ball_mm / 2.0
+        width += (
+            2.0 * height_mm * abs(math.tan(math.radians(self.turn_deg)))
+        )  # what stands up is seen beside its place
+        wide = [lab for lab in found if lab.field_mm[0] >= width and lab.field_mm[1] >= height]
+        return wide[-1] if wide else found[0]
+
+    @property
+    def px_per_mm(self) -> float:
+        """Scale on the plane."""
+        return self.lens_mm / (self.distance_mm - self.lens_mm) / (self.pixel_pitch_um * 1e-3)
+
+    @property
+    def field_mm(self) -> tuple[float, float]:
+        """Width and height of what the camera sees of the plane without glass."""
+        width, height = self.sensor_px
+        return width / self.px_per_mm, height / self.px_per_mm
+
+    @property
+    def square_mm(self) -> float:
+        """Square of a board that this camera resolves well."""
+        return next((side for side in SQUARES_MM if side * self.px_per_mm >= LEAST_SQUARE_PX), SQUARES_MM[-1])
+
+
+def medium_of_glass(glass: str) -> Medium:
+    """What a ball is made of, by name or index."""
+    index = _index(glass)
+    known = medium_called(glass) if index is None else ConstantMedium(index)
+    assert known is not None  # others are refused
+    return known
+
+
+def _index(glass: str) -> float | None:
+    """The glass as a number, if it is one that glass can have."""
+    try:
+        index = float(glass)
+    except ValueError:
+        return None
+    return index if 1.0 < index <= DENSEST else None

@@ -1,0 +1,304 @@
+"""`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
+
+import shlex
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.table import Table
+
+from daq.bench.bench_file import load_bench
+from daq.bench.bench_table import Bench, Vector
+from daq.bench.opened import check_devices
+from daq.bench.stage_kind import idle_stage
+from daq.cameras import require_libraries
+from daq.errors import BadBalance, FrameDoubt, PlanError
+from daq.pipeline.lanes import LIVE_QUEUE
+from daq.plans.experiments.focus import FocusPlan
+from daq.plans.forecast import Forecast, check_views, forecast
+from daq.plans.plan import Plan, load_plan, read_plan
+from daq.plans.way_out import forecast_from_home
+from daq.runner.light import Operator
+from daq.runner.session import Request, begin, carry_out, check_disk
+from daq.runner.watch import watch
+from daq.runs.chunk_books import chunk_sentences
+from daq.runs.displacement import FILE as MOVED
+from daq.runs.displacement import Moved, read_displacements
+from daq.runs.gaps import gap_sentence
+from daq.runs.run_folder import RunFolder
+from ground.errors import ConfigError
+from ground.plain_words import counted
+from ground.terminal import console, error_console
+from piv.resampling.sample import Method
+from rtpiv.verbs.operator import operator_of, require_person
+from rtpiv.verbs.output import require_folder
+from rtpiv.verbs.paths import Named, path_of
+from stages.identities import confusable
+
+if TYPE_CHECKING:
+    from daq.live.run_shown import RunShown
+
+SHOWN_STEPS = 40
+SHOWN_PAIRS = 12
+
+
+def acquire(
+    plan: Named,
+    bench: Named = "bench.yaml",
+    out: Named = "runs",
+    simulate: bool = False,
+    dry_run: bool = False,
+    home: bool = False,
+    correct: bool = True,
+    scene: Named | None = None,
+    target_clear: Named | None = None,
+    dewarp_order: int = 2,
+    method: Method = "quintic",
+    live_queue: int = LIVE_QUEUE,
+    operator: str | None = None,
+    live: bool = False,
+) -> Path | None:
+    """Carry a plan out on a bench.
+
+    Parameters
+    ----------
+    plan, bench : path
+        plan.yaml and bench.yaml.
+    out : path
+        Folder in which the run gets a folder of its own.
+    simulate : bool
+        Use the bench's simulation in place of the hardware.
+    dry_run : bool
+        Print steps, travel, time, disk and violations; open nothing.  With `simulate` also refuse what the
+        simulated bench cannot show.
+    home : bool
+        Home every axis first, in the configured order; the plan is then judged from the homed place, if the bench
+        file says where that is.
+    correct : bool
+        Correct frames as they arrive.
+    scene : path, optional
+        Scene for the correction, such as a fitted one; default is the bench's.
+    target_clear, dewarp_order
+        As for `correct`.
+    method : {"quintic", "bilinear"}
+        Interpolation of the correction.
+    live_queue : int
+        Frames that may wait to be corrected; 1 for the lowest latency.
+    operator : str, optional
+        Who answers for the light of a flow run where nobody sits at a terminal; see `verbs.operator`.
+    live : bool
+        Show frames on a page in the browser as they are corrected.
+
+    Returns
+    -------
+    Path or None
+        Folder of the run; None after a dry run.
+
+    Raises
+    ------
+    ConfigError, PlanError
+        A file is wrong, or the plan violates limits or keep-out; nothing has moved.
+    CameraSetupError
+        Libraries of the camera are not installed.
+    RunInterrupted
+        Ended on request; resume it.
+    """
+    screen = console()
+    plan, bench, out = Path(plan), Path(bench), Path(out)
+    given = path_of(scene), path_of(target_clear)
+    request = Request(bench, plan, simulate, correct, *given, dewarp_order, method, live_queue)
+    loaded = _bench_of(bench, plan)
+    check_devices(loaded)
+    if not dry_run:
+        require_libraries(loaded.table.camera.backend)
+    steps = load_plan(plan, loaded)
+    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run)
+    if not simulate:
+        for warning in confusable(loaded.table.stages):
+            error_console().print(warning, soft_wrap=True)
+    if said.violations:
+        first = said.violations[0]
+        raise PlanError(
+            f"{plan}: {len(said.violations)} of its moves or rates are not allowed; "
+            f"step {first.step} ({first.tag}): {first.text}"
+        )
+    if simulate:
+        check_views(loaded, steps.steps)
+        require_lens(loaded, steps)
+    if dry_run:
+        return None
+    person = operator_of(operator, simulate)
+    require_person(person, steps.steps)
+    require_folder(out).mkdir(parents=True, exist_ok=True)
+    check_disk(out, said.raw_bytes + (said.corrected_bytes if correct else 0))
+    folder = begin(request, loaded, steps, out)
+    screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
+    screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
+    run_and_report(screen, request, loaded, steps, folder, home, person, live=live)
+    return folder.path
+
+
+def require_lens(bench: Bench, plan: Plan) -> None:
+    """Refuse a focus scan through the pinhole that our simulated camera is unless told otherwise."""
+    simulation = bench.table.simulation or {}
+    ours = str(simulation.get("bench", "")).startswith("sim.")
+    if isinstance(plan.table, FocusPlan) and ours and simulation.get("aperture") is None:
+        raise PlanError(
+            f"{bench.path}: the simulated lens is a pinhole, which is sharp at every distance; give it an"
+            " aperture: simulation: {aperture: {f_mm: 60.0, f_number: 2.8, focus_mm: 500.0}}"
+        )
+
+
+def _bench_of(bench: Path, plan: Path) -> Bench:
+    """Read a bench; if it is wrong, say what is wrong with the plan as well."""
+    try:
+        return load_bench(bench)
+    except ConfigError as error:
+        wrong = [error]
+        try:
+            read_plan(plan)
+        except ConfigError as more:
+            wrong.append(more)
+        raise ConfigError.joined(wrong) from None
+
+
+def run_and_report(
+    screen: Console,
+    request: Request,
+    bench: Bench,
+    plan: Plan,
+    folder: RunFolder,
+    home: bool,
+    person: Operator,
+    again: Collection[int] = (),
+    live: bool = False,
+    is_new: bool = True,
+) -> dict[str, Any]:
+    """Do what is left of a run, say what came of it, or how to go on."""
+    try:
+        with watch(error_console()) as watcher, _shown(screen, request, bench, folder, live) as shown:
+            watchers = watcher if shown is None else shown.watching(watcher)
+            show = None if shown is None else shown.show
+            done = carry_out(
+                request, bench, plan, folder, home, watchers, again=again, operator=person, show=show,
+                say=lambda sentence: screen.print(sentence, soft_wrap=True, highlight=False),
+            )  # fmt: skip
+    except (BadBalance, FrameDoubt):
+        said = f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed"
+        error_console().print(said, soft_wrap=True, highlight=False)
+        raise
+    except BaseException:
+        if (
+            is_new and folder.remove_if_empty()
+        ):  # nothing came of it: the bench could not be opened, or an axis not be homed
+            raise
+        homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
+        said = f"the run is in {folder.path}; go on with: rtpiv resume {shlex.quote(str(folder.path))}{homing}"
+        error_console().print(said, soft_wrap=True, highlight=False)
+        raise
+    print_done(screen, folder, done)
+    return done
+
+
+@contextmanager
+def _shown(
+    screen: Console, request: Request, bench: Bench, folder: RunFolder, live: bool
+) -> "Iterator[RunShown | None]":
+    """A page for the run, if one is wanted."""
+    if not live:
+        yield None
+        return
+    from daq.live.live_page import BYTES_PER_PX, LivePage
+    from daq.live.run_shown import RunShown
+    from tracer.scene.scene_file import load_scene
+
+    scene = bench.scene if request.scene is None else load_scene(request.scene)
+    width, height = scene.camera.sensor_px
+    board = bench.table.target.board
+    with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:
+        screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
+        yield RunShown(page, folder)
+
+
+def forecast_said(screen: Console, bench: Bench, plan: Plan, home: bool, with_steps: bool) -> Forecast:
+    """Work out what a plan will do on an idle bench, and say it."""
+    stage = idle_stage(bench)
+    if home:
+        said, sentence = forecast_from_home(bench, stage, plan.steps)
+        screen.print(sentence, soft_wrap=True)
+    else:
+        said = forecast(bench, stage, plan.steps)
+    print_forecast(screen, bench, plan, said, with_steps)
+    return said
+
+
+def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, with_steps: bool) -> None:
+    """Say what a plan will do."""
+    if with_steps:
+        table = Table(title=f"steps of {plan.name}")
+        for name in ("step", "frames", "tag", "view", "axes away from the scene's place in mm"):
+            table.add_column(name)
+        home = bench.home_mm
+        for step in plan.steps[:SHOWN_STEPS]:
+            away = ", ".join(f"{n} {mm:+.3f}" for n, mm in step.positions_mm if mm != home[n])
+            last = f"{step.first_frame}..{step.numbers[-1]}" if step.frames > 1 else str(step.first_frame)
+            table.add_row(str(step.index), last, step.tag, step.view, away or "-")
+        screen.print(table)
+        if len(plan.steps) > SHOWN_STEPS:
+            screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
+    travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
+    screen.print(
+        f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}, about {said.duration_s:.0f} s; "
+        f"travel in mm: {travel or 'none'}; "
+        f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
+    )
+    if said.link:
+        screen.print(said.link, soft_wrap=True, highlight=False)
+    for violation in said.violations:
+        screen.print(f"not allowed: step {violation.step} ({violation.tag}): {violation.text}", style="bold")
+
+
+def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:
+    """Say what a finished run has brought."""
+    books = done["conservation"]
+    screen.print(
+        f"{books['triggered']} triggered = {books['written']} written + {books['incomplete']} incomplete "
+        f"+ {books['rejected']} rejected + {books['lost']} lost"
+    )
+    for sentence in chunk_sentences(folder.entries()):
+        screen.print(sentence)
+    for step in done.get("gaps", ()):
+        frames = sum(planned["frames"] for planned in folder.about["steps"] if planned["index"] == step["step"])
+        screen.print(f"{step['tag']}: {gap_sentence(step['gaps'], frames)}", style="bold")
+    for flow in done["flow"]:
+        latency = flow["latency_ms"]
+        if latency is not None:
+            screen.print(
+                f"{flow['corrected_live']} corrected as they arrived, latency p50 {latency['p50']:.0f} ms, "
+                f"p99 {latency['p99']:.0f} ms; {flow['skipped_live']} skipped and corrected after the run"
+            )
+    path = folder.path / MOVED
+    if path.exists():
+        _print_displacements(screen, path, read_displacements(folder))
+    screen.print(str(folder.path), style="bold")
+
+
+def _print_displacements(screen: Console, path: Path, found: Sequence[Moved]) -> None:
+    table = Table(title="displacement of the target in mm")
+    for name in ("pair", "commanded x, y, z", "measured - commanded in um", "true - commanded in um"):
+        table.add_column(name)
+    for entry in found[:SHOWN_PAIRS]:
+        commanded = entry["commanded_mm"]
+
+        def off(vector: Vector | None, commanded: Vector = commanded) -> str:
+            if vector is None:
+                return "not known on a real bench"
+            return ", ".join(f"{1e3 * (v - c):+.1f}" for v, c in zip(vector, commanded, strict=True))
+
+        shown = ", ".join(f"{c:+.4f}" for c in commanded)
+        table.add_row(entry["tag"], shown, off(entry["measured_mm"]), off(entry["true_mm"]))
+    screen.print(table)
+    if len(found) > SHOWN_PAIRS:
+        screen.print(f"... and {len(found) - SHOWN_PAIRS} more in {path}")

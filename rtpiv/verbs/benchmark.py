@@ -1,0 +1,51 @@
+"""`rtpiv benchmark`: run time against error on this machine, for one scene; the project's own benchmark."""
+
+import subprocess
+from importlib.util import find_spec
+from pathlib import Path
+
+from daq.child import child
+from daq.errors import DaqError, RunUsageError
+from rtpiv.verbs.output import require_folder
+from rtpiv.verbs.paths import Named
+from tracer.scene.scene_file import load_scene
+
+
+def benchmark(scene: Named, out: Named = "benchmark", rounds: int = 9) -> Path:
+    """Measure ray map, correction map and frames of a scene beside the peers that are installed.
+
+    The benchmark judges the packages against 50-digit references and other programs, so it stands outside of them
+    and is run as a program of its own; ``make benchmark`` runs the same for the scenes of the paper.
+
+    Parameters
+    ----------
+    scene : path
+        scene.yaml.
+    out : path
+        Folder for ``benchmark.json`` and ``benchmark.png``.
+    rounds : int
+        Interleaved rounds.
+
+    Returns
+    -------
+    Path
+        ``benchmark.json``.
+
+    Raises
+    ------
+    ConfigError
+        The scene file is wrong.
+    RunUsageError
+        The benchmarks are not there: they stand in the sources, and are not installed.
+    DaqError
+        The benchmark stopped; what it printed says why.
+    """
+    scene, out = Path(scene), require_folder(out)
+    load_scene(scene)
+    if find_spec("benchmarks") is None:
+        raise RunUsageError("the benchmarks are not installed: run this in a checkout of the sources of rtpiv")
+    options = ["-o", str(out.resolve()), "--rounds", str(rounds), "--scenes", str(scene.resolve())]
+    command, environment = child("benchmarks", *options)
+    if subprocess.run(command, env=environment, check=False).returncode:
+        raise DaqError("the benchmark stopped; what it said last tells why")
+    return out / "benchmark.json"

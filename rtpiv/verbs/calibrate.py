@@ -1,0 +1,169 @@
+"""`rtpiv calibrate`: find the bench's true geometry from frames of its target."""
+
+import re
+import time
+from pathlib import Path
+
+from correction.fit.judge.result import SceneFit
+from correction.fit.scene_fit import fit_scene
+from correction.fit.seen.measurement import TargetFrame
+from correction.fit.solve.errors import ViewsMissing
+from correction.fitted.fit_file import save_fit
+from correction.fitted.map_sigma import map_sigma
+from daq.runs.acquired import read_acquired
+from daq.runs.board import board_of
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import TargetView, is_run, load_kept, target_views
+from daq.whole_text import write_json, write_text
+from ground.plain_words import counted
+from ground.terminal import console, error_console
+from piv.files.frame_file import FRAME_ENDINGS
+from rtpiv.analysis.calibration import Calibration, calibration_of
+from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.verbs.output import folder_for
+from rtpiv.verbs.paths import Named, path_of
+from rtpiv.verbs.show import show_calibration
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene, load_priors, load_scene
+
+PICTURES = "rtpiv.analysis.pictures"
+NAME = re.compile(r"target_(clear|glass)(?:_z([+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?)mm)?")
+WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear_z+10mm.tif and so on"
+
+
+def calibrate(
+    folder: Named,
+    scene: Named | None = None,
+    out: Named | None = None,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
+    pictures: bool = True,
+) -> SceneFit:
+    """Fit a scene to frames of its target.
+
+    Parameters
+    ----------
+    folder : path
+        A target run; or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
+        (through the glass) and, for other heights, ``target_clear_z+10mm.tif`` ...
+    scene : path, optional
+        Nominal scene.yaml; its ``fit:`` section says what may change. A run without it is calibrated from the
+        scene of its bench, as it was when the run began.
+    out : path, optional
+        Folder, default ``fit`` (or ``fit-2`` ... where that has results): ``scene.yaml`` fitted, ``fit.npz``
+        (covariance, corners), ``map_sigma.npz`` and ``.png``, ``residuals.png``, ``smooth_residuals.png`` (what
+        the test of the model looks at), ``convergence.png``, ``calibration.html`` (verdict and numbers),
+        ``calibration.json``.
+    square_mm, disc_mm : float, optional
+        The board, of a folder that is no run (default 2.5, and 0.4 of a square): a run knows its own.
+    pictures : bool
+        Draw pictures, after all else is written.
+
+    Returns
+    -------
+    SceneFit
+        The scene found (`scene`), its numbers with sigma, and what the frames leave open.
+
+    Raises
+    ------
+    ConfigError, SceneError
+        The scene file is wrong.
+    BoardError
+        The run's board is another one.
+    FrameError, TargetNotFound, FitError
+        The frames cannot determine the scene; nothing is written then.
+    """
+    progress = error_console()
+    began = time.monotonic()
+    folder = Path(folder)
+    nominal, priors = nominal_scene(folder, path_of(scene))
+    board = board_of([folder], square_mm, disc_mm)
+    frames = target_frames(folder, nominal.camera.shape)
+    out = folder_for(out, "fit")
+
+    def say(text: str) -> None:
+        progress.print(f"{time.monotonic() - began:6.1f} s  {text}")
+
+    say(f"{counted(len(frames), 'frame')} of the target in {folder}")
+    fit = fit_scene(nominal, frames, board, priors, say)
+    seconds = time.monotonic() - began
+    say("standard deviation of the map")
+    sigma = map_sigma(fit)
+    say("errors before and after")
+    found = calibration_of(fit, sigma, frames, board, seconds)
+    out.mkdir(parents=True, exist_ok=True)
+    save_fit(out / "fit.npz", fit)
+    sigma.save(out / "map_sigma.npz")
+    write_json(out / "calibration.json", found.to_dict())
+    write_text(out / "scene.yaml", dump_scene(fit.measured_scene, priors))
+    show_calibration(console(), found)
+    if pictures:
+        _draw(out, found, nominal.camera.shape, folder.resolve().name)
+    console().print(
+        f"scene.yaml, covariance{', map sigma and pictures' if pictures else ' and map sigma'} are in {out}"
+    )
+    return fit
+
+
+def _draw(out: Path, found: Calibration, shape: tuple[int, int], name: str) -> None:
+    with drawing() as draw:
+        draw(
+            f"{PICTURES}.calibration:draw_map_sigma", out / "map_sigma.png", found.sigma, found.fit.measured_scene
+        )
+        draw(f"{PICTURES}.calibration:draw_convergence", out / "convergence.png", found.fit.history)
+        draw(f"{PICTURES}.smooth:draw_smooth", out / "smooth_residuals.png", found.fit)
+        if found.panels:
+            draw(f"{PICTURES}.calibration:draw_residuals", out / "residuals.png", found.panels, shape)
+        draw("rtpiv.analysis.report.calibration:write_calibration_page", out / "calibration.html", found, name)
+    console().print(f"look at {out / 'calibration.html'}", style="bold")
+
+
+def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
+    """Read the nominal scene and its fit section, from a file or from the run itself.
+
+    Raises
+    ------
+    ViewsMissing
+        No scene is given, and the folder is no run.
+    RunDamaged
+        The scene that the run keeps cannot be read any more.
+    """
+    if scene is not None:
+        return load_scene(scene), load_priors(scene)
+    if not is_run(folder):
+        raise ViewsMissing(f"{folder}: is no run, which would know its scene; give the nominal one with --scene")
+    return load_kept(RunFolder.open(folder), "scene", lambda file: (load_scene(file), load_priors(file)))
+
+
+def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
+    """Read the target frames of a run, at measured heights, or of a folder, at those that the names say.
+
+    Raises
+    ------
+    ViewsMissing
+        There is no frame of the target, or one that is named like one and is not understood.
+    FrameError
+        A frame is damaged or of another size.
+    RunDamaged
+        A frame of a run, or a record of it, is not what was written.
+    """
+    if not folder.is_dir():
+        raise ViewsMissing(f"{folder}: is no folder; give a run, or the folder with {WANTED}")
+    views = target_views(folder) if is_run(folder) else _named_views(folder)
+    if not views:
+        raise ViewsMissing(f"{folder}: holds no frame of the target; name them {WANTED}")
+    return [TargetFrame(view.tag, read_acquired(view.path, shape), view.glass, view.height_mm) for view in views]
+
+
+def _named_views(folder: Path) -> list[TargetView]:
+    """Frames of a folder that is no run: all that somebody knows of them stands in their names."""
+    views = []
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() not in FRAME_ENDINGS or not path.stem.startswith("target_"):
+            continue
+        match = NAME.fullmatch(path.stem)
+        if match is None:
+            raise ViewsMissing(f"{path}: is named like a frame of the target, but not {WANTED}; rename it")
+        views.append(TargetView(path.stem, path, match[1] == "glass", float(match[2] or 0.0)))
+    return views

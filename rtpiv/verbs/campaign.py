@@ -1,0 +1,195 @@
+"""`rtpiv campaign`: many runs, evaluated chunk by chunk on whatever computers there are, and averaged."""
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Literal, Unpack
+
+from daq.errors import RunUsageError, Unfinished
+from ground.plain_words import counted
+from ground.rows import thread_count
+from ground.terminal import console
+from piv.errors import PairError
+from rtpiv.analysis.campaign.campaign_folder import CHUNK_PAIRS, CampaignFolder
+from rtpiv.analysis.campaign.campaign_plan import Forecast, ask_for
+from rtpiv.analysis.campaign.campaign_trial import adopt, trial
+from rtpiv.analysis.campaign.dask_workers import DaskWorkers
+from rtpiv.analysis.campaign.engine import Engine, LocalProcesses
+from rtpiv.analysis.campaign.hand_out import PATIENCE_S
+from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, said_missing
+from rtpiv.analysis.campaign.run_campaign import run_campaign
+from rtpiv.analysis.campaign.slurm_arrays import SlurmArrays
+from rtpiv.analysis.campaign.status import RunStatus, campaign_status
+from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
+from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.verbs.output import require_folder
+from rtpiv.verbs.paths import Named, path_of, paths_of
+from rtpiv.verbs.show import show_campaign, show_forecasts
+
+Action = Literal["plan", "run", "status", "merge"]
+STRANGERS = 2.0  # sigma: more, and the runs did not see one flow
+
+
+def campaign(
+    action: Action,
+    runs: Sequence[Named] = (),
+    out: Named = "campaign",
+    scenes: Sequence[Named] = (),
+    chunk: int | None = None,
+    target_clear: Named | None = None,
+    dewarp_order: int | None = None,
+    dt_us: float | None = None,
+    sigma_limit_px: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    slurm: int | None = None,
+    slurm_options: Sequence[str] = (),
+    slurm_here: bool = False,
+    patience_s: float = PATIENCE_S,
+    **options: Unpack[PivOptions],
+) -> list[Forecast] | list[RunStatus] | CampaignMean:
+    """Evaluate many runs on this computer or on others, and average them.
+
+    ``plan`` says what it costs and writes nothing, ``run`` makes what is missing, ``status`` says how it stands,
+    ``merge`` averages.  Each may be ended at any time and given again.  Every file but ``books.jsonl`` has the
+    same bytes whoever works and however often it was interrupted.  In a folder with finished chunks another
+    recipe, another scene or fewer runs are refused.
+
+    Parameters
+    ----------
+    action : {"plan", "run", "status", "merge"}
+        What to do.
+    runs : sequence of path
+        Flow runs: of ``plan``, and of the first ``run``.
+    out : path
+        Folder of the campaign, see `rtpiv.analysis.campaign.campaign_folder`; all workers see it by this name.
+    scenes : sequence of path, optional
+        One scene.yaml for all runs or one for each; without it each run's own.
+    chunk : int, optional
+        Pairs a chunk, a power of two, default 128.
+    target_clear, dewarp_order, dt_us, sigma_limit_px
+        As for `evaluate`.
+    workers : int, optional
+        Processes of this computer, default one a core.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers do it, such as ``tcp://10.0.0.1:8786``.
+    slurm : int, optional
+        Let Slurm do it, with so many jobs at a time.
+    slurm_options : sequence of str
+        ``name=value``, of `submitit.AutoExecutor.update_parameters`.
+    slurm_here : bool
+        Processes of this computer in place of Slurm's jobs, to try it.
+    patience_s : float
+        After which a worker that finishes no pair is given up and its chunk made by another.
+    **options
+        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`.
+
+    Returns
+    -------
+    list of Forecast, list of RunStatus, or CampaignMean
+        Of ``plan`` what each run asks for, of ``merge`` the statistics, else how each run stands.
+
+    Raises
+    ------
+    Unfinished
+        Of ``run``, ``status`` and ``merge``: chunks are missing.
+    SeriesError, RunUsageError
+        What was asked contradicts itself or would lose finished chunks, or a file of the campaign is damaged.
+    PairError, ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
+        As for `evaluate`.
+    DiskError
+        The folder of the campaign cannot be written to.
+    RunInterrupted
+        Workers were killed again and again.
+    """
+    folder, screen = CampaignFolder(Path(out)), console()
+    asked = (*scenes, chunk, target_clear, dewarp_order, dt_us, sigma_limit_px, *options.values())
+    if runs and action not in ("plan", "run"):
+        raise RunUsageError(f"{action} takes no runs; {folder.path} knows its own")
+    if not runs and any(value is not None for value in asked):
+        raise RunUsageError("scenes and settings belong to runs; name the runs as well")
+    if not runs and action == "plan":
+        raise RunUsageError("name the runs that are to be planned")
+    if runs:
+        if target_clear is None and dewarp_order is not None:
+            raise PairError("--dewarp-order is that of --target-clear; give both, or none")
+        ask = partial(
+            ask_for,
+            runs=paths_of(runs),
+            scenes=paths_of(scenes),
+            choice=piv_choice(**options),
+            chunk_pairs=chunk or CHUNK_PAIRS,
+            target_clear=path_of(target_clear),
+            dewarp_order=dewarp_order or 2,
+            dt_us=dt_us,
+            sigma_limit_px=sigma_limit_px,
+            used=folder,
+        )
+        if action == "run":
+            require_folder(folder.path)
+        with trial(folder, ask, thread_count()) as (tried, found):
+            show_forecasts(screen, found)
+            if action == "plan":
+                return found
+            with SeriesFolder(folder.path).alone():
+                adopt(tried, folder)
+    if action == "merge":
+        merged = merge_campaign(folder)
+        _show_merged(folder, merged)
+        return merged
+    if action == "run":
+        books = run_campaign(
+            folder, _engine(folder, workers, scheduler, slurm, slurm_options, slurm_here), patience_s
+        )
+        were = "was" if books.kept == 1 else "were"
+        screen.print(f"{counted(books.made, 'chunk')} made, {books.kept} {were} there")
+        if books.stopped:
+            screen.print(f"ended early: {books.stopped}", style="bold red")
+    states = campaign_status(folder)
+    show_campaign(screen, states)
+    missing = sum(state.chunks - state.done for state in states)
+    if missing:
+        raise Unfinished(f"{folder.path}: {said_missing(missing)}; rtpiv campaign run -o {folder.path} goes on")
+    if action == "run":
+        screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
+    return states
+
+
+def _engine(
+    folder: CampaignFolder,
+    workers: int | None,
+    scheduler: str | None,
+    slurm: int | None,
+    options: Sequence[str],
+    here: bool,
+) -> Engine:
+    """Who does the work."""
+    if sum(each is not None for each in (workers, scheduler, slurm)) > 1:
+        raise RunUsageError("--workers, --scheduler and --slurm exclude each other; give one")
+    if slurm is None and (options or here):
+        raise RunUsageError("--slurm-set and --slurm-here belong to --slurm; say how many jobs")
+    if scheduler is not None:
+        return DaskWorkers(scheduler)
+    if slurm is not None:
+        given = dict(_option(text) for text in options)
+        return SlurmArrays(folder.path / "slurm", slurm, given, "local" if here else "slurm")
+    return LocalProcesses(workers or thread_count())
+
+
+def _option(text: str) -> tuple[str, str | int]:
+    name, sign, value = text.partition("=")
+    if not sign or not name.isidentifier():
+        raise RunUsageError(f"--slurm-set takes name=value, such as slurm_partition=long, not {text!r}")
+    return name, int(value) if value.isdecimal() else value
+
+
+def _show_merged(folder: CampaignFolder, merged: CampaignMean) -> None:
+    screen = console()
+    screen.print(f"{counted(merged.mean.used, 'pair')} in the mean, {len(merged.mean.left_out)} left out")
+    if merged.mean.doubt:
+        screen.print(merged.mean.doubt, style="bold red")
+    for name, apart in merged.apart.items():
+        if apart > STRANGERS:
+            text = f"{name} differs from the mean of all by {apart:.1f} sigma (rms): another flow, or another view"
+            screen.print(text, style="bold red")
+    screen.print(f"wrote {folder.path / STATISTICS} and {folder.path / INDEX}")

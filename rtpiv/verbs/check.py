@@ -1,0 +1,253 @@
+"""`rtpiv check`: whether files say what can be done, and whether runs on the disk are what was acquired."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.bench.bench_file import load_bench
+from daq.bench.bench_table import Bench
+from daq.bench.opened import check_devices, check_simulation
+from daq.bench.stage_kind import idle_stage
+from daq.bench.unusual import bench_questions
+from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
+from daq.plans.plan import load_plan, read_plan
+from daq.plans.plan_table import px_per_mm
+from daq.plans.unusual import plan_questions
+from daq.plans.way_out import forecast_from_home
+from daq.runner.session import MAPS
+from daq.runs.run_check import RunCheck, check_run
+from daq.runs.run_folder import CAMERAS, RunFolder
+from daq.runs.run_views import is_run
+from ground.config import open_document
+from ground.errors import ConfigError, GroundError, Problem, UntrustedProgram
+from ground.plain_words import counted
+from ground.terminal import console, progress
+from rtpiv.analysis.pairs.piv_file import piv_choice
+from rtpiv.verbs.paths import Named, paths_of
+from stages.errors import StageError
+from tracer.errors import TracerError
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+from tracer.scene.unusual import scene_questions
+
+WRONG = (GroundError, TracerError, DaqError, StageError)
+TELLING = {  # keys that only one kind of file has
+    "scene": ("camera", "bodies", "wavelength_nm", "ambient", "glasses"),
+    "bench": ("stages", "scene", "keep_out", "simulation"),
+    "plan": ("experiment",),
+    "piv": ("final_window_px", "first_window_px", "passes", "overlap", "prepare", "window", "denoise"),
+}
+
+
+@dataclass(frozen=True)
+class FileCheck:
+    """A file that is right: which kind it is, what it says in one sentence, and what is unusual in it."""
+
+    path: Path
+    kind: str
+    said: str
+    questions: tuple[str, ...] = ()  # about what it may say and few labs have, with file and line
+
+
+def check(paths: Sequence[Named] | Named, bench: Named | None = None) -> list[FileCheck | RunCheck]:
+    """Check files before anything is done with them, and runs after; nothing is changed, nothing is opened.
+
+    Parameters
+    ----------
+    paths : path, or list of path
+        Scene, bench, plan and PIV files; folders that hold such files (``*.yaml``); folders of runs.
+    bench : path, optional
+        Bench on which plans are tried as by `acquire --home --dry-run`.  By default one that is among `paths`,
+        else a bench.yaml beside the plan; without any only the plan itself is looked at.
+
+    Returns
+    -------
+    list of FileCheck or RunCheck
+        One a file or run; `check_run` makes the latter without printing anything.
+
+    Raises
+    ------
+    RunUsageError
+        Files are wrong: all problems of all of them, with file and line.
+    RunDamaged
+        A run is not what was acquired; all of them have been looked at and shown.
+    """
+    given = paths_of(paths)
+    runs = [path for path in given if is_run(path)]
+    folders = {path: sorted(path.glob("*.yaml")) for path in given if path.is_dir() and path not in runs}
+    empty = [path for path, files in folders.items() if not files]
+    if empty and not runs:
+        raise RunUsageError(f"{empty[0]}: is neither a run nor a folder with .yaml files; name what to check")
+    caches = [path for path in empty if path.name == MAPS]
+    for path in caches:  # beside runs, as `runs/*` names it
+        console().print(f"{path}  correction maps that runs share; they are made again when one is missing")
+    runs = [path for path in given if path in runs or path in empty]  # among runs one that is none is a finding
+    runs = [path for path in runs if path not in caches]
+    files = [file for path in given if path not in runs for file in folders.get(path, [path])]
+    checks: list[FileCheck | RunCheck] = []
+    wrong: Exception | None = None
+    try:
+        checks += check_files(files, None if bench is None else Path(bench))
+    except RunUsageError as error:
+        wrong = error
+    for file in checks:
+        if isinstance(file, FileCheck):
+            console().print(f"{file.path}  ok  {file.kind}: {file.said}", soft_wrap=True)
+            for question in file.questions:
+                console().print(f"  {question}", soft_wrap=True, highlight=False)
+    if runs:
+        checks += _check_runs(runs)
+    if wrong is not None:
+        raise wrong
+    return checks
+
+
+def check_files(paths: Iterable[Path], bench: Path | None = None) -> list[FileCheck]:
+    """Check files without printing anything; parameters and errors as for `check`."""
+    found: list[FileCheck] = []
+    problems: list[str] = []
+    kinds: dict[Path, str] = {}
+    for path in paths:
+        try:
+            kinds[path] = _kind_of(path)
+        except ConfigError as error:
+            problems.append(str(error))
+    benches = [path for path, kind in kinds.items() if kind == "bench"] if bench is None else [bench]
+    for path, kind in kinds.items():
+        beside = path.parent / "bench.yaml"
+        try:
+            said, questions = _said(path, kind, benches or [beside] * beside.is_file())
+            found.append(FileCheck(path, kind, said, tuple(questions)))
+        except UntrustedProgram:  # a person may be asked
+            raise
+        except WRONG as error:
+            problems.append(str(error))
+    if problems:
+        lines = [line for problem in problems for line in problem.splitlines()]
+        raise RunUsageError("\n".join(dict.fromkeys(lines)))
+    return found
+
+
+def _kind_of(path: Path) -> str:
+    document = open_document(path)
+    keys = set(document.tree) if isinstance(document.tree, dict) else set()
+    hits = {kind: len(keys & set(telling)) for kind, telling in TELLING.items()}
+    if "experiment" in keys:
+        return "plan"
+    if "stages" in keys or "scene" in keys:
+        return "bench"
+    best = max(hits, key=lambda kind: hits[kind])
+    if not hits[best]:
+        text = "is no file of ours: a scene has camera and bodies, a bench stages, a plan experiment"
+        raise ConfigError(path, [Problem(1, text)])
+    return best
+
+
+def _said(path: Path, kind: str, benches: Sequence[Path]) -> tuple[str, list[str]]:
+    """What a file says in one sentence, and questions about it."""
+    if kind == "scene":
+        scene = load_scene(path)
+        return f"{_scene_said(scene)}{_through(scene)}", scene_questions(path)
+    if kind == "bench":
+        bench = load_bench(path)
+        return _bench_said(bench), bench_questions(bench)
+    if kind == "piv":
+        return f"last windows of {piv_choice(piv=path).settings.windows_px[-1]} px", []
+    _, table = read_plan(path)
+    if not benches:
+        return f"{table.experiment}; no bench is known, so its steps are not judged (--bench)", []
+    fitting, reasons, questions = [], [], []
+    for named in benches:
+        try:
+            bench = load_bench(named)
+            fitting.append(f"{_plan_said(path, bench)} on {named.name}")
+            questions += plan_questions(load_plan(path, bench), bench)
+        except WRONG as error:
+            reasons.append(error)
+    if not fitting:
+        raise reasons[0]
+    return "; ".join(fitting), list(dict.fromkeys(questions))
+
+
+def _through(scene: Scene) -> str:
+    """How much is seen through glass, and what would show more where that is little."""
+    if not scene.bodies:
+        return ""
+    from rtpiv.analysis.through_glass import coarse_map, through_glass  # compiled: who checks a plan does not wait
+    from rtpiv.analysis.views.arranged import little
+
+    try:
+        found = coarse_map(scene)
+        shown = through_glass(scene, found.grid, found.recovered)
+    except TracerError:  # a view that has no map; `trace` says why
+        return ""
+    if shown is None:
+        return ""
+    return ". ".join(filter(None, (f"; {shown.sentence}", little(scene, shown.share))))
+
+
+def _scene_said(scene: Scene) -> str:
+    counts: dict[str, int] = {}
+    for body in scene.bodies:
+        counts[body.kind] = counts.get(body.kind, 0) + 1
+    bodies = (
+        ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in counts.items()) or "no bodies"
+    )
+    camera = scene.camera
+    width, height = camera.sensor_px
+    scale = camera.focal_px / abs(camera.position_mm[2] / float(camera.rotation_matrix[2][2]))
+    sheet = "" if scene.sheet is None else f"; {scene.sheet.summary}"
+    return f"{bodies}; camera of {width} x {height} px, {scale:.1f} px/mm on the plane{sheet}"
+
+
+def _bench_said(bench: Bench) -> str:
+    check_devices(bench)
+    stages = bench.table.stages
+    more = ", ".join(name for name in bench.more)
+    simulated = "can be simulated" if check_simulation(bench) else "has no simulation"
+    return (
+        f"{counted(len(stages.axes), 'axis', 'axes')} on {counted(len(stages.controllers), 'controller')},"
+        f" camera by {bench.table.camera.backend}"
+        f"{', ' + more if more else ''}; {px_per_mm(bench):.1f} px/mm; {simulated}"
+    )
+
+
+def _plan_said(path: Path, bench: Bench) -> str:
+    plan = load_plan(path, bench)
+    said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps)
+    if said.violations:
+        lines = [
+            f"{path}: step {v.step} ({v.tag}) is not allowed on {bench.path.name}: {v.text}"
+            for v in said.violations
+        ]
+        raise PlanError("\n".join(lines))
+    size = f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}"
+    steps = f"{plan.table.experiment}, {size}, about {said.duration_s:.0f} s"
+    return f"{steps}; {said.link}" if said.link else steps
+
+
+def _cameras_of(run: Path) -> list[Path]:
+    """Runs of the further cameras in the folder of a run; what is wrong with its run.json is told with itself."""
+    try:
+        names = RunFolder(run).about.get("cameras", [])
+    except DaqError:
+        return []
+    return [run / CAMERAS / name for name in names]
+
+
+def _check_runs(runs: Sequence[Path]) -> list[RunCheck]:
+    screen = console()
+    checks = []
+    for path in [inner for run in runs for inner in (run, *_cameras_of(run))]:
+        found = check_run(path, progress)
+        screen.print(path, soft_wrap=True)  # as all lines here: whoever copies a path wants it in one piece
+        for finding in found.findings:
+            sound = "ok " if finding.sound else "BAD"
+            screen.print(f"  {finding.part:<13} {sound}  {finding.said}", soft_wrap=True)
+        checks.append(found)
+    bad = [found for found in checks if not found.is_sound]
+    if bad:
+        parts = [finding.part for found in bad for finding in found.findings if not finding.sound]
+        named = ", ".join(str(found.path) for found in bad)
+        raise RunDamaged(f"{named}: not what was acquired in {', '.join(dict.fromkeys(parts))}; see above")
+    return checks

@@ -1,0 +1,206 @@
+"""`rtpiv compare`: what the arrangements that a lab could build would show, before one is built."""
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+from rich.table import Table
+
+from daq.errors import RunUsageError
+from daq.whole_text import write_text
+from ground.terminal import console
+from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.views.candidates import candidates_of
+from rtpiv.analysis.views.figures import ViewFigures
+from rtpiv.analysis.views.question import ViewQuestion
+from rtpiv.templates.scene_text import scene_text
+from rtpiv.verbs.output import folder_for
+from rtpiv.verbs.paths import Named
+
+SHOWN = 15  # rows of the table
+WRITTEN = 50  # scene files
+SAID = 3  # reasons why something cannot be
+
+
+@dataclass(frozen=True)
+class Compared:
+    """What arrangements would show.
+
+    Parameters
+    ----------
+    views : list of ViewFigures
+        All that can be built, what shows most first.
+    best : list of ViewFigures
+        Those that no other beats.
+    scenes : tuple of Path
+        A scene file of each of `best`, in the same order; of the first 50.
+    picture : Path or None
+        What was drawn.
+    """
+
+    views: list[ViewFigures] = field(repr=False)
+    best: list[ViewFigures]
+    scenes: tuple[Path, ...] = field(repr=False)
+    picture: Path | None
+
+
+def compare(
+    lenses_mm: Sequence[float],
+    distances_mm: Sequence[float],
+    balls_mm: Sequence[float],
+    out: Named | None = None,
+    counts: Sequence[int] = (1, 2, 3),
+    arrangements: Sequence[str] = ("row",),
+    glasses: Sequence[str] = ("BK7",),
+    gaps_mm: Sequence[float] = (0.0,),
+    sensor_px: Sequence[int] = (2016, 2016),
+    pixel_pitch_um: float = 11.0,
+    f_number: float = 22.0,
+    error_px: float = 0.1,
+    wavelength_nm: float = 532.0,
+    pictures: bool = True,
+) -> Compared:
+    """Compute what every combination would show; print those that no other beats, and leave their scene files.
+
+    Parameters
+    ----------
+    lenses_mm, distances_mm, balls_mm : sequence of float
+        Focal lengths; from the lens to the plane; diameters.
+    out : path, optional
+        Folder, default ``compare`` (or ``compare-2`` ...), for ``compare.csv`` (all figures of all arrangements),
+        ``compare.png`` and ``scenes``.
+    counts, arrangements, glasses, gaps_mm
+        Numbers of balls, how they stand, of what, and how far off the plane; as `rtpiv init` takes them.
+    sensor_px, pixel_pitch_um : sequence of int, float
+        The camera.
+    f_number : float
+        At which light, blur and depth of field are stated.
+    error_px : float
+        Largest noise of a displacement that is of use [corrected px].
+    wavelength_nm : float
+        Of the light.
+    pictures : bool
+        Draw.
+
+    Returns
+    -------
+    Compared
+        The figures.
+
+    Raises
+    ------
+    RunUsageError
+        More combinations than 5000, or none that can be built.
+    DiskError
+        The folder cannot hold results.
+    """
+    sensor = (sensor_px[0], sensor_px[1])
+    question = ViewQuestion(
+        sensor, pixel_pitch_um, lenses_mm, distances_mm, balls_mm, counts, arrangements, glasses, gaps_mm,
+        wavelength_nm,
+    )  # fmt: skip
+    out, screen = folder_for(out, "compare"), console()
+    labs, refused = question.labs()
+    found = candidates_of(labs, f_number, error_px, SHOWN)
+    views, best = found.views, found.best
+    refused += found.refused
+    if not views:
+        raise RunUsageError("; ".join(refused[:SAID]) or "no arrangement has such a number of balls")
+    if best:
+        screen.print(_table(best, error_px, f_number, len(views)))
+        screen.print(LEGEND)
+        screen.print(_unsaid(best))
+    else:
+        screen.print(
+            f"none of {len(views)} arrangements shows anything behind glass with noise below {error_px:g} px; see"
+            " compare.csv, and ask for a larger --error-px, a larger --f-number or other distances"
+        )
+    for reason in refused[:SAID]:
+        screen.print(f"left out: {reason}", soft_wrap=True)
+    if len(refused) > SAID:
+        screen.print(f"left out for {len(refused) - SAID} more reasons of this kind")
+    (out / "scenes").mkdir(parents=True, exist_ok=True)
+    write_text(out / "compare.csv", _csv(views))
+    scenes = []
+    for number, view in enumerate(best[:WRITTEN], start=1):
+        scenes.append(out / "scenes" / f"{number:02d}.yaml")
+        write_text(scenes[-1], scene_text(replace(view.lab, name=f"view{number:02d}")))
+    picture = None
+    if pictures and best:
+        picture = out / "compare.png"
+        with drawing() as draw:
+            draw("rtpiv.analysis.pictures.views:draw_views", picture, views, best, error_px)
+    screen.print(f"compare.csv{', compare.png' if picture else ''} and {len(scenes)} scene files are in {out}")
+    return Compared(views, best, tuple(scenes), picture)
+
+
+def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count: int) -> Table:
+    brightest = max((view.light for view in best), default=1.0)
+    more = f"; the first {SHOWN} of {len(best)} that no other beats" if len(best) > SHOWN else ""
+    title = f"{count} arrangements, f/{f_number:g}, wanted {error_px:g} px{more}"
+    table = Table(title=title, box=None, padding=(0, 1, 0, 0), pad_edge=False)
+    for name in (
+        "", "balls", "f, L", "usable\n%", "FOV_in\n%", "noise\npx", "sigma\npx", "10 um\npx", "blur\npx",
+        "depth\nmm", "light",
+    ):  # fmt: skip
+        table.add_column(name, justify="left" if name == "balls" else "right", no_wrap=True)
+    for number, view in enumerate(best[:SHOWN], start=1):
+        lab = view.lab
+        shape = "" if lab.arrangement == "row" else f" {lab.arrangement}"
+        gap = f" +{lab.gap_mm:g}" if lab.gap_mm else ""
+        table.add_row(
+            str(number),
+            f"{lab.balls} x {lab.ball_mm:g} {lab.glass}{shape}{gap}",
+            f"{lab.lens_mm:g}, {lab.distance_mm:g}",
+            f"{100.0 * view.usable:.0f}",
+            "-" if view.inside is None else f"{100.0 * view.inside:.1f}",
+            f"{view.noise_px:.3f}",
+            f"{view.sigma_px:.4f}",
+            f"{view.sensitivity_px:.2f}",
+            f"{view.blur_px:.1f}",
+            f"{view.depth_mm:.0f}",
+            f"{math.log2(view.light / brightest):.1f}",
+        )
+    return table
+
+
+def _unsaid(best: Sequence[ViewFigures]) -> str:
+    """What it costs not to say in which light the target is photographed."""
+    worst = [view.unsaid_px for view in best[:SHOWN]]
+    return (
+        f"sigma holds if fit.light says in which light the target frames are taken; without that it is"
+        f" {min(worst):.2f} to {max(worst):.2f} px"
+    )
+
+
+LEGEND = (
+    "balls: number x diameter, +gap to the plane [mm]; usable: of what the balls hide, with less noise than"
+    " wanted; noise: of a displacement behind glass; sigma: of the map after a fit to a target run; 10 um: what it"
+    " moves the picture if a ball is off by so much; blur: width of a particle's picture by the aperture; depth:"
+    " of field; light: of a particle's picture, in stops below the brightest"
+)
+
+
+def _csv(views: Sequence[ViewFigures]) -> str:
+    """All figures of all arrangements, a row each."""
+    stream = io.StringIO()
+    rows = [_flat(view) for view in views]
+    writer = csv.DictWriter(stream, rows[0])
+    writer.writeheader()
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def _flat(view: ViewFigures) -> dict[str, str | int | float]:
+    figures = asdict(view)
+    lab = figures.pop("lab")
+    width, height = lab.pop("sensor_px")
+    lab.pop("name")
+    said = {"width_px": width, "height_px": height, **lab, **figures}
+    return {
+        key: "" if value is None else f"{value:.6g}" if isinstance(value, float) else value
+        for key, value in said.items()
+    }

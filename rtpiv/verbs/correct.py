@@ -1,0 +1,258 @@
+"""`rtpiv correct`: frames as if the glass were not there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from correction.evaluate.target_error import TargetError, target_error
+from correction.fitted.prepared import prepare
+from correction.maps.corrector import UINT16_OFFSET, Corrector, to_uint16
+from correction.maps.dewarp import Dewarp
+from correction.node_status import MEANING, NodeStatus
+from correction.target import Chessboard
+from daq.runs.bare_target import dewarp_of
+from daq.runs.board import board_of
+from daq.runs.read_ahead import ReadAhead
+from daq.runs.shown_plane import shows_light_sheet, where_lit
+from daq.whole_text import write_json
+from ground.terminal import console, progress
+from piv.errors import FrameError
+from piv.files.frame_file import stem_of, write_frame
+from piv.resampling.sample import Method
+from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.through_glass import through_glass
+from rtpiv.analysis.views.arranged import little
+from rtpiv.verbs.output import folder_for
+from rtpiv.verbs.paths import Named, path_of, paths_of
+from rtpiv.write_behind import WriteBehind
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+
+DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
+CELL_PX, PARTICLE_PX = 8.0, 4.0  # of computer-generated particles: seeding that an eye can follow
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """What `correct` has made.
+
+    Parameters
+    ----------
+    frames : tuple of Path
+        Corrected frames, in the order of those given.
+    mask : Path
+        Why nodes are not recovered (NodeStatus).
+    recovered : float
+        Share of the nodes that are.
+    errors : tuple of TargetError
+        One a frame if the target was to be checked.
+    """
+
+    frames: tuple[Path, ...]
+    mask: Path
+    recovered: float
+    errors: tuple[TargetError, ...]
+
+
+def correct(
+    frames: Sequence[Named] | Named,
+    scene: Named | Scene,
+    out: Named | None = None,
+    target_clear: Named | None = None,
+    dewarp_order: int = 2,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
+    method: Method = "quintic",
+    blend: int = 1,
+    as_float: bool = False,
+    check_target: bool = False,
+    sigma_limit_px: float | None = None,
+    pictures: bool = True,
+) -> Corrected:
+    """Correct frames that were taken through the glass of a scene.
+
+    Parameters
+    ----------
+    frames : list of path, or path
+        Acquired frames; all are looked at before the first result is written.
+    scene : path or Scene
+        scene.yaml, as known or as fitted, or what `load_scene` made of it.
+    out : path, optional
+        Folder, default ``corrected`` (or ``corrected-2`` ... where that has results): one TIFF a frame,
+        ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame, ``correction.json``.
+    target_clear : path, optional
+        Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
+        included, is taken as it is.
+    dewarp_order : int
+        Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
+    square_mm, disc_mm : float, optional
+        The board, of frames that are of no run (default 2.5 and 1.0): a run knows its own.
+    method : {"quintic", "bilinear"}
+        Interpolation.
+    blend : int
+        Views joined a node; 1 takes the best.
+    as_float : bool
+        Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
+    check_target : bool
+        The frames show the target: measure its corners against the regular grid.  Frames that do not, and are not
+        of a run that photographed a print, show particles in the scene's light sheet.
+    sigma_limit_px : float, optional
+        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
+    pictures : bool
+        Draw ``overview.png``, after all else is written.
+
+    Returns
+    -------
+    Corrected
+        Files, and the share of the plane that is recovered.
+
+    Raises
+    ------
+    ConfigError, SceneError
+        The scene file is wrong.
+    FrameError
+        A frame is missing, damaged, colour, or of another size.
+    BoardError
+        A run's board is another one.
+    TargetNotFound
+        The bare target cannot be read.
+    """
+    screen = console()
+    frames, target_clear = paths_of(frames), path_of(target_clear)
+    fitted = scene if isinstance(scene, Scene) else load_scene(scene)
+    particles = not check_target and shows_light_sheet(frames)
+    loaded = fitted.in_light_sheet() if particles else fitted
+    shape = loaded.camera.shape
+    _refuse_same_names(frames)
+    scene_file = None if sigma_limit_px is None else path_of(scene)
+    out = folder_for(out, "corrected")
+    with ReadAhead(frames, shape) as acquired:
+        board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
+        dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+        limit = None
+        if sigma_limit_px is not None and scene_file is not None:
+            from rtpiv.analysis.series.tasks import sigma_limit
+
+            limit = sigma_limit(scene_file, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
+        corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
+        acquired.require_sound()
+        grid = corrector.map.grid
+        about: dict[str, Any] = {
+            "origin_mm": list(grid.origin_mm),
+            "scene_hash": loaded.content_hash(),
+            "method": method,
+            "dewarp": None if dewarp is None else dewarp.to_dict(),
+            "offset": None if as_float else UINT16_OFFSET,
+        }
+        out.mkdir(parents=True, exist_ok=True)
+        errors: list[TargetError] = []
+        clipped, shown = list[int](), None
+
+        def store(path: Path, corrected: NDArray[np.float32]) -> None:
+            stored, cut = (corrected, 0) if as_float else to_uint16(corrected)
+            clipped.append(cut)
+            write_frame(out / f"{stem_of(path)}.tif", stored, grid.px_per_mm, {"source": path.name, **about})
+
+        with WriteBehind() as results:
+            for path, frame in zip(progress(frames, len(frames), "correcting"), acquired, strict=True):
+                corrected = corrector(frame)
+                results.write(partial(store, path, corrected))
+                if check_target:
+                    errors.append(target_error(corrected, corrector, board))
+                shown = shown or (frame, corrected)
+    write_frame(out / "mask.tif", corrector.status, grid.px_per_mm, {"meaning": list(MEANING.values()), **about})
+    counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
+    summary = {**about, "frames": [path.name for path in frames], "clipped_values": sum(clipped)}
+    summary["nodes"] = {status.name.lower(): int(counts[status]) for status in NodeStatus}
+    shown_share = through_glass(loaded, grid, corrector.recovered)
+    summary["through_glass"] = None if shown_share is None else shown_share.share
+    summary["target_errors"] = [error.to_dict() for error in errors]
+    write_json(out / "correction.json", summary)
+    if shown_share is not None:
+        screen.print(shown_share.sentence, style="bold")
+        if advice := little(loaded, shown_share.share):
+            screen.print(advice, style="bold red")
+    _print(screen, loaded, dewarp, corrector, frames, errors)
+    if fitted.sheet is not None:
+        plane = fitted.sheet.summary if particles else "the target's plane, z = 0, not the light sheet"
+        screen.print(f"corrected for {plane}")
+    elif particles and (limit is not None or _of_flow(shown)):
+        screen.print(where_lit(fitted))
+    if pictures and shown is not None:
+        _draw(out / "overview.png", loaded, board, *shown, corrector)
+    screen.print(f"{len(frames)} frame(s){', mask and overview' if pictures else ' and mask'} are in {out}")
+    files = tuple(out / f"{stem_of(path)}.tif" for path in frames)
+    return Corrected(files, out / "mask.tif", float(corrector.recovered.mean()), tuple(errors))
+
+
+def _of_flow(shown: tuple[NDArray[Any], NDArray[np.float32]] | None) -> bool:
+    """Whether the first frame shows particles: frames of no run may be of the target as well."""
+    from rtpiv.analysis.pictures.patterns import shows_particles
+
+    return shown is not None and shows_particles(shown[0])
+
+
+def _refuse_same_names(frames: list[Path]) -> None:
+    stems = [stem_of(path) for path in frames]
+    for stem in stems:
+        if stems.count(stem) > 1 or stem == "mask":
+            raise FrameError(f"{stem}: two results would have this name; rename the frame or use two runs")
+
+
+def _draw(
+    path: Path,
+    scene: Scene,
+    board: Chessboard,
+    frame: NDArray[Any],
+    corrected: NDArray[np.float32],
+    corrector: Corrector,
+) -> None:
+    """Draw a frame as acquired, computer-generated (as large as it is drawn: nobody sees more), corrected."""
+    from rtpiv.analysis.pictures.embedded import WIDEST_PX
+    from rtpiv.analysis.pictures.patterns import Particles, Target, shows_particles
+    from rtpiv.analysis.pictures.seen import seen
+    from rtpiv.analysis.through_glass import shown_small
+
+    px_mm = scene.camera.position_mm[2] / scene.camera.focal_px
+    particles = Particles(CELL_PX * px_mm, PARTICLE_PX * px_mm)
+    pattern = particles if shows_particles(frame) else Target(board)
+    computed = seen(shown_small(scene, WIDEST_PX), pattern, samples=2)
+    with drawing() as draw:
+        draw("rtpiv.analysis.pictures.overview:draw_overview", path, frame, computed, corrected, corrector.status)
+
+
+def _print(
+    screen: Console,
+    scene: Scene,
+    dewarp: Dewarp | None,
+    corrector: Corrector,
+    frames: list[Path],
+    errors: list[TargetError],
+) -> None:
+    counts = np.bincount(corrector.status.ravel(), minlength=len(NodeStatus))
+    share = ", ".join(
+        f"{100.0 * counts[status] / corrector.status.size:.1f} % {meaning}"
+        for status, meaning in MEANING.items()
+        if counts[status]
+    )
+    screen.print(f"scene {scene.content_hash()}: {share}")
+    if dewarp is not None:
+        screen.print(f"dewarp: {dewarp.summary()}")
+        if dewarp.residual_rms_px > DEWARP_DOUBT_PX and dewarp.order < 5:
+            doubt = f"the lens bends more than order {dewarp.order} can follow; try --dewarp-order 5"
+            screen.print(doubt, style="bold")
+    if errors:
+        table = Table(title="target corners in the corrected frame against the regular grid [px]")
+        for name in ("frame", "region", "corners", "bias x, y", "rms x, y", "largest"):
+            table.add_column(name, justify="left" if name in ("frame", "region") else "right")
+        for path, error in zip(frames, errors, strict=True):
+            for row in error.rows():
+                table.add_row(stem_of(path), *row)
+        screen.print(table)

@@ -1,0 +1,58 @@
+"""`rtpiv examples`: the example scenes, benches and plans, to read and to change."""
+
+import shutil
+from pathlib import Path
+
+import rtpiv.example_files as example_files
+from daq.errors import DiskError, RunUsageError
+from daq.whole_text import copy_whole, why
+from ground.terminal import console
+from rtpiv.verbs.output import require_folder
+
+
+def examples(out: Path | str = Path("examples")) -> Path:
+    """Copy the examples that came with the program.
+
+    Parameters
+    ----------
+    out : path
+        Folder that is not there yet, or empty.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    RunUsageError
+        The folder is there already and has something in it.
+    DiskError
+        It cannot be written.
+    """
+    out = require_folder(out)
+    if out.exists() and any(out.iterdir()):
+        raise RunUsageError(f"{out}: has files already; give another folder")
+    source, made = example_files.examples(), not out.exists()
+    try:
+        for path in sorted(source.rglob("*")):
+            copy = out / path.relative_to(source)
+            if path.is_file() and "__pycache__" not in path.parts:
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy_whole(path, copy)
+    except BaseException as error:
+        _clear(out, made)
+        if isinstance(error, OSError):
+            raise DiskError(f"{out}: {why(error)}; make room, then give the same command again") from None
+        raise
+    console().print(f"{len(list(out.rglob('*.yaml')))} files and tour.py are in {out}", soft_wrap=True)
+    return out
+
+
+def _clear(out: Path, made: bool) -> None:
+    """Take away what a copy that failed has left, so that it can be asked for again."""
+    for path in [out] if made else out.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)

@@ -1,0 +1,105 @@
+"""`rtpiv export`: vectors for MATLAB, ParaView and Tecplot, maps of a scene as NetCDF or TIFF.
+
+PIVPy and xarray read the NetCDF files of vectors as they are.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq.errors import DiskError, RunUsageError
+from daq.whole_text import sync_folder, why
+from ground.plain_words import counted
+from ground.terminal import console, progress_if_long
+from rtpiv.analysis.export.formats import FORMATS
+from rtpiv.analysis.export.map_files import MAP_FORMATS
+from rtpiv.analysis.export.vector_table import VectorTable, read_vectors
+from rtpiv.verbs.output import folder_for
+from rtpiv.verbs.paths import Named
+from tracer.scene.scene_file import load_scene
+
+SCENES = (".yaml", ".yml")
+MOST_NAMED = 8  # variables of a file
+MAPS_SAID = (
+    "pixels [px] of nodes, and places on the plane [mm] of pixels; NaN where nothing is recovered or met, and"
+    " status says why"
+)
+
+
+def export(files: Sequence[Named], to: str, out: Named | None = None) -> list[Path]:
+    """Write vectors, or the maps of a scene, in another program's format.
+
+    Parameters
+    ----------
+    files : sequence of path
+        NetCDF files of `evaluate` and `mean`: ``vectors.nc``, ``mean.nc``, chunks of a series.  For maps
+        scene files, as known or as fitted: what particles in their light sheet are corrected by.
+    to : {"matlab", "paraview", "tecplot"}, or {"netcdf", "tiff"} of scene files
+        For whom.
+    out : path, optional
+        Folder, default ``exported`` (or ``exported-2`` ... where that has results); files keep their names.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    RunUsageError
+        A file is not there, a folder, or holds no vectors on a grid; two would get one name, or the
+        format is not one of its kind.
+    ConfigError
+        A scene file is wrong.
+    DiskError
+        The folder cannot hold them.
+    """
+    sources = [Path(file) for file in files]
+    if to not in FORMATS | MAP_FORMATS:
+        raise RunUsageError(
+            f"{to!r}: there are {', '.join(FORMATS)} of vectors, {', '.join(MAP_FORMATS)} of scenes"
+        )
+    for source in sources:
+        _require_file(source)
+        if (source.suffix in SCENES) != (to in MAP_FORMATS):
+            kind, formats = ("a scene", MAP_FORMATS) if source.suffix in SCENES else ("vectors", FORMATS)
+            raise RunUsageError(f"{source}: {kind} can be exported to {' or '.join(formats)}, not {to}")
+    if len({source.stem for source in sources}) < len(sources):
+        raise RunUsageError("two of the files have one name and would get one file; export them one by one")
+    out = folder_for(out, "exported")
+    out.mkdir(parents=True, exist_ok=True)
+    written: list[Path] = []
+    said = MAPS_SAID
+    for source in progress_if_long(sources, len(sources), "files"):
+        try:
+            if to in MAP_FORMATS:
+                written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / source.stem)
+            else:
+                table = read_vectors(source)
+                written += FORMATS[to](table, out / source.stem)
+                said = _said(table, to)
+        except OSError as error:
+            raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
+    sync_folder(out)
+    console().print(f"{counted(len(written), 'file')} for {to} in {out}: {said}", soft_wrap=True, highlight=False)
+    return written
+
+
+def _require_file(source: Path) -> None:
+    """Refuse what is not there and what is no file, by its name."""
+    if source.is_dir():
+        inside = sorted(path.name for path in source.iterdir() if path.suffix in (".nc", *SCENES))
+        cure = f"; name files in it, such as {inside[0]}" if inside else " without files that can be exported"
+        raise RunUsageError(f"{source}: is a folder{cure}")
+    if not source.exists():
+        raise RunUsageError(f"{source}: is not there; name a vectors.nc, mean.nc, chunk of a series or scene.yaml")
+
+
+def _said(table: VectorTable, to: str) -> str:
+    """What the files of a table hold, with units, and what stands where nothing was measured."""
+    names = [table.called(name) for name in table.values]
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    gaps = "0 in them and in measured" if to == "tecplot" else "NaN"
+    return (
+        f"{', '.join(names[:MOST_NAMED])}{more}, over x, y [mm] and t [s];"
+        f" where nothing was measured stands {gaps}"
+    )

@@ -1,0 +1,268 @@
+"""`rtpiv init`: the files that a new lab begins with."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from daq.errors import RunUsageError
+from daq.whole_text import write_text
+from ground.plain_words import counted
+from ground.terminal import console
+from rtpiv.templates.arrangement import ARRANGEMENTS, most_balls, usual
+from rtpiv.templates.bench_room import room_of
+from rtpiv.templates.bench_text import bench_text
+from rtpiv.templates.lab import Lab
+from rtpiv.templates.plan_texts import flow_plan, shift_plan, target_plan
+from rtpiv.templates.scene_text import scene_text
+from rtpiv.verbs.check import check_files
+from rtpiv.verbs.output import require_folder
+from rtpiv.verbs.schema import write_schemas
+
+FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
+SHOWN = 8  # other arrangements
+FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
+Words = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a person is asked for one number or name of `Lab`."""
+
+    key: str
+    text: str
+    read: Callable[[str], Any]
+
+
+def _sensor(text: str) -> tuple[int, int]:
+    width, height = text.lower().replace("x", " ").replace(",", " ").split()
+    return int(width), int(height)
+
+
+QUESTIONS = (
+    Question("sensor_px", "camera: width and height of its frames in px", _sensor),
+    Question("pixel_pitch_um", "camera: size of a pixel in um (data sheet)", float),
+    Question("distance_mm", "from the lens to the plane (light sheet, target) in mm", float),
+    Question("arrangement", f"balls: how they stand ({', '.join(ARRANGEMENTS)})", str),
+    Question("balls", "balls: how many", int),
+    Question("ball_mm", "balls: diameter in mm", float),
+    Question("glass", "balls: of what (acrylic, borosilicate, BK7, soda-lime, fused-silica ...)", str),
+    Question("gap_mm", "gap between the lowest ball and the plane in mm", float),
+    Question("support_mm", "rods that hold them from below: diameter in mm, 0 for none", float),
+    Question("lens_mm", "lens: focal length in mm", float),
+    Question("wavelength_nm", "light: wavelength in nm", float),
+)
+
+
+def init(
+    folder: Path | str = Path(),
+    ask: bool = False,
+    overwrite: bool = False,
+    name: str | None = None,
+    sensor_px: tuple[int, int] | None = None,
+    pixel_pitch_um: float | None = None,
+    lens_mm: float | None = None,
+    distance_mm: float | None = None,
+    arrangement: str | None = None,
+    balls: int | None = None,
+    ball_mm: float | Sequence[float] | None = None,
+    glass: str | Sequence[str] | None = None,
+    gap_mm: float | None = None,
+    support_mm: float | None = None,
+    wavelength_nm: float | None = None,
+    turn_deg: float | None = None,
+) -> list[Path]:
+    """Write scene, benches and plans for a lab, with comments; each is checked as `rtpiv check` does.
+
+    Parameters
+    ----------
+    folder : path
+        Where to; made if it is not there.
+    ask : bool
+        Ask at the terminal, if there is one, for what is not given; else the usual is taken.
+    overwrite : bool
+        Replace files of these names.
+    name, sensor_px, pixel_pitch_um, lens_mm, distance_mm, arrangement, balls, ball_mm, glass, gap_mm, support_mm
+        What the lab has, and the wavelength_nm of its light; see `rtpiv.templates.lab.Lab`. Balls of a row or
+        side may have a ball_mm and a glass each.
+    turn_deg : float, optional
+        By which the camera looks from the side.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    RunUsageError
+        Numbers that cannot be, or files that are there already; nothing is written.
+    DiskError
+        The folder cannot be written to.
+    """
+    folder = Path(folder)
+    sensor = None if sensor_px is None else (sensor_px[0], sensor_px[1])
+    named: Words = {
+        "name": name, "sensor_px": sensor, "pixel_pitch_um": pixel_pitch_um, "lens_mm": lens_mm,
+        "distance_mm": distance_mm, "arrangement": arrangement, "balls": balls,
+        "gap_mm": gap_mm, "support_mm": support_mm, "wavelength_nm": wavelength_nm,
+        "turn_deg": turn_deg, **_each("ball_mm", "sizes_mm", ball_mm, max),
+        **_each("glass", "glasses", glass, _first),
+    }  # fmt: skip
+    given = {key: value for key, value in named.items() if value is not None}
+    _refuse_existing(folder, overwrite)
+    if ask and sys.stdin is not None and sys.stdin.isatty():
+        console().print("Enter takes what stands in brackets; Ctrl-C ends, and nothing is written.")
+        given = _answers(given)
+    lab = _lab(given, placed=True)
+    room = room_of(lab)
+    dt_us = max(20.0, round(1e6 * FLOW_PX / lab.px_per_mm / FLOW_MM_S, -1))
+    flow = bench_text(lab, room, laser=True), flow_plan(lab, dt_us)
+    texts = scene_text(lab), bench_text(lab, room), target_plan(room), shift_plan(), *flow
+    with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
+        _write(Path(trial), texts)
+        _check(Path(trial))
+    _write(require_folder(folder), texts)
+    write_schemas(folder / "schemas")
+    _print(lab, folder, "lens_mm" not in given)
+    return [folder / file for file in FILES]
+
+
+def _first(several: Sequence[Any]) -> Any:  # noqa: ANN401 - of any kind
+    return several[0]
+
+
+def _each(one: str, each: str, given: Any, chosen: Callable[[Sequence[Any]], Any]) -> Words:  # noqa: ANN401
+    """A number or name that all balls share, or one for each and the one that stands for all."""
+    if given is None or isinstance(given, str | float | int):
+        return {one: given}
+    return {one: chosen(given), each: tuple(given) if len(given) > 1 else None}
+
+
+def _lab(given: Words, placed: bool = False) -> Lab:
+    """What was said, and the usual for the rest; if `placed`, balls without a gap stand where they show most."""
+    several = given.get("sizes_mm") or given.get("glasses") or ()
+    count, shape = usual(
+        given.get("balls", len(several) or None), given.get("arrangement", "row" if several else None)
+    )
+    lab = Lab(**(given | {"balls": count, "arrangement": shape}))
+    if placed and "gap_mm" not in given:
+        from rtpiv.analysis.views.arranged import best_gap
+
+        if (best := best_gap(lab, "lens_mm" not in given)) is not None:
+            return best.lab
+    return lab if "lens_mm" in given else lab.with_usual_lens()
+
+
+def _write(folder: Path, texts: Iterable[str]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, text in zip(FILES, texts, strict=True):
+        write_text(folder / file, text)
+
+
+def _check(folder: Path) -> None:
+    """See that the plans can be carried out on their benches; what cannot be is never written to the lab."""
+    try:
+        check_files([folder / "plan-target.yaml", folder / "plan-shift.yaml"], folder / "bench.yaml")
+        check_files([folder / "plan-flow.yaml"], folder / "bench-flow.yaml")
+    except RunUsageError as error:
+        said = str(error).splitlines()[0].replace(f"{folder}{os.sep}", "")
+        raise RunUsageError(f"these numbers make no bench that works, so nothing is written: {said}") from None
+
+
+def _refuse_existing(folder: Path, overwrite: bool) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise RunUsageError(f"{folder}: is a file; give a folder")
+    there = [file for file in FILES if (folder / file).exists()]
+    if there and not overwrite:
+        raise RunUsageError(f"{folder}: {', '.join(there)} is there already; give another folder, or --overwrite")
+
+
+def _answers(given: Words) -> Words:
+    """Ask for what is not given, one question after the other."""
+    answers = dict(given)
+    for question in QUESTIONS:
+        if question.key in answers:
+            continue
+        known = _lab(answers, placed=question.key == "gap_mm")
+        if question.key == "balls" and len(most_balls(known.arrangement)) == 1:
+            continue
+        usually = getattr(known, question.key)
+        shown = " x ".join(map(str, usually)) if isinstance(usually, tuple) else f"{usually}"
+        while question.key not in answers:
+            said = _line(f"{question.text} [{shown}]: ")
+            try:
+                value = question.read(said) if said else usually
+                _lab(answers | {question.key: value})
+            except RunUsageError as error:
+                print(f"  {error}")
+            except ValueError:
+                print(f"  {said!r} cannot be read; say something like {shown}")
+            else:
+                answers[question.key] = value
+    return answers
+
+
+def _line(prompt: str) -> str:
+    try:
+        return input(prompt).strip()
+    except EOFError:
+        print(file=sys.stderr)
+        raise KeyboardInterrupt from None
+
+
+def _print(lab: Lab, folder: Path, lens: bool) -> None:
+    from rtpiv.analysis.through_glass import coarse_map, through_glass
+    from rtpiv.templates.lab_scene import scene_of
+
+    screen, scene = console(), scene_of(lab)
+    width, height = lab.field_mm
+    span = " x ".join(f"{side:.0f}" for side in lab.span_mm)
+    sizes, glasses = (", ".join(dict.fromkeys(each)) for each in ([f"{d:g}" for d in lab.each_mm], lab.each_glass))
+    balls = f"{counted(lab.balls, 'ball')} of {sizes} mm {glasses} ({lab.arrangement})"
+    field = f"{width:.0f} x {height:.0f} mm of the plane, {lab.px_per_mm:.1f} px/mm"
+    screen.print(f"{balls}, {span} mm; a lens of {lab.lens_mm:g} mm sees {field}", soft_wrap=True)
+    found = coarse_map(scene)
+    if (shown := through_glass(scene, found.grid, found.recovered)) is not None:
+        screen.print(shown.sentence, style="bold")
+        _print_others(lab, shown.share, lens)
+    screen.print(
+        f"{', '.join(FILES)} are in {folder}, and pass `rtpiv check`. Next, in that folder:", soft_wrap=True
+    )
+    for words in NEXT:
+        screen.print(f"  {words}", soft_wrap=True)
+    screen.print("Every file says at its top what to edit for real hardware; --simulate is left out then.")
+
+
+def _print_others(lab: Lab, share: float, lens: bool) -> None:
+    """Say what other arrangements of such balls would show, first these balls elsewhere if that shows more."""
+    from rtpiv.analysis.through_glass import percent
+    from rtpiv.analysis.views.arranged import WORTH, best_gap, others
+
+    found = others(lab, lens)
+    if (best := best_gap(lab, lens)) is not None and best.share > WORTH * share:
+        found.insert(0, best)
+    if not found:
+        return
+    table = Table(title="other arrangements of such balls, each where it shows most", box=None)
+    for name in ("--balls", "--arrangement", "--gap-mm", "--lens-mm", "through glass"):
+        table.add_column(name, justify="left" if name == "--arrangement" else "right")
+    for one in found[:SHOWN]:
+        other = one.lab
+        numbers = str(other.balls), other.arrangement, f"{other.gap_mm:g}", f"{other.lens_mm:g}"
+        table.add_row(*numbers, percent(one.share))
+    console().print(table)
+
+
+NEXT = (
+    "rtpiv trace scene.yaml -o trace",
+    "rtpiv acquire plan-target.yaml --bench bench.yaml --simulate --home",
+    "rtpiv calibrate runs/*plan-target -o fit",
+    "rtpiv acquire plan-shift.yaml --bench bench.yaml --simulate --home --scene fit/scene.yaml",
+    "rtpiv report runs/*plan-shift --scene fit/scene.yaml",
+)

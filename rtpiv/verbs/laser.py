@@ -1,0 +1,137 @@
+"""`rtpiv laser`: switch lasers off from anywhere, see whether one is, or align with weak pulses.
+
+`off` goes to every laser that a bench file of the lab or a running process names.  It first writes the bytes that
+switch off, past any program that holds the port, as the watchdog does; then it opens the box, if nobody holds it,
+and reads back. `state` opens it too, and opening switches off what runs: nobody who watches it would be there.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from daq.bench.bench_file import load_bench
+from daq.bench.known_lasers import KIND, KnownLaser, each_once, lasers_near, lasers_of, open_lasers
+from daq.bench.opened import open_bench
+from daq.errors import RunUsageError
+from daq.timing.errors import LaserDoubt
+from daq.timing.laser import Laser
+from daq.timing.states import LaserState
+from daq.timing.switch_off import SwitchedOff, switch_off
+from ground.terminal import console, error_console
+from rtpiv.verbs.paths import Named, path_of
+
+
+def laser(
+    action: str = "state",
+    bench: Named | None = None,
+    simulate: bool = False,
+    name: str | None = None,
+    rate_hz: float = 5.0,
+    for_s: float = 5.0,
+) -> LaserState:
+    """Switch lasers off, look at one, or let weak pulses leave.
+
+    Parameters
+    ----------
+    action : {"off", "state", "align"}
+        What to do.
+    bench : path, optional
+        Bench file.  Without it: those of this folder, or of the nearest one above that names a laser; and `off`
+        goes to what running processes have open as well.  `off` does the same where the file names no laser.
+    simulate : bool
+        Use its simulation.
+    name : str, optional
+        Which device of kind `timing`; `off` goes to all without it.
+    rate_hz, for_s : float
+        Of `align`, within the limits of the bench file.
+
+    Returns
+    -------
+    LaserState
+        What it is in the end.
+
+    Raises
+    ------
+    RunUsageError
+        There is no such device, or there are several.
+    LaserDoubt
+        A laser was not reached, or does not confirm that it is off; each is named.
+    PortError
+        There is no port.
+    """
+    file = path_of(bench)
+    if action == "off" and not simulate:
+        _switch_off(_known(file, name, anywhere=file is None or not lasers_of(file)))
+        return LaserState.SAFE
+    chosen = _one(_known(file, name), file)
+    assert chosen.bench is not None
+    with open_bench(load_bench(chosen.bench), simulate, only={chosen.name}) as hardware:
+        opened = hardware.devices[chosen.name]
+        assert isinstance(opened, Laser)
+        if action == "align":
+            _align(opened, rate_hz, for_s)
+        console().print(f"{chosen.name}: {opened.state.value} ({opened.box.identity})")
+        if opened.state is LaserState.UNKNOWN:
+            raise LaserDoubt(f"{chosen.name} does not say that it is off; use its key and its STOP")
+        return opened.state
+
+
+def _known(file: Path | None, name: str | None, anywhere: bool = False) -> list[KnownLaser]:
+    """Lasers that are meant, `anywhere` those near a file and in use as well; RunUsageError if there is none."""
+    folder = Path.cwd() if file is None else file.parent
+    found = lasers_near(folder) if file is None or anywhere else lasers_of(file)
+    found += open_lasers() if anywhere else []
+    meant = [laser for laser in each_once(found) if name is None or laser.name == name]
+    if meant:
+        return meant
+    where = f"the bench files of {folder} and above" if file is None or anywhere else str(file)
+    there = ", ".join(map(str, found)) or "none"
+    which = "laser" if name is None else f"device {name!r} of kind {KIND}"
+    raise RunUsageError(
+        f"{where}: no {which}; there is {there}. Name a bench file with --bench, or use its own key"
+    )
+
+
+def _one(lasers: list[KnownLaser], file: Path | None) -> KnownLaser:
+    """The one that is meant; RunUsageError if there are several."""
+    if len(lasers) == 1:
+        return lasers[0]
+    how = "--name" if file is not None else "--name, or --bench"
+    raise RunUsageError(f"say which laser with {how}; there is {', '.join(map(str, lasers))}")
+
+
+def _switch_off(lasers: list[KnownLaser]) -> None:
+    """Say off to all at the same time, and what became of each; LaserDoubt if one may not be off."""
+    with ThreadPoolExecutor(len(lasers)) as threads:
+        outcomes = list(threads.map(_off, lasers))
+    screen = console()
+    for laser, outcome in zip(lasers, outcomes, strict=True):
+        screen.print(f"{laser}: {outcome.words}", soft_wrap=True)
+    if left := [laser.name for laser, outcome in zip(lasers, outcomes, strict=True) if not outcome.confirmed]:
+        raise LaserDoubt(
+            f"not confirmed to be off: {', '.join(left)}; use the key and the STOP of the laser itself"
+        )
+
+
+def _off(laser: KnownLaser) -> SwitchedOff:
+    if laser.table is None:
+        return SwitchedOff(False, "NOT reached, its bench file does not say box and port: use the laser's own key")
+    try:
+        return switch_off(laser.table)
+    except Exception as error:  # one that cannot be reached must not hide what became of the others
+        return SwitchedOff(False, f"NOT reached ({error}): use the laser's own key")
+
+
+def _align(opened: Laser, rate_hz: float, for_s: float) -> None:
+    opened.weak_burst(rate_hz, for_s)  # what is refused is refused before anybody puts goggles on
+    error_console().print(
+        f"{rate_hz:g} weak pulses a second for {for_s:g} s. Goggles on, door shut? Software is no interlock.\n"
+        f"Type {opened.challenge} to let them leave: ",
+        end="",
+    )
+    try:
+        word = input()
+    except EOFError:
+        word = ""
+    opened.align(word, rate_hz, for_s)
+    error_console().print("light; Ctrl-C switches off")
+    opened.wait()

@@ -1,0 +1,157 @@
+"""`rtpiv live`: a page in the browser with frames as the camera gives them, raw and corrected; nothing is kept."""
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.maps.corrector import Corrector
+from daq.bench.bench_file import load_bench
+from daq.bench.bench_table import CAMERA, Bench
+from daq.bench.opened import OpenBench, open_bench
+from daq.cameras.frame import Frame
+from daq.live.live_page import BYTES_PER_PX, LivePage
+from daq.pipeline.corrections import Corrections
+from daq.plans.steps import BEHIND_GLASS
+from daq.runner.exposures import Exposures
+from ground.terminal import console
+from rtpiv.verbs.paths import Named
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+
+NEAR_MM = 0.5  # of the place in the scene file: a correction is near enough to be looked at
+BATCH = 1000  # frames of one arming
+
+
+def live(
+    bench: Named = "bench.yaml",
+    simulate: bool = False,
+    scene: Named | None = None,
+    correct: bool = True,
+    port: int = 0,
+    shows: str = "chessboard",
+    for_s: float | None = None,
+) -> int:
+    """Show what the camera sees until Ctrl-C.
+
+    Parameters
+    ----------
+    bench : path
+        bench.yaml; its camera is opened with its settings, nothing else is touched.
+    simulate : bool
+        Use its simulation.
+    scene : path, optional
+        Scene for the correction, such as a fitted one; default is the bench's.
+    correct : bool
+        Show corrected frames beside raw ones.
+    port : int
+        Where the page listens on this computer; 0 takes a free one.
+    shows : {"chessboard", "particles", "flow"}
+        What there is to be seen; a page that looks at a chessboard says nothing of particles.
+    for_s : float, optional
+        End by itself after this time.
+
+    Returns
+    -------
+    int
+        Frames seen.
+
+    Raises
+    ------
+    CameraError
+        The camera is not there, or gives no frame.
+    PageError
+        The page cannot be shown.
+    """
+    screen, loaded = console(), load_bench(bench)
+    height, width = loaded.scene.camera.shape
+    believed = loaded.scene if scene is None else load_scene(Path(scene))
+    with ExitStack() as stack:
+        page = stack.enter_context(
+            LivePage(BYTES_PER_PX * height * width, port, believed, loaded.table.target.board)
+        )
+        screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
+        screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
+        page.say("making the correction; the first one on a computer compiles for about a minute")
+        corrector = _corrector(believed) if correct else None
+        page.say("opening the camera")
+        hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
+        exposures = Exposures(hardware.camera, hardware.camera_section)
+        exposures.set_up()
+        away = _away(loaded, hardware)
+        if away and corrector is not None:
+            corrector = None
+            screen.print(f"no correction is shown: {away}", soft_wrap=True, highlight=False)
+        page.say("waiting for the camera's first frame")
+        seen, begun_s = 0, time.monotonic()
+        try:
+            for frame in _endless(exposures):
+                with frame:
+                    corrected = None if corrector is None else corrector(frame.pixels)
+                    words, pictures = _moment(loaded, frame, corrected, shows, seen, begun_s, away)
+                    page.say(words["doing"])
+                    page.show(words, pictures)
+                seen += 1
+                if for_s is not None and time.monotonic() - begun_s > for_s:
+                    break
+        except KeyboardInterrupt:
+            pass
+        finally:
+            exposures.end()
+    return seen
+
+
+def _corrector(scene: Scene) -> Corrector:
+    corrections = Corrections(scene)
+    corrections.prepare([BEHIND_GLASS])
+    return corrections.corrector(BEHIND_GLASS)
+
+
+def _away(bench: Bench, hardware: OpenBench) -> str:
+    """Which axes of a simulated bench stand elsewhere than where the scene holds; "" if none is known to."""
+    if hardware.simulation is None:
+        return ""
+    true_mm = hardware.simulation.true_mm()
+    away = [f"{name} by {true_mm[name] - mm:+.1f} mm" for name, mm in bench.home_mm.items()
+            if abs(true_mm[name] - mm) > NEAR_MM]  # fmt: skip
+    return f"simulated axes stand off the place in the scene file: {', '.join(away)}" if away else ""
+
+
+def _endless(exposures: Exposures) -> Iterator[Frame]:
+    while True:
+        for _, frame in exposures.frames(BATCH, may_lose=BATCH):
+            yield frame
+
+
+def _moment(
+    bench: Bench,
+    frame: Frame,
+    corrected: NDArray[np.float32] | None,
+    shows: str,
+    seen: int,
+    begun_s: float,
+    away: str,
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    elapsed_s = max(time.monotonic() - begun_s, 1e-9)
+    age_ms = (time.monotonic_ns() - frame.meta.received_ns) / 1e6
+    words = {
+        "run": f"{bench.table.name}: nothing is kept",
+        "doing": f"no correction: {away}" if away else "the correction is for axes at the place in the scene file",
+        "shows": shows,
+        "view": "" if away else BEHIND_GLASS,  # outlines of the scene are elsewhere, too
+        "rims": not away,
+        "bits": frame.meta.significant_bits,
+        "counters": {
+            "frames": [str(seen + 1), False],
+            "frames a second": [f"{(seen + 1) / elapsed_s:.1f}", False],
+            "from camera to page": [f"{age_ms:.0f} ms", age_ms > 500.0],
+        },
+    }
+    pictures: dict[str, NDArray[Any]] = {"raw": frame.pixels}
+    if corrected is not None:
+        pictures["corrected"] = corrected
+    return words, pictures

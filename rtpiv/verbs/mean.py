@@ -1,0 +1,113 @@
+"""`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
+
+from pathlib import Path
+from typing import Unpack
+
+from daq.errors import RunUnsuitable
+from daq.frames.source import is_source
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import is_run
+from daq.runs.shown_plane import where_lit
+from ground.terminal import console
+from piv.errors import PairError
+from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
+from rtpiv.analysis.series.ensemble_file import write_ensemble
+from rtpiv.analysis.series.ensemble_series import ensemble_flow
+from rtpiv.analysis.series.mean_flow import MeanFlow
+from rtpiv.analysis.series.run_series import run_series
+from rtpiv.analysis.series.series_folder import FILE
+from rtpiv.analysis.series.series_input import series_input
+from rtpiv.analysis.series.series_mean import mean_of_series, standing_of
+from rtpiv.verbs.evaluate import USUAL, holds_series_of
+from rtpiv.verbs.output import folder_for, require_folder
+from rtpiv.verbs.paths import Named, path_of
+from rtpiv.verbs.show import show_mean, show_series
+
+
+def mean(
+    path: Named,
+    out: Named | None = None,
+    scene: Named | None = None,
+    target_clear: Named | None = None,
+    dewarp_order: int = 2,
+    figures: bool = False,
+    dt_us: float | None = None,
+    workers: int | None = None,
+    ensemble: int | None = None,
+    sigma_limit_px: float | None = None,
+    **options: Unpack[PivOptions],
+) -> MeanFlow:
+    """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.
+
+    Parameters
+    ----------
+    path : path
+        A flow run, or frames of others in pairs (`daq.frames.source`), evaluated where that has not
+        been done with these settings; or the folder of a series that `evaluate` has made.
+    out : path, optional
+        Folder of the series, default ``series`` in the run or, of frames of others, ``evaluation``: ``mean.nc``
+        and ``mean.html``, beside what `evaluate` writes there.
+    scene, target_clear, dewarp_order, figures, dt_us, workers, sigma_limit_px
+        As for `evaluate`; of a run only.
+    ensemble : {8, 16, 32}, optional
+        Also by ensemble correlation with windows of this side [px], into ``mean_ensemble.nc``: for rims, walls and
+        thin seeding, where single pairs fail; of a run only.
+    **options
+        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`; of a run only.
+
+    Returns
+    -------
+    MeanFlow
+        The statistics.
+
+    Raises
+    ------
+    PairError, SeriesError
+        What the run or its series make impossible: no pair with vectors, a chunk that is missing or damaged.
+    RunUnsuitable
+        The folder is neither a run nor a series.
+    ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunDamaged, DiskError
+        As for `evaluate`.
+    """
+    screen = console()
+    path, out, scene, target_clear = Path(path), path_of(out), path_of(scene), path_of(target_clear)
+    series = None
+    if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
+        name, choice = path.resolve().name, piv_choice(**options)
+        if is_run(path):
+            folder = require_folder(out if out is not None else RunFolder(path).own("series"))
+        else:
+            folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
+        given = series_input(
+            path, folder, choice, scene, target_clear, dewarp_order, None, None, dt_us, sigma_limit_px
+        )
+        books = run_series(name, folder, given.given, given.method, workers)
+        show_series(screen, books)
+        series = given, books
+    elif (path / FILE).is_file():
+        folder = path
+        if (
+            out is not None
+            or scene is not None
+            or target_clear is not None
+            or dt_us is not None
+            or ensemble is not None
+            or sigma_limit_px is not None
+            or any(value is not None for value in options.values())
+        ):
+            raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
+    else:
+        raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
+    found = mean_of_series(folder)
+    by_ensemble = None
+    if series is not None and ensemble is not None:
+        given = series[0]
+        by_ensemble = ensemble_flow(given, found, ensemble, workers)
+        said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
+        write_ensemble(folder / "mean_ensemble.nc", by_ensemble, said)
+    from rtpiv.analysis.report.mean import write_mean_page
+
+    write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
+    screen.print(where_lit(standing_of(folder)))
+    show_mean(screen, found, folder / "mean.html")
+    return found

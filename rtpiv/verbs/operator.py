@@ -1,0 +1,104 @@
+"""Who says the word that a laser asks for: a person at the terminal, or a script where there is no light.
+
+The laser makes its word up whenever it has been switched off, so nobody can write it down before the bench is
+open.  A script can therefore answer for a simulated laser only, by `--operator NAME`; a real one wants a person
+who reads the word and types it, at the bench, once a run.
+"""
+
+import math
+import sys
+from collections.abc import Sequence
+
+from daq.errors import RunUsageError
+from daq.plans.steps import Step
+from daq.runner.light import NoOperator, Operator
+from ground.terminal import error_console
+
+
+class TerminalOperator:
+    """A person at the terminal."""
+
+    def word(self, challenge: str) -> str:
+        """Show the word and return what was typed."""
+        error_console().print(
+            "\nThe laser is about to be armed. Software is no interlock: door switch, goggles and beam stops are "
+            f"yours.\nIs everybody out of the beam? Then type this word: {challenge}",
+            soft_wrap=True,
+        )
+        return _typed()
+
+    def open_seeding(self) -> None:
+        """Wait for Enter."""
+        error_console().print("\nThe background is done. Open the seeding, then press Enter.", soft_wrap=True)
+        _typed()
+
+    def stands_mm(self, axis: str) -> float:
+        """Ask for a number."""
+        error_console().print(
+            f"\n{axis} cannot look for its reference. Read on its scale where it stands, and type that in mm:",
+            soft_wrap=True,
+        )
+        text = _typed()
+        try:
+            mm = float(text)
+        except ValueError:
+            mm = math.nan
+        if not math.isfinite(mm):
+            raise RunUsageError(f"{text!r} is no position; nothing has moved")
+        return mm
+
+
+class ScriptOperator:
+    """A script that answers for a simulated laser."""
+
+    def word(self, challenge: str) -> str:
+        """Say what is asked for."""
+        return challenge
+
+    def open_seeding(self) -> None:
+        """The simulated seeding is open when the flow is photographed."""
+
+    def stands_mm(self, axis: str) -> float:
+        """A script sees no scale.
+
+        Raises
+        ------
+        RunUsageError
+            Always.
+        """
+        raise RunUsageError(f"{axis} is homed by hand: a person has to read where it stands")
+
+
+def operator_of(name: str | None, simulate: bool) -> Operator:
+    """Return who answers for the light of a run.
+
+    Parameters
+    ----------
+    name : str or None
+        What `--operator` says.
+    simulate : bool
+        Whether the bench is simulated.
+
+    Raises
+    ------
+    RunUsageError
+        A script asks to answer for a real laser.
+    """
+    if name is not None and not simulate:
+        raise RunUsageError(
+            "--operator answers for a simulated laser only; at a real one a person types the word that it shows"
+        )
+    if name is not None:
+        return ScriptOperator()
+    return TerminalOperator() if sys.stdin is not None and sys.stdin.isatty() else NoOperator()
+
+
+def require_person(person: Operator, steps: Sequence[Step]) -> None:
+    """Refuse steps that need light if nobody can arm the laser; RunUsageError before anything moves."""
+    if isinstance(person, NoOperator) and any(step.pulses is not None for step in steps):
+        person.word("")
+
+
+def _typed() -> str:
+    """A line from the terminal; nothing if it has gone."""
+    return sys.stdin.readline().strip()

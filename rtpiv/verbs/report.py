@@ -1,0 +1,164 @@
+"""`rtpiv report`: a run as one page that goes into a lab book."""
+
+from pathlib import Path
+from typing import Unpack
+
+import numpy as np
+
+from correction.evaluate.target_error import target_error
+from correction.fitted.prepared import prepare
+from daq.errors import RunUnsuitable
+from daq.runs.acquired import read_acquired
+from daq.runs.bare_target import dewarp_of
+from daq.runs.board import board_of
+from daq.runs.displacement import FILE as MOVED
+from daq.runs.pairs import pairs_of
+from daq.runs.run_folder import RunFolder
+from daq.runs.run_views import first_view, scene_file
+from ground.terminal import console
+from piv.errors import PairError
+from rtpiv.analysis.pairs.evaluation import Evaluation, Route
+from rtpiv.analysis.pairs.piv_file import PivOptions
+from rtpiv.analysis.pictures.before_after import before_after
+from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.series.series_pairs import is_series
+from rtpiv.analysis.series.tasks import FIT_FILE
+from rtpiv.verbs.evaluate import evaluate
+from rtpiv.verbs.mean import mean
+from rtpiv.verbs.output import require_folder
+from rtpiv.verbs.paths import Named, path_of
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+
+TARGET_HEAD = ("region", "corners found", "bias u, v", "rms u, v", "largest")
+
+
+def report(
+    run: Named,
+    out: Named | None = None,
+    scene: Named | None = None,
+    target_clear: Named | None = None,
+    dewarp_order: int = 2,
+    stage_sigma_um: float = 10.0,
+    route: Route = "compare",
+    **options: Unpack[PivOptions],
+) -> Path:
+    """Evaluate a run and write its page.
+
+    Parameters
+    ----------
+    run : path
+        Folder of a run.  Pairs of a shift run are evaluated (each also gets a folder with its vectors); a flow run
+        is averaged as by `mean`; of any other run the first frame through the glass is shown corrected.
+    out : path, optional
+        Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair.
+    scene : path, optional
+        scene.yaml, best a fitted one; default the one that the run was corrected with, else the bench's.
+    target_clear, dewarp_order
+        As for `correct`.
+    stage_sigma_um, route
+        As for `evaluate`.
+    **options
+        How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    RunUnsuitable
+        The folder is no run, or holds no frame yet.
+    ConfigError, FrameError, PairError, TargetNotFound, DewarpError
+        As for `evaluate`.
+    """
+    run, scene, target_clear = Path(run), path_of(scene), path_of(target_clear)
+    folder = RunFolder.open(run)
+    about = folder.about
+    out = require_folder(out if out is not None else folder.own("report"))
+    if _is_flow(run):
+        mean(run, out, scene, target_clear, dewarp_order, **options)
+        return out / "mean.html"
+    from rtpiv.analysis.report.calibration import calibration_chapter
+    from rtpiv.analysis.report.pair import pair_chapters, pair_summary
+    from rtpiv.analysis.report.run import books_chapter, moved_chapter, pairs_chapter, provenance_chapter
+
+    out.mkdir(parents=True, exist_ok=True)
+    scene = scene or scene_file(run, out)
+    loaded = load_scene(scene)
+    page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
+    if (run / MOVED).is_file():
+        chosen = route if target_clear is None else "image"
+        found = evaluate(
+            [run], out, scene, target_clear, dewarp_order, stage_sigma_um=stage_sigma_um, route=chosen, **options
+        )
+        assert isinstance(found, list)  # a flow has left above
+        shown = _most_telling(found)
+        pair_summary(page, shown)
+        pairs_chapter(page, found)
+        if len(found) > 1:
+            page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")
+        pair_chapters(page, shown)
+    else:
+        _single_frame(page, folder, loaded, target_clear, dewarp_order)
+    calibration_chapter(page, scene.with_name(FIT_FILE), loaded)
+    moved_chapter(page, folder)
+    books_chapter(page, folder)
+    provenance_chapter(page, folder, loaded.content_hash(), [("scene file", str(scene))])
+    path = out / "report.html"
+    page.write(path)
+    console().print(f"look at {path}", style="bold")
+    return path
+
+
+def _is_flow(run: Path) -> bool:
+    """Whether a run is a series of pairs; one that has none, or not yet, is shown by its frames."""
+    try:
+        return is_series(run, pairs_of(run))
+    except (PairError, RunUnsuitable):
+        return False
+
+
+def _most_telling(found: list[Evaluation]) -> Evaluation:
+    """Return the first pair through the glass whose shift is known, else what comes nearest to that."""
+    return max(found, key=lambda e: (bool(e.task.scene.bodies), e.shift is not None))
+
+
+def _single_frame(
+    page: Page, folder: RunFolder, scene: Scene, target_clear: Path | None, dewarp_order: int
+) -> None:
+    """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
+    from rtpiv.analysis.report.pair import image_table, scene_chapter, slider_chapter
+    from rtpiv.analysis.report.through import through_lead
+
+    view = first_view(folder)
+    if view is None:
+        raise RunUnsuitable(f"{folder.path}: holds no frame yet; resume the run first")
+    board = board_of([folder.path])
+    dewarp = dewarp_of(target_clear, scene.camera, board, dewarp_order)
+    through = scene if view.glass else scene.bare()
+    if view.shows == "flow":
+        through = through.in_light_sheet()
+    corrector = prepare(through, dewarp).corrector
+    frame = read_acquired(view.path, scene.camera.shape)
+    corrected = corrector(frame)
+    seen = before_after(frame, corrected, corrector, through)
+    tiles = []
+    through_lead(page, seen.through, through, seen.recovered)
+    if view.shows == "chessboard" and view.on_plane:
+        errors = target_error(corrected, corrector, board)
+        for name, region in list(errors.regions.items())[1:]:
+            if region.found:
+                rms = float(np.max(region.rms_px))
+                tiles.append(
+                    (f"{rms:.3f} px", f"corner error, {name}", f"{region.found} of {region.expected} corners")
+                )
+        if tiles:
+            page.tiles(tiles)
+        page.heading("Target")
+        page.table(TARGET_HEAD, errors.rows(), "Position error of target corners, corrected minus grid [px]")
+    slider_chapter(page, seen, f"Frame {view.path.name}, {view.tag}.")
+    if view.shows != "chessboard":  # whose squares are no particles
+        image_table(page, seen)
+    scene_chapter(page, through)

@@ -1,0 +1,58 @@
+"""`rtpiv resume`: go on with a run that was interrupted, by whatever."""
+
+from pathlib import Path
+
+from daq.cameras import require_libraries
+from daq.runner.session import reopen
+from daq.runs.run_folder import remaining
+from ground.plain_words import counted
+from ground.terminal import console, progress_if_long
+from rtpiv.verbs.acquire import run_and_report
+from rtpiv.verbs.operator import operator_of, require_person
+from rtpiv.verbs.paths import Named
+
+
+def resume(
+    run: Named, home: bool = False, retake: bool = False, operator: str | None = None, live: bool = False
+) -> Path:
+    """Do what is left of a run: plan minus journal.
+
+    Parameters
+    ----------
+    run : path
+        Folder of the run.
+    home : bool
+        Home every axis first, in the configured order; needed if a controller has lost its position.
+    retake : bool
+        Take steps again of which a frame is missing or damaged; also those of a finished run.
+    operator : str, optional
+        As for `acquire`.
+    live : bool
+        As for `acquire`.
+
+    Returns
+    -------
+    Path
+        Folder of the run.
+
+    Raises
+    ------
+    ResumeRefused
+        The run is finished or in doubt, or plan, bench or scene are not those it began with.
+    RunDamaged
+        A record is not what was written; or, without `retake`, a frame.
+    WrongDevice
+        Other controllers answer than those that the run began with.
+    """
+    screen = console()
+    run = Path(run)
+    found = reopen(run, retake, progress_if_long)
+    screen.print(f"{run}: plan, bench and scene are those it began with, and every frame that counts is right")
+    require_libraries(found.bench.table.camera.backend)
+    if found.again:
+        screen.print(f"taken again for missing or damaged frames: {counted(len(found.again), 'step')}")
+    person = operator_of(operator, found.request.simulate)
+    require_person(person, remaining(found.plan.steps, found.folder.entries(), found.again))
+    request, plan = found.request, found.plan
+    run_and_report(screen, request, found.bench, plan, found.folder, home, person, found.again, live, is_new=False)
+    return run

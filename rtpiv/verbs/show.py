@@ -1,0 +1,233 @@
+"""What a person sees of results: all printing of figures, so that what computes them prints nothing."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from ground.plain_words import counted
+from rtpiv.analysis.digits import places
+
+if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for what evaluates a series
+    from rtpiv.analysis.calibration import Calibration
+    from rtpiv.analysis.campaign.campaign_plan import Forecast
+    from rtpiv.analysis.campaign.status import RunStatus
+    from rtpiv.analysis.pairs.evaluation import Evaluation
+    from rtpiv.analysis.report.tables import Row
+    from rtpiv.analysis.series.mean_flow import MeanFlow
+    from rtpiv.analysis.series.run_series import SeriesBooks
+
+HIGHEST = 0.99  # of all speeds of a mean: a few outliers are no flow
+SHOWN = 10  # pairs that are named one by one
+
+
+def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:
+    """Say how well a pair was measured, and where the page will be."""
+    from rtpiv.analysis.report.tables import (
+        CLAIM_HEAD,
+        ROUTE_HEAD,
+        SHIFT_HEAD,
+        SIGMA_HEAD,
+        TRACK_HEAD,
+        claim_rows,
+        route_rows,
+        shift_rows,
+        sigma_rows,
+        track_rows,
+    )
+
+    screen.print(str(evaluation))
+    if evaluation.field.doubt:
+        screen.print(evaluation.field.doubt, style="bold red")
+    tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
+    if evaluation.shift is not None:
+        tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
+    if evaluation.map_sigma is not None:
+        tables.append(("standard uncertainty, rms [px]", SIGMA_HEAD, sigma_rows(evaluation)))
+        tables.append(("errors against their sigma; it claims 68 and 95 %", CLAIM_HEAD, claim_rows(evaluation)))
+    if evaluation.routes is not None:
+        tables.append(("both routes by r / R [px]", ROUTE_HEAD, route_rows(evaluation.routes)))
+    if evaluation.tracks is not None:
+        tables.append(("single particles [px]", TRACK_HEAD, track_rows(evaluation)))
+    if evaluation.no_tracks:
+        screen.print(f"no tracks: {evaluation.no_tracks}", style="bold red")
+    for title, head, rows in tables:
+        table = Table(title=title)
+        for number, column in enumerate(head):
+            table.add_column(column, justify="right" if number else "left")
+        for row in rows:
+            table.add_row(*row)
+        screen.print(table)
+    if page:
+        screen.print(f"look at {evaluation.task.out / 'report.html'}")
+
+
+def show_series(screen: Console, books: "SeriesBooks") -> None:
+    """Say what became of the pairs of a series."""
+    done = f"{books.pairs - len(books.failed)} of {counted(books.pairs, 'pair')} have vectors"
+    screen.print(done + (f"; {books.kept} of them had been evaluated before" if books.kept else ""))
+    for tag, why in list(books.failed.items())[:SHOWN]:
+        screen.print(f"{tag} is left out: {why}", style="bold red")
+    if len(books.failed) > SHOWN:
+        screen.print(f"and {len(books.failed) - SHOWN} more; the page has them", style="bold red")
+
+
+def show_forecasts(screen: Console, forecasts: "Sequence[Forecast]") -> None:
+    """Say what a campaign asks for."""
+    table = Table(title="campaign")
+    for number, column in enumerate(
+        ("run", "pairs", "chunks", "done", "core hours left", "GB to read", "GB to write")
+    ):
+        table.add_column(column, justify="right" if number else "left")
+    for each in forecasts:
+        costs = (each.left_s / 3600.0, each.read_bytes * 1e-9, each.write_bytes * 1e-9)
+        counts = (each.pairs, each.chunks, each.done)
+        table.add_row(each.name, *[str(n) for n in counts], *[f"{cost:.2f}" for cost in costs])
+    screen.print(table)
+    for each in forecasts:
+        if each.again:
+            again = f"{counted(each.again, 'finished chunk')} {'is' if each.again == 1 else 'are'} made again"
+            text = f"{each.name}: {again}, as frames have changed or the run has more pairs than before"
+            screen.print(text, style="bold red")
+
+
+def show_campaign(screen: Console, states: "Sequence[RunStatus]") -> None:
+    """Say how a campaign stands."""
+    table = Table(title="campaign")
+    for number, column in enumerate(
+        ("run", "chunks", "done", "running", "failed", "pairs done", "without vectors")
+    ):
+        table.add_column(column, justify="right" if number else "left")
+    for state in states:
+        counts = (state.chunks, state.done, len(state.running), len(state.failed))
+        pairs = f"{state.done_pairs} of {state.pairs}", str(sum(state.without_vectors.values()))
+        table.add_row(state.name, *[str(n) for n in counts], *pairs)
+    screen.print(table)
+    said = [
+        f"{s.name}: {counted(count, 'pair')}: {why}" for s in states for why, count in s.without_vectors.items()
+    ]
+    said += [
+        f"{s.name}, chunk {w.chunk}: {w.host or 'somebody'}, process {w.pid}, last pair {w.silent_s:.0f} s ago"
+        for s in states
+        for w in s.running
+    ]
+    for line in said[:SHOWN]:
+        screen.print(line)
+    failed = [f"{state.name}, chunk {n} failed: {why}" for state in states for n, why in state.failed.items()]
+    for line in failed[:SHOWN]:
+        screen.print(line, style="bold red")
+    more = max(0, len(said) - SHOWN) + max(0, len(failed) - SHOWN)
+    if more:
+        screen.print(f"and {more} more; books.jsonl and the markers of the chunks have them")
+
+
+def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) -> None:
+    """Say where a view is sharp."""
+    from rtpiv.analysis.report.focus import HEAD as FOCUS_HEAD
+
+    table = Table(title="best focus")
+    for number, column in enumerate(FOCUS_HEAD):
+        table.add_column(column, justify="right" if number else "left")
+    for row in rows:
+        table.add_row(*row)
+    screen.print(table)
+    screen.print(said)
+    screen.print(f"look at {page}")
+
+
+def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
+    """Say how well a mean flow is known."""
+    seen = mean.count > 0
+    if mean.doubt:
+        screen.print(mean.doubt, style="bold red")
+    screen.print(f"mean of {counted(mean.used, 'pair')}; {len(mean.left_out)} are left out")
+    speed = np.where(seen, np.linalg.norm(mean.mean_m_s, axis=-1), np.nan)
+    highest = float(np.nanquantile(speed, HIGHEST)) if seen.any() else 0.0
+    flows = speed >= 0.5 * highest
+    said = f"speed above half of {highest:.3g} m/s, {int(flows.sum())} of {int(seen.sum())} places"
+    table = Table(title=f"median where it flows: {said}")
+    for name in ("", "u", "v"):
+        table.add_column(name, justify="right" if name else "left")
+    rows = [
+        ("mean [m/s]", mean.mean_m_s),
+        ("its random sigma [m/s]", mean.sigma_m_s),
+        ("its random sigma [px]", mean.sigma_m_s * mean.px_per_m_s),
+        ("not resolved of it [m/s]", np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)),
+        ("fluctuation, without noise [m2/s2]", mean.stresses_m2_s2[..., :2]),
+        ("effective samples", mean.effective.samples),
+    ]
+    if np.isfinite(mean.dt_sigma_share):
+        rows.insert(4, ("sigma by dt, one factor [m/s]", mean.dt_sigma_m_s))
+    if mean.map_sigma_m_s is not None:
+        rows.insert(4, ("sigma by the fitted map [m/s]", mean.map_sigma_m_s))
+    for name, values in rows:
+        there = [values[..., k][flows & np.isfinite(values[..., k])] for k in (0, 1)]
+        table.add_row(name, *(f"{np.median(each):.4g}" if each.size else "-" for each in there))
+    screen.print(table)
+    if mean.no_map_sigma:
+        screen.print(f"no uncertainty of the map: {mean.no_map_sigma}")
+    if not mean.effective.converged:
+        screen.print("the series is too short for its slowest motion: sigma is a lower limit", style="bold red")
+    if mean.gaps:
+        screen.print(mean.gaps)
+    screen.print(f"look at {page}")
+
+
+def show_calibration(screen: Console, found: "Calibration") -> None:
+    """Say what a fit has found, and what the frames left open."""
+    if (through := found.through) is not None:
+        from rtpiv.analysis.views.arranged import little
+
+        screen.print(through.sentence, style="bold")
+        if advice := little(found.fit.measured_scene, through.share):
+            screen.print(advice, style="bold red")
+    screen.print(_number_table(found))
+    screen.print(_error_table(found))
+    for region, values in found.percentiles.items():
+        screen.print(f"map sigma {region}: median {values['median']:.4f} px, largest {values['largest']:.3f} px")
+    fit = found.fit
+    for region, counts in found.account.items():
+        visible = f" of {counts['visible']} visible" if "visible" in counts else ""
+        outliers = f"{counts['rejected']} rejected as outliers beyond 5 sigma"
+        screen.print(f"corners {region}: {counts['measured']}{visible} measured, {outliers}")
+    for behind, alike in fit.verdict.correlation.items():
+        if alike.corners:
+            region = "behind glass" if behind else "seen directly"
+            screen.print(f"corners {region}: {alike.corners} are worth {alike.independent:.0f} independent ones")
+    for sentence in fit.verdict.sentences:
+        screen.print(f"model: {sentence}", style="" if fit.verdict.is_right else "bold red")
+    for weakness in found.weak:
+        screen.print(f"not determined: {weakness.sentence}")
+
+
+def _number_table(found: "Calibration") -> Table:
+    table = Table(
+        title=f"fitted scene {found.fit.measured_scene.content_hash()}; every other number was held fixed"
+    )
+    for name in ("fitted parameter", "fitted", "sigma", "moved", "prior sigma"):
+        table.add_column(name, justify="left" if name == "fitted parameter" else "right")
+    for name, row in found.numbers.items():
+        digits = places(row["sigma"])
+        unit = f" [{row['unit']}]" if row["unit"] else ""
+        fitted, known, moved = (f"{row[part]:.{digits}f}" for part in ("value", "sigma", "moved"))
+        table.add_row(f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}")
+    return table
+
+
+def _error_table(found: "Calibration") -> Table:
+    table = Table(title="position error of target points [px] (Table 2)")
+    for name in ("sense", "scene", "region", "corners", "bias u, v", "rms u, v", "largest"):
+        table.add_column(name, justify="left" if name in ("sense", "scene", "region") else "right")
+    for name, regions in found.senses.items():
+        for r in regions:
+            bias, rms = (f"{p[0]:+.3f}, {p[1]:+.3f}" for p in (r.bias_px, r.rms_px))
+            rms = rms.replace("+", "")
+            row = (r.region, str(r.corners), bias, rms, f"{r.largest_px:.2f}")
+            table.add_row("computed - acquired", name, *row)
+    for name, error in found.grids.items():
+        for figures in error.rows():
+            table.add_row("corrected - grid", name, *figures)
+    return table

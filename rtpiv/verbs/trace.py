@@ -1,0 +1,230 @@
+"""`rtpiv trace`: what a scene shows of the plane."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.table import Table
+
+from correction.light_sheet.double_views import double_views
+from correction.light_sheet.forecast import SheetForecast, sheet_forecast
+from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.node_status import MEANING, NodeStatus
+from ground.terminal import console, progress_if_long
+from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.pictures.names import short
+from rtpiv.analysis.plane_share import BodyShare, PlaneShare, plane_share
+from rtpiv.analysis.views.arranged import little
+from rtpiv.verbs.output import folder_for
+from rtpiv.verbs.paths import Named
+from tracer.errors import SceneError
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+from tracer.scene.unusual import scene_questions
+from tracer.strategies.fov import FieldOfView, field_of_view
+from tracer.strategies.ray_map import RayMap, build_ray_map
+
+if TYPE_CHECKING:
+    from correction.maps.aperture import BlurMap
+
+PICTURES = "rtpiv.analysis.pictures"
+SHOWN_BODIES = 40
+LONGEST_NAME = 32
+SHEET_STEP = 4  # corrected pixels between places that may be seen twice; 2 says the same in four times the time
+
+
+@dataclass(frozen=True)
+class Traced:
+    """What a scene shows of the plane.
+
+    Parameters
+    ----------
+    share : PlaneShare
+        Areas, as a whole and of each body.
+    view : FieldOfView or None
+        Radial figures, of spheres in a row on the camera's perpendicular only.
+    sheet : SheetForecast or None
+        How well frames of a flow will tell where the light sheet is; None if it runs through a body.
+    pictures : tuple of Path
+        What was drawn.
+    """
+
+    share: PlaneShare
+    view: FieldOfView | None
+    sheet: SheetForecast | None
+    pictures: tuple[Path, ...] = field(repr=False)
+
+
+def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True) -> Traced:
+    """Trace a scene; print what it shows of the plane, and leave pictures.
+
+    Parameters
+    ----------
+    scene : path or Scene
+        scene.yaml, or what `load_scene` made of it.
+    out : path, optional
+        Folder, default ``trace`` (or ``trace-2`` ... where that has results), for ``plane.png`` (what is recovered
+        of the plane, why the rest is not, and the magnification), ``camera_view.png`` (a board with markers as
+        the camera sees it), ``scene.png`` (the scene to scale, cut where the rays lie), of spheres in a row only
+        ``radial_curve.png``, and ``blur.png`` if the scene says the camera's aperture.
+    pictures : bool
+        Draw them, after the figures are printed; else the folder is left alone.
+
+    Returns
+    -------
+    Traced
+        The figures.
+
+    Raises
+    ------
+    ConfigError
+        The scene file is wrong.
+    RunUsageError, DiskError
+        The folder cannot hold results.
+    """
+    loaded, name = (scene, "scene") if isinstance(scene, Scene) else (load_scene(scene), Path(scene).stem)
+    out, screen = folder_for(out, "trace"), console()
+    for question in [] if isinstance(scene, Scene) else scene_questions(scene):
+        screen.print(question, soft_wrap=True, highlight=False)
+    ray_map = build_ray_map(loaded)
+    correction_map = build_correction_map(loaded, ray_map)
+    share = plane_share(loaded, correction_map)
+    blur = None
+    if loaded.camera.pupil is not None:
+        from correction.maps.aperture import blur_map
+
+        blur = blur_map(correction_map, loaded)
+    try:
+        view: FieldOfView | None = field_of_view(loaded)
+    except SceneError:  # not in a row: the areas say it all
+        view = None
+    if share.through is not None:
+        screen.print(share.through.sentence, style="bold")
+        if advice := little(loaded, share.through.share):
+            screen.print(advice, style="bold red")
+    screen.print(_plane_table(f"{name}, scene {loaded.content_hash()}", share))
+    if share.bodies:
+        screen.print(_body_table(share))
+    if view is not None:
+        screen.print(_radial_table(view))
+    if blur is not None and np.isfinite(blur.width_px).any():
+        screen.print(
+            f"blur behind glass, median {np.nanmedian(blur.width_px):.2f} px; left out by the aperture"
+            f" {100.0 * blur.left_out:.1f} % of the view behind glass"
+        )
+    forecast = _sheet_forecast(None if isinstance(scene, Scene) else Path(scene), loaded, ray_map)
+    if forecast is not None:
+        screen.print(forecast.sentence)
+    names: list[str] = []
+    if pictures:
+        del ray_map
+        out.mkdir(parents=True, exist_ok=True)
+        names = _draw(out, name, loaded, correction_map, share, blur, view)
+        screen.print(f"{', '.join(names)} are in {out}")
+    return Traced(share, view, forecast, tuple(out / name for name in names))
+
+
+def _draw(
+    out: Path,
+    name: str,
+    scene: Scene,
+    correction_map: CorrectionMap,
+    share: PlaneShare,
+    blur: "BlurMap | None",
+    view: FieldOfView | None,
+) -> list[str]:
+    """Draw all pictures; return their names."""
+    from rtpiv.analysis.pictures.patterns import MarkerBoard, square_for
+    from rtpiv.analysis.pictures.seen import WIDEST_PX, seen
+    from rtpiv.analysis.pictures.shown_plane import ShownPlane
+    from rtpiv.analysis.through_glass import shown_small
+
+    names = ["plane.png", "camera_view.png", "scene.png"]
+    with drawing() as draw:
+        draw(f"{PICTURES}.drawing:draw_scene", out / "scene.png", scene)
+        draw(f"{PICTURES}.plane:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
+        square_mm = square_for(share.size_mm[0])
+        image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
+        view_of = image, scene.camera.sensor_px, square_mm, name
+        draw(f"{PICTURES}.camera_view:draw_camera_view", out / "camera_view.png", *view_of)
+        if blur is not None:
+            draw(f"{PICTURES}.blur:draw_blur", out / "blur.png", correction_map.grid, blur)
+            names.append("blur.png")
+        if view is not None:
+            draw(f"{PICTURES}.curve:draw_curve", out / "radial_curve.png", scene, view, name)
+            names.append("radial_curve.png")
+    return names
+
+
+def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetForecast | None:
+    """What frames of a flow will tell of the sheet, where glass can stand before it at all."""
+    from rtpiv.analysis.series.tasks import scene_sigma_beside
+
+    sigma = "no file" if path is None else scene_sigma_beside(path, scene, dewarped=False)
+    try:
+        lit = scene.in_light_sheet()
+    except SceneError:  # said by whoever corrects frames: the glass may stand elsewhere then
+        return None
+    views = double_views(lit, ray_map if lit is scene else None, SHEET_STEP)
+    return sheet_forecast(lit, views, None if isinstance(sigma, str) else sigma)
+
+
+def _plane_table(title: str, share: PlaneShare) -> Table:
+    """What becomes of the plane that the corrected image covers."""
+    width, height = share.size_mm
+    table = Table(title=title)
+    for name in (f"of the plane, {width:.1f} x {height:.1f} mm", "area [mm\u00b2]", "share"):
+        table.add_column(name, justify="left" if not table.columns else "right")
+    rows = [("recovered", share.recovered_mm2), ("  seen directly", share.direct_mm2)]
+    rows.append(("  through glass", share.glass_mm2))
+    lost = [(MEANING[each], area) for each, area in share.areas_mm2.items() if each != NodeStatus.RECOVERED]
+    rows += [("not recovered", share.whole_mm2 - share.recovered_mm2), *((f"  {why}", area) for why, area in lost)]
+    for name, area in rows:
+        table.add_row(name, f"{area:.1f}", f"{100.0 * area / share.whole_mm2:.2f} %")
+    return table
+
+
+def _body_table(share: PlaneShare) -> Table:
+    """What each body hides, what of that is recovered all the same, and what is seen through it."""
+    unseen = len(share.bodies) - SHOWN_BODIES
+    more = f"; {unseen} smaller ones are left out" if unseen > 0 else ""
+    table = Table(title="what each body hides of the plane" + more)
+    for name in (
+        "body", "hides [mm\u00b2]", "recovered", "lost [mm\u00b2]", "mainly lost", "seen through it [mm\u00b2]",
+    ):  # fmt: skip
+        table.add_column(name, justify="left" if name in ("body", "mainly lost") else "right")
+    largest = sorted(share.bodies, key=lambda body: -body.outline_mm2)[:SHOWN_BODIES]
+    for body in largest:
+        table.add_row(*_body_row(body))
+    return table
+
+
+def _body_row(body: BodyShare) -> tuple[str, ...]:
+    name = short(body.name, LONGEST_NAME)
+    if not body.outline_mm2:
+        return name, "0", "-", "-", "out of view", f"{body.shown_mm2:.1f}"
+    share = f"{100.0 * body.recovered_mm2 / body.outline_mm2:.1f} %"
+    why = MEANING[body.lost_to] if body.lost_to is not None else "-"
+    shows = f"{body.shown_mm2:.1f}" if body.is_glass else "opaque"
+    return name, f"{body.outline_mm2:.1f}", share, f"{body.outline_mm2 - body.recovered_mm2:.1f}", why, shows
+
+
+def _radial_table(view: FieldOfView) -> Table:
+    """Figures of spheres in a row, as Martins et al. (2018) give them."""
+    radius = view.radius_mm
+    table = Table(title="spheres in a row")
+    table.add_column("")
+    table.add_column("value", justify="right")
+    rows = [
+        ("FOV_in = (r_b/R)^2", f"{100.0 * view.inside:.1f} %"),
+        ("FOV_total", f"{100.0 * view.total:.1f} %"),
+        ("largest recovered r_o/R", f"{view.edge_mm / radius:.3f}"),
+        ("fold at r_i/R" if view.folds else "branch ends at r_i/R", f"{view.fold_mm / radius:.3f}"),
+        ("silhouette r_red/R", f"{view.silhouette_mm / radius:.3f}"),
+        ("r_i/r_o at the centre", f"{view.centre_magnification:+.3f}"),
+        ("L/R", f"{view.distance_mm / radius:.3g}"),
+    ]
+    for name, value in rows:
+        table.add_row(name, value)
+    return table

@@ -1,0 +1,22 @@
+"""`rtpiv warm`: compile what scenes of balls need before anybody waits for it, for an image or a cluster."""
+
+from ground.terminal import console, progress
+from rtpiv.command_line.first_use import calls_of, compile_call
+
+
+def warm() -> int:
+    """Compile, or find compiled, what the verbs call for scenes of balls; on all cores.
+
+    The folder is that of all compiled code: RTPIV_CACHE, else the user's cache folder.  Commands that find it
+    there need not be able to write to it.
+
+    Returns
+    -------
+    int
+        Kernels that are now ready.
+    """
+    calls = calls_of("warm")
+    for call in progress(calls, len(calls), "compiling"):
+        compile_call(call)
+    console().print(f"{len(calls)} kernels are ready")
+    return len(calls)

@@ -1,0 +1,1 @@
+"""Motion and time of the simulated world."""

@@ -1,0 +1,238 @@
+"""What is printed on the target: functions from a point of the printed sheet [mm] to reflectance 0..1.
+
+A sheet has its own axes: x right and y up on the paper, origin where the scene has its world origin.  Its
+``Pose`` puts it into the world, so a target that sits 0.2 mm beside its nominal place, or is moved by a
+stage, is the same pattern with another pose:
+
+    p = offset + Rz Ry Rx (x, y, 0)
+
+All patterns are pure: the same point gives the same value, whatever was asked before.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sim.renderer.reflectance import chessboard, particles, printed_image
+from tracer.board import Board
+from tracer.camera import Vector3
+from tracer.errors import SceneError
+
+Points = NDArray[np.float64]
+REACH_SIGMAS = 5.0  # a Gaussian is 4e-6 of its peak there: below one count in 12 bit
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Place of a printed sheet: offset [mm] of its origin, then turns [rad] about the world's x, y, z."""
+
+    offset_mm: Vector3 = (0.0, 0.0, 0.0)
+    turn_rad: Vector3 = (0.0, 0.0, 0.0)
+
+    def axes(self) -> Points:
+        """Rows (4, 3): origin, x axis, y axis and normal of the sheet in world coordinates."""
+        (ca, cb, cc), (sa, sb, sc) = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        about_x = np.array([[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]])
+        about_y = np.array([[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]])
+        about_z = np.array([[cc, -sc, 0.0], [sc, cc, 0.0], [0.0, 0.0, 1.0]])
+        return np.vstack((self.offset_mm, (about_z @ about_y @ about_x).T))
+
+    def to_world(self, points_mm: ArrayLike) -> Points:
+        """World points (..., 3) of sheet points (..., 2) [mm]."""
+        sheet = np.asarray(points_mm, dtype=np.float64)
+        axes = self.axes()
+        return np.asarray(axes[0] + sheet[..., :1] * axes[1] + sheet[..., 1:] * axes[2])
+
+    def moved(self, x_mm: float = 0.0, y_mm: float = 0.0, z_mm: float = 0.0) -> "Pose":
+        """Return the pose moved along the world's axes."""
+        x, y, z = self.offset_mm
+        return replace(self, offset_mm=(x + x_mm, y + y_mm, z + z_mm))
+
+
+class Pattern(Protocol):
+    """A printed sheet: its pose and its reflectance."""
+
+    @property
+    def pose(self) -> Pose:
+        """Place of the sheet."""
+
+    def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,), 0 to 1, at points (N, 2) of the sheet [mm]."""
+
+
+AnyPattern = TypeVar("AnyPattern", "Chessboard", "ParticleSheet", "Image")
+
+
+def placed(pattern: AnyPattern, pose: Pose) -> AnyPattern:
+    """Return the same print at another place."""
+    return replace(pattern, pose=pose)
+
+
+@dataclass(frozen=True)
+class Chessboard(Board):
+    """An endless chessboard in print: a `Board` with an inner corner at its origin, in two shades.
+
+    Parameters
+    ----------
+    dark, bright : float
+        Reflectance of the two shades.
+    pose : Pose
+        Place of the board.
+    """
+
+    dark: float = 0.08
+    bright: float = 0.92
+    pose: Pose = field(default_factory=Pose)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.disc_mm < self.square_mm:
+            raise SceneError("the chessboard's discs must fit into its squares; lower disc_mm")
+        if not 0.0 <= self.dark <= self.bright <= 1.0:
+            raise SceneError("the chessboard's shades must be 0 <= dark <= bright <= 1")
+
+    def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,) at points (N, 2) of the board [mm]."""
+        out = np.empty(len(points_mm), np.float32)
+        discs = np.array(self.discs, np.float64).reshape(-1, 2)
+        chessboard(points_mm, self.square_mm, 0.5 * self.disc_mm, discs, self.dark, self.bright, out)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class ParticleSheet:
+    """Printed particles: Gaussians of one width, their sum clipped at 1.
+
+    Parameters
+    ----------
+    places_mm : ndarray
+        Centres (N, 2) on the sheet.
+    sigma_mm : float
+        Width; the diameter at 1/e^2 is 4 sigma.
+    peaks : float or ndarray
+        Reflectance at the centre, one for all or (N,).
+    background : float
+        Reflectance of the paper.
+    pose : Pose
+        Place of the sheet.
+    """
+
+    places_mm: Points
+    sigma_mm: float
+    peaks: float | Points = 0.9
+    background: float = 0.03
+    pose: Pose = field(default_factory=Pose)
+
+    def __post_init__(self) -> None:
+        if self.places_mm.ndim != 2 or self.places_mm.shape[1] != 2 or not np.isfinite(self.places_mm).all():
+            raise SceneError("particle places must be finite and of shape (N, 2)")
+        if not self.sigma_mm > 0.0:
+            raise SceneError("particles must have a positive sigma_mm")
+
+    def displaced(self, shift_mm: ArrayLike | Callable[[Points], Points]) -> "ParticleSheet":
+        """Return the same particles, each moved on the sheet.
+
+        Parameters
+        ----------
+        shift_mm : array_like or callable
+            One shift (2,), one for each particle (N, 2), or a field: places (N, 2) -> shifts (N, 2).
+        """
+        shift = shift_mm(self.places_mm) if callable(shift_mm) else np.asarray(shift_mm, dtype=np.float64)
+        return replace(self, places_mm=self.places_mm + shift)
+
+    def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,) at points (N, 2) of the sheet [mm]."""
+        out = np.empty(len(points_mm), np.float32)
+        places, peaks, starts, corner, cell = self._bins
+        particles(points_mm, places, peaks, starts, corner, cell, self.sigma_mm, self.background, out)
+        return out
+
+    @cached_property
+    def _bins(self) -> tuple[Points, Points, NDArray[np.int64], Points, float]:
+        """Particles sorted into square cells as wide as a particle reaches."""
+        cell = REACH_SIGMAS * self.sigma_mm
+        places = np.ascontiguousarray(self.places_mm)
+        peaks = np.broadcast_to(np.asarray(self.peaks, dtype=np.float64), places.shape[:1])
+        if len(places) == 0:
+            return places, peaks.copy(), np.zeros((1, 2), np.int64), np.zeros(2), cell
+        corner = places.min(axis=0)
+        index = ((places - corner) / cell).astype(np.int64)
+        columns, rows = (int(n) + 1 for n in index.max(axis=0))
+        flat = index[:, 1] * columns + index[:, 0]
+        order = np.argsort(flat, kind="stable")
+        ends = np.concatenate(([0], np.cumsum(np.bincount(flat, minlength=rows * columns))))
+        first = np.arange(rows)[:, None] * columns + np.arange(columns + 1)
+        return places[order], peaks[order], ends[first].astype(np.int64), corner, cell
+
+
+def printed_particles(
+    size_mm: tuple[float, float],
+    px_per_mm: float,
+    *,
+    seed: int,
+    density_per_px: float = 0.02,
+    diameter_px: float = 3.0,
+    peak: float = 0.9,
+    background: float = 0.03,
+) -> ParticleSheet:
+    """Return a sheet of particles at random places, described as a camera of a stated scale sees it.
+
+    Parameters
+    ----------
+    size_mm : (float, float)
+        Width and height of the printed area, centred on the origin.
+    px_per_mm : float
+        Scale at which density and diameter hold.
+    seed : int
+        The same seed gives the same sheet.
+    density_per_px : float
+        Particles per pixel.
+    diameter_px : float
+        Diameter at 1/e^2 (sigma = d/4).
+    peak, background : float
+        Reflectance of a particle's centre and of the paper.
+    """
+    size = np.array(size_mm)
+    count = round(float(density_per_px * px_per_mm**2 * size.prod()))
+    places = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 2)) * size
+    return ParticleSheet(places, 0.25 * diameter_px / px_per_mm, peak, background)
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A picture printed on the sheet, bilinear between its pixels, exact at them.
+
+    Parameters
+    ----------
+    values : ndarray
+        Reflectance (rows, columns), 0 to 1; row 0 is at the top (+y).
+    pixel_mm : float
+        Edge of a printed pixel; the picture's centre lies on the sheet's origin.
+    outside : float
+        Reflectance of the paper around it.
+    pose : Pose
+        Place of the sheet.
+    """
+
+    values: NDArray[np.float32]
+    pixel_mm: float
+    outside: float = 0.0
+    pose: Pose = field(default_factory=Pose)
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or self.values.size == 0:
+            raise SceneError("a printed image must have rows and columns")
+        if not (self.values.min() >= 0.0 and self.values.max() <= 1.0):
+            raise SceneError("a printed image's values are reflectances; scale them to 0..1")
+        if not self.pixel_mm > 0.0:
+            raise SceneError("a printed image must have a positive pixel_mm")
+
+    def reflectance(self, points_mm: Points) -> NDArray[np.float32]:
+        """Reflectance (N,) at points (N, 2) of the sheet [mm]."""
+        out = np.empty(len(points_mm), np.float32)
+        values = np.ascontiguousarray(self.values, dtype=np.float32)
+        printed_image(points_mm, values, self.pixel_mm, self.outside, out)
+        return out

@@ -1,0 +1,1 @@
+"""Timing units as firmware: bytes in, pulses out."""

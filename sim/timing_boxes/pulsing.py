@@ -1,0 +1,71 @@
+"""What boxes are made of that give pulses by themselves: periods that begin, and pulses on their way out.
+
+A period begins at its moment on the world's clock, whoever listens and whether or not the host still lives; what
+falls into it is put on its way then, and leaves at its own moment, in order.
+"""
+
+import heapq
+from abc import abstractmethod
+from collections.abc import Mapping
+
+from sim.emulators.device import Clock, Emulator
+from sim.mechanics.motion import Motor
+from sim.timing_boxes.outputs import Outputs, Pulse
+
+
+class PulsingEmulator(Emulator):
+    """Base of the emulators of timing units.
+
+    Parameters
+    ----------
+    motors : mapping
+        None; there for the likeness with other emulators.
+    clock : Clock
+        Time of the world.
+    """
+
+    def __init__(self, motors: Mapping[str, Motor], clock: Clock) -> None:
+        super().__init__(motors, clock)
+        self.outputs = Outputs()
+        self._period_begins_s: float | None = None  # None: nothing runs
+        self._coming: list[tuple[float, int, Pulse]] = []
+
+    @property
+    def next_s(self) -> float | None:
+        """When the next period or pulse is due."""
+        moments = [self._coming[0][0]] if self._coming else []
+        moments += self._due_s[:1]
+        if self._period_begins_s is not None:
+            moments.append(self._period_begins_s)
+        return min(moments, default=None)
+
+    def advance(self) -> None:
+        """Give every pulse that is due by now, period by period."""
+        now_s = self._clock.now_s()
+        while self._is_on and (due_s := self.next_s) is not None and due_s <= now_s:
+            self.event_s = due_s
+            if self._coming and self._coming[0][0] <= due_s:
+                self.outputs.emit(heapq.heappop(self._coming)[2])
+            elif self._period_begins_s is not None and self._period_begins_s <= due_s:
+                self._begin_period(due_s)
+            else:
+                break  # power comes back; the base knows
+        super().advance()
+
+    def _send(self, time_s: float, number: int, pulse: Pulse) -> None:
+        """Put a pulse of output `number` on its way; of those of one moment the lower number leaves first."""
+        heapq.heappush(self._coming, (time_s, number, pulse))
+
+    def _withdraw(self, number: int) -> None:
+        """Take back what output `number` has not given yet."""
+        self._coming = [each for each in self._coming if each[1] != number]
+        heapq.heapify(self._coming)
+
+    def _end_periods(self) -> None:
+        """Begin no period any more, and take back what has not been given yet."""
+        self._period_begins_s = None
+        self._coming.clear()
+
+    @abstractmethod
+    def _begin_period(self, time_s: float) -> None:
+        """Send the pulses of a period that begins now, and say when the next one does."""

@@ -1,0 +1,78 @@
+"""The controllers that can be driven: one line each.
+
+DRIVERS speak bytes on a port; FOREIGN are libraries of others (`stages.foreign`).
+A bench file names a driver by its key here, or an own one as ``package.module:Class``. The class is imported
+only when it is asked for. Contract tests run on every line.
+"""
+
+import importlib
+
+from ground.named_program import is_installed, is_trusted, named_program
+from stages.controller import Controller
+from stages.errors import StageUsageError
+from stages.motion_controller import MotionController
+
+DRIVERS = {
+    "zaber_ascii": "stages.drivers.zaber_ascii:ZaberController",
+    "isel_dnc": "stages.drivers.isel_dnc:IselController",
+    "pi_gcs2": "stages.drivers.pi_gcs2:PiController",
+    "grbl": "stages.drivers.grbl:GrblController",
+    "thorlabs_apt": "stages.drivers.thorlabs_apt:AptController",
+}
+
+FOREIGN = {
+    "micromanager": "stages.foreign.micromanager:MicroManager",
+    "positioners": "stages.foreign.positioners:Positioners",
+}
+
+
+def controller_class(name: str) -> type[MotionController]:
+    """Class of what a bench file names as `driver`, serial or not.
+
+    Raises
+    ------
+    StageUsageError
+        There is none of that name.
+    """
+    if name not in FOREIGN:
+        return driver_class(name)
+    module, _, attribute = FOREIGN[name].partition(":")
+    found: type[MotionController] = getattr(importlib.import_module(module), attribute)
+    return found
+
+
+def check_driver(name: str) -> None:
+    """Refuse a driver that is not there; one of another project is imported only if it is trusted.
+
+    Raises
+    ------
+    StageUsageError
+        There is none of that name.
+    """
+    if name in FOREIGN or ":" not in name or is_trusted(name):
+        controller_class(name)
+    elif not is_installed(name):
+        raise StageUsageError(f"driver {name!r} cannot be imported: its package is not installed here")
+
+
+def driver_class(name: str) -> type[Controller]:
+    """Class of a serial driver.
+
+    Raises
+    ------
+    StageUsageError
+        There is no such driver.
+    UntrustedProgram
+        It is a driver of another project, and not trusted.
+    """
+    module, colon, attribute = DRIVERS.get(name, name).partition(":")
+    if not colon:
+        known = ", ".join([*DRIVERS, *FOREIGN])
+        raise StageUsageError(f"driver {name!r} is unknown; known are {known}, or give module:Class")
+    try:
+        found = getattr(importlib.import_module(module), attribute) if name in DRIVERS else named_program(name)
+    except (ImportError, AttributeError) as error:
+        raise StageUsageError(f"driver {name!r} cannot be imported: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Controller)):
+        raise StageUsageError(f"driver {name!r} is no Controller")
+    return found

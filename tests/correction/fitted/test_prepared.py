@@ -1,0 +1,71 @@
+"""A correction is made once for what it is made of, and goes when others are used."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.fitted import prepared
+from correction.fitted.prepared import PreparedCorrections, content_key, prepare
+from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.maps.corrector import Corrector
+from correction.maps.dewarp import fit_dewarp_pairs
+from tests.correction.small_scenes import small_scene
+from tracer.strategies.ray_map import build_ray_map
+
+SIZE_PX = 96
+
+
+@pytest.fixture
+def scene():
+    return small_scene("two_spheres_500", SIZE_PX)
+
+
+@pytest.fixture
+def dewarp():
+    ideal = np.stack(np.meshgrid(*[np.arange(0.0, SIZE_PX, 6.0)] * 2), axis=-1).reshape(-1, 2)
+    return fit_dewarp_pairs(ideal, ideal + 0.5, (SIZE_PX, SIZE_PX), spacing_px=6.0)
+
+
+def test_it_corrects_as_its_parts_do(scene, dewarp):
+    frame = np.random.default_rng(1).integers(0, 4095, scene.camera.shape).astype(np.uint16)
+    built = build_correction_map(scene, build_ray_map(scene), layers=2)
+    made = prepare(scene, dewarp, "bilinear", 2)
+    assert np.array_equal(made.corrector(frame), Corrector(built, dewarp, "bilinear")(frame), equal_nan=True)
+    assert np.array_equal(made.ray_map.plane_mm, build_ray_map(scene).plane_mm, equal_nan=True)
+
+
+def test_whatever_changes_a_pixel_changes_the_key(scene, dewarp):
+    other = replace(dewarp, centre_px=(1.0, 2.0))
+    keys = [content_key(scene), content_key(scene.with_bodies(())), content_key(scene, dewarp),
+            content_key(scene, other), content_key(scene, method="bilinear"),
+            content_key(scene, layers=2)]  # fmt: skip
+    assert len(set(keys)) == len(keys)
+    assert content_key(small_scene("two_spheres_500", SIZE_PX), dewarp) == keys[2]
+
+
+def test_the_latest_stay_and_the_one_not_used_for_longest_goes(scene, mocker):
+    traced = mocker.spy(prepared, "build_ray_map")
+    corrections, clear = PreparedCorrections(kept=2), scene.with_bodies(())
+    glass = corrections.of(scene)
+    corrections.of(clear)
+    assert corrections.of(scene) is glass
+    corrections.of(scene, method="bilinear")  # the clear one goes
+    assert corrections.of(scene) is glass
+    assert traced.call_count == 3
+    corrections.of(clear)
+    assert traced.call_count == 4
+
+
+def test_maps_on_the_disk_are_used_again_unless_they_are_damaged(scene, tmp_path, mocker):
+    first = PreparedCorrections(tmp_path).of(scene)
+    PreparedCorrections(tmp_path).of(scene, layers=2)
+    traced = mocker.spy(prepared, "build_ray_map")
+    again = PreparedCorrections(tmp_path).of(scene)
+    assert not traced.called
+    assert np.array_equal(first.corrector.map.pixel, again.corrector.map.pixel, equal_nan=True)
+    assert PreparedCorrections(tmp_path).of(scene, layers=2).corrector.map.layers == 2
+    (tmp_path / f"{scene.content_hash()}.map").write_bytes(b"nonsense")
+    PreparedCorrections(tmp_path).of(scene)
+    assert traced.call_count == 1
+    assert CorrectionMap.load(tmp_path / f"{scene.content_hash()}.map").layers == 1

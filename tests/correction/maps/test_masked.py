@@ -1,0 +1,145 @@
+"""Masked parts of a scene's view reach every map, and what is made of maps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from correction.evaluate.velocity_route import usable_branches
+from correction.fitted.prepared import content_key, prepare
+from correction.light_sheet.double_views import double_views
+from correction.maps.correction_map import build_correction_map
+from correction.masked import masked_pixels
+from correction.node_status import NodeStatus
+from daq.live.folds_and_masks import folds_and_masks
+from ground.errors import ConfigError
+from sim.demo.scenes import at_size, named_scene
+from tracer.errors import SceneError
+from tracer.light_sheet import LightSheet
+from tracer.masked import UNCONFIRMED, UNLISTED, MaskedPart, hull_px
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import dump_scene, load_scene
+from tracer.strategies.ray_map import build_ray_map
+
+SIZE_PX = 252
+THROUGH = ("sphere2", "sphere1")
+CORNER = MaskedPart(UNLISTED, ((120.0, 120.0), (150.0, 120.0), (150.0, 150.0), (120.0, 150.0)))
+WAY = MaskedPart(UNCONFIRMED, through=THROUGH)
+
+
+def scene(*masked: MaskedPart) -> Scene:
+    return replace(at_size(named_scene("two_spheres_500"), SIZE_PX), masked=masked)
+
+
+def test_nodes_seen_through_an_outline_are_left_out_with_its_reason():
+    whole = build_correction_map(scene(), build_ray_map(scene()))
+    found = prepare(scene(CORNER)).corrector
+    u, v = np.moveaxis(whole.pixel[0], -1, 0)
+    inside = whole.recovered & (np.rint(u) > 120) & (np.rint(u) < 150) & (np.rint(v) > 120) & (np.rint(v) < 150)
+    assert np.count_nonzero(inside) > 300
+    assert (found.status[inside] == NodeStatus.UNLISTED).all()
+    well_outside = whole.recovered & ((u < 119) | (u > 151) | (v < 119) | (v > 151))
+    np.testing.assert_array_equal(found.status[well_outside], whole.status[well_outside])
+    image = np.full((SIZE_PX, SIZE_PX), 700, np.uint16)
+    assert np.isnan(found(image)[inside]).all()
+
+
+def test_a_way_that_is_not_confirmed_is_left_out_whole():
+    whole = build_correction_map(scene(), build_ray_map(scene()))
+    found = build_correction_map(scene(WAY), build_ray_map(scene(WAY)))
+    through = whole.recovered & (whole.branch[0] == list(whole.branches).index(THROUGH))
+    assert not found.recovered[through].any()
+    assert (found.status[through] == NodeStatus.UNCONFIRMED).sum() > 1000
+    assert found.recovered[~through].any()
+    assert found._sound()
+
+
+@pytest.mark.parametrize("name", ["three_spheres_500", "pyramid_500"])
+def test_the_next_best_view_takes_over_where_the_best_is_masked(name):
+    """Nothing is left out that an unmasked view shows, and nothing is shown by a masked one."""
+    whole = replace(scene(), bodies=at_size(named_scene(name), SIZE_PX).bodies)
+    views = build_correction_map(whole, build_ray_map(whole), layers=6)
+    used = views.weight > 0.0
+    twice = used[0] & used[1]
+    (v0, v1), (u0, u1) = (
+        (int(p.min()), int(p.max())) for p in (views.pixel[0][twice].T[1], views.pixel[0][twice].T[0])
+    )
+    half = MaskedPart(UNLISTED, ((u0, v0), (u1, v0), (u0, v1)))
+    inside = half.within((SIZE_PX, SIZE_PX))
+    masked = replace(whole, masked=(half,))
+    found = build_correction_map(masked, build_ray_map(masked))
+    at = np.rint(np.nan_to_num(views.pixel)).astype(int)
+    free = used & ~inside[at[..., 1], at[..., 0]]
+    np.testing.assert_array_equal(found.recovered, free.any(axis=0))
+    best = np.argmax(free, axis=0)[None, ..., None]
+    pixel = np.take_along_axis(views.pixel, best, axis=0)[0]
+    np.testing.assert_allclose(found.pixel[0][found.recovered], pixel[found.recovered], atol=1e-6)
+    assert np.count_nonzero(free.any(axis=0) & ~free[0] & used[0]) > 20
+    assert (found.status[used.any(axis=0) & ~found.recovered] == NodeStatus.UNLISTED).all()
+
+
+def test_maps_of_masked_scenes_are_not_taken_for_others():
+    assert scene(CORNER).content_hash() == scene().content_hash()
+    assert len({content_key(scene(*parts)) for parts in ((), (CORNER,), (WAY,), (CORNER, WAY))}) == 4
+
+
+def test_vectors_of_raw_frames_do_not_come_from_there():
+    rays = build_ray_map(scene())
+    before = sum(mask for _, mask in usable_branches(rays, scene(), 10))
+    after = sum(mask for _, mask in usable_branches(rays, scene(CORNER), 10))
+    assert before[125:145, 125:145].all()
+    assert not after[121:150, 121:150].any()
+    assert np.count_nonzero(masked_pixels(scene(WAY), rays)) == np.count_nonzero(
+        rays.branch == list(rays.branches).index(THROUGH)
+    )
+
+
+def test_the_sheet_is_not_found_by_what_is_masked():
+    three = at_size(named_scene("three_spheres_500"), SIZE_PX)
+    left_out = []
+    for masked in ((), (CORNER,)):
+        found = double_views(replace(three, masked=masked), step=2)
+        seen = np.concatenate((found.first_px, found.second_px))
+        left_out.append(not ((seen > 121) & (seen < 149)).all(axis=-1).any())
+    assert left_out == [False, True]
+
+
+def test_the_live_page_draws_it():
+    coarse = folds_and_masks(scene(WAY))["corrected"]["masks"]
+    assert coarse != folds_and_masks(scene())["corrected"]["masks"]
+
+
+def test_it_goes_with_the_scene_and_not_with_the_bare_view(tmp_path):
+    made = scene(CORNER, WAY)
+    (tmp_path / "scene.yaml").write_text(dump_scene(made))
+    assert load_scene(tmp_path / "scene.yaml").masked == made.masked
+    assert not made.bare().masked
+    lit = replace(made, sheet=LightSheet(-0.2))
+    assert lit.in_light_sheet().masked == made.masked
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("{why: unlisted body, outline_px: [[1, 2], [3, 4]]}", "three points"),
+        ("{why: unlisted body}", "outline_px or through"),
+        ("{why: dirty, through: [sphere1]}", "why"),
+    ],
+)
+def test_a_masked_part_that_is_none_is_refused_with_its_line(tmp_path, section, said):
+    file = tmp_path / "scene.yaml"
+    file.write_text(dump_scene(scene()) + f"masked:\n- {section}\n")
+    line = len(file.read_text().splitlines())
+    with pytest.raises(ConfigError, match=said) as caught:
+        load_scene(file)
+    assert f":{line}" in str(caught.value)
+
+
+def test_an_outline_beyond_the_frame_is_cut():
+    part = MaskedPart(UNLISTED, hull_px(np.array([[-50.0, -50.0], [10.0, -50.0], [10.0, 10.0], [-50.0, 10.0]])))
+    inside = part.within((40, 30))
+    assert inside[:10, :10].all()
+    assert not inside[12:].any()
+    assert part.coarser(2).within((20, 15))[:5, :5].all()
+    with pytest.raises(SceneError):
+        MaskedPart(UNLISTED, ((0.0, 0.0), (1.0, float("nan")), (2.0, 2.0)))

@@ -1,0 +1,263 @@
+import time
+
+import numpy as np
+import pytest
+import tifffile
+
+from correction.errors import TargetNotFound
+from correction.target import Chessboard
+from correction.target.board_search import find_board, track_board
+from correction.target.corners import refine_corners
+from correction.target.lattice_growth import grow_patches
+from correction.target.saddles import find_saddles
+from correction.target.smooth_lattice import on_smooth_map
+from piv.errors import FrameError
+from tests.correction.frame_truth import FRAMES, nominal_projection, true_projection
+from tests.correction.synthetic_board import photographed, soft_board
+
+BOARD = Chessboard()
+SHAPE = (420, 460)
+
+
+def view(turn_deg=3.0, tilt=0.0, barrel=0.0, px_per_mm=9.0, centre=(231.4, 208.7)):
+    """Pixel -> board through barrel distortion, perspective, turn; board upright at turn 0."""
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+
+    def to_board(pixels):
+        p = (np.asarray(pixels, float) - centre) / 230.0
+        p = p * (1.0 + barrel * (p**2).sum(-1, keepdims=True))
+        p = p / (1.0 + tilt * p[..., :1])
+        x, y = p[..., 0] * 230.0 / px_per_mm, -p[..., 1] * 230.0 / px_per_mm
+        return np.stack((c * x + s * y, -s * x + c * y), -1)
+
+    return to_board
+
+
+def rendered(to_board, seed=0, **kwargs):
+    return photographed(soft_board(to_board, SHAPE, discs=BOARD.discs, **kwargs), seed)
+
+
+def miss_mm(found, to_board):
+    return np.abs(to_board(found.position_px) - found.plane_mm).max()
+
+
+MORE_TURNS = [pytest.param(turn_deg, marks=pytest.mark.slow) for turn_deg in (0.0, 90.0, 180.0)]
+MORE_PLACES = [pytest.param(*place, marks=pytest.mark.slow) for place in ((0.0, 0.0), (5.0, 0.0))]
+
+
+@pytest.mark.parametrize("turn_deg", [31.0, 137.0, 269.0, *MORE_TURNS])
+def test_any_turn_is_found_with_the_right_index(turn_deg):
+    to_board = view(turn_deg)
+    found = find_board(rendered(to_board), BOARD)
+    assert len(found) > 250
+    assert miss_mm(found, to_board) < 0.04 / 9.0 * 2
+    along = to_board(found.position_px + found.axes_px[:, :, 0]) - found.plane_mm
+    assert np.abs(along - (2.5, 0.0)).max() < 0.1
+
+
+@pytest.mark.parametrize(
+    "how", [{"tilt": 0.25}, {"barrel": 0.12}, {"barrel": -0.08}, {"tilt": -0.2, "barrel": 0.1}]
+)
+def test_perspective_and_distortion(how):
+    to_board = view(17.0, **how)
+    found = find_board(rendered(to_board, 1), BOARD)
+    assert len(found) > 200
+    assert miss_mm(found, to_board) < 0.012
+
+
+def test_a_board_that_ends_inside_the_frame():
+    to_board = view(12.0)
+    image = soft_board(to_board, SHAPE, discs=BOARD.discs)
+    here = to_board(np.stack(np.meshgrid(np.arange(SHAPE[1]), np.arange(SHAPE[0])), -1))
+    outside = (np.abs(here) > 11.25).any(-1)
+    found = find_board(photographed(np.where(outside, 1500.0, image), 2), BOARD)
+    assert miss_mm(found, to_board) < 0.01
+    assert 60 <= len(found) <= 81
+    assert np.abs(found.index).max() == 4
+
+
+def test_dirt_and_a_hand_over_a_part_of_the_board():
+    to_board = view(-8.0)
+    image = rendered(to_board, 3).astype(float)
+    image[250:420, 300:460] = 700.0
+    rng = np.random.default_rng(5)
+    for u, v in rng.uniform(10, 410, (25, 2)).astype(int):
+        image[v : v + 4, u : u + 4] = 200.0
+    found = find_board(image.astype(np.uint16), BOARD)
+    error = np.abs(to_board(found.position_px) - found.plane_mm).max(axis=1) * 9.0
+    assert len(found) > 120
+    assert np.median(error) < 0.02
+    assert error.max() < 0.6  # a spot on an edge moves that corner, not its index
+
+
+def test_a_mask_keeps_everything_out_of_it():
+    to_board = view()
+    mask = np.ones(SHAPE, bool)
+    mask[:, 330:] = False
+    found = find_board(rendered(to_board), BOARD, mask)
+    assert found.position_px[:, 0].max() < 328
+    with pytest.raises(FrameError, match="mask"):
+        find_board(rendered(to_board), BOARD, mask[:-1])
+
+
+@pytest.mark.parametrize(("east", "north"), [(4.0, -4.0), (17.5, -10.0), *MORE_PLACES])
+def test_discs_put_a_prediction_right_that_is_squares_off(east, north):
+    to_board = view(2.0)
+
+    def predict(points):
+        return (231.4, 208.7) + 9.0 * (points + np.array((east, north))) * (1.0, -1.0)
+
+    found = track_board(rendered(to_board), BOARD, predict)
+    assert miss_mm(found, to_board) < 0.01
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 90.0, 180.0, 270.0])
+def test_without_discs_in_view_the_prediction_decides(turn_deg):
+    base = view(turn_deg)
+    shift = np.array((40.0, -35.0))
+    image = rendered(lambda pixels: base(pixels) + shift, 4)
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+
+    def predict(points):  # half a millimetre and one degree off
+        x, y = (points - shift + np.array((0.5, -0.4))).T
+        x, y = x - 0.017 * y, y + 0.017 * x
+        return np.column_stack((231.4 + 9.0 * (c * x - s * y), 208.7 - 9.0 * (s * x + c * y)))
+
+    found = track_board(image, BOARD, predict)
+    assert len(found) > 250
+    assert np.abs(base(found.position_px) + shift - found.plane_mm).max() < 0.01
+    with pytest.raises(TargetNotFound, match="discs"):
+        find_board(image, BOARD)
+
+
+def test_squares_of_another_size_than_described_are_named_with_their_size():
+    """A lab's board, described as the usual one: the camera tells how large it is."""
+
+    def predict(points):
+        return (231.4, 208.7) + 5.6 * points * (1.0, -1.0)
+
+    with pytest.raises(TargetNotFound, match=r"22\.\d px wide.*2\.5 mm with 14\.0 px.*square_mm \(about 4\)"):
+        track_board(rendered(view()), BOARD, predict)
+
+
+def test_a_prediction_out_of_the_frame_is_said():
+    with pytest.raises(TargetNotFound, match="nominal camera"):
+        track_board(rendered(view()), BOARD, lambda points: np.full(points.shape, np.nan))
+
+
+@pytest.mark.parametrize(
+    ("image", "word"),
+    [
+        (np.full(SHAPE, 800, np.uint16), "no chessboard"),
+        (photographed(np.full(SHAPE, 900.0), 1), "no chessboard"),
+        (np.random.default_rng(1).uniform(0, 255, SHAPE).astype(np.uint8), "no chessboard"),
+    ],
+)
+def test_frames_without_a_board(image, word):
+    with pytest.raises(TargetNotFound, match=word):
+        find_board(image, BOARD)
+
+
+def test_particles_are_no_board():
+    rng = np.random.default_rng(6)
+    image = np.zeros(SHAPE)
+    v, u = np.mgrid[0:13, 0:13] - 6
+    for x, y in rng.integers(10, 400, (4000, 2)):
+        image[y - 6 : y + 7, x - 6 : x + 7] += 900 * np.exp(-(u**2 + v**2) / 1.2)
+    with pytest.raises(TargetNotFound, match="no chessboard"):
+        find_board(photographed(image, 2), BOARD)
+
+
+def test_wrong_boards_are_named():
+    to_board = view(5.0)
+    plain = photographed(soft_board(to_board, SHAPE), 1)
+    with pytest.raises(TargetNotFound, match="discs"):
+        find_board(plain, BOARD)
+    with pytest.raises(TargetNotFound, match="exchanged"):
+        find_board((3400 - rendered(to_board).astype(int)).astype(np.uint16), BOARD)
+    with pytest.raises(TargetNotFound, match=r"discs measure 0\.[34]\d squares across"):
+        find_board(rendered(to_board), Chessboard(disc_mm=0.5))
+    overexposed = np.clip(rendered(to_board).astype(int) * 2, 0, 4095).astype(np.uint16)
+    with pytest.raises(TargetNotFound, match=r"full scale 4095.*expose shorter"):
+        find_board(overexposed, BOARD)
+
+
+def test_a_frame_of_nan_is_a_frame_error():
+    with pytest.raises(FrameError):
+        find_board(np.full(SHAPE, np.nan, np.float32), BOARD)
+
+
+def test_growth_takes_no_saddle_twice_and_keeps_kinds_alternating():
+    patch = grow_patches(find_saddles(rendered(view(23.0, barrel=0.1))))[0]
+    assert len({tuple(p) for p in patch.position_px.tolist()}) == len(patch.index)
+    assert len({tuple(i) for i in patch.index.tolist()}) == len(patch.index)
+    parity = np.where(patch.index.sum(axis=1) % 2 == 0, 1, -1)
+    assert len(set((parity * patch.sign).tolist())) == 1
+
+
+@pytest.mark.parametrize(
+    ("scene", "least", "limit_px"), [("one_sphere", 3000, 0.027), ("two_spheres", 4200, 0.019)]
+)
+@pytest.mark.slow
+def test_supplied_boards_without_and_with_a_start(scene, least, limit_px):
+    path = FRAMES / scene / "target_clear.tif"
+    if not path.exists():
+        pytest.skip(f"supplied frame {scene}/target_clear is not here")
+    image, project = tifffile.imread(path), true_projection(scene)
+    found = find_board(image, BOARD)
+    tracked = track_board(image, BOARD, nominal_projection(scene))
+    error = found.position_px - project(found.plane_mm)
+    assert len(found) > least
+    assert np.abs(error).max() < 0.12
+    assert error.std(axis=0).max() < limit_px
+    assert np.array_equal(found.index, tracked.index)
+
+
+@pytest.mark.parametrize("scene", ["one_sphere", "two_spheres"])
+def test_glass_left_in_front_is_never_counted_as_bare_board(scene):
+    path = FRAMES / scene / "target_glass.tif"
+    if not path.exists():
+        pytest.skip(f"supplied frame {scene}/target_glass is not here")
+    image, project = tifffile.imread(path), true_projection(scene)
+    with pytest.raises(TargetNotFound, match=r"glass|discs"):
+        find_board(image, BOARD)
+    found = track_board(image, BOARD, nominal_projection(scene))
+    error = np.abs(found.position_px - project(found.plane_mm)).max(axis=1)
+    assert len(found) > {"one_sphere": 850, "two_spheres": 3700}[scene]
+    assert np.mean(error < 0.2) > 0.99
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["target_clear_z-20mm", "target_clear_z+20mm"])
+def test_supplied_z_stack(name):
+    path = FRAMES / "two_spheres" / f"{name}.tif"
+    if not path.exists():
+        pytest.skip(f"supplied frame two_spheres/{name} is not here")
+    found = find_board(tifffile.imread(path), BOARD)
+    error = found.position_px - true_projection("two_spheres", float(name[14:-2]))(found.plane_mm)
+    assert len(found) > 3800
+    assert np.abs(error.mean(axis=0)).max() < 0.001
+    assert error.std(axis=0).max() < 0.0205
+
+
+@pytest.mark.slow
+def test_search_costs_little_more_than_the_corners_it_finds():
+    path = FRAMES / "two_spheres" / "target_clear.tif"
+    if not path.exists():
+        pytest.skip("supplied frame two_spheres/target_clear is not here")
+    image = tifffile.imread(path)
+    found = find_board(image, BOARD)  # compiles
+    ratios = []
+    for _ in range(3):  # measured: 1.4
+        start = time.process_time()
+        refine_corners(image, found.position_px, found.axes_px, start_error_px=0.5)
+        middle = time.process_time()
+        find_board(image, BOARD)
+        ratios.append((time.process_time() - middle) / (middle - start))
+    assert np.median(ratios) < 3.0
+
+
+def test_no_corner_lies_on_any_map():
+    """A small frame in which nothing of the board is found is for the caller to refuse, in words."""
+    none = np.zeros((0, 2))
+    assert on_smooth_map(none.astype(int), none, np.zeros((0, 2, 2))).shape == (0,)

@@ -1,0 +1,55 @@
+"""How things stand for a laser: every axis has to rest, not one of them, whichever was asked last."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from daq.bench.bench_file import load_bench
+from daq.bench.opened import OpenBench
+from daq.runner.light import Light
+from sim.mechanics.clock import VirtualClock
+from tests.daq.small_bench import write_bench
+
+
+class Asked:
+    """Axes that say where they are, or None while they move."""
+
+    def __init__(self, places):
+        self.places = dict(places)
+
+    def where_mm(self, only=None):
+        return {name: self.places[name] for name in (self.places if only is None else only)}
+
+
+@pytest.fixture
+def stage_and_light(tmp_path):
+    bench = load_bench(write_bench(tmp_path))
+    stage = Asked(bench.home_mm | {"target_z": -30.0})
+    hardware = OpenBench(bench, {"stages": stage}, {}, VirtualClock(), None)
+    return stage, Light(hardware, SimpleNamespace(path=tmp_path), None, None)
+
+
+def test_one_axis_that_moves_is_no_rest_whichever_it_is(stage_and_light):
+    stage, light = stage_and_light
+    assert light._conditions(lambda: True, True).at_rest
+    for name, mm in stage.places.items():
+        stage.places[name] = None
+        found = light._conditions(lambda: True, True)
+        assert not found.at_rest, name
+        assert found.sheet_clearance_mm is None
+        stage.places[name] = mm
+
+
+def test_while_it_fires_every_axis_has_its_turn_and_what_it_said_is_kept(stage_and_light):
+    stage, light = stage_and_light
+    light._conditions(lambda: True, True)
+    count, (first, *_) = len(stage.places), stage.places
+    stage.places[first] = None
+    found = [light._conditions(lambda: True, False).at_rest for _ in range(count)]
+    assert found == [False] * count  # the first one asked; the others rest, and that is not enough
+    stage.places[first] = 0.0
+    assert light._conditions(lambda: True, False).at_rest
+    last = list(stage.places)[-1]
+    stage.places[last] = None
+    found = [light._conditions(lambda: True, False).at_rest for _ in range(count)]
+    assert not all(found)  # within one round

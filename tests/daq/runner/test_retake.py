@@ -1,0 +1,123 @@
+"""Frames that are gone or damaged are taken again on request, with the rest of their pair, never silently."""
+
+import json
+
+import numpy as np
+import pytest
+
+from daq.errors import ResumeRefused, RunDamaged
+from daq.runner.retake import steps_to_retake
+from daq.runner.runner import Runner
+from daq.runner.session import Request, begin, carry_out, reopen
+from daq.runs.run_check import check_run
+from daq.runs.run_folder import frame_entries, remaining
+from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
+from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A finished run of eight steps, two frames each: pairs of steps (0, 1), (2, 3) ..."""
+    files = write_frames(tmp_path / "frames_in", 60)
+    camera = FILES_CAMERA.replace("timeout_s: 0.3", "timeout_s: 30.0")
+    (tmp_path / "ring").mkdir()
+    np.save(tmp_path / "ring" / "0.npy", np.full((96, 96), 100, np.uint16))
+    bench, plan = load(tmp_path, SHIFT + "frames: 2\n", camera=camera, simulation="ring: ring")
+    folder = begin(Request(bench.path, plan.path, simulate=True, correct=False), bench, plan, tmp_path / "runs")
+    with files_bench(bench, files) as hardware:
+        Runner(hardware, folder, plan.steps).run()
+    return bench, plan, folder, files
+
+
+def flip(path):
+    data = bytearray(path.read_bytes())
+    data[-100] ^= 4
+    path.write_bytes(data)
+
+
+def again(run, found):
+    bench, plan, folder, files = run
+    with files_bench(bench, files) as hardware:
+        return Runner(hardware, folder, plan.steps, again=found).run()
+
+
+def test_a_damaged_frame_takes_its_pair_with_it_and_the_books_say_so(run):
+    _, plan, folder, _ = run
+    (folder.path / "done.json").unlink()
+    flip(folder.frame_path(7))  # second frame of step 3, which is displaced from step 2
+    before = frame_entries(folder.entries())
+    with pytest.raises(RunDamaged, match=r"1 of 16 frames .*000007\.tif.* --retake"):
+        reopen(folder.path)
+    found = reopen(folder.path, retake=True)
+    assert found.again == {2, 3}
+    assert [step.index for step in remaining(plan.steps, folder.entries(), found.again)] == [2, 3]
+    done = again(run, found.again)
+    (discard,) = [entry for entry in folder.entries() if entry["kind"] == "discard"]
+    assert discard["frames"] == [4, 5, 6, 7]
+    assert discard["why"] == "steps [2, 3] are taken again for a damaged frame"
+    assert done["conservation"]["written"] == 16
+    assert done["conservation"]["rejected"] == 4
+    assert done["conservation"]["imbalance"] == 0
+    assert check_run(folder.path).is_sound, check_run(folder.path).findings
+    now = frame_entries(folder.entries())
+    assert {number for number in now if now[number] != before[number]} == {4, 5, 6, 7}
+
+
+def test_a_damaged_reference_takes_what_is_displaced_from_it_along(run):
+    _, plan, folder, _ = run
+    folder.frame_path(0).unlink()
+    assert steps_to_retake(folder, plan.steps, folder.entries(), retake=True) == {0, 1}
+
+
+def test_a_finished_run_is_taken_again_only_where_it_has_to_be(run):
+    _, _, folder, _ = run
+    with pytest.raises(ResumeRefused, match="is finished; there is nothing to resume"):
+        reopen(folder.path)
+    with pytest.raises(ResumeRefused, match="all of its frames are right"):
+        reopen(folder.path, retake=True)
+    folder.frame_path(15).unlink()
+    with pytest.raises(ResumeRefused, match="is finished"):
+        reopen(folder.path)
+    assert reopen(folder.path, retake=True).again == {6, 7}
+    assert folder.is_done  # nothing is touched before the bench is open
+
+
+def test_from_the_command_line(run, capsys):
+    """Check finds it, resume refuses, retake mends it, check is content; done.json is written anew."""
+    pytest.importorskip("harvesters", reason="the simulated camera needs harvesters (extra rtpiv[camera])")
+    _, _, folder, _ = run
+    flip(folder.frame_path(5))
+    before = json.loads((folder.path / "done.json").read_text())["sha256"]
+    path = str(folder.path)
+    assert main(["check", path]) == DEVICE
+    assert main(["resume", path]) == USAGE
+    assert main(["resume", path, "--retake", "--home"]) == DONE
+    assert "taken again for missing or damaged frames: 2 steps" in capsys.readouterr().out
+    assert main(["check", path]) == DONE
+    assert json.loads((folder.path / "done.json").read_text())["sha256"] != before
+    assert main(["resume", path, "--retake"]) == USAGE
+
+
+def test_killed_while_taking_again_goes_on(run):
+    """Right after the discard is in the journal: the run is open, and a plain resume takes what is missing."""
+    pytest.importorskip("harvesters", reason="the simulated camera needs harvesters (extra rtpiv[camera])")
+    bench, plan, folder, _ = run
+    flip(folder.frame_path(5))
+    found = reopen(folder.path, retake=True)
+
+    class Killed(Exception):  # noqa: N818
+        pass
+
+    def kill(progress):
+        if progress.doing == "exposing":
+            raise Killed
+
+    with pytest.raises(Killed):
+        carry_out(found.request, bench, plan, folder, True, kill, again=found.again)
+    assert not folder.is_done
+    assert not (folder.path / "displacements.json").exists()  # of frames that are no more
+    assert not folder.frame_path(4).exists()
+    left = reopen(folder.path)
+    assert left.again == frozenset()
+    carry_out(left.request, bench, plan, folder, True)
+    assert check_run(folder.path).is_sound, check_run(folder.path).findings

@@ -1,0 +1,71 @@
+"""A core as narrow as a window that moves a third of it over a fluid at rest: kept, or unsure, or no vector."""
+
+import numpy as np
+import pytest
+
+from piv.correlation.pair import evaluate_pair
+from tests.piv.correlation.flows import gaussian_jet, plane_jet
+
+MARGIN = 2
+STEEP = [
+    pytest.param(gaussian_jet(), id="Gaussian"),
+    pytest.param(gaussian_jet(angle_rad=0.5), id="Gaussian, oblique"),
+    pytest.param(plane_jet(), id="flat core"),
+    pytest.param(plane_jet(angle_rad=0.5), id="flat core, oblique"),
+    pytest.param(plane_jet(width_px=62.0, angle_rad=0.3), id="twice as wide"),
+]
+UNRESOLVED = [
+    pytest.param(gaussian_jet(width_px=16.0), id="half a window wide"),
+    pytest.param(gaussian_jet(width_px=16.0, angle_rad=0.5), id="half a window wide, oblique"),
+]
+
+
+def judged(make, jet, seeds, **image):
+    """True displacement, error and total sigma (n, 2) of what may have a vector, and whether it has one."""
+    parts = []
+    for seed in seeds:
+        field = evaluate_pair(*make(jet, seed=seed, ppp=0.03, noise=0.02, **image))
+        truth = np.stack(jet(*np.moveaxis(field.grid_px, -1, 0)), axis=-1)
+        off = np.stack((field.u_px, field.v_px), axis=-1) - truth
+        inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        parts.append([each[inner] for each in (truth, off, field.total_sigma_px, field.valid)])
+    return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("jet", STEEP)
+def test_a_core_as_wide_as_a_window_is_kept_with_a_sigma_of_its_error(particle_pair, jet):
+    truth, off, sigma, valid = judged(particle_pair, jet, (3, 4))
+    core = np.linalg.norm(truth, axis=-1) > 1.0
+    assert valid[core].mean() > 0.85
+    assert valid[~core].mean() > 0.99
+    in_core = core & valid
+    assert 0.7 < rms(off[in_core]) / rms(sigma[in_core]) < 1.35
+    assert np.mean(np.abs(off[in_core]) > 4.0 * sigma[in_core]) < 0.02
+    middle = np.linalg.norm(truth, axis=-1) > 11.0
+    assert np.median(np.linalg.norm(off[middle & valid], axis=-1)) < 1.5
+
+
+@pytest.mark.parametrize("jet", UNRESOLVED)
+def test_a_core_of_half_a_window_has_no_vector_or_one_that_is_unsure(particle_pair, jet):
+    truth, off, sigma, valid = judged(particle_pair, jet, (3, 4))
+    moving = valid & (np.linalg.norm(truth, axis=-1) > 0.5)
+    assert rms(off[moving]) < 2.2 * rms(sigma[moving])  # 5 to 12 times where only the found displacement counts
+    assert np.mean((np.abs(off) > 4.0 * sigma)[valid]) < 0.01
+    assert valid[np.linalg.norm(truth, axis=-1) < 0.1].mean() > 0.99
+
+
+def test_what_is_scrambled_in_a_jet_is_no_part_of_it(particle_pair):
+    """Acquitted are vectors that go on in a row, not those of a place without pairs."""
+    jet = plane_jet()
+    a, b = particle_pair(jet, seed=3, ppp=0.03)
+    rng = np.random.default_rng(2)
+    b[224:288, 200:264] = rng.permutation(b[224:288, 200:264].ravel()).reshape(64, 64)
+    field = evaluate_pair(a, b)
+    truth = np.stack(jet(*np.moveaxis(field.grid_px, -1, 0)), axis=-1)
+    off = np.linalg.norm(np.stack((field.u_px, field.v_px), axis=-1) - truth, axis=-1)
+    inside = np.ix_((field.y_px > 235) & (field.y_px < 277), (field.x_px > 211) & (field.x_px < 253))
+    assert not np.any(field.valid[inside] & (off[inside] > 3.0))

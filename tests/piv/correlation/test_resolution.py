@@ -1,0 +1,84 @@
+"""What windows do not resolve, as a part of its own: random sigma and it together are the size of the error."""
+
+import numpy as np
+import pytest
+
+from piv.correlation.pair import evaluate_pair
+from piv.correlation.resolution import UNEVEN, second_differences, unresolved_px
+from piv.correlation.settings import PivSettings
+from piv.correlation.windows import window_grid
+from tests.piv.correlation.flows import mix, turbulence, vortex, wave
+
+MARGIN = 3
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def judged(make, truth, settings, seeds, **image):
+    """Errors, total and random sigma of vectors that are not wrong."""
+    off, total, random = [], [], []
+    for seed in seeds:
+        field = evaluate_pair(*make(truth, seed=seed, **image), settings=settings)
+        inner = np.s_[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        du, dv = truth(*np.moveaxis(field.grid_px, -1, 0))
+        apart = np.stack([field.u_px - du, field.v_px - dv], -1)[inner]
+        sigma = field.total_sigma_px[inner]
+        known = np.isfinite(sigma).all(-1) & (np.linalg.norm(apart, axis=-1) < 1.0)
+        off.append(apart[known])
+        total.append(sigma[known])
+        random.append(np.stack([field.sigma_u_px, field.sigma_v_px], -1)[inner][known])
+    return np.concatenate(off), np.concatenate(total), np.concatenate(random)
+
+
+FLOWS = [
+    *((f"wave of {length} px", wave(length), 0.05) for length in (48, 64, 96, 128, 256)),
+    ("turbulence 1", turbulence(1, 2.0, 300, 50), 0.05),
+    ("turbulence 1, half the seeding", turbulence(1, 2.0, 300, 50), 0.025),
+    ("turbulence 2", turbulence(2, 2.5, 300, 40), 0.05),
+    ("vortex", vortex(), 0.02),
+]
+
+
+@pytest.mark.parametrize(("truth", "ppp"), [flow[1:] for flow in FLOWS], ids=[flow[0] for flow in FLOWS])
+def test_both_parts_together_are_the_size_of_the_error(particle_pair, truth, ppp):
+    off, total, random = judged(particle_pair, truth, None, (7, 8), ppp=ppp)
+    assert 0.82 <= rms(off) / rms(total) <= 1.18
+    assert 0.60 <= np.mean(np.abs(off) < total) <= 0.80
+    assert rms(off) > 1.1 * rms(random)  # which noise alone is not
+
+
+def test_a_flow_without_detail_has_hardly_any(particle_pair):
+    field = evaluate_pair(*particle_pair(mix, seed=7))
+    assert rms(field.resolution_px) < 0.25 * rms(field.sigma_u_px)
+    assert np.array_equal(np.isnan(field.resolution_px), np.isnan(field.sigma_u_px))
+
+
+def test_second_differences_of_a_parabola_and_of_a_plane():
+    y, x = np.mgrid[:9, :12].astype(float)
+    field = np.stack([0.5 * x**2, 3.0 * x + 2.0 * y], -1)
+    inner = np.s_[3:-3, 4:-4]
+    assert second_differences(field, 1)[inner] == pytest.approx(np.sqrt(0.5))
+    assert second_differences(field, 2)[inner] == pytest.approx(4.0 * np.sqrt(0.5))
+    assert second_differences(field[:1], 2).shape == (1, 12)
+    assert second_differences(field[:1, :1], 1) == 0.0
+    plane = np.stack([2.0 * x, y - x], -1)
+    assert np.abs(second_differences(plane, 2)).max() < 1e-9
+
+
+def test_the_parts_add_as_squares_and_fall_with_the_pieces():
+    grid, settings = window_grid((200, 200), 32, 0.5), PivSettings()
+    x = np.broadcast_to(np.arange(float(grid.shape[1])), grid.shape)
+    field = np.stack([0.5 * x**2, 0.0 * x], -1)  # 1 px a step squared
+    middle = grid.shape[0] // 2, grid.shape[1] // 2
+    few, many = (
+        unresolved_px(field, np.zeros(grid.shape), np.full(grid.shape, n), grid, settings)[middle]
+        for n in (4.0, 16.0)
+    )
+    # The weights exp(-x^2/9.6^2) have a variance of 9.6^2/2 but for what the window cuts off.
+    expected = UNEVEN * 0.5 * 9.6**2 / 16**2 * np.sqrt(0.5) / 4.0
+    assert few == pytest.approx(expected, rel=0.15)
+    assert few > 3.0 * many
+    taken = unresolved_px(field, np.full(grid.shape, few), np.full(grid.shape, 4.0), grid, settings)[middle]
+    assert taken == pytest.approx(np.sqrt(2.0) * few, rel=1e-6)

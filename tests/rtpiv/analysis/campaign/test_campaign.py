@@ -1,0 +1,292 @@
+"""A campaign: the same bytes whoever works and whatever happens; nothing is believed that should not be."""
+
+import json
+import os
+import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from daq.errors import RunUnsuitable, Unfinished
+from ground.errors import ConfigError
+from piv.errors import SeriesError
+from rtpiv.analysis.campaign import campaign_plan
+from rtpiv.analysis.campaign.books import read_books
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_plan import forecast, forecasts, planned_runs
+from rtpiv.analysis.campaign.engine import LocalProcesses
+from rtpiv.analysis.campaign.lease import take
+from rtpiv.analysis.campaign.merge import merge_campaign, merged_means
+from rtpiv.analysis.campaign.run_campaign import run_campaign
+from rtpiv.analysis.campaign.status import campaign_status
+from rtpiv.analysis.series.marker import marker_path
+from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.series_mean import mean_of_series
+from rtpiv.analysis.series.series_plan import chunk_path
+from rtpiv.analysis.series.split_focus import join_series
+from tests.rtpiv.analysis.campaign.small_campaign import Threads, content_of, planned, two_runs
+from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE
+
+CHUNKS = 6  # of two pairs: three of run one, three of run two
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Frame 4 of both runs, of pair 2, is damaged."""
+    found = two_runs(tmp_path_factory.mktemp("runs"))
+    for run in found:
+        damaged = run / "frames" / "000004.tif"
+        damaged.write_bytes(damaged.read_bytes()[:-40] + bytes(40))
+    return found
+
+
+@pytest.fixture(scope="module")
+def whole(runs, tmp_path_factory):
+    """The campaign made and merged by one worker."""
+    folder = planned(tmp_path_factory.mktemp("whole"), runs)
+    books = run_campaign(folder, Threads(1))
+    assert (books.made, books.kept, books.failed, books.stopped) == (CHUNKS, 0, {}, "")
+    merge_campaign(folder)
+    return folder
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    """A copy that may be spoiled, and what it held."""
+    shutil.copytree(whole.path, tmp_path / "copy")
+    return CampaignFolder(tmp_path / "copy"), content_of(whole.path)
+
+
+def test_two_workers_write_the_same_bytes_as_one(runs, whole, tmp_path):
+    folder = planned(tmp_path / "two", runs)
+    assert run_campaign(folder, Threads(2)).made == CHUNKS
+    merge_campaign(folder)
+    assert content_of(folder.path) == content_of(whole.path)
+    assert len(content_of(whole.path)) == 2 * CHUNKS + 2 * 4 + 3  # series, scene, map and mean a run
+
+
+@pytest.mark.slow
+def test_processes_write_the_same_bytes_as_threads(runs, whole, tmp_path):
+    folder = planned(tmp_path / "two", runs)
+    assert run_campaign(folder, LocalProcesses(2)).made == CHUNKS
+    merge_campaign(folder)
+    assert content_of(folder.path) == content_of(whole.path)
+
+
+def test_statistics_are_of_all_runs_and_say_what_was_left_out(whole):
+    with netcdf_file(whole.path / "campaign.nc", mmap=False) as file:
+        found = {name: np.array(each[:]) for name, each in file.variables.items()}
+        assert (file.pairs_used, file.runs) == (9, b"one two")
+        assert set(json.loads(file.left_out)) == {"one: flow_000004", "two: flow_000004"}
+    m_s = 1e-3 / PX_PER_MM / (DT_US * 1e-6)
+    assert np.nanmedian(found["u"]) == pytest.approx(2.0 * m_s, rel=0.01)
+    assert found["n"].max() == 9
+    means = []
+    for name in ("one", "two"):
+        with netcdf_file(whole.series(name).path / "mean.nc", mmap=False) as file:
+            means.append({n: np.array(file.variables[n][:]) for n in ("u", "n", "n_effective_u")})
+    both = sum(mean["n"] * np.nan_to_num(mean["u"]) for mean in means) / found["n"]
+    assert found["u"][found["n"] > 2] == pytest.approx(both[found["n"] > 2], rel=1e-9)
+    several = found["n"] > 8
+    effective = sum(np.nan_to_num(mean["n_effective_u"]) for mean in means)
+    assert found["n_effective_u"][several] == pytest.approx(effective[several])
+
+
+def test_the_index_names_every_chunk_with_its_hash(whole):
+    lines = (whole.path / "index.csv").read_text().splitlines()
+    assert lines[0] == "run,chunk,pairs,without_vectors,file,bytes,sha256,key"
+    assert len(lines) == 1 + CHUNKS
+    run, chunk, pairs, without, file, size, *_ = lines[2].split(",")
+    assert (run, chunk, pairs, without) == ("one", "1", "2", "1")
+    assert (whole.path / file).stat().st_size == int(size)
+
+
+def test_what_is_there_is_kept_and_nothing_is_written_twice(copy):
+    folder, before = copy
+    times = {file: file.stat().st_mtime_ns for file in folder.path.rglob("*.nc")}
+    books = run_campaign(folder, Threads())
+    assert (books.made, books.kept) == (0, CHUNKS)
+    assert {file: file.stat().st_mtime_ns for file in folder.path.rglob("*.nc")} == times
+    assert content_of(folder.path) == before
+
+
+@pytest.mark.parametrize(
+    "harm", ["cut short", "one bit", "no marker", "marker of another", "old key", "left over"]
+)
+def test_what_is_not_what_was_written_is_made_anew(copy, harm):
+    folder, before = copy
+    path = chunk_path(folder.series("two").path, 1)
+    match harm:
+        case "cut short":
+            path.write_bytes(path.read_bytes()[:-1])
+        case "one bit":
+            content = bytearray(path.read_bytes())
+            content[len(content) // 2] ^= 1
+            path.write_bytes(content)
+        case "no marker":
+            marker_path(path).unlink()
+        case "marker of another":  # whose file is there too: nothing is wrong with the two but their place
+            other = chunk_path(folder.series("two").path, 0)
+            shutil.copy(marker_path(other), marker_path(path))
+            shutil.copy(other, path)
+        case "old key":
+            marker = json.loads(marker_path(path).read_text())
+            marker_path(path).write_text(json.dumps(marker | {"key": "0" * 64}))
+        case "left over":
+            marker_path(path).unlink()
+            path.with_name(f"{path.name}.{'0' * 32}.part").write_bytes(b"CDF")
+    seen = campaign_status(folder)[1].done
+    assert seen == (3 if harm == "one bit" else 2)  # status compares lengths, run and merge hashes
+    with pytest.raises(Unfinished if seen == 2 else SeriesError, match=r"missing"):
+        merge_campaign(folder)
+    assert run_campaign(folder, Threads()).made == 1
+    merge_campaign(folder)
+    assert content_of(folder.path) == before
+
+
+def test_other_settings_are_another_campaign(copy, runs):
+    """Whose chunks are never made in place of finished ones; without these the folder is free."""
+    folder, before = copy
+    with pytest.raises(SeriesError, match="prepare sliding-minimum there, minimum now; choose another folder"):
+        planned(folder.path, runs, "minimum")
+    assert content_of(folder.path) | {"campaign.json": b""} == before | {"campaign.json": b""}
+    for name in ("one", "two"):
+        shutil.rmtree(folder.series(name).path / "chunks")
+    planned(folder.path, runs, "minimum")
+    assert [state.done for state in campaign_status(folder)] == [0, 0]
+
+
+def test_moved_runs_keep_what_was_done(copy, runs, tmp_path):
+    folder, _ = copy
+    moved = [shutil.copytree(run, tmp_path / run.name) for run in runs]
+    planned(folder.path, moved)
+    assert run_campaign(folder, Threads()).kept == CHUNKS
+
+
+def test_a_scene_for_each_run(runs, tmp_path):
+    scenes = []
+    for number in range(2):
+        scenes.append(tmp_path / f"{number}.yaml")
+        scenes[-1].write_text(SCENE.replace("500.0]", f"{500 + number}.0]"))
+    folder = planned(tmp_path / "out", runs, scenes=scenes)
+    camera = [each.given.method.scene.camera.position_mm[2] for each in planned_runs(folder)]
+    assert camera == [500.0, 501.0]
+    with pytest.raises(SeriesError, match="2 scenes for 1 runs"):
+        planned(tmp_path / "other", runs[:1], scenes=scenes)
+    with pytest.raises(SeriesError, match="named twice"):
+        planned(tmp_path / "other", [runs[0], runs[0]])
+
+
+def test_days_with_cameras_of_their_own_fits_meet_on_one_grid(runs, tmp_path):
+    """The second day's camera stands 1 mm farther away: the same frames are 1/500 faster, at the same places."""
+    scenes = []
+    for number in range(2):
+        scenes.append(tmp_path / f"{number}.yaml")
+        scenes[-1].write_text(SCENE.replace("0.0, 500.0]", f"0.0, {500 + number}.0]"))
+    folder = planned(tmp_path / "out", runs, scenes=scenes, chunk=8)
+    run_campaign(folder, Threads())
+    merged = merge_campaign(folder)
+    assert merged.mean.used == 9
+    places = [mean_of_series(folder.series(name).path) for name in ("one", "two")]
+    for name in ("x_mm", "y_mm"):
+        np.testing.assert_array_equal(getattr(places[0], name), getattr(places[1], name))
+    faster = np.nanmedian(places[1].mean_m_s[..., 0]) / np.nanmedian(places[0].mean_m_s[..., 0])
+    assert faster == pytest.approx(501.0 / 500.0, abs=5e-4)
+    alone = planned(tmp_path / "alone", runs[:1], scenes=scenes[:1], chunk=8)
+    assert alone.series("one").about["keys"] == folder.series("one").about["keys"]  # the first keeps its own grid
+
+
+@pytest.mark.slow
+def test_runs_focused_apart_are_joined_out_of_their_campaign(runs, tmp_path):
+    scene = tmp_path / "scene.yaml"
+    ball = "{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: {n: 1.01}}"
+    scene.write_text(SCENE.replace("bodies: []", f"bodies: [{ball}]"))
+    folder = planned(tmp_path / "out", runs, scenes=[scene], chunk=8)
+    run_campaign(folder, Threads())
+    joined = join_series(folder.series("one").path, folder.series("two").path, tmp_path / "joined")
+    assert {1, 2} <= set(np.unique(joined.source))
+    behind = mean_of_series(folder.series("two").path).mean_m_s
+    np.testing.assert_array_equal(joined.mean.mean_m_s[joined.source == 2], behind[joined.source == 2])
+
+
+def test_the_forecast_counts_what_is_left(copy):
+    folder, _ = copy
+    marker_path(chunk_path(folder.series("one").path, 0)).unlink()
+    one, two = (forecast(folder, each) for each in planned_runs(folder))
+    assert (one.pairs, one.chunks, one.done, two.done, two.left_s) == (6, 3, 2, 3, 0.0)
+    known = [line["seconds"] / line["pairs"] for line in read_books(folder.books)]
+    assert one.left_s == pytest.approx(2 * np.median(known))
+    assert one.read_bytes == 2 * 2 * 96 * 96 * (2 + 4)  # two pairs, and the four behind them
+    size = chunk_path(folder.series("one").path, 0).stat().st_size
+    assert 0.7 * size < one.write_bytes < size
+
+
+def test_long_journals_are_planned_side_by_side_with_the_same_keys(runs, whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign_plan, "LONG_BYTES", 0)
+    monkeypatch.setattr(campaign_plan, "worker_processes", ThreadPoolExecutor)
+    folder = planned(tmp_path / "out", runs)
+    for name in ("one", "two"):
+        (folder.series(name).path / "series.json").unlink()
+    assert [each.chunks for each in forecasts(folder, 2)] == [3, 3]
+    for name in ("one", "two"):
+        assert folder.series(name).about["keys"] == whole.series(name).about["keys"]
+    shutil.rmtree(folder.series("two").path)
+    with pytest.raises(ConfigError, match=r"scene\.yaml"):
+        forecasts(folder, 2)
+
+
+def test_status_names_who_works_on_what(copy):
+    folder, _ = copy
+    for number in (0, 1, 2):
+        marker_path(chunk_path(folder.series("one").path, number)).unlink()
+    take(folder.lease("one", 0))
+    gone = folder.lease("one", 1)
+    take(gone)
+    said = json.loads(gone.read_text())
+    gone.write_text(json.dumps(said | {"pid": 2**22 + 1}))  # no process has this number
+    elsewhere = folder.lease("one", 2)
+    take(elsewhere)
+    elsewhere.write_text(json.dumps(said | {"pid": 7, "host": "elsewhere"}))
+    os.utime(elsewhere, ns=(0, time.time_ns() - 3600 * 10**9))
+    state, other = campaign_status(folder)
+    assert [(each.chunk, each.host) for each in state.running] == [(0, said["host"]), (2, "elsewhere")]
+    assert state.running[0].silent_s < 60.0
+    assert state.running[1].silent_s == pytest.approx(3600.0, abs=60.0)
+    assert sum(other.without_vectors.values()) == 1
+    assert "does not agree with its checksum" in next(iter(other.without_vectors))
+    assert (state.done, state.is_whole, other.is_whole) == (0, False, True)
+
+
+def test_two_clients_do_not_work_on_one_campaign(copy):
+    folder, _ = copy
+    with SeriesFolder(folder.path).alone(), pytest.raises(RunUnsuitable, match="another process"):
+        run_campaign(folder, Threads())
+
+
+def test_what_is_no_campaign_is_one_sentence(tmp_path):
+    with pytest.raises(RunUnsuitable, match="begin with: rtpiv campaign run"):
+        campaign_status(CampaignFolder(tmp_path))
+    (tmp_path / "campaign.json").write_text("{}")
+    with pytest.raises(SeriesError, match="is damaged"):
+        campaign_status(CampaignFolder(tmp_path))
+
+
+def test_runs_that_saw_another_flow_are_told_apart(tmp_path):
+    """Ten pairs of one flow and six of one that is faster by 0.3 px."""
+    one, two = two_runs(tmp_path / "same", (6, 6))
+    three = two_runs(tmp_path / "other", (6, 6), shift=lambda n: (2.3, -1.0))[0].rename(tmp_path / "three")
+    folder = planned(tmp_path / "out", [one, two, three], chunk=8)
+    run_campaign(folder, Threads())
+    means = [mean_of_series(folder.series(name).path) for name in ("one", "two", "three")]
+    apart = merged_means(("one", "three"), [means[0], means[2]]).apart
+    assert min(apart.values()) > 3.0
+    same = merged_means(("one", "two"), [means[0], means[1]])
+    assert max(same.apart.values()) < 1e-6  # the very same frames
+    assert same.mean.used == 12
+    assert merged_means(("one",), means[:1]).mean is means[0]
+    with pytest.raises(SeriesError, match="the vectors of two lie on another grid than those of one"):
+        merged_means(("one", "two"), [means[0], replace(means[1], x_mm=means[1].x_mm + 0.1)])

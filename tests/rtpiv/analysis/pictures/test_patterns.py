@@ -1,0 +1,109 @@
+"""What hangs on the plane in computer-generated pictures, and what a frame is taken for."""
+
+import numpy as np
+import pytest
+
+from correction.target import Chessboard
+from rtpiv.analysis.pictures.kernels.patterns import add_markers, add_particles, add_target
+from rtpiv.analysis.pictures.patterns import MarkerBoard, Particles, Target, shows_particles, square_for
+from rtpiv.analysis.pictures.seen import seen
+from rtpiv.analysis.through_glass import shown_small
+from tests.rtpiv.analysis.test_plane_share import GLASS, scene_of
+from tracer.bodies import Sphere
+
+POINTS = np.random.default_rng(3).uniform(-12.0, 12.0, (500, 2))
+POINTS[7] = np.nan
+
+
+def drawn(pattern, points=POINTS):
+    picture = np.zeros((len(points), pattern.channels), np.float32)
+    pattern.add(points, picture)
+    return picture
+
+
+def test_the_target_is_that_of_the_bench():
+    board = Chessboard(2.5, 1.0)
+    known = np.isfinite(POINTS).all(axis=1)
+    picture = drawn(Target(board))[:, 0]
+    assert (picture[known] == board.shade(POINTS[known])).all()
+    assert picture[7] == 0.0
+
+
+def test_markers_lie_on_the_diagonal_in_their_colours():
+    board = MarkerBoard(2.5)
+    places = np.array([[k * 2.5 * 1.2 * 2**0.5, -k * 2.5 * 1.2 * 2**0.5] for k in (-1, 0, 1, 2)])
+    colours = drawn(board, places)
+    assert colours[1] == pytest.approx([1.0, 1.0, 1.0])
+    assert colours[2] == pytest.approx([214 / 255, 39 / 255, 40 / 255])
+    assert len({tuple(colour) for colour in colours.tolist()}) == 4
+    assert drawn(board, np.array([[1.0, 20.0], [4.0, 20.0]]))[:, 0] == pytest.approx([0.12, 0.88])
+
+
+def test_particles_are_few_bright_and_the_same_every_time():
+    points = np.stack(np.meshgrid(np.linspace(-40, 40, 300), np.linspace(-40, 40, 300)), axis=-1).reshape(-1, 2)
+    picture = drawn(Particles(2.0, 0.8), points)[:, 0]
+    assert (picture == drawn(Particles(2.0, 0.8), points)[:, 0]).all()
+    assert 0.01 < np.mean(picture > 0.3) < 0.2
+    assert picture.max() <= 1.0
+
+
+def test_kernels_do_what_python_does():
+    discs, colours = np.array([[1.25, 1.25], [-3.75, 1.25]]), np.eye(3)
+    for kernel, arguments, channels in (
+        (add_target, (2.5, discs, 1.0), 1),
+        (add_markers, (2.5, 4.2, 1.9, colours), 3),
+        (add_particles, (2.0, 0.8), 1),
+    ):
+        pictures = np.zeros((2, len(POINTS), channels), np.float32)
+        kernel(POINTS, *arguments, pictures[0])
+        if kernel is not add_particles:  # its hash wraps round, which plain Python warns of
+            kernel.py_func(POINTS, *arguments, pictures[1])
+            assert pictures[0] == pytest.approx(pictures[1])
+        assert pictures[0].max() > 0.5
+
+
+def test_the_camera_sees_the_board_through_a_ball_and_nothing_behind_a_black_one():
+    ball = Sphere("ball", (0.0, 0.0, 20.0), 20.0, GLASS)
+    bare, glass = (seen(scene_of(*bodies, px_per_mm=1.0), MarkerBoard(2.5), samples=2) for bodies in ((), (ball,)))
+    assert (bare[0] == glass[0]).all()
+    assert np.mean(bare[190:210, 190:210] != glass[190:210, 190:210]) > 0.5
+    black = Sphere("ball", (0.0, 0.0, 20.0), 20.0, None)
+    assert (seen(scene_of(black, px_per_mm=1.0), Target(Chessboard(2.5, 1.0)), 1)[195:205, 195:205] == 0.0).all()
+
+
+def test_progress_hears_of_every_ray_map():
+    heard = []
+
+    def watched(items, total, what):
+        for item in items:
+            heard.append((total, what))
+            yield item
+
+    seen(scene_of(px_per_mm=1.0), MarkerBoard(2.5), 2, watched)
+    assert heard == [(4, "what the camera sees")] * 4
+
+
+def test_a_frame_is_taken_for_what_it_shows():
+    scene = scene_of(Sphere("ball", (0.0, 0.0, 40.0), 40.0, GLASS))
+    noise = np.random.default_rng(1).normal(0.0, 0.02, scene.camera.shape)
+    assert shows_particles(seen(scene, Particles(2.5, 1.2), 2) + noise)
+    assert not shows_particles(seen(scene, Target(Chessboard(2.5, 1.0)), 2) + noise)
+    assert shows_particles(np.zeros((20, 20), np.uint16))
+
+
+@pytest.mark.parametrize(
+    ("width", "square"), [(160.0, 2.5), (16.0, 0.25), (1.0, 0.02), (70.0, 1.0), (3000.0, 50.0)]
+)
+def test_squares_are_round_numbers(width, square):
+    assert square_for(width) == pytest.approx(square)
+
+
+def test_a_coarser_camera_sees_the_same_view():
+    scene = scene_of(px_per_mm=1.0)
+    width, height = scene.camera.sensor_px
+    assert shown_small(scene, width).camera == scene.camera
+    coarse = shown_small(scene, width // 4).camera
+    assert coarse.sensor_px == (width // 4, height // 4)
+    of_fours = np.array([[1.5, 1.5], [401.5 - 4.0, 201.5]])  # middles of blocks of four pixels a side
+    fine = scene.camera.directions(of_fours)
+    assert coarse.directions((of_fours - 1.5) / 4.0) == pytest.approx(fine, abs=1e-12)

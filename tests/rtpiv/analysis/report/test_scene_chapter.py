@@ -1,0 +1,44 @@
+"""The chapter on what stood before the camera: blur where the scene says an aperture, where the light sheet is."""
+
+from dataclasses import replace
+
+import pytest
+
+from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
+from tests.correction.small_scenes import small_scene
+from tracer.light_sheet import LightSheet
+from tracer.pupil import Pupil
+
+
+@pytest.mark.parametrize(
+    ("f_number", "bodies", "drawn"), [(None, True, False), (11.0, True, True), (11.0, False, False)]
+)
+def test_blur_is_drawn_where_an_aperture_looks_through_glass(tmp_path, f_number, bodies, drawn):
+    scene = small_scene("two_spheres_500", 96)
+    if f_number is not None:
+        scene = scene.with_camera(replace(scene.camera, pupil=Pupil(30.0 / f_number, 500.0)))
+    page = Page("a", "b")
+    scene_chapter(page, scene if bodies else scene.with_bodies(()))
+    page.write(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert ("aperture shows each point" in text) == drawn
+    assert (tmp_path / "blur.png").exists() == drawn
+
+
+@pytest.mark.parametrize(
+    ("sheet", "bodies", "said"),
+    [
+        (None, True, "does not say where the light sheet is"),
+        (None, False, "+- 0.5 mm"),
+        (LightSheet(0.2, sigma_mm=0.05), True, "light sheet at z = +0.200 +- 0.05 mm"),
+    ],
+)
+def test_it_is_said_where_particles_were_taken_to_lie(tmp_path, sheet, bodies, said):
+    scene = replace(small_scene("two_spheres_500", 96), sheet=sheet)
+    page = Page("a", "b")
+    light_sheet_line(page, scene if bodies else scene.with_bodies(()))
+    page.write(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert said in text
+    assert ("find it with rtpiv sheet" in text.lower()) == (sheet is None)

@@ -1,0 +1,90 @@
+"""The total error with its parts, and whether a sigma keeps what it claims."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from correction.evaluate.regions import Region, Regions
+from correction.evaluate.shift import evaluate_shift
+from rtpiv.analysis.report.tables import lead_of
+from rtpiv.analysis.report.total import coverage_of, totals_of
+from tests.correction.evaluate.vectors import uniform_field
+
+SHIFT_PX = (4.0, -3.0)
+
+
+def evaluation(bias=(0.03, -0.01), noise=0.02, sigma=0.02, known=True, glass=True, moved=None):
+    rng = np.random.default_rng(4)
+    field = uniform_field((640, 640), SHIFT_PX, step_px=16, window_px=16)
+    field.sigma_u_px[:], field.sigma_v_px[:] = sigma, sigma
+    field.u_px[:] += bias[0] + rng.normal(0.0, noise, field.u_px.shape)
+    field.v_px[:] += bias[1] + rng.normal(0.0, noise, field.u_px.shape)
+    region = np.full(field.flags.shape, Region.DIRECT, np.uint8)
+    region[10:30, 10:30] = Region.GLASS if glass else Region.DIRECT
+    regions = Regions(region, np.where(region == Region.GLASS, 0.5, np.nan))
+    shift = evaluate_shift(field, regions, SHIFT_PX, 0.05) if known else None
+    joined = None
+    if moved is not None:
+        joined = SimpleNamespace(displacement_px=np.full((*field.flags.shape, 2), moved))
+    return SimpleNamespace(field=field, regions=regions, shift=shift, map_sigma=joined)
+
+
+def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
+    glass, direct = totals_of(evaluation(moved=0.004))
+    assert (glass.region, glass.count, direct.region) == ("behind glass", 400, "seen directly")
+    parts = dict(glass.parts)
+    for axis, bias in enumerate((0.03, -0.01)):
+        assert parts["bias"][axis] == pytest.approx(bias, abs=0.004)
+        assert parts["scatter"][axis] == pytest.approx(0.02, rel=0.15)
+        assert glass.total_px[axis] == pytest.approx(np.hypot(parts["bias"][axis], parts["scatter"][axis]))
+    assert set(parts) == {"bias", "scatter"}  # the map's and the stage's sigma are no parts, and may be larger
+    value, said, head, rows = lead_of(glass)
+    assert said == "total error u, v of the 400 vectors behind glass"
+    assert value.endswith(" px")
+    assert head == ("[px]", "u", "v")
+    assert [row[0] for row in rows][-1] == "total, in squares"
+    assert glass.where(evaluation()).sum() == 400 <= glass.nodes(evaluation())
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("moved", [0.3, 0.001, None])
+def test_no_part_is_larger_than_its_total(known, moved):
+    for total in totals_of(evaluation(known=known, moved=moved)):
+        for _, part in total.parts:
+            assert all(abs(one) <= whole * (1.0 + 1e-9) for one, whole in zip(part, total.total_px, strict=True))
+        squares = np.sum(np.square([part for _, part in total.parts]), axis=0)
+        assert np.sqrt(squares) == pytest.approx(total.total_px, rel=1e-6)
+
+
+def test_without_glass_it_is_of_what_is_seen_directly():
+    (only,) = totals_of(evaluation(glass=False))
+    assert (only.region, only.count) == ("seen directly", 39 * 39)
+
+
+def test_without_a_known_shift_it_is_an_uncertainty():
+    glass, _ = totals_of(evaluation(known=False, moved=0.015))
+    assert not glass.is_error
+    assert glass.total_px == pytest.approx((0.025, 0.025))
+    assert "uncertainty" in glass.said
+    assert coverage_of(evaluation(known=False), np.ones((39, 39), bool)) is None
+
+
+@pytest.mark.parametrize(("sigma", "claim"), [(0.02, "as claimed"), (0.01, "too small"), (0.04, "too large")])
+def test_sigma_is_held_to_its_claim(sigma, claim):
+    found = coverage_of(evaluation(sigma=sigma), np.ones((39, 39), bool))
+    assert found.claim == claim
+    assert found.ratio == pytest.approx((0.02 / sigma,) * 2, rel=0.1)
+    if claim == "as claimed":
+        assert found.within_1 == pytest.approx((0.683, 0.683), abs=0.04)
+        assert found.within_2 == pytest.approx((0.954, 0.954), abs=0.02)
+
+
+def test_what_the_map_is_unsure_of_counts_for_the_coverage():
+    """Errors of which half come from the map: random sigma alone is too small, both together are as claimed."""
+    made = evaluation(noise=0.04, sigma=0.024, moved=0.032)
+    found = coverage_of(made, np.ones((39, 39), bool))
+    assert found.claim == "as claimed"
+    assert found.ratio == pytest.approx((1.0, 1.0), rel=0.1)
+    made.map_sigma = None
+    assert coverage_of(made, np.ones((39, 39), bool)).claim == "too small"

@@ -1,0 +1,55 @@
+"""docs/files.md is what people write their files from: it must name every key there is."""
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import TypeAdapter
+
+from daq.bench.bench_table import BenchTable
+from daq.plans.experiments_by_name import EXPERIMENTS, plan_table
+from daq.runs.displacement import Moved
+from daq.runs.done_file import DoneFile
+from daq.runs.journal_lines import Line
+from daq.runs.run_file import RunFile
+from daq.timing.timing_table import TimingTable
+from ground.config import load_yaml, validate
+from rtpiv.analysis.pairs.piv_file import PivTable
+from rtpiv.analysis.series.series_folder import SeriesFile
+from sim.bench_table import SimulationTable
+from tracer.scene.scene_file import load_scene
+from tracer.scene.scene_tables import SceneTable
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "files.md"
+
+
+def keys_of(model: object) -> set[str]:
+    schema = TypeAdapter(model).json_schema()
+    tables = [schema, *schema.get("$defs", {}).values()]
+    return {key for table in tables for key in table.get("properties", {})}
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        *(SceneTable, BenchTable, SimulationTable, TimingTable, RunFile, Line, DoneFile, Moved),
+        *(PivTable, SeriesFile),
+        *map(plan_table, EXPERIMENTS),
+    ],
+)
+def test_every_key_is_on_the_page(model):
+    words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", PAGE.read_text(encoding="utf-8")))))
+    assert keys_of(model) <= words
+
+
+def test_the_scene_on_the_page_can_be_loaded(tmp_path):
+    block = re.search(r"((?:    .*\n)+)", PAGE.read_text(encoding="utf-8"))
+    assert block
+    path = tmp_path / "scene.yaml"
+    path.write_text(re.sub(r"(?m)^    ", "", block[1]), encoding="utf-8")
+    assert len(load_scene(path).bodies) == 1
+
+
+@pytest.mark.parametrize("name", ["bench-sim.yaml", "bench-flow.yaml", "demo/bench.yaml", "demo/bench-flow.yaml"])
+def test_the_examples_are_benches(name):
+    validate(load_yaml(PAGE.parents[1] / "examples" / name), BenchTable)

@@ -1,0 +1,62 @@
+"""Who asks for a verb waits for what it runs, and for nothing else."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tifffile
+
+ROOT = Path(__file__).resolve().parents[3]
+VERBS = sorted(path.stem for path in (ROOT / "daq" / "verbs").glob("[a-z]*.py"))
+DRAWN = {"matplotlib"}
+TRACED = {"numba", "llvmlite"}
+SOLVED = {f"scipy.{part}" for part in ("stats", "optimize", "spatial", "interpolate", "ndimage", "io", "sparse")}
+OTHERS = {"cv2", "sim", "hypothesis", "IPython", "pandas"}
+SMALL = """
+camera: {focal_px: 400.0, sensor_px: [96, 96], position_mm: [0.0, 0.0, 500.0]}
+bodies: [{name: ball, kind: sphere, centre_mm: [0.0, 0.0, 25.0], radius_mm: 25.0, material: N-BK7}]
+"""
+
+
+def _loaded(code: str, *words: str) -> set[str]:
+    """Modules of a process that has run some code."""
+    run = subprocess.run(
+        [sys.executable, "-c", f"import sys\n{code}\nprint(*sys.modules, file=sys.stderr)", *words],
+        env=os.environ | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return set(run.stderr.split())
+
+
+def test_no_verb_imports_what_it_may_not_need():
+    assert {"correct", "evaluate", "calibrate", "trace", "report", "acquire"} <= set(VERBS)
+    code = "from importlib import import_module; [import_module(f'rtpiv.verbs.{name}') for name in sys.argv[1:]]"
+    loaded = _loaded(code, *VERBS)
+    assert {f"rtpiv.verbs.{name}" for name in VERBS} <= loaded
+    assert (DRAWN | TRACED | SOLVED | OTHERS) & loaded == set()
+
+
+def test_help_waits_for_nothing_that_draws():
+    code = "from rtpiv.command_line.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+    loaded = _loaded(code)
+    assert {"multiprocessing", "numpy", "concurrent.futures"} & loaded == set()
+
+
+@pytest.mark.parametrize(
+    ("words", "not_needed"),
+    [
+        (["check", "bare.yaml"], DRAWN | TRACED | SOLVED | OTHERS),
+        (["check", "scene.yaml"], DRAWN | SOLVED | OTHERS),
+        (["correct", "frame.tif", "--scene", "scene.yaml", "--no-pictures"], DRAWN | SOLVED | OTHERS),
+    ],
+)
+def test_a_command_imports_what_it_runs(tmp_path, monkeypatch, words, not_needed):
+    (tmp_path / "scene.yaml").write_text(SMALL)
+    (tmp_path / "bare.yaml").write_text(SMALL.partition("bodies")[0])
+    tifffile.imwrite(tmp_path / "frame.tif", np.full((96, 96), 100, np.uint16))
+    monkeypatch.chdir(tmp_path)
+    loaded = _loaded("from rtpiv.command_line.cli import main; assert main(sys.argv[1:]) == 0", *words)
+    assert f"rtpiv.verbs.{words[0]}" in loaded
+    assert not_needed & loaded == set()

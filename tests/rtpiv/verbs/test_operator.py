@@ -1,0 +1,78 @@
+"""The word is shown and read at a terminal; a script answers for a simulated laser only; nobody is refused."""
+
+import io
+
+import pytest
+
+from daq.errors import RunUsageError
+from daq.runner.light import NoOperator
+from rtpiv.command_line.cli import USAGE, main
+from rtpiv.verbs.operator import ScriptOperator, TerminalOperator, operator_of
+from tests.daq.flow_bench import write_flow
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_person_reads_the_word_and_types_it(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", Terminal("  ember \n\n"))
+    person = operator_of(None, simulate=False)
+    assert isinstance(person, TerminalOperator)
+    assert person.word("ember") == "ember"
+    person.open_seeding()
+    said = capsys.readouterr().err
+    assert "type this word: ember" in said
+    assert "no interlock" in said
+    assert "Open the seeding" in said
+
+
+def test_a_terminal_that_has_gone_types_nothing(monkeypatch):
+    monkeypatch.setattr("sys.stdin", Terminal(""))
+    assert TerminalOperator().word("ember") == ""
+
+
+def test_without_a_terminal_nobody_says_it(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("ember\n"))
+    nobody = operator_of(None, simulate=True)
+    assert isinstance(nobody, NoOperator)
+    with pytest.raises(RunUsageError, match="the word that arms the laser cannot be typed"):
+        nobody.word("ember")
+
+
+def test_a_script_answers_for_a_simulated_laser_only():
+    assert isinstance(operator_of("me", simulate=True), ScriptOperator)
+    with pytest.raises(RunUsageError, match="simulated laser only"):
+        operator_of("me", simulate=False)
+
+
+def test_a_flow_run_that_nobody_can_arm_is_refused_before_anything_moves(tmp_path, monkeypatch, capsys):
+    """Not after ten minutes of homing, and no folder is left."""
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    bench, plan = write_flow(tmp_path)
+    words = ("acquire", str(plan), "--bench", str(bench), "--simulate", "--home", "-o", str(tmp_path / "runs"))
+    assert main([*words, "--no-correct"]) == USAGE
+    said = capsys.readouterr()
+    assert "the word that arms the laser cannot be typed here; use a terminal, or --operator NAME" in said.err
+    assert "homing" not in said.err
+    assert not (tmp_path / "runs").exists()
+    assert main([*words[:4], "--operator", "me", *words[5:]]) == USAGE  # a real laser
+    assert "simulated laser only" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_person_reads_where_a_stage_stands(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", Terminal(" -12.5 \nnan\nabout 3\n"))
+    person = TerminalOperator()
+    assert person.stands_mm("glass_x") == -12.5
+    assert "glass_x cannot look for its reference" in capsys.readouterr().err
+    for _ in range(2):
+        with pytest.raises(RunUsageError, match="is no position"):
+            person.stands_mm("glass_x")
+
+
+@pytest.mark.parametrize("nobody", [NoOperator(), ScriptOperator()])
+def test_who_sees_no_scale_says_nothing_of_it(nobody):
+    with pytest.raises(RunUsageError, match="glass_x is homed by hand"):
+        nobody.stands_mm("glass_x")

@@ -1,0 +1,103 @@
+"""A flow run by one command: vectors, mean and pages; mistakes are one sentence with its exit code."""
+
+import numpy as np
+import pytest
+from scipy.io import netcdf_file
+
+from rtpiv.command_line.cli import DONE, USAGE, main
+from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, flow_run
+
+PAIRS = 6
+WINDOWS = ("--first-window", "32", "--final-window", "16", "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return flow_run(tmp_path_factory.mktemp("flow"), PAIRS, unseeded=2)
+
+
+def test_mean_takes_a_run_and_then_its_series(run, capsys):
+    """Evaluated once, averaged twice: the same file; mean.nc says mean, stresses and their uncertainty."""
+    assert main(["mean", str(run), *WINDOWS]) == DONE
+    out = run / "series"
+    said = capsys.readouterr()
+    assert f"{PAIRS} of {PAIRS} pairs have vectors" in said.out
+    assert "no uncertainty of the map: there is no fit" in said.out
+    assert f"{PAIRS}/{PAIRS}" in said.err  # progress
+    first = (out / "mean.nc").read_bytes()
+    assert main(["mean", str(out)]) == DONE
+    assert (out / "mean.nc").read_bytes() == first
+    with netcdf_file(out / "mean.nc", mmap=False) as file:
+        found = {name: np.array(each[:]) for name, each in file.variables.items()}
+        assert file.pairs_used == PAIRS
+    m_s = 1e-3 / PX_PER_MM / (DT_US * 1e-6)
+    assert np.nanmedian(found["u"]) == pytest.approx(2.0 * m_s, rel=0.01)
+    assert np.nanmedian(found["v"]) == pytest.approx(1.0 * m_s, rel=0.01)
+    assert found["n"].max() == PAIRS
+    assert found["n_effective_u"].shape == found["u"].shape
+    noisy, clean, noise = (np.nanmedian(found[name]) for name in ("R_uu_measured", "R_uu", "noise_uu"))
+    assert noisy > clean
+    assert noise > 0.0
+    page = (out / "mean.html").read_text()
+    assert "pairs in the mean" in page
+    assert "without background" not in page  # of the series alone: its frames may be elsewhere
+    report = run / "report"
+    assert main(["report", str(run), "-o", str(report), "--first-window", "32", "--final-window", "16"]) == DONE
+    page = (report / "mean.html").read_text()
+    for text in ("pairs in the mean", "<i>without background</i>", "Every frame accounted for"):
+        assert text in page
+
+
+def test_evaluate_of_a_flow_run_leaves_one_page_that_shows_every_step(run, tmp_path, capsys):
+    out = tmp_path / "out"
+    steps = ("--prepare", "sliding-minimum,min-max")
+    assert main(["evaluate", str(run), "-o", str(out), *WINDOWS, *steps]) == DONE
+    page = (out / "report.html").read_text()
+    for layer in ("as acquired", "without background", "corrected", "min-max", "mask"):
+        assert f"<i>{layer}</i>" in page
+    assert "is taken off" in page
+    assert not list(out.glob("flow_*"))  # no page a pair
+    assert main(["evaluate", str(run), "-o", str(out), *WINDOWS, *steps]) == DONE
+    assert f"{PAIRS} of them had been evaluated before" in capsys.readouterr().out
+
+
+def test_an_empty_series_and_a_stranger_are_no_series(tmp_path, run, capsys):
+    for path in (tmp_path, tmp_path / "nothing"):
+        assert main(["mean", str(path)]) == USAGE
+        assert "is neither a run, nor frames in pairs, nor the folder of a series" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--prepare", "clahe"), "moves correlation peaks"),
+        (("--prepare", "min-max,sliding-minimum"), "raw frames come first"),
+        (("--dt-us", "70"), "leave that out"),
+        (("--prepare", "pod"), "need 12 frames"),
+        (("--scene", "nowhere.yaml"), "nowhere.yaml"),
+    ],
+)
+def test_what_cannot_be_meant_is_one_sentence(run, tmp_path, capsys, words, said):
+    for verb in ("mean", "evaluate"):
+        assert main([verb, str(run), "-o", str(tmp_path / "out"), *WINDOWS, *words]) == USAGE
+        error = capsys.readouterr().err
+        assert said in error
+        assert len(error.strip().splitlines()) == 1
+
+
+def test_options_of_single_pairs_and_of_series_are_not_mixed(run, tmp_path, capsys):
+    out = ("-o", str(tmp_path / "out"))
+    for option in (("--shift-mm", "1", "0"), ("--tracking",)):
+        assert main(["evaluate", str(run), *out, *option]) == USAGE
+        assert "are for single pairs" in capsys.readouterr().err
+    frames = [str(path) for path in sorted((run / "frames").iterdir())[:2]]
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    scene = ("--scene", str(tmp_path / "scene.yaml"))
+    assert main(["evaluate", *frames, *scene, *out, "--workers", "2"]) == USAGE
+    assert "belongs to a series" in capsys.readouterr().err
+    assert main(["evaluate", *frames, *scene, *out, "--prepare", "sliding-minimum"]) == USAGE
+    assert "needs a series of pairs" in capsys.readouterr().err
+    assert main(["mean", str(run), *WINDOWS]) == DONE
+    capsys.readouterr()
+    assert main(["mean", str(run / "series"), "--final-window", "32"]) == USAGE
+    assert "its vectors are made" in capsys.readouterr().err

@@ -1,0 +1,35 @@
+"""What is printed of results says what a reader takes it for."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ground.terminal import console
+from piv.preprocessing.image_figures import ImageFigures
+from rtpiv.analysis.report.tables import image_rows
+from rtpiv.verbs.show import show_mean
+from tests.rtpiv.analysis.series.test_split_focus import SHAPE, mean_of
+
+
+def shown(mean, capsys):
+    show_mean(console(), mean, Path("mean.html"))
+    return " ".join(capsys.readouterr().out.split())
+
+
+def test_a_jet_is_not_reported_by_the_median_of_a_plane_at_rest(capsys):
+    """One column of four flows, at 1 m/s: the median over the plane is that of air at rest."""
+    speed = np.zeros((*SHAPE, 2))
+    speed[:, 1, 1] = 1.0
+    said = shown(mean_of(speed, 0.001, 0), capsys)
+    assert "where it flows: speed above half of 1 m/s, 3 of 12 places" in said
+    row = said[said.index("mean [m/s]") :].split("│")
+    assert abs(float(row[1])) < 0.01
+    assert abs(float(row[2]) - 1.0) < 0.01
+    assert "12 of 12 places" in shown(mean_of(0.3, 0.001, 0), capsys)
+
+
+def test_noise_that_is_not_seen_is_no_infinite_ratio():
+    bins = np.zeros(256, np.int64), np.zeros(257)
+    for ratio, text in ((np.inf, "no noise seen"), (np.nan, "-"), (12.34, "12.3")):
+        (row,) = image_rows({"A": ImageFigures(0.02, 2.5, 2.5, ratio, 40.0, 0.0, 0.0, *bins, 100, 0)})
+        assert row[3] == text

@@ -1,0 +1,45 @@
+"""No two folders of the program import each other, and each stands on the floors that its package allows."""
+
+import ast
+from itertools import combinations
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("ground", "piv", "tracer", "stages", "correction", "daq", "sim", "rtpiv")
+ALONE = ("piv", "tracer", "stages")  # each can be taken out and used with ground
+
+
+def modules() -> dict[str, Path]:
+    """Every module of the program by its dotted name."""
+    found = {}
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            found[name.removesuffix(".__init__")] = path
+    return found
+
+
+def imported(path: Path, known: dict[str, Path]) -> set[str]:
+    """Names of the program's modules that a file imports, wherever in it."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            whole = {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= (whole & known.keys()) or {node.module}
+    return names & known.keys()
+
+
+def test_no_two_folders_import_each_other_and_three_parts_stand_alone():
+    known = modules()
+    arrows: dict[tuple[Path, Path], tuple[str, str]] = {}
+    for name, path in known.items():
+        for other in imported(path, known):
+            arrows[path.parent, known[other].parent] = (name, other)
+            first, second = name.partition(".")[0], other.partition(".")[0]
+            assert first not in ALONE or second in (first, "ground"), f"{name} imports {other}"
+    folders = {path.parent for path in known.values()}
+    both = [(arrows[a, b], arrows[b, a]) for a, b in combinations(folders, 2) if {(a, b), (b, a)} <= arrows.keys()]
+    assert len(arrows) > 200  # it does read imports
+    assert not both

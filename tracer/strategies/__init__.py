@@ -1,0 +1,1 @@
+"""Ways of tracing a scene: one ray, many rays, a whole sensor, and which way a scene gets."""

@@ -1,0 +1,265 @@
+"""How a whole sensor is traced behind many spheres (``tracer.kernels.bundle``).
+
+Beds serve scenes of solid and opaque round spheres, however many, in one room, behind windows or not: those
+that ``lockstep`` and ``windows_in_front`` do not take because they are many, opaque or thinner than the room.
+They give the map of ``march`` to rounding; a test holds them together.
+
+Every thread notes in a book of its own which branches it met.  The books become one list, numbered by length and
+name, whoever traced what; what remains a list of numbers until somebody asks for its names (`BranchList`).
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from threading import Lock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.rows import run_rows
+from tracer.kernels.branch_book import BranchBook, copy_book, pack_ranks
+from tracer.kernels.bundle import fill_alike
+from tracer.kernels.candidates import BINS, CLUSTER, Lists, Neighbours, count_neighbours
+from tracer.kernels.lanes import (
+    BALL_ROWS,
+    END_NUMBERS,
+    FATE_NUMBERS,
+    GROUP_MARKS,
+    GROUP_NUMBERS,
+    LANES,
+    MARK_NUMBERS,
+    RAY_NUMBERS,
+    Bed,
+    Bundle,
+)
+from tracer.kernels.rooms import ONE_ROOM
+from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, INDEX, OPAQUE, RADIUS, SOLID
+from tracer.kernels.tiles import SIDE, number_rows, trace_tiles
+from tracer.kernels.walk import MAX_EVENTS
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import SHORT_NUMBERS, Branch, BranchList, Numbers
+from tracer.strategies.cells import cells_of
+from tracer.strategies.lockstep import aligned
+from tracer.strategies.trace import pack_camera
+from tracer.strategies.windows_in_front import windows_before
+
+NEIGHBOURS = 100  # balls around each that are asked first
+ROOM = 1 << 18  # balls in all lists of a thread, 3 MB: what a bed of a thousand uses
+FIRST_ENTRIES = 1024  # branches of a book before it grows
+
+
+def fits_bed(scene: Scene) -> bool:
+    """Whether a scene without windows can be traced in bundles."""
+    return not scene.other_tables() and fits_bed_behind(scene)
+
+
+def fits_bed_behind(scene: Scene) -> bool:
+    """Whether a scene can be traced in bundles, behind windows if there are any."""
+    return not scene.shapes() and scene.sphere_table().shape[1] == SOLID and windows_before(scene) is not None
+
+
+class Balls:
+    """Spheres as ``tracer.kernels.bundle`` takes them.
+
+    Parameters
+    ----------
+    spheres : (N, 6) float64
+        Table of solid spheres, see ``Sphere.table_of``.
+    """
+
+    def __init__(self, spheres: NDArray[np.float64]) -> None:
+        self.order = side_by_side(spheres)
+        table = np.ascontiguousarray(spheres[self.order])
+        n, radius, opaque = table[:, INDEX], table[:, RADIUS], table[:, OPAQUE]
+        square = radius * radius
+        rows = [
+            *table[:, CENTRE_X : CENTRE_Z + 1].T,
+            radius,
+            square,
+            1.0 / square,
+            1.0 / (n * n * square),
+            1.0 / n,
+            (n - 1.0) * (n + 1.0) / (n * n),
+            1.0 / radius,
+            opaque,
+        ]
+        self.balls = np.ascontiguousarray(np.array(rows).reshape(BALL_ROWS, -1))
+        alike = len(np.unique(table[:, RADIUS:], axis=0)) <= 1
+        clusters = spheres_around(self.balls)
+        near = neighbours(self.balls, clusters)
+        self.bed = Bed(near, clusters, table, *cells_of(table), ONE_ROOM.home, bool(alike), not opaque.any())
+
+    def bundle(self) -> Bundle:
+        """Memory of one thread."""
+        spheres = self.balls.shape[1]
+        room = ROOM + spheres
+        lists = Lists(
+            np.full(spheres * BINS + 1, -1, np.int32),
+            np.empty(spheres * BINS + 1, np.int32),
+            np.empty(room, np.int32),
+            np.empty(room),
+            np.zeros(1, np.int64),
+        )
+        rays = aligned(RAY_NUMBERS, np.float64)
+        if spheres and self.bed.alike:
+            fill_alike(self.balls, rays)
+        return Bundle(
+            rays,
+            aligned(MARK_NUMBERS, np.int64),
+            aligned(END_NUMBERS, np.float64),
+            aligned(FATE_NUMBERS, np.int64),
+            np.empty(LANES * MAX_EVENTS, np.int32),
+            np.empty(12),
+            aligned(GROUP_NUMBERS, np.float64),
+            aligned(GROUP_MARKS, np.int64),
+            np.full(spheres * BINS + 1, -1, np.int32),
+            lists,
+        )
+
+
+def neighbours(balls: NDArray[np.float64], clusters: NDArray[np.float64]) -> Neighbours:
+    """Balls near each ball: all of them where they are few, else some NEIGHBOURS."""
+    count, horizon = balls.shape[1], np.inf
+    if count > NEIGHBOURS:
+        x, radius = balls[:3], balls[3]
+        volume = np.prod((x + radius).max(axis=1) - (x - radius).min(axis=1))
+        across = (NEIGHBOURS / count * volume * 0.75 / np.pi) ** (1.0 / 3.0)
+        horizon = float(max(across - 2.0 * radius.mean(), radius.min()))
+    begin, items = np.empty(count + 1, np.int32), np.empty(2 * NEIGHBOURS * count, np.int32)
+    total = count_neighbours(balls, clusters, horizon, begin, items)
+    if total > len(items):
+        items = np.empty(total, np.int32)
+        count_neighbours(balls, clusters, horizon, begin, items)
+    return Neighbours(begin, items, horizon)
+
+
+def side_by_side(spheres: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Order (N,) of a sphere table in which neighbours in space stand side by side: halved again and again."""
+    parts, done = deque([np.arange(len(spheres))]), []
+    while parts:
+        part = parts.popleft()
+        if len(part) <= CLUSTER:
+            done.append(part)
+            continue
+        centres = spheres[part, CENTRE_X : CENTRE_Z + 1]
+        axis = int(np.argmax(np.ptp(centres, axis=0)))
+        part = part[np.lexsort((*spheres[part].T, centres[:, axis]))]  # the same for any order of bodies
+        half = CLUSTER * ((len(part) // 2 + CLUSTER - 1) // CLUSTER)
+        parts.extendleft((part[half:], part[:half]))
+    return np.concatenate(done)
+
+
+def spheres_around(balls: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Spheres x, y, z, R (4, C) around each CLUSTER of balls (BALL_ROWS, N)."""
+    count = balls.shape[1]
+    around = np.empty((4, -(-count // CLUSTER)))
+    for c in range(around.shape[1]):
+        x, radius = balls[:3, CLUSTER * c : CLUSTER * (c + 1)], balls[3, CLUSTER * c : CLUSTER * (c + 1)]
+        around[:3, c] = 0.5 * ((x - radius).min(axis=1) + (x + radius).max(axis=1))
+        away = np.sqrt(((x - around[:3, c : c + 1]) ** 2).sum(axis=0)) + radius
+        around[3, c] = away.max() * (1.0 + 1e-9)
+    return around
+
+
+def new_book(entries: int, longest: int = MAX_EVENTS) -> BranchBook:
+    """Return a book for so many branches, which has the direct view."""
+    slots = 1 << (4 * entries - 1).bit_length()
+    book = BranchBook(
+        np.zeros(slots, np.int32),
+        np.empty(entries + 1, np.int64),
+        np.zeros(entries + 2, np.int64),
+        np.empty(entries * longest, np.int32),
+        np.zeros(1, np.int64),
+    )
+    first = BranchBook(book.slots, np.ones(1, np.int64), np.zeros(2, np.int64), book.met, np.ones(1, np.int64))
+    copy_book(first, book, np.empty(1, np.int64))
+    return book
+
+
+def grown(book: BranchBook) -> BranchBook:
+    """Return a book with the same entries and twice the room."""
+    larger = new_book(2 * len(book.hashes))
+    copy_book(book, larger, np.empty(int(book.counts[0]), np.int64))
+    return larger
+
+
+def trace_bed(
+    scene: Scene,
+    plane: NDArray[np.float64 | np.float32],
+    status: NDArray[np.uint8],
+    branch: Numbers,
+    most: int = MAX_EVENTS,
+) -> tuple[Numbers, Sequence[Branch]] | None:
+    """Trace every pixel into plane (H, W, 2) and status (H, W); return numbers, in `branch` if they fit.
+
+    None: some ray passes beside a window's plane or is reflected by it, which only `march` can follow.  The same
+    bits for any number of threads and any order of bodies.  `most`: no ray goes through more spheres.
+    """
+    height, width = status.shape
+    windows = windows_before(scene)
+    assert windows is not None
+    camera, spheres = pack_camera(scene.camera), Balls(scene.sphere_table())
+    point, entry = plane.reshape(height, 2 * width), np.empty((height, width), np.uint32)
+    bands = -(-height // SIDE)
+    owner, books = np.empty(bands, np.int64), list[BranchBook]()
+    spare, one_at_a_time = deque[tuple[int, Bundle, NDArray[np.int64]]](), Lock()
+    odd = np.zeros(height, np.int64)
+
+    def work(first: int, last: int) -> None:
+        try:
+            number, bundle, passed = spare.pop()
+        except IndexError:
+            bundle, passed = spheres.bundle(), np.empty(LANES, np.int64)
+            with one_at_a_time:
+                number = len(books)
+                books.append(new_book(FIRST_ENTRIES))
+        for band in range(first, last):
+            owner[band], tile, row = number, 0, SIDE * band
+            rows = min(SIDE, height - row)
+            while SIDE * tile < width:
+                tile = trace_tiles(
+                    camera, spheres.balls, spheres.bed, windows, most, row, rows, tile, bundle,
+                    passed, odd, books[number], point, status, entry,
+                )  # fmt: skip
+                if SIDE * tile < width:
+                    books[number] = grown(books[number])
+        spare.append((number, bundle, passed))
+
+    run_rows(work, bands, block=max(1, bands // 32))
+    if odd.any():
+        return None
+    numbers, branches = number_books(scene, spheres.order, books)
+    if len(branches) > SHORT_NUMBERS:
+        branch = np.empty((height, width), np.uint32)
+
+    def number(first: int, last: int) -> None:
+        for band in range(first, last):
+            number_rows(SIDE * band, min(height, SIDE * (band + 1)), entry, numbers[owner[band]], branch)
+
+    run_rows(number, bands, block=max(1, bands // 32))
+    return branch, branches
+
+
+def number_books(
+    scene: Scene, order: NDArray[np.int64], books: list[BranchBook]
+) -> tuple[list[NDArray[np.int64]], BranchList]:
+    """Branch numbers of the entries of each book, and the branches that they number."""
+    entries = int(sum(book.counts[0] for book in books))
+    every = new_book(entries)
+    into = [np.empty(int(book.counts[0]), np.int64) for book in books]
+    for book, places in zip(books, into, strict=True):
+        copy_book(book, every, places)
+    count = int(every.counts[0])
+    names = np.array(scene.event_names()[: len(order)], dtype=object)[order]
+    rank = np.empty(len(order), np.int64)
+    rank[np.argsort(names)] = np.arange(len(order))
+    bits = max(1, len(order).bit_length())
+    lengths = np.diff(every.begin[: count + 1])
+    words = -(-int(lengths.max(initial=0)) // (63 // bits))
+    packed = np.empty((1 + words, count), np.uint64)
+    pack_ranks(every, rank, bits, packed)
+    sorting = np.lexsort(packed[::-1])
+    number = np.empty(count, np.int64)
+    number[sorting] = np.arange(count)
+    begin = np.concatenate(([0], np.cumsum(lengths[sorting])))
+    where = np.repeat(every.begin[sorting] - begin[:-1], lengths[sorting]) + np.arange(begin[-1])
+    return [number[places] for places in into], BranchList(scene.event_names(), order[every.met[where]], begin)

@@ -1,0 +1,178 @@
+"""When and how a whole sensor is traced in lockstep (``tracer.kernels.chain``).
+
+Lockstep serves scenes of a few solid transparent spheres that are nowhere optically thinner than the room: every
+scene of the paper.  The same behind windows goes by ``tracer.strategies.windows_in_front``; more of them, opaque
+ones and bubbles go in bundles (``tracer.strategies.beds``), anything else (supports, hollow balls, tubes) through
+``march``, pixel by pixel.  All give the same map to rounding; tests hold them together.
+
+Branches are numbered beforehand (``tracer.strategies.branches``).  What rays meet in another order than a number
+can say is traced again by ``march``, which names it.
+
+A camera that looks straight down on x = 0 (or y = 0) at bodies that are their own mirror image sees a picture
+that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.mirror``).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.rows import run_rows
+from tracer.bodies import Sphere
+from tracer.kernels.branches import UNKNOWN
+from tracer.kernels.chain import (
+    BALL,
+    RAY_NUMBERS,
+    SKIP_LEFT_BEHIND,
+    SKIP_SILHOUETTES,
+    TRIP_NUMBERS,
+    VECTOR,
+)
+from tracer.kernels.mirror import Mirrors
+from tracer.kernels.sensor import RowScratch, sensor_rows
+from tracer.kernels.sphere import SOLID
+from tracer.scene.scene import Scene
+from tracer.strategies.branches import Branch, Numbers, chain, chain_branches, mirrored_numbers, number_in
+from tracer.strategies.trace import pack_camera, trace
+
+MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
+LINE = 64  # bytes of a cache line
+SKIP_MIRRORED = 4
+ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND | SKIP_MIRRORED
+STRAIGHT_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+
+
+def fits_lockstep(scene: Scene) -> bool:
+    """Whether a scene can be traced in lockstep."""
+    table = scene.sphere_table()
+    few_and_solid = not scene.other_tables() and len(table) <= MAX_CHAIN and table.shape[1] == SOLID
+    few_and_solid = few_and_solid and not scene.shapes()
+    return few_and_solid and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
+
+
+def trace_lockstep(
+    scene: Scene,
+    plane: NDArray[np.float64 | np.float32],
+    status: NDArray[np.uint8],
+    branch: Numbers,
+    skips: int = ALL_SKIPS,
+) -> tuple[Branch, ...]:
+    """Trace every pixel into plane (H, W, 2), status (H, W) and branch (H, W); return the branches.
+
+    `skips` says what may be passed over without a look; the result has the same bits for any.
+    """
+    height, width = status.shape
+    camera, balls, flat = pack_camera(scene.camera), pack_chain(scene), scene.camera.lens.is_ideal
+    mirrors = find_mirrors(scene)
+    paired = len(mirrors.swap_x) + len(mirrors.swap_y) > 0
+    if not skips & SKIP_MIRRORED:
+        mirrors = NO_MIRRORS
+    point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
+
+    def work(first: int, last: int) -> None:
+        scratch = row_scratch(width, len(balls))
+        sensor_rows(
+            camera, balls, flat, paired, skips, mirrors, first, last, scratch, unknown, point, status, branch
+        )
+
+    run_rows(work, (height + 1) // 2 if mirrors.in_y else height)
+    branches = chain_branches(scene)
+    name_unknown(scene, np.nonzero(unknown)[0], branches, plane, status, branch)
+    return tuple(branches)
+
+
+NO_MIRRORS = Mirrors(False, False, np.empty(0, np.int64), np.empty(0, np.int64))
+
+
+def find_mirrors(scene: Scene, windows: NDArray[np.float64] | None = None) -> Mirrors:
+    """Mirrors of a scene, behind windows (K, 10).  Numbers must agree to the last bit: nearly is not symmetric."""
+    camera, rows = scene.camera, [_constants(sphere, scene) for sphere in chain(scene)]
+    if camera.rotation != STRAIGHT_DOWN or not camera.lens.is_ideal:
+        return NO_MIRRORS
+    there, images = [], []
+    for axis in (0, 1):
+        places = [(*row[:axis], -row[axis], *row[axis + 1 :]) for row in rows]
+        symmetric = camera.position_mm[axis] == 0.0 and set(places) == set(rows)
+        symmetric = symmetric and (windows is None or not windows[:, (axis, 3 + axis)].any())
+        there.append(symmetric and camera.principal_px[axis] == (camera.sensor_px[axis] - 1) / 2.0)
+        images.append([rows.index(place) if there[axis] else k for k, place in enumerate(places)])
+    swap_x, swap_y = map(mirrored_numbers, images)
+    return Mirrors(there[0], there[1], swap_x, swap_y)
+
+
+def row_scratch(width: int, bodies: int) -> RowScratch:
+    """Memory of one thread for the kernels in ``tracer.kernels.sensor``."""
+    spans, wanted = np.empty((3 * bodies + 1, 2), np.int64), np.empty(bodies, np.int64)
+    x, y = aligned(width + VECTOR, np.float64), aligned(width + VECTOR, np.float64)
+    return RowScratch(x, y, spans, wanted, *block_scratch())
+
+
+def name_unknown(
+    scene: Scene,
+    lines: NDArray[np.int64],
+    branches: list[Branch],
+    plane: NDArray[np.float64 | np.float32],
+    status: NDArray[np.uint8],
+    branch: Numbers,
+) -> None:
+    """Trace the pixels without a branch number, all in the rows `lines`, by `march` and append their branches."""
+    rows, columns = np.nonzero(branch[lines] == UNKNOWN)
+    rows = lines[rows]
+    if len(rows):
+        places = rows, columns
+        plane[places], status[places], branch[places] = by_march(scene, np.stack((columns, rows), -1), branches)
+
+
+def by_march(
+    scene: Scene, pixels: NDArray[np.int64], branches: list[Branch]
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.uint16]]:
+    """Plane points, status and branch numbers of pixels (N, 2); branches not among `branches` are appended."""
+    again = trace(scene, pixels)
+    numbers = np.empty(len(pixels), np.uint16)
+    for key, sequence in sorted(again.branches.items(), key=lambda item: item[1]):
+        numbers[again.rays["key"] == key] = number_in(branches, sequence)
+    return again.plane_mm, again.rays["status"], numbers
+
+
+def block_scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Scratch ``rays`` and ``trips`` of one block."""
+    return aligned(RAY_NUMBERS, np.float64), aligned(TRIP_NUMBERS, np.int64)
+
+
+def pack_chain(scene: Scene) -> NDArray[np.float64]:
+    """Spheres for ``tracer.kernels.chain`` (N, BALL), from the highest centre down."""
+    return np.array([_constants(sphere, scene) for sphere in chain(scene)]).reshape(-1, BALL)
+
+
+def sphere_discs(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows of ``balls`` (N, BALL) in the order of a sphere table with all that a silhouette needs."""
+    discs = np.zeros((len(table), BALL))
+    discs[:, :3], discs[:, 3] = table[:, :3], table[:, 3] ** 2
+    return discs
+
+
+def aligned(count: int, dtype: type) -> NDArray[Any]:
+    """Uninitialised numbers of 8 bytes that begin at a cache line: vectors across two lines cost twice."""
+    memory = np.empty(8 * count + LINE, np.uint8)
+    start = -memory.__array_interface__["data"][0] % LINE  # `ctypes` takes as long as a row
+    return memory[start : start + 8 * count].view(dtype)
+
+
+def _constants(sphere: Sphere, scene: Scene) -> tuple[float, ...]:
+    """Row of ``balls`` of ``tracer.kernels.chain``."""
+    assert sphere.medium is not None
+    n, radius = sphere.medium.n(scene.wavelength_nm) / scene.n_around(sphere), sphere.radius_mm
+    square = radius * radius
+    numbers = (
+        *sphere.centre_mm,
+        square,
+        1.0 / square,
+        1.0 / (n * n * square),
+        1.0 / n,
+        (n - 1) * (n + 1) / (n * n),
+        1.0 / radius,
+        sphere.lowest_mm,
+        sphere.highest_mm,
+    )
+    assert len(numbers) == BALL
+    return numbers
