@@ -11,7 +11,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow labs fuzz lamps sheets starts benchmark bench lint fast-tests compiled-rays compiled-pairs compiled-beds picture pins clean
+.PHONY: demo test test-slow labs fuzz lamps sheets starts benchmark bench lint fast-tests digests compiled-rays compiled-pairs compiled-beds picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -68,6 +68,11 @@ STARTS ?= 40
 starts: $(STAMP)
 	STARTS=$(STARTS) $(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/fit/test_convergence.py \
 	  tests/correction/fit/test_far_starts.py tests/correction/fit/test_ten_balls_in_a_tube.py
+
+# What users compute, as SHA-256, to compare on one computer: make digests, or make digests AGAINST=digests.json
+AGAINST ?=
+digests: $(STAMP)
+	$(BIN)/python -m tests.digests $(if $(AGAINST),--against $(AGAINST),-o digests.json)
 
 bench: benchmark
 
