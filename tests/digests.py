@@ -164,7 +164,7 @@ def write_pairs(folder, count):
 
 def vectors():
     """Corrected frames, vectors of a pair by every route, a series, its mean, and a campaign."""
-    from correction import evaluate_pair
+    from piv import evaluate_pair
 
     Path("two.yaml").write_text(small_scene(ROOT / "examples" / "two_spheres_500.yaml"))
     write_pairs(Path("pairs"), 12)
