@@ -8,8 +8,10 @@ CorrectionError
 +-- DewarpError      pairs of points do not determine the dewarp polynomial, or stored numbers are not one
 """
 
+from ground.errors import RtpivError
 
-class CorrectionError(Exception):
+
+class CorrectionError(RtpivError):
     """Root of everything this package raises on purpose."""
 
 

@@ -31,9 +31,13 @@ The command line prints these as one sentence and exits with code 3 (RunUsageErr
 
 from collections.abc import Sequence
 
+from ground.errors import DEVICE, INTERRUPTED, USAGE, RtpivError
 
-class DaqError(Exception):
+
+class DaqError(RtpivError):
     """Root of everything the bench raises on purpose."""
+
+    exit_code = DEVICE
 
 
 class CameraError(DaqError):
@@ -42,6 +46,8 @@ class CameraError(DaqError):
 
 class CameraUsageError(CameraError, ValueError):
     """A call that this camera cannot take in its present state; nothing was sent."""
+
+    exit_code = USAGE
 
 
 class SettingRefused(CameraUsageError):  # noqa: N818 - says what happened
@@ -103,6 +109,8 @@ class RunError(DaqError):
 class RunUsageError(RunError, ValueError):
     """A request that makes no sense; nothing has moved and nothing was written."""
 
+    exit_code = USAGE
+
 
 class PlanError(RunUsageError):
     """The plan asks for what this bench cannot or must not do; the message says which step and why."""
@@ -142,3 +150,5 @@ class Unfinished(RunError):  # noqa: N818 - says what it is
 
 class RunInterrupted(RunError):  # noqa: N818
     """The run was ended on request before its last step; resume it when you like."""
+
+    exit_code = INTERRUPTED

@@ -1,6 +1,12 @@
-"""Errors of files that any package reads; the command line prints them as one sentence and exits with code 2.
+"""The root of all errors that are raised on purpose, and those of files that any package reads.
 
-GroundError
+Each package has one root of its own below it, whose tree is drawn in its errors.py.  The command line prints an
+error as one sentence and ends with its `exit_code`; so does `except rtpiv.ERRORS` in a script know what it caught.
+
+RtpivError           place, cure, exit_code
++-- GroundError, TracerError, PivError, CorrectionError, StageError, DaqError
+
+GroundError          exit code 2
 +-- ConfigError      a YAML file cannot be read as what it should be (file, line, every problem at once)
 +-- UntrustedProgram a file names a program of this computer that the person has not said to trust
 +-- MapFileError     a stored map is damaged, of an unknown layout, or not a map at all
@@ -10,9 +16,38 @@ GroundError
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
+
+USAGE, DEVICE, INTERRUPTED = 2, 3, 4  # exit codes: usage or file; device, disk or memory; resumable
 
 
-class GroundError(Exception):
+class RtpivError(Exception):
+    """Root of everything that is raised on purpose; its text is one sentence for a person.
+
+    Parameters
+    ----------
+    text : str
+        What is wrong; or all of the sentence, where place and cure are not told apart.
+    place : Path or str, optional
+        File, folder or device at fault; stands in front of the sentence.
+    cure : str, optional
+        What to do about it; ends the sentence.
+
+    Attributes
+    ----------
+    exit_code : int
+        Of the command that ends with it: 2 usage or configuration, 3 device, disk or memory, 4 interrupted and
+        resumable.
+    """
+
+    exit_code: ClassVar[int] = USAGE
+
+    def __init__(self, text: object = "", *, place: Path | str | None = None, cure: str = "") -> None:
+        self.place, self.cure = place, cure
+        super().__init__(f"{'' if place is None else f'{place}: '}{text}{f'; {cure}' if cure else ''}")
+
+
+class GroundError(RtpivError):
     """Root of everything the ground floor raises on purpose."""
 
 
@@ -35,6 +70,7 @@ class ConfigError(GroundError):
             for problem in self.problems
         ]
         super().__init__("\n".join([*own, *map(str, others)]))
+        self.place = self.path
 
     @classmethod
     def joined(cls, errors: "Sequence[ConfigError]") -> "ConfigError":
@@ -62,3 +98,5 @@ class MapFileError(GroundError):
 
 class MemoryShort(GroundError):  # noqa: N818 - says what it is
     """What is asked for does not fit into memory; the message says how much it needs and how much is free."""
+
+    exit_code = DEVICE

@@ -7,8 +7,10 @@ PivError
 +-- SeriesError      statistics of a series do not belong together, or a file of them is damaged
 """
 
+from ground.errors import DEVICE, RtpivError
 
-class PivError(Exception):
+
+class PivError(RtpivError):
     """Root of everything this package raises on purpose."""
 
 
@@ -18,6 +20,8 @@ class FrameError(PivError):
 
 class FrameDamaged(FrameError):  # noqa: N818 - says what it is
     """The pixels or the checksum of a frame are not what was written; restore the file from a copy."""
+
+    exit_code = DEVICE
 
 
 class PairError(PivError):

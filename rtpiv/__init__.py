@@ -9,9 +9,9 @@
     mean         mean flow and Reynolds stresses of many pairs
     report       a run as one page
 
-Files may be named as text or as `Path`.  `docs/python.md` goes through them; ERRORS is a tuple of all that they
-raise on purpose: ``except rtpiv.ERRORS``.  What else there is lies in the packages below; each is imported when it
-is first used.
+Files may be named as text or as `Path`.  `docs/python.md` goes through them.  ERRORS holds the root of all that
+they raise on purpose, `ground.errors.RtpivError`: ``except rtpiv.ERRORS``.  What else there is lies in packages of
+their own; each is imported when it is first used.
 """
 
 import sys
@@ -48,17 +48,12 @@ _HOMES = {
     "mean": "rtpiv.verbs.mean",
     "report": "rtpiv.verbs.report",
 }
-_ROOTS = ("ground.errors:GroundError", "tracer.errors:TracerError", "piv.errors:PivError",
-          "correction.errors:CorrectionError",
-          "stages.errors:StageError", "daq.errors:DaqError")  # fmt: skip
 __all__ = [*_HOMES, "ERRORS"]
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
     if name == "ERRORS":
-        found: Any = tuple(
-            getattr(import_module(root.partition(":")[0]), root.partition(":")[2]) for root in _ROOTS
-        )
+        found: Any = (import_module("ground.errors").RtpivError,)
     elif name == "__version__":
         found = import_module("importlib.metadata").version("rtpiv")
     elif name in _HOMES:

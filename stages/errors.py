@@ -22,13 +22,19 @@
 The command line prints these as one sentence and exits with code 3 (usage errors: 2).
 """
 
+from ground.errors import DEVICE, USAGE, RtpivError
 
-class StageError(Exception):
+
+class StageError(RtpivError):
     """Root of everything the stages raise on purpose."""
+
+    exit_code = DEVICE
 
 
 class StageUsageError(StageError, ValueError):
     """A call that makes no sense now; nothing was sent and nothing moved."""
+
+    exit_code = USAGE
 
 
 class OutOfRange(StageUsageError):  # noqa: N818 - says what happened

@@ -8,8 +8,10 @@
 Files that cannot be read raise errors of `ground`.  Rays never raise: each carries a RayStatus.
 """
 
+from ground.errors import RtpivError
 
-class TracerError(Exception):
+
+class TracerError(RtpivError):
     """Root of everything the tracer raises on purpose."""
 
 

@@ -2,39 +2,30 @@
 
     0 done    2 usage or configuration    3 device, disk or memory    4 interrupted and resumable
 
-Errors that nobody raised on purpose keep their traceback: they are bugs.  What the system itself refuses, a full
-disk, a missing permission, no memory, is none, wherever it happens.
+What is raised on purpose says its own code (`ground.errors.RtpivError`).  Other errors keep their traceback: they
+are bugs; but what the system itself refuses, a full disk, a missing permission, no memory, is none, wherever it
+happens.
 """
 
 import errno
 from pathlib import Path
 
+from ground.errors import DEVICE as DEVICE
+from ground.errors import INTERRUPTED as INTERRUPTED
+from ground.errors import USAGE as USAGE
+from ground.errors import RtpivError
 from ground.printable import printable
 
-DONE, USAGE, DEVICE, INTERRUPTED = 0, 2, 3, 4
+DONE = 0
 LONGEST_LINE = 1000  # characters of a problem that are shown
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 def exit_code(error: BaseException) -> int | None:
     """Exit code of an error that a person can cure; None for a bug."""
-    from correction.errors import CorrectionError
-    from daq.errors import CameraUsageError, DaqError, RunInterrupted, RunUsageError
-    from ground.errors import GroundError, MemoryShort
-    from piv.errors import FrameDamaged, PivError
-    from stages.errors import StageError, StageUsageError
-    from tracer.errors import TracerError
-
-    if isinstance(error, RunInterrupted):
-        return INTERRUPTED
-    if isinstance(error, FrameDamaged | MemoryShort | MemoryError):
-        return DEVICE
-    usage = (
-        GroundError | TracerError | PivError | CorrectionError | RunUsageError | StageUsageError | CameraUsageError
-    )
-    if isinstance(error, usage):
-        return USAGE
-    if isinstance(error, DaqError | StageError):
+    if isinstance(error, RtpivError):
+        return error.exit_code
+    if isinstance(error, MemoryError):
         return DEVICE
     if isinstance(error, OSError):  # an output folder that cannot be one, a full disk
         return USAGE if error.filename is not None and error.errno not in _FULL else DEVICE

@@ -41,9 +41,54 @@ def test_the_stub_names_the_same():
     assert named == rtpiv._HOMES
 
 
-def test_every_error_root_is_caught():
-    from ground.errors import ConfigError
+def every_error():
+    """All classes below the root, of every package."""
+    from importlib import import_module
 
-    assert len(rtpiv.ERRORS) == 5
-    with pytest.raises(rtpiv.ERRORS):
+    from ground.errors import RtpivError
+
+    for package in ("ground", "piv", "tracer", "correction", "stages", "daq"):
+        import_module(f"{package}.errors")
+    left, found = [RtpivError], []
+    while left:
+        found.append(left.pop())
+        left += found[-1].__subclasses__()
+    return {each.__name__: each for each in found}
+
+
+def test_one_root_catches_every_error():
+    from ground.errors import ConfigError, RtpivError
+
+    (root,) = rtpiv.ERRORS
+    assert root is RtpivError
+    with pytest.raises(rtpiv.ERRORS) as caught:
         raise ConfigError("scene.yaml", [])
+    assert str(caught.value.place) == "scene.yaml"
+    assert {"GroundError", "PivError", "TracerError", "CorrectionError", "StageError", "DaqError"} <= {
+        each.__name__ for each in RtpivError.__subclasses__()
+    }
+
+
+def test_an_error_says_place_cure_and_exit_code():
+    from ground.errors import RtpivError
+
+    error = RtpivError("is a file", place="lab", cure="give a folder")
+    assert (error.place, error.cure, error.exit_code, str(error)) == (
+        "lab", "give a folder", 2, "lab: is a file; give a folder",
+    )  # fmt: skip
+    codes = {name: each.exit_code for name, each in every_error().items()}
+    device = {"StageError", "DeviceLost", "DaqError", "CameraTimeout", "DiskError", "FrameDamaged", "MemoryShort"}
+    usage = {"ConfigError", "SceneError", "PairError", "OutOfRange", "CameraUsageError", "PlanError"}
+    assert {codes[name] for name in device} == {3}
+    assert {codes[name] for name in usage} == {2}
+    assert codes["RunInterrupted"] == 4
+
+
+def test_errors_survive_a_process():
+    """Workers send them back: nothing of them may be lost on the way."""
+    import pickle
+
+    from piv.errors import PairError
+
+    error = pickle.loads(pickle.dumps(PairError("no pair", place="a.tif", cure="give another")))
+    assert (str(error), error.place, error.cure) == ("a.tif: no pair; give another", "a.tif", "give another")
