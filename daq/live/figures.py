@@ -1,4 +1,4 @@
-"""What a frame of particles is worth, in numbers and as maps of tiles.
+"""What the last frame is worth, in numbers and as maps of tiles, and which way the focus goes.
 
 Particles are Gaussian spots of diameter d = 4 s.  The autocorrelation of such an image falls by
 R(k) ~ exp(-k^2 / (4 s^2)) at a shift of k px, whatever their number and brightness; noise of the sensor adds to
@@ -14,14 +14,87 @@ field.
 A chessboard has edges instead. An edge between dark and bright, A apart, that is blurred by a standard deviation s
 is at its steepest A / (sqrt(2 pi) s); differences over two pixels add 1/3 px^2 to its variance. Squares have to be
 some eight times as wide as the blur, or bright and dark do not reach what they are.
+
+Which way to turn the ring of a lens is told by following how sharp the view is while somebody turns it.  One frame
+does not say on which side of the focus it was taken: the same spot is as wide before it as behind it.
+What says it is a turn. Widths v(t) of the last looks are kept; the last two are compared with the two before, by
+their scatter, which is taken from second differences, because those do not see a steady turn:
+
+    sigma^2 = median((v(t-1) - 2 v(t) + v(t+1))^2) / (6 * 0.455)
+
+(0.455: median of chi squared with one degree of freedom.) Further than `SURE` sigmas apart the view becomes
+sharper or softer. The sharpest of `MEMORY_S` is the wider one of two looks after each other, so that a bad look is
+none.
 """
 
 import math
+import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from daq.live.picture import white_of
+from daq.live.watch import Watch
+from daq.pipeline.live_slot import Moment, SlotReader
+
+MEMORY_S = 60.0
+LOOKS = 8  # before anything is said: of fewer the scatter is not known
+SURE = 4.0
+LEAST = 0.004  # of a width: scatter that no frame is better than
+SIXTH, CHI = 6.0, 0.455
+SPAN = 24  # looks whose scatter is taken
+
+
+class Trend:
+    """Follows a width; smaller is sharper."""
+
+    def __init__(self) -> None:
+        self._looks: deque[tuple[float, float]] = deque()
+
+    def forget(self) -> None:
+        """Begin anew: what is seen is something else."""
+        self._looks.clear()
+
+    def see(self, now_s: float, width_px: float) -> None:
+        """Add a look; times only go forward."""
+        if math.isfinite(width_px):
+            self._looks.append((now_s, width_px))
+        while self._looks and now_s - self._looks[0][0] > MEMORY_S:
+            self._looks.popleft()
+
+    @property
+    def sentence(self) -> str:
+        """What to do, for whoever has a hand at the ring; "" while there is nothing to be said."""
+        if len(self._looks) < LOOKS:
+            return ""
+        times, widths = (np.array(column) for column in zip(*self._looks, strict=True))
+        sigma = self._sigma(widths)
+        now, before = float(widths[-2:].mean()), float(widths[-4:-2].mean())
+        wider = np.maximum(widths[1:], widths[:-1])
+        sharpest = int(wider.argmin())
+        best, ago_s = float(wider[sharpest]), float(times[-1] - times[sharpest + 1])
+        at_best = now - best <= SURE * sigma
+        was = f"it was {best:.2f} px {ago_s:.0f} s ago"
+        if abs(now - before) > SURE * sigma:
+            if now < before:
+                return f"{now:.2f} px, becoming sharper: go on"
+            return f"{now:.2f} px, becoming softer: turn back" + ("" if at_best else f"; {was}")
+        if not at_best:
+            return f"{now:.2f} px: turn back the way you came; {was}"
+        if float(widths.max()) - best > 2.0 * SURE * sigma:
+            return f"{now:.2f} px, as sharp as it was in the last minute"
+        return f"{now:.2f} px: turn the ring a little, to see which way is sharper"
+
+    @staticmethod
+    def _sigma(widths: np.ndarray) -> float:
+        """Scatter of one look."""
+        some = widths[-SPAN:]
+        bends = np.diff(some, 2) ** 2
+        return max(math.sqrt(float(np.median(bends)) / (SIXTH * CHI)), LEAST * float(np.median(some)))
+
 
 Rows = list[list[float | None]]  # a map, tile by tile
 T = TypeVar("T")
@@ -139,3 +212,44 @@ def _alike(image: NDArray[Any], shift_px: int) -> float:
     """Mean product of an image and itself, shifted to the right and down."""
     k = shift_px
     return 0.5 * float((image[:, :-k] * image[:, k:]).mean() + (image[:-k] * image[k:]).mean())
+
+
+FIGURES_EVERY_S = 0.5
+
+
+class Worth(Watch):
+    """Figures of the last frame, made anew twice a second at most, and which way the focus goes.
+
+    Parameters
+    ----------
+    slot : SlotReader
+        Where frames are shown.
+    """
+
+    def __init__(self, slot: SlotReader) -> None:
+        super().__init__(slot, FIGURES_EVERY_S)
+        self.figures: dict[str, Any] = {}
+        self._trend, self._of = Trend(), ""
+
+    def see(self, moment: Moment) -> None:
+        """Figure out what a frame is worth."""
+        raw, white = moment.pictures["raw"], white_of(moment.words)
+        is_board = moment.words.get("shows") == "chessboard"
+        maps: dict[str, Rows] = {"edge_px": edge_map(raw)} if is_board else particle_maps(raw)
+        self._follow(moment.words, middle_of(maps["edge_px" if is_board else "diameter_px"]))
+        self.figures = {
+            "of": moment.number,
+            "saturated": saturated_share(raw, white),
+            "bright": brightness(raw, white),
+            "histogram": histogram(raw, white),
+            "maps": maps,
+        }
+
+    def _follow(self, words: dict[str, Any], width_px: float) -> None:
+        """Say which way to turn; another step or another target is another view."""
+        of = f"{words.get('run')}, {words.get('shows')}"
+        if of != self._of:
+            self._of = of
+            self._trend.forget()
+        self._trend.see(time.monotonic(), width_px)
+        self.said = {"focus": [self._trend.sentence, False]} if self._trend.sentence else {}

@@ -37,8 +37,8 @@ from websockets.http11 import Request, Response
 from websockets.server import ServerProtocol
 from websockets.sync.server import Server, ServerConnection, serve
 
+from daq.live.figures import Worth
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
-from daq.live.worth import Worth
 from daq.orderly_end import flush_or_leave
 from daq.pipeline.live_slot import Moment, NoSlotError, SlotReader
 from daq.pipeline.priority import lower_process

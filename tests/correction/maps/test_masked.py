@@ -11,7 +11,7 @@ from correction.light_sheet.double_views import double_views
 from correction.maps.correction_map import build_correction_map
 from correction.masked import masked_pixels
 from correction.node_status import NodeStatus
-from daq.live.folds_and_masks import folds_and_masks
+from daq.live.scene_lines import folds_and_masks
 from ground.errors import ConfigError
 from sim.demo.scenes import at_size, named_scene
 from tracer.errors import SceneError

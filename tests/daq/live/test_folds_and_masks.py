@@ -7,8 +7,7 @@ import numpy as np
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from daq.live import scene_lines as lines_module
-from daq.live.folds_and_masks import folds_and_masks
-from daq.live.scene_lines import LIT, scene_lines
+from daq.live.scene_lines import LIT, folds_and_masks, scene_lines
 from sim.demo.scenes import at_size, named_scene
 from tracer.errors import SceneError
 from tracer.light_sheet import LightSheet
@@ -61,5 +60,5 @@ def test_views_have_lines_of_their_own_and_what_cannot_be_traced_keeps_its_outli
     def refuse(scene):
         raise SceneError("too much")
 
-    monkeypatch.setattr("daq.live.folds_and_masks.folds_and_masks", refuse)
+    monkeypatch.setattr("daq.live.scene_lines.folds_and_masks", refuse)
     assert lines_module.scene_lines(scene, whole=True)["glass"]["raw"]["lines"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from correction.grid import grid_of
-from daq.live.outlines import MOST, outlines
+from daq.live.scene_lines import MOST, outlines
 from sim.demo.scenes import named_scene
 from tracer.strategies.trace import trace
 

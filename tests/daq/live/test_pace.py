@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.live.pace import IDLE_HZ, LEAST_HZ, MOST_HZ, Pace
+from daq.live.live_page import IDLE_HZ, LEAST_HZ, MOST_HZ, Pace
 
 
 def shown_of(pace: Pace, times_s: np.ndarray, watched: bool = True) -> int:

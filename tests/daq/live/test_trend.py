@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from daq.live.trend import MEMORY_S, Trend
+from daq.live.figures import MEMORY_S, Trend
 
 PERIOD_S = 0.5
 

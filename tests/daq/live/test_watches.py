@@ -1,9 +1,7 @@
 """Glass beside its place is said on the page, glass at its place is not."""
 
-from daq.live.moved_watch import MovedWatch
-from daq.live.rim_watch import RimWatch
-from daq.live.watches import begin, scene_told
-from daq.live.worth import Worth
+from daq.live.figures import Worth
+from daq.live.watches import MovedWatch, RimWatch, begin, scene_told
 from daq.pipeline.live_slot import SlotReader, SlotWriter
 from tests.correction.alignment.drawn import BOARD, drawn, moved, scene_of
 from tests.correction.self_check.test_moved_sphere import drawn_flow
@@ -74,7 +72,7 @@ def test_a_sphere_that_moved_is_named_by_particles_of_one_pulse():
 
 def test_which_way_the_focus_goes_is_followed_and_forgotten_with_the_step(monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr("daq.live.worth.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("daq.live.figures.time.monotonic", lambda: clock[0])
     slot = SlotWriter(4 * 200**2)
     worth = Worth(SlotReader(slot.path))
     try:
