@@ -27,8 +27,9 @@ def ours(scene: Scene) -> Tasks:
     """Ray map, correction map and corrector of this project; arrays of the map before are written again."""
     from correction.maps.correction_map import build_correction_map
     from correction.maps.corrector import Corrector
-    from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
+    from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, trace_lockstep
     from tracer.strategies.ray_map import build_ray_map
+    from tracer.strategies.strategy import Kind, choose
 
     ray_map = build_ray_map(scene)
     cmap = build_correction_map(scene, ray_map)
@@ -38,7 +39,7 @@ def ours(scene: Scene) -> Tasks:
     spare, short = build_correction_map(scene, ray_map), build_ray_map(scene, single=True)
     arrays = ray_map.plane_mm, ray_map.status, ray_map.branch
     parts: Tasks = {}
-    if fits_lockstep(scene):
+    if choose(scene).kind is Kind.LOCKSTEP:
         parts = {"ray_map, no mirror": lambda: trace_lockstep(scene, *arrays, ALL_SKIPS & ~SKIP_MIRRORED)}
     return {
         **parts,
@@ -56,8 +57,7 @@ def march(scene: Scene) -> Tasks:
     from ground.rows import run_rows
     from tracer.kernels.maps import trace_rows
     from tracer.kernels.world import World
-    from tracer.strategies.cells import NO_CELLS
-    from tracer.strategies.trace import pack_camera
+    from tracer.strategies.trace import NO_CELLS, pack_camera
 
     height, width = scene.camera.shape
     plane, status = np.empty((height, width, 2)), np.empty((height, width), np.uint8)

@@ -15,8 +15,9 @@ import numpy as np
 from benchmarks.scenes import bench_scene
 from correction.maps.correction_map import build_correction_map
 from ground.rows import thread_count
-from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, fits_lockstep, trace_lockstep
+from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, trace_lockstep
 from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.strategy import Kind, choose
 
 
 def core_ms(task: Callable[[], object]) -> float:
@@ -39,7 +40,7 @@ def measure(name: str, rounds: int) -> dict[str, object]:
         "correction map": lambda: build_correction_map(scene, rays, out=spare),
         "without skip": lambda: build_correction_map(scene, rays, out=spare, skip=False),
     }
-    if not fits_lockstep(scene):
+    if choose(scene).kind is not Kind.LOCKSTEP:
         del tasks["ray map, no mirrors"]
     times: dict[str, list[float]] = {task: [] for task in tasks}
     for number in range(rounds + 1):

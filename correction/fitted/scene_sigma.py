@@ -32,8 +32,9 @@ from ground.map_file import Hash, checked, load_arrays
 from tracer.errors import StaleMap
 from tracer.harmonics import COUNT, NAMES, turning
 from tracer.scene.scene import Scene, SceneBound
-from tracer.strategies.branches import name_keys, text_of
+from tracer.strategies.branches import text_of
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, parameter_names
+from tracer.strategies.trace import name_keys
 
 KIND = "scene fit"
 BLOCK, ORDINARY_DRAWS = 65536, 64  # pixels at a time, fewer of beds: some 60 MB of derivatives

@@ -31,19 +31,12 @@ from correction.inversion.sheets import Sheet, Sheets, Starts
 from correction.masked import masked_branches, masked_pixels
 from ground.rows import run_parts, run_rows
 from tracer.kernels.camera import CENTRE_U, FOCAL
-from tracer.kernels.chain import BALL
 from tracer.kernels.sphere import OPAQUE
-from tracer.kernels.window import BEHIND, GLASS
 from tracer.scene.scene import Scene
-from tracer.strategies.beds import Balls, fits_bed_behind
 from tracer.strategies.branches import chain_trip, event_numbers, key_of
-from tracer.strategies.cells import world_of
-from tracer.strategies.lockstep import block_scratch, fits_lockstep, pack_chain, sphere_discs
+from tracer.strategies.lockstep import block_scratch, sphere_discs
 from tracer.strategies.ray_map import RayMap
-from tracer.strategies.trace import pack_camera
-from tracer.strategies.windows_in_front import NO_WINDOWS, usual_windows, windows_in_front
-
-NO_BALLS = np.empty((0, BALL))
+from tracer.strategies.strategy import Kind, choose
 
 
 class Inversion:
@@ -63,15 +56,10 @@ class Inversion:
         self.scene, self.ray_map, self.grid = scene, ray_map, grid
         self.skip = skip
         self.size = scene.camera.sensor_px
-        self.tables = (pack_camera(scene.camera), world_of(scene))
+        self.way = choose(scene)
+        self.tables = (self.way.camera, self.way.world)
         self.events = event_numbers(scene)
-        self.lockstep = fits_lockstep(scene)
-        usual = usual_windows(scene)
-        self.windows, self.in_blocks = (NO_WINDOWS, False) if usual is None else (usual, True)
-        self.few = self.lockstep or (self.in_blocks and windows_in_front(scene) is not None)
-        self.balls = pack_chain(scene) if self.few else NO_BALLS
-        one = self.few and len(self.windows) == 1
-        self.window = self.windows[0] if one and self.windows[0, [GLASS, BEHIND]].min() >= 1.0 else None
+        self.window = self.way.lone_window
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
         lead, kind = (layers, height, width), ray_map.branch.dtype
@@ -133,7 +121,7 @@ class Inversion:
                 place,
                 self.tables,
                 discs,
-                self.lockstep,
+                not len(world.others) and self.way.kind is Kind.LOCKSTEP,
                 glass_only,
                 lens_free,
                 self.grid_numbers,
@@ -153,7 +141,7 @@ class Inversion:
 
         def work(first: int, last: int) -> None:
             scratch = *block_scratch(), np.empty(width, np.uint8), np.empty((6, width)), np.empty(BLOCK_NUMBERS)
-            place = self.tables[0], window, self.balls, flat, self.grid_numbers, size
+            place = self.tables[0], window, self.way.chain, flat, self.grid_numbers, size
             direct_rows_behind(*place, first, last, *scratch, maps)
 
         run_rows(work, height)
@@ -178,7 +166,7 @@ class Inversion:
         walled = not self.scene.arrangement.is_one_room
         least = 0 if walled and self.window is None else 1
         sensor = self.ray_map, self.grid, self.tables, self.longest_mm, least
-        if self.in_blocks and fits_bed_behind(self.scene) and not self.few:
+        if self.way.seeks is Kind.BUNDLES:
             ways = self._ways()
             self._solve_many(Sheets(*sensor, ways), ways)
             return
@@ -191,7 +179,7 @@ class Inversion:
         branches = self.ray_map.branches
         begin = np.cumsum([0, *map(len, branches)], dtype=np.int64)
         events = np.fromiter(map(self.events.__getitem__, chain.from_iterable(branches)), np.int64, int(begin[-1]))
-        return Ways(begin, events, self.windows)
+        return Ways(begin, events, self.way.windows)
 
     def _solve_one(self, sheet: Sheet, sheets: Sheets) -> None:
         """Solve a sheet on all cores."""
@@ -200,8 +188,8 @@ class Inversion:
 
     def _solve_many(self, sheets: Sheets, ways: Ways) -> None:
         """Solve the sheets of a bed."""
-        numbers = self.tables, self.grid_numbers, self.windows, not self.skip, self.limits, self.maps
-        solve_bed(Sought(*numbers), sheets, ways, Balls(self.scene.sphere_table()), self.weight[-1])
+        numbers = self.tables, self.grid_numbers, self.way.windows, not self.skip, self.limits, self.maps
+        solve_bed(Sought(*numbers), sheets, ways, self.way.balls, self.weight[-1])
 
     def _sequence(self, number: int) -> list[int]:
         """Events of a branch."""
@@ -211,10 +199,10 @@ class Inversion:
         """Solve the nodes of one sheet and keep the best views."""
         sequence = np.array(self._sequence(sheet.branch), np.int64)
         key = key_of(sequence)
-        trip = chain_trip(self.scene, sequence) if self.few else -1
+        trip = chain_trip(self.scene, sequence) if self.way.seeks is Kind.LOCKSTEP else -1
         world = self.tables[1]
-        solid = self.in_blocks and not world.shapes and bool((sequence < len(world.spheres)).all())
-        balls, maps = self.balls, self.maps
+        solid = self.way.in_blocks and not world.shapes and bool((sequence < len(world.spheres)).all())
+        balls, maps = self.way.chain, self.maps
 
         def work(part: Starts) -> None:
             scratch = NodeScratch(
@@ -230,7 +218,7 @@ class Inversion:
                 self.tables,
                 self.grid_numbers,
                 balls,
-                self.windows,
+                self.way.windows,
                 sequence,
                 trip,
                 solid,

@@ -14,7 +14,7 @@ from tracer.kernels.march import march
 from tracer.kernels.world import World
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import NO_CELLS
+from tracer.strategies.trace import NO_CELLS
 
 TILTED = "tilted"
 HOLLOW = "hollow"

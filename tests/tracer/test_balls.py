@@ -23,11 +23,10 @@ from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.status import RayStatus
-from tracer.strategies.beds import fits_bed
-from tracer.strategies.lockstep import fits_lockstep
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.ray_path import ray_path
 from tracer.strategies.sensitivity import landings
+from tracer.strategies.strategy import Kind, choose
 from tracer.strategies.trace import trace, trace_from
 
 STATUS = {"recovered": RayStatus.RECOVERED, "tir": RayStatus.TIR, "missed": RayStatus.MISSED_PLANE}
@@ -186,11 +185,9 @@ def test_only_spheres_go_by_the_fast_ways() -> None:
     one = ball("one", 0.0, 0.0, 45.0, 14.0)
     for several in ([one], [one, *(ball(f"b{k}", 30.0 * k, 30.0, 20.0, 9.0) for k in range(1, 12))]):
         scene = Scene(CAMERA, tuple(several))
-        assert fits_lockstep(scene) == (len(several) == 1)
-        assert fits_bed(scene)
+        assert choose(scene).kind is (Kind.LOCKSTEP if len(several) == 1 else Kind.BUNDLES)
         uneven = scene.with_bodies([replace(one, shape_um=(1.0,) + (0.0,) * 44), *several[1:]])
-        assert not fits_lockstep(uneven)
-        assert not fits_bed(uneven)
+        assert choose(uneven).kind is Kind.MARCH
 
 
 def test_a_shape_of_nothing_is_a_sphere() -> None:

@@ -14,10 +14,10 @@ from tracer.errors import RayMapUsageError
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.strategies.beds import fits_bed, fits_bed_behind
 from tracer.strategies.branches import lengths_of
-from tracer.strategies.lockstep import aligned, fits_lockstep
+from tracer.strategies.lockstep import aligned
 from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.strategy import Kind, choose
 
 packed = cache(bed)  # a thousand balls take a while to be checked
 
@@ -56,8 +56,7 @@ def bits(made: RayMap) -> tuple[bytes, ...]:
 @pytest.mark.parametrize("count", [16, 128])
 def test_packed_beds(count: int, packing: str) -> None:
     where = small(packed(count, packing=packing))
-    assert fits_bed(where)
-    assert not fits_lockstep(where)
+    assert choose(where).kind is Kind.BUNDLES
     check(where)
 
 
@@ -136,10 +135,7 @@ def one_uneven() -> Scene:
 
 
 def test_a_bed_with_a_ball_out_of_round_goes_no_fast_way() -> None:
-    bent = one_uneven()
-    assert not fits_bed(bent)
-    assert not fits_bed_behind(bent)
-    assert not fits_lockstep(bent)
+    assert choose(one_uneven()).kind is Kind.MARCH
 
 
 @pytest.mark.slow

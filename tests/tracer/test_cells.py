@@ -13,10 +13,10 @@ from tracer.kernels.maps import trace_rows
 from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.world import World, next_sphere
 from tracer.scene.scene import Scene
-from tracer.strategies import beds, cells
-from tracer.strategies.cells import NO_CELLS, sort_into_cells
+from tracer.strategies import beds
+from tracer.strategies import trace as tracing
 from tracer.strategies.ray_map import build_ray_map
-from tracer.strategies.trace import pack_camera, trace
+from tracer.strategies.trace import NO_CELLS, pack_camera, sort_into_cells, trace
 
 
 def bed(kind: str, seed: int = 0) -> Scene:
@@ -59,7 +59,7 @@ def test_single_rays_go_through_cells_too(kind: str, monkeypatch: pytest.MonkeyP
     where = bed(kind)
     pixels = np.random.default_rng(2).uniform(0.0, 90.0, (3000, 2))
     through_cells = trace(where, pixels)
-    monkeypatch.setattr(cells, "FEW", 10_000)
+    monkeypatch.setattr(tracing, "FEW", 10_000)
     asking_all = trace(where, pixels)
     assert through_cells.rays.tobytes() == asking_all.rays.tobytes()
     assert through_cells.branches == asking_all.branches

@@ -14,10 +14,9 @@ from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import march_pixel_tangents
 from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.strategies.cells import world_of
-from tracer.strategies.lockstep import fits_lockstep
 from tracer.strategies.ray_map import RayMap, build_ray_map
-from tracer.strategies.trace import pack_camera, trace
+from tracer.strategies.strategy import Kind, choose
+from tracer.strategies.trace import pack_camera, trace, world_of
 
 
 def check(where: Scene) -> RayMap:
@@ -43,7 +42,7 @@ def check(where: Scene) -> RayMap:
 def test_paper_scenes(name: str) -> None:
     where = scene(name)
     where = where.with_camera(shrunk(where.camera, 8.0))
-    assert fits_lockstep(where)
+    assert choose(where).kind is Kind.LOCKSTEP
     assert np.mean(check(where).recovered) > 0.6
 
 

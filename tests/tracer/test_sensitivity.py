@@ -18,9 +18,8 @@ from tracer.kernels.landing import trace_landings
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import world_of
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose, landings, parameter_names
-from tracer.strategies.trace import pack_camera
+from tracer.strategies.trace import pack_camera, world_of
 
 STEP = mpf(10) ** -16  # of 50 digits: truncation and rounding both below 1e-30
 POSE = TargetPose(

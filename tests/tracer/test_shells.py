@@ -27,9 +27,9 @@ from tracer.scene.scene import Scene
 from tracer.status import RayStatus
 from tracer.strategies.branches import sphere_of
 from tracer.strategies.fov import field_of_view
-from tracer.strategies.lockstep import fits_lockstep
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.ray_path import ray_path
+from tracer.strategies.strategy import Kind, choose
 from tracer.strategies.trace import trace, trace_from
 
 EPSILON = 2.0**-52
@@ -320,7 +320,7 @@ def test_only_solid_spheres_travel_the_fast_way() -> None:
     assert where.sphere_table().shape == (5, SOLID + 6)
     assert scene("pyramid_500").sphere_table().shape == (5, SOLID)
     hollow = Scene(camera_at(), (ball("one", 0.0, 0.0, 25.0, 25.0, 1.53, (20.0, 1.0)),))
-    assert not fits_lockstep(hollow)
+    assert choose(hollow).kind is Kind.MARCH
     with pytest.raises(SceneError, match="field of view is for solid spheres"):
         field_of_view(hollow)
 

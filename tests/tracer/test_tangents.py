@@ -7,7 +7,7 @@ from mpmath import mpf
 from tracer.kernels.adjoint import STATE, trace_states
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import RECOVERED, World
-from tracer.strategies.cells import NO_CELLS
+from tracer.strategies.trace import NO_CELLS
 
 N = 1.5
 

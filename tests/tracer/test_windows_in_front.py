@@ -14,10 +14,9 @@ from tracer.camera import Lens
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.strategies.beds import fits_bed_behind
-from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors
+from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, trace_lockstep
 from tracer.strategies.ray_map import RayMap, build_ray_map
-from tracer.strategies.windows_in_front import trace_windows, usual_windows, windows_in_front
+from tracer.strategies.strategy import Kind, Strategy, choose
 
 NEAR_MM = 150.0
 CAMERA = camera_at((12.0, -7.0, 400.0), (0.0, 0.0, 0.0), 900.0, (150, 131))
@@ -39,8 +38,7 @@ def check(scene: Scene, *, few: bool = True) -> dict[int, int]:
 
     Those walls stand far off: what flies that far is left out.
     """
-    assert (windows_in_front(scene) is not None) == few
-    assert few or fits_bed_behind(scene)
+    assert choose(scene).kind is (Kind.LOCKSTEP if few else Kind.BUNDLES)
     made = build_ray_map(scene)
     height, width = made.status.shape
     v, u = np.mgrid[0:height, 0:width]
@@ -118,14 +116,14 @@ def test_same_bits_for_any_threads(threads: str, monkeypatch: pytest.MonkeyPatch
 
 def skipless(scene: Scene, skips: int = 0) -> RayMap:
     """Trace a map without the skips that are not named."""
-    windows, made = windows_in_front(scene), build_ray_map(scene)
-    assert windows is not None
+    windows, made = choose(scene).windows, build_ray_map(scene)
+    assert len(windows) > 0
     plane, status, branch = (
         np.full_like(made.plane_mm, 7.0),
         np.empty_like(made.status),
         np.empty_like(made.branch),
     )
-    branches = trace_windows(scene, windows, plane, status, branch, skips)
+    branches = trace_lockstep(scene, plane, status, branch, skips, windows)
     return replace(made, plane_mm=plane, status=status, branch=branch, branches=branches)
 
 
@@ -171,7 +169,7 @@ def test_a_mirror_image_is_what_tracing_it_gives() -> None:
     assert made.plane_mm.tobytes() == whole.plane_mm.tobytes()
     assert made.branch.tobytes() == whole.branch.tobytes()
     leaning = scene.with_bodies((replace(upright, normal=(0.6, 0.0, 0.8), radius_mm=60.0), *pair))
-    mirrors = find_mirrors(leaning, windows_in_front(leaning))
+    mirrors = find_mirrors(leaning, choose(leaning).windows)
     assert (mirrors.in_x, mirrors.in_y) == (False, True)
 
 
@@ -181,9 +179,11 @@ def test_what_else_stands_there_goes_by_the_march() -> None:
     bubble = Sphere("bubble", (0.0, 0.0, 20.0), 9.0, ConstantMedium(1.0))
     before = Sphere("before", (0.0, 0.0, 250.0), 9.0, GLASS)
     tank = replace(one, behind=WATER)
-    for bodies in ((one, *balls(), beside), (tank, bubble), (one, *balls(), before), balls()):
-        assert windows_in_front(Scene(CAMERA, bodies)) is None
-    assert windows_in_front(Scene(CAMERA, (one, *balls()))) is not None
+    for bodies in ((one, *balls(), beside), (one, *balls(), before)):
+        assert choose(Scene(CAMERA, bodies)).kind is Kind.MARCH
+    assert choose(Scene(CAMERA, (tank, bubble))).kind is Kind.BUNDLES
+    assert choose(Scene(CAMERA, (one, *balls()))).kind is Kind.LOCKSTEP
+    assert len(choose(Scene(CAMERA, balls())).windows) == 0
 
 
 @pytest.mark.slow  # compiles an inversion for windows alone
@@ -196,9 +196,12 @@ def test_its_map_is_inverted_in_blocks_as_node_by_node(kind: str, monkeypatch: p
         replace(CAMERA, lens=Lens(k1=-0.05, p1=1e-3)), (*before, window(150.0, "window", 60.0, WATER), *behind)
     )
     blocks = build_correction_map(scene, build_ray_map(scene), layers=2)
-    monkeypatch.setattr("tracer.strategies.ray_map.windows_in_front", lambda _: None)
-    monkeypatch.setattr("tracer.strategies.ray_map.fits_bed_behind", lambda _: False)
-    monkeypatch.setattr("correction.inversion.invert.usual_windows", lambda _: None)
+
+    def by_march(where: Scene) -> Strategy:
+        return replace(choose(where), kind=Kind.MARCH, in_blocks=False)
+
+    monkeypatch.setattr("tracer.strategies.ray_map.choose", by_march)
+    monkeypatch.setattr("correction.inversion.invert.choose", by_march)
     single = build_correction_map(scene, build_ray_map(scene), layers=2, skip=False)
     assert blocks.recovered.sum() > 4000
     if kind != "one window":  # there alone it is known why a node is not seen past the glass
@@ -217,6 +220,6 @@ def test_windows_that_a_ray_may_pass_beside_are_not_usual() -> None:
     leaning = Window("window", (70.0, 0.0, 60.0), (0.8, 0.0, 0.6), 8.0, 40.0, GLASS)
     wide = camera_at((150.0, 0.0, 300.0), (40.0, 0.0, 0.0), 250.0, (160, 90))
     ball = Sphere("b", (0.0, 0.0, 12.0), 10.0, GLASS)
-    assert usual_windows(Scene(wide, (leaning, ball))) is None
-    assert usual_windows(Scene(CAMERA, (window(150.0, "window"), *balls()))) is not None
-    assert usual_windows(Scene(CAMERA, balls())) is not None
+    assert not choose(Scene(wide, (leaning, ball))).in_blocks
+    assert choose(Scene(CAMERA, (window(150.0, "window"), *balls()))).in_blocks
+    assert choose(Scene(CAMERA, balls())).in_blocks

@@ -1,8 +1,7 @@
-"""How a whole sensor is traced behind many spheres (``tracer.kernels.bundle``).
+"""How a whole sensor is traced behind many spheres, in bundles (``tracer.kernels.bundle``).
 
-Beds serve scenes of solid and opaque round spheres, however many, in one room, behind windows or not: those
-that ``lockstep`` and ``windows_in_front`` do not take because they are many, opaque or thinner than the room.
-They give the map of ``march`` to rounding; a test holds them together.
+Bundles serve scenes of solid and opaque round spheres, however many, behind windows or not: those that are too
+many for lockstep, opaque, or thinner than what is around them.
 
 Every thread notes in a book of its own which branches it met.  The books become one list, numbered by length and
 name, whoever traced what; what remains a list of numbers until somebody asks for its names (`BranchList`).
@@ -32,29 +31,17 @@ from tracer.kernels.lanes import (
     Bundle,
 )
 from tracer.kernels.rooms import ONE_ROOM
-from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, INDEX, OPAQUE, RADIUS, SOLID
+from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, INDEX, OPAQUE, RADIUS
 from tracer.kernels.tiles import SIDE, number_rows, trace_tiles
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import SHORT_NUMBERS, Branch, BranchList, Numbers
-from tracer.strategies.cells import cells_of
-from tracer.strategies.lockstep import aligned
-from tracer.strategies.trace import pack_camera
-from tracer.strategies.windows_in_front import windows_before
+from tracer.strategies.lockstep import NO_WINDOWS, aligned
+from tracer.strategies.trace import cells_of, pack_camera
 
 NEIGHBOURS = 100  # balls around each that are asked first
 ROOM = 1 << 18  # balls in all lists of a thread, 3 MB: what a bed of a thousand uses
 FIRST_ENTRIES = 1024  # branches of a book before it grows
-
-
-def fits_bed(scene: Scene) -> bool:
-    """Whether a scene without windows can be traced in bundles."""
-    return not scene.other_tables() and fits_bed_behind(scene)
-
-
-def fits_bed_behind(scene: Scene) -> bool:
-    """Whether a scene can be traced in bundles, behind windows if there are any."""
-    return not scene.shapes() and scene.sphere_table().shape[1] == SOLID and windows_before(scene) is not None
 
 
 class Balls:
@@ -188,15 +175,28 @@ def trace_bed(
     status: NDArray[np.uint8],
     branch: Numbers,
     most: int = MAX_EVENTS,
+    windows: NDArray[np.float64] = NO_WINDOWS,
 ) -> tuple[Numbers, Sequence[Branch]] | None:
-    """Trace every pixel into plane (H, W, 2) and status (H, W); return numbers, in `branch` if they fit.
+    """Trace every pixel into plane (H, W, 2) and status (H, W), with the same bits for any order of bodies.
 
-    None: some ray passes beside a window's plane or is reflected by it, which only `march` can follow.  The same
-    bits for any number of threads and any order of bodies.  `most`: no ray goes through more spheres.
+    Parameters
+    ----------
+    scene : Scene
+        Solid spheres.
+    plane, status, branch : arrays (H, W, 2), (H, W), (H, W)
+        What is written; `branch` only if its numbers are long enough.
+    most : int
+        No ray goes through more spheres.
+    windows : (K, 10) float64
+        Windows in front of all spheres, from the camera on.
+
+    Returns
+    -------
+    tuple or None
+        Branch numbers (H, W), in `branch` if they fit, and the branches; None: some ray passes beside a window's
+        plane or is reflected by it, which only `march` can follow.
     """
     height, width = status.shape
-    windows = windows_before(scene)
-    assert windows is not None
     camera, spheres = pack_camera(scene.camera), Balls(scene.sphere_table())
     point, entry = plane.reshape(height, 2 * width), np.empty((height, width), np.uint32)
     bands = -(-height // SIDE)

@@ -19,9 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from tracer.camera import Lens
 from tracer.pupil import Pupil
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import world_of
 from tracer.strategies.sensitivity import Landings, TargetPose, landings_through
-from tracer.strategies.trace import trace_from
+from tracer.strategies.trace import trace_from, world_of
 
 NEWTON = 4  # steps
 LARGEST_STEP_PX = 8.0

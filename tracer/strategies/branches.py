@@ -25,10 +25,7 @@ from numpy.typing import NDArray
 
 from tracer.bodies import Sphere
 from tracer.kernels.branches import BITS, DIRECT, KEY_MASK, UNKNOWN, next_key
-from tracer.kernels.maps import trace_trails
-from tracer.kernels.walk import MAX_EVENTS
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import world_of
 
 Branch = tuple[str, ...]
 Numbers = NDArray[np.uint16 | np.uint32]  # of branches, whichever is long enough
@@ -111,37 +108,6 @@ def key_of(events: NDArray[np.int64]) -> int:
     return key
 
 
-def name_keys(
-    scene: Scene, origins_mm: NDArray[np.float64], directions: NDArray[np.float64], keys: NDArray[np.int64]
-) -> dict[int, Branch]:
-    """Branches behind keys (N,), from one ray of each: where it starts (N, 3) and its direction (N, 3)."""
-    trails = np.full((len(keys), MAX_EVENTS), -1, np.int32)
-    trace_trails(origins_mm, directions, world_of(scene), trails)
-    names, lengths = scene.event_names(), np.count_nonzero(trails >= 0, axis=1)
-    known = trails[:, : lengths.max(initial=0)].tolist()
-    return {
-        key: tuple(names[event] for event in trail[:length] if names[event])
-        for key, trail, length in zip(keys.tolist(), known, lengths.tolist(), strict=True)
-    }
-
-
-def number_keys(scene: Scene, key: NDArray[np.int64]) -> tuple[Numbers, tuple[Branch, ...]]:
-    """Branch numbers (H, W) of the keys (H, W) of all pixels of a sensor, and the branches they number."""
-    fresh = np.ones(key.shape, dtype=bool)  # keys come in long runs: look only where one begins
-    fresh[:, 1:] = key[:, 1:] != key[:, :-1]
-    rows, columns = np.nonzero(fresh)
-    keys, firsts = np.unique(key[rows, columns], return_index=True)
-    directions = scene.camera.directions(np.stack((columns[firsts], rows[firsts]), axis=-1))
-    origins = np.ascontiguousarray(np.broadcast_to(np.array(scene.camera.position_mm), directions.shape))
-    branches = name_keys(scene, origins, directions, keys)
-    branches[DIRECT] = ()
-    order = sorted(branches, key=lambda k: (len(branches[k]), branches[k]))
-    kind = np.uint16 if len(order) <= SHORT_NUMBERS else np.uint32
-    lookup = {k: number for number, k in enumerate(order)}
-    runs = np.array([lookup[int(k)] for k in key[rows, columns]], dtype=kind)
-    return runs[np.cumsum(fresh.ravel()) - 1].reshape(key.shape), tuple(branches[k] for k in order)
-
-
 def number_in(branches: list[Branch], branch: Branch) -> int:
     """Place of a branch in a list, to which it is appended if it is not there."""
     if branch not in branches:
@@ -203,9 +169,7 @@ __all__ = [
     "last_sphere",
     "lengths_of",
     "mirrored_numbers",
-    "name_keys",
     "number_in",
-    "number_keys",
     "sphere_of",
     "text_of",
 ]

@@ -31,8 +31,7 @@ from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Y
 from tracer.kernels.world import RECOVERED
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import world_from
-from tracer.strategies.trace import pack_camera
+from tracer.strategies.trace import pack_camera, world_from
 
 COAXIAL_TOL = 1e-9  # off-axis share of a radius that still counts as coaxial: rounding of decimal files
 SAMPLES = 512  # of the curve when looking for the fold; spaced as sin, dense at the rim

@@ -1,9 +1,8 @@
-"""When and how a whole sensor is traced in lockstep (``tracer.kernels.chain``).
+"""How a whole sensor is traced in lockstep (``tracer.kernels.chain``), behind windows or not.
 
-Lockstep serves scenes of a few solid transparent spheres that are nowhere optically thinner than the room: every
-scene of the paper.  The same behind windows goes by ``tracer.strategies.windows_in_front``; more of them, opaque
-ones and bubbles go in bundles (``tracer.strategies.beds``), anything else (supports, hollow balls, tubes) through
-``march``, pixel by pixel.  All give the same map to rounding; tests hold them together.
+Lockstep serves scenes of a few solid transparent spheres that are nowhere optically thinner than what is around
+them: every scene of the paper, spheres in a furnace, a few in a tank of liquid.  What else there is goes by other
+ways (``tracer.strategies.strategy``), which give the same map to rounding; tests hold them together.
 
 Branches are numbered beforehand (``tracer.strategies.branches``).  What rays meet in another order than a number
 can say is traced again by ``march``, which names it.
@@ -19,9 +18,12 @@ from numpy.typing import NDArray
 
 from ground.rows import run_rows
 from tracer.bodies import Sphere
+from tracer.bodies.window import ROW
+from tracer.kernels.apparent import FACE
 from tracer.kernels.branches import UNKNOWN
 from tracer.kernels.chain import (
     BALL,
+    LANES,
     RAY_NUMBERS,
     SKIP_LEFT_BEHIND,
     SKIP_SILHOUETTES,
@@ -30,24 +32,17 @@ from tracer.kernels.chain import (
 )
 from tracer.kernels.mirror import Mirrors
 from tracer.kernels.sensor import RowScratch, sensor_rows
-from tracer.kernels.sphere import SOLID
+from tracer.kernels.windowed import WindowScratch, windowed_rows
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Branch, Numbers, chain, chain_branches, mirrored_numbers, number_in
 from tracer.strategies.trace import pack_camera, trace
 
+NO_WINDOWS = np.empty((0, len(ROW)))
 MAX_CHAIN = 8  # from here on most spheres are missed by most rays, and 2^N branches become a long list
 LINE = 64  # bytes of a cache line
 SKIP_MIRRORED = 4
 ALL_SKIPS = SKIP_SILHOUETTES | SKIP_LEFT_BEHIND | SKIP_MIRRORED
 STRAIGHT_DOWN = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-
-
-def fits_lockstep(scene: Scene) -> bool:
-    """Whether a scene can be traced in lockstep."""
-    table = scene.sphere_table()
-    few_and_solid = not scene.other_tables() and len(table) <= MAX_CHAIN and table.shape[1] == SOLID
-    few_and_solid = few_and_solid and not scene.shapes()
-    return few_and_solid and bool((table[:, 4] >= 1.0).all() and not table[:, 5].any())
 
 
 def trace_lockstep(
@@ -56,24 +51,48 @@ def trace_lockstep(
     status: NDArray[np.uint8],
     branch: Numbers,
     skips: int = ALL_SKIPS,
+    windows: NDArray[np.float64] = NO_WINDOWS,
 ) -> tuple[Branch, ...]:
-    """Trace every pixel into plane (H, W, 2), status (H, W) and branch (H, W); return the branches.
+    """Trace every pixel into plane (H, W, 2), status (H, W) and branch (H, W).
 
-    `skips` says what may be passed over without a look; the result has the same bits for any.
+    Parameters
+    ----------
+    scene : Scene
+        A few solid transparent spheres.
+    plane, status, branch : arrays (H, W, 2), (H, W), (H, W)
+        What is written.
+    skips : int
+        What may be passed over without a look.  The result has the same bits for any; behind windows, the same to
+        rounding.
+    windows : (K, 10) float64
+        Windows in front of all spheres, from the camera on (``tracer.kernels.window``).
+
+    Returns
+    -------
+    tuple of Branch
+        The branches that are numbered.
     """
     height, width = status.shape
     camera, balls, flat = pack_camera(scene.camera), pack_chain(scene), scene.camera.lens.is_ideal
-    mirrors = find_mirrors(scene)
+    mirrors = find_mirrors(scene, windows)
     paired = len(mirrors.swap_x) + len(mirrors.swap_y) > 0
     if not skips & SKIP_MIRRORED:
         mirrors = NO_MIRRORS
     point, unknown = plane.reshape(height, 2 * width), np.zeros(height, np.int64)
+    seen = unknown, point, status, branch
 
     def work(first: int, last: int) -> None:
-        scratch = row_scratch(width, len(balls))
-        sensor_rows(
-            camera, balls, flat, paired, skips, mirrors, first, last, scratch, unknown, point, status, branch
+        rows = flat, paired, skips, mirrors, first, last, row_scratch(width, len(balls))
+        if len(windows) == 0:
+            sensor_rows(camera, balls, *rows, *seen)
+            return
+        beside = WindowScratch(
+            np.empty(LANES + VECTOR, np.int64),
+            np.empty(4),
+            np.empty((2 * len(windows), FACE)),
+            np.empty((len(balls), 4)),
         )
+        windowed_rows(camera, balls, windows, *rows, beside, *seen)
 
     run_rows(work, (height + 1) // 2 if mirrors.in_y else height)
     branches = chain_branches(scene)
@@ -84,7 +103,7 @@ def trace_lockstep(
 NO_MIRRORS = Mirrors(False, False, np.empty(0, np.int64), np.empty(0, np.int64))
 
 
-def find_mirrors(scene: Scene, windows: NDArray[np.float64] | None = None) -> Mirrors:
+def find_mirrors(scene: Scene, windows: NDArray[np.float64] = NO_WINDOWS) -> Mirrors:
     """Mirrors of a scene, behind windows (K, 10).  Numbers must agree to the last bit: nearly is not symmetric."""
     camera, rows = scene.camera, [_constants(sphere, scene) for sphere in chain(scene)]
     if camera.rotation != STRAIGHT_DOWN or not camera.lens.is_ideal:
@@ -93,7 +112,7 @@ def find_mirrors(scene: Scene, windows: NDArray[np.float64] | None = None) -> Mi
     for axis in (0, 1):
         places = [(*row[:axis], -row[axis], *row[axis + 1 :]) for row in rows]
         symmetric = camera.position_mm[axis] == 0.0 and set(places) == set(rows)
-        symmetric = symmetric and (windows is None or not windows[:, (axis, 3 + axis)].any())
+        symmetric = symmetric and not windows[:, (axis, 3 + axis)].any()
         there.append(symmetric and camera.principal_px[axis] == (camera.sensor_px[axis] - 1) / 2.0)
         images.append([rows.index(place) if there[axis] else k for k, place in enumerate(places)])
     swap_x, swap_y = map(mirrored_numbers, images)

@@ -17,19 +17,13 @@ from ground.config import Table
 from ground.errors import MapFileError
 from ground.map_file import Hash, checked, load_arrays, save_arrays
 from ground.memory import require_memory
-from ground.rows import run_rows
 from ground.short_repr import short_repr
 from tracer.errors import RayMapUsageError
-from tracer.kernels.maps import trace_rows
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.scene.scene import Scene, SceneBound
 from tracer.status import RayStatus
-from tracer.strategies.beds import fits_bed_behind, trace_bed
-from tracer.strategies.branches import Branch, Numbers, lengths_of, number_keys
-from tracer.strategies.cells import world_of
-from tracer.strategies.lockstep import fits_lockstep, trace_lockstep
-from tracer.strategies.trace import pack_camera
-from tracer.strategies.windows_in_front import trace_windows, windows_in_front
+from tracer.strategies.branches import Branch, Numbers, lengths_of
+from tracer.strategies.strategy import choose
 
 KIND = "ray map"
 BYTES_PER_PX = 27  # of a map, and of the keys of its branches while it is made
@@ -168,26 +162,8 @@ def build_ray_map(
     else:
         plane, status = np.empty((height, width, 2), kind), np.empty((height, width), np.uint8)
         branch = np.empty((height, width), np.uint16)
-    if fits_lockstep(scene):
-        branches = trace_lockstep(scene, plane, status, branch)
-        made = RayMap(plane, status, branch, branches, scene.content_hash())
-        return _without_longer(made, most_bodies)
-    if (windows := windows_in_front(scene)) is not None:
-        branches = trace_windows(scene, windows, plane, status, branch)
-        made = RayMap(plane, status, branch, branches, scene.content_hash())
-        return _without_longer(made, most_bodies)
-    if fits_bed_behind(scene):
-        traced = trace_bed(scene, plane, status, branch, MAX_EVENTS if most_bodies is None else most_bodies)
-        if traced is not None:
-            return RayMap(plane, status, *traced, scene.content_hash(), most_bodies)
-    key = np.empty((height, width), np.int64)
-    camera, world = pack_camera(scene.camera), world_of(scene)
-
-    def work(first: int, last: int) -> None:
-        trace_rows(camera, world, first, last, plane, status, key)
-
-    run_rows(work, height)
-    numbers, branches = number_keys(scene, key)
+    most = MAX_EVENTS if most_bodies is None else most_bodies
+    numbers, branches = choose(scene).trace(plane, status, branch, most)
     return _without_longer(RayMap(plane, status, numbers, branches, scene.content_hash()), most_bodies)
 
 
@@ -195,6 +171,8 @@ def _without_longer(made: RayMap, most_bodies: int | None) -> RayMap:
     """Drop the pixels that go through more than `most_bodies`, in place."""
     if most_bodies is None:
         return made
-    longer = (lengths_of(made.branches) > most_bodies)[made.branch]
-    made.status[longer], made.plane_mm[longer] = RayStatus.TOO_MANY_EVENTS, np.nan
+    too_long = lengths_of(made.branches) > most_bodies
+    if too_long.any():
+        longer = too_long[made.branch]
+        made.status[longer], made.plane_mm[longer] = RayStatus.TOO_MANY_EVENTS, np.nan
     return replace(made, most_bodies=most_bodies)

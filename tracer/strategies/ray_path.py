@@ -11,7 +11,7 @@ from tracer.kernels.sphere import INDEX, RADIUS, SOLID, angles, turned
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import RECOVERED, World
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import world_of
+from tracer.strategies.trace import world_of
 
 Vector = NDArray[np.float64]
 

@@ -27,8 +27,7 @@ from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import KINDS, World
 from tracer.scene.scene import Scene
 from tracer.status import RayStatus
-from tracer.strategies.cells import world_of
-from tracer.strategies.trace import pack_camera
+from tracer.strategies.trace import pack_camera, world_of
 
 CAMERA = ("x", "y", "z", "rx", "ry", "rz", "focal_px", "cu", "cv", "k1", "k2", "k3", "p1", "p2")
 SPHERE = ("x", "y", "z", "radius", "n")
@@ -153,7 +152,7 @@ def landings_through(
     camera : Camera
         The camera.
     world : World
-        The bodies, as `tracer.strategies.cells.world_from` makes them.
+        The bodies, as `tracer.strategies.trace.world_from` makes them.
     pixels : array_like (N, 2)
         Acquired pixels u, v.
     target : TargetPose

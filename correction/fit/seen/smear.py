@@ -30,8 +30,8 @@ from tracer.light import Light
 from tracer.pupil import Pupil
 from tracer.scene.scene import Scene
 from tracer.strategies.blur import pupil_views
-from tracer.strategies.cells import world_from
 from tracer.strategies.sensitivity import Landings, TargetPose, landings_through
+from tracer.strategies.trace import world_from
 
 COLOURS = 12
 UNSURE = 0.03  # of the smear by colour, as a corner's standard deviation

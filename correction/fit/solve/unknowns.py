@@ -38,8 +38,8 @@ from tracer.kernels.world import World
 from tracer.media import Medium, shifted
 from tracer.scene.fit_section import FOCAL_SHARE, FitTable
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import world_from
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose
+from tracer.strategies.trace import world_from
 
 LENS = ("k1", "k2", "k3", "p1", "p2")
 SAME_HEIGHT_MM = 1e-3  # frames whose planned heights agree this well show one pose of the target

@@ -24,8 +24,8 @@ from correction.target import Chessboard
 from rtpiv.templates.bench_room import BOARD_MM
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
-from tracer.strategies.cells import world_of
 from tracer.strategies.sensitivity import TargetPose, landings_through
+from tracer.strategies.trace import world_of
 
 EDGE_PX, BEHIND = 0.036, 2.2  # sigma of a corner is EDGE_PX / sqrt(width of its square in px), times BEHIND
 ENOUGH_BARE = 3  # heights without glass at which the focal length is fitted as well

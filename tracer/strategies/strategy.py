@@ -1,0 +1,194 @@
+"""How the rays of a scene are traced: chosen once, as one value, which ray map and inversion ask and nothing else.
+
+A scene goes the quickest way that serves it:
+
+    lockstep   a few solid transparent spheres, nowhere thinner than what is around them, behind windows or not
+    bundles    any number of solid or opaque spheres, behind windows or not
+    march      everything else (supports, hollow balls, tubes, meshes ...), pixel by pixel
+
+All give the same map to rounding; tests hold them together.  A way is added as a kind, with what it asks of a
+scene in `choose` and what it does in `Strategy.trace`; see ``docs/adr/0032-one-choice-of-strategy.md``.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.rows import run_rows
+from tracer.bodies.window import Windows
+from tracer.kernels.chain import BALL
+from tracer.kernels.maps import trace_rows
+from tracer.kernels.rooms import OUTERMOST
+from tracer.kernels.sphere import INDEX, OPAQUE, SOLID
+from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.window import BEHIND, GLASS
+from tracer.kernels.world import World
+from tracer.scene.scene import Scene
+from tracer.strategies.beds import Balls, trace_bed
+from tracer.strategies.branches import Branch, Numbers
+from tracer.strategies.lockstep import MAX_CHAIN, NO_WINDOWS, pack_chain, trace_lockstep
+from tracer.strategies.trace import number_keys, pack_camera, world_of
+
+STEEPEST = 0.12  # square of the cosine in a medium, and cosine before, of a ray that is called usual
+NO_CHAIN = np.empty((0, BALL))
+
+
+class Kind(StrEnum):
+    """Ways of tracing a whole sensor."""
+
+    LOCKSTEP = "lockstep"
+    BUNDLES = "bundles"
+    MARCH = "march"
+
+
+@dataclass(frozen=True, eq=False)
+class Strategy:
+    """How one scene is traced.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    kind : Kind
+        The way of its rays.
+    windows : (K, 10) float64
+        Windows that stand in front of all spheres, from the camera on; none where walls stand otherwise.
+    in_blocks : bool
+        Whether nodes that are seen through spheres alone may be sought in blocks, behind `windows`: there are no
+        other walls, and every ray enters each window in the usual way, above the plane and not too much aslant.
+    """
+
+    scene: Scene
+    kind: Kind
+    windows: NDArray[np.float64]
+    in_blocks: bool
+
+    @cached_property
+    def camera(self) -> NDArray[np.float64]:
+        """Camera for the kernels (20,)."""
+        return pack_camera(self.scene.camera)
+
+    @cached_property
+    def world(self) -> World:
+        """Bodies for the kernels."""
+        return world_of(self.scene)
+
+    @property
+    def seeks(self) -> Kind:
+        """The way in which the inverse is sought: that of the rays, where that goes in blocks."""
+        return self.kind if self.in_blocks else Kind.MARCH
+
+    @cached_property
+    def chain(self) -> NDArray[np.float64]:
+        """Spheres (N, BALL) from the highest down, where the inverse is sought in lockstep; else none."""
+        return pack_chain(self.scene) if self.seeks is Kind.LOCKSTEP else NO_CHAIN
+
+    @cached_property
+    def balls(self) -> Balls:
+        """Solid spheres as bundles take them."""
+        return Balls(self.scene.sphere_table())
+
+    @property
+    def lone_window(self) -> NDArray[np.float64] | None:
+        """The only window (10,) before spheres in lockstep, if nothing in or behind it is thinner than before."""
+        if self.seeks is not Kind.LOCKSTEP or len(self.windows) != 1:
+            return None
+        return self.windows[0] if self.windows[0, [GLASS, BEHIND]].min() >= 1.0 else None
+
+    def trace(
+        self,
+        plane: NDArray[np.float64 | np.float32],
+        status: NDArray[np.uint8],
+        branch: Numbers,
+        most: int = MAX_EVENTS,
+    ) -> tuple[Numbers, Sequence[Branch]]:
+        """Trace every pixel of the sensor.
+
+        Parameters
+        ----------
+        plane, status, branch : arrays (H, W, 2), (H, W), (H, W)
+            What is written; `branch` only if its numbers are long enough.
+        most : int
+            Rays through more bodies than these need not be followed.
+
+        Returns
+        -------
+        tuple
+            Branch numbers (H, W), in `branch` if they fit, and the branches.
+        """
+        if self.kind is Kind.LOCKSTEP:
+            return branch, trace_lockstep(self.scene, plane, status, branch, windows=self.windows)
+        if self.kind is Kind.BUNDLES:
+            traced = trace_bed(self.scene, plane, status, branch, most, self.windows)
+            if traced is not None:
+                return traced
+        key = np.empty(status.shape, np.int64)
+        run_rows(
+            lambda first, last: trace_rows(self.camera, self.world, first, last, plane, status, key), len(status)
+        )
+        return number_keys(self.scene, key)
+
+
+def choose(scene: Scene) -> Strategy:
+    """Choose how a scene is traced.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+
+    Returns
+    -------
+    Strategy
+        The quickest way that serves it.
+    """
+    spheres, windows = scene.sphere_table(), windows_before(scene)
+    kind = Kind.MARCH
+    if windows is not None and spheres.shape[1] == SOLID and not scene.shapes():
+        clear = not spheres[:, OPAQUE].any() and bool((spheres[:, INDEX] >= 1.0).all())
+        kind = Kind.LOCKSTEP if clear and len(spheres) <= MAX_CHAIN else Kind.BUNDLES
+    open_room = scene.arrangement.is_one_room
+    in_blocks = open_room or (windows is not None and is_usual(scene, windows))
+    return Strategy(scene, kind, NO_WINDOWS if windows is None else windows, in_blocks)
+
+
+def windows_before(scene: Scene) -> NDArray[np.float64] | None:
+    """Rows (K, 10) of the windows from the camera on, if all spheres stand behind all of them; else None."""
+    tables = scene.other_tables()
+    if not tables:
+        return NO_WINDOWS
+    if len(tables) != 1 or not isinstance(tables[0], Windows):
+        return None
+    spheres = len(scene.sphere_table())
+    rooms, rows = scene.rooms(), tables[0].rows
+    room, order, homes = rooms.first, [], rooms.home[spheres:]
+    while len(here := np.flatnonzero(homes == room)) == 1:
+        order.append(int(here[0]))
+        room = int(rooms.inside[here[0]])
+    if rooms.first != OUTERMOST or len(order) != len(rows) or (rooms.home[:spheres] != room).any():
+        return None
+    return np.asarray(rows[order])
+
+
+def is_usual(scene: Scene, windows: NDArray[np.float64]) -> bool:
+    """Whether every ray enters each window (K, 10) above the plane and not too much aslant.
+
+    Asked of a grid of pixels, each for itself and a bit more.
+    """
+    width, height = scene.camera.sensor_px
+    pixels = np.stack(np.meshgrid(np.linspace(0, width - 1, 65), np.linspace(0, height - 1, 65)), axis=-1)
+    ray, place = scene.camera.directions(pixels), np.array(scene.camera.position_mm)
+    for row in windows:
+        normal, n, behind = row[3:6], row[7], row[8]
+        slope = -(ray @ normal)
+        entry = place + (((place - row[:3]) @ normal) / slope)[..., None] * ray
+        room = 1.0 - (1.0 - slope**2) / np.array((n, behind))[:, None, None] ** 2
+        if not (slope.min() > STEEPEST and room.min() > STEEPEST and entry[..., 2].min() > 3.0 * row[6]):
+            return False
+        ray = (ray + (slope - np.sqrt(behind**2 - 1.0 + slope**2))[..., None] * normal) / behind
+        place = entry - row[6] * normal
+    return True
