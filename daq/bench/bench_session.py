@@ -24,8 +24,8 @@ from typing import Self
 from daq.bench.bench_edit import Place, Value, changed, difference, replace_file
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import STAGES, Bench
+from daq.bench.guards import guard_of
 from daq.bench.opened import known_positions, open_bench
-from daq.bench.stage_kind import guard_of
 from daq.errors import RunUsageError
 from stages.axis import Arrival
 

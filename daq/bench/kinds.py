@@ -1,4 +1,4 @@
-"""Kinds of devices that a bench can hold: one file each, one line here.
+"""Kinds of devices that a bench can hold: one class each, one line in `KINDS`.
 
 A kind says what a bench file says of one such device and opens it.  The sections `stages` and `camera` of a bench
 file are the devices of these names; any more stand under `devices`, each with its `kind`:
@@ -10,20 +10,29 @@ A kind of another project is a dotted "package.module:Class".
 """
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from importlib import import_module
 from typing import Any, Protocol, cast
 
-from daq.bench.bench_table import Bench
+from daq.bench.bench_table import Bench, CameraSection, NamedCameraSection
+from daq.bench.guards import guard_of
+from daq.cameras import make_camera
+from daq.cameras.camera import Camera
+from daq.cameras.double_height import DoubleHeightCamera
 from daq.errors import RunUsageError
+from daq.timing.laser import Laser
+from daq.timing.opened import open_laser
+from daq.timing.timing_table import TimingTable
 from ground.config import Table
 from ground.named_program import named_program
 from stages.clock import Clock
+from stages.config import StagesTable
+from stages.stage import Stage
 
 KINDS = {
-    "stage": "daq.bench.stage_kind:StageKind",
-    "camera": "daq.bench.camera_kind:CameraKind",
-    "timing": "daq.bench.timing_kind:TimingKind",
+    "stage": "daq.bench.kinds:StageKind",
+    "camera": "daq.bench.kinds:CameraKind",
+    "timing": "daq.bench.kinds:TimingKind",
 }
 
 
@@ -71,3 +80,61 @@ def kind_of(name: str) -> Kind:
         return cast("Kind", kind())
     except (ImportError, AttributeError) as error:
         raise RunUsageError(f"the kind of device {name!r} cannot be loaded: {error}") from error
+
+
+class StageKind:
+    """The section `stages`."""
+
+    section = StagesTable
+    simulator = None  # the world carries things on its own axes
+
+    def open(self, section: StagesTable, bench: Bench, clock: Clock) -> AbstractContextManager[Stage]:
+        """Connect every controller; leaving stops what moves."""
+        return Stage.open(section.beside(bench.path.parent), clock, guard_of(bench))
+
+    def places(self, section: StagesTable) -> Iterator[str]:
+        """Ports of the controllers."""
+        for name, controller in section.controllers.items():
+            yield f"controller {name}: {controller.driver} on {controller.place}"
+
+
+class CameraKind:
+    """The section `camera`, and every further camera under `devices`."""
+
+    section = NamedCameraSection
+    simulator = None  # its eyes are the world's
+
+    @contextmanager
+    def open(self, section: CameraSection, bench: Bench, clock: Clock) -> Iterator[Camera]:
+        """Open it, not yet configured."""
+        camera = make_camera(section.backend, **section.options)
+        if section.pairs is not None and section.pairs.shape == "double_height":
+            camera = DoubleHeightCamera(camera)
+        try:
+            camera.open()
+            yield camera
+        finally:
+            camera.close()
+
+    def places(self, section: CameraSection) -> Iterator[str]:
+        """Producer or address."""
+        options = section.options
+        named = (("cti", "GenTL producer"), ("address", "GigE Vision at"), ("device_id", "USB3 Vision"))
+        where = [f"{words} {options[key]}" for key, words in named if key in options]
+        where += [f"{section.backend} {' '.join(str(value) for value in options.values())}"]
+        yield f"camera: {where[0]}"
+
+
+class TimingKind:
+    """A device of kind `timing`."""
+
+    section = TimingTable
+    simulator = "sim.timing_port:simulated_timing"
+
+    def open(self, section: TimingTable, bench: Bench, clock: Clock) -> AbstractContextManager[Laser]:
+        """Switch everything off and read it back; leaving does the same."""
+        return open_laser(section, clock)
+
+    def places(self, section: TimingTable) -> Iterator[str]:
+        """Port of the box."""
+        yield f"timing unit: {section.box} on {section.port}"

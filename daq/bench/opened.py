@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Protocol, cast
 
 from daq.bench.bench_table import CAMERA, STAGES, Bench, CameraSection
+from daq.bench.guards import idle_stage
 from daq.bench.kinds import kind_of
-from daq.bench.stage_kind import idle_stage
 from daq.cameras import BACKENDS, backend_class, require_libraries
 from daq.cameras.camera import Camera
 from daq.errors import PlanError

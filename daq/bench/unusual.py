@@ -7,7 +7,7 @@ axes that they stand for.
 from collections.abc import Iterator, Mapping
 
 from daq.bench.bench_table import GLASS, Bench
-from daq.bench.stage_kind import keep_out_of
+from daq.bench.guards import keep_out_of
 from ground.config import Place
 from ground.errors import Problem
 from ground.plain_words import slip

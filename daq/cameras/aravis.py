@@ -22,15 +22,21 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.cameras.aravis_nodes import AravisNodes
-from daq.cameras.aravis_stream import open_plain_stream, open_stream
-from daq.cameras.camera import CameraInfo, Counters, Setting
-from daq.cameras.camera_clock import CameraClock
+from daq.cameras.camera import PROBE_MIN_S, CameraInfo, Counters, Setting, wait_for_frame
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.gvcp_probe import is_controlled, local_address
-from daq.cameras.ids import IdTracker
-from daq.cameras.libaravis import CHECK_ENABLED, STATUS_SUCCESS, AravisError, call, functions
+from daq.cameras.ids import CameraClock, IdTracker
+from daq.cameras.libaravis import (
+    CHECK_ENABLED,
+    STATUS_SUCCESS,
+    AravisError,
+    AravisNodes,
+    call,
+    functions,
+    open_plain_stream,
+    open_stream,
+)
 from daq.cameras.pixels import unpack, warm_up
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import (
@@ -41,7 +47,6 @@ from daq.cameras.sfnc import (
     read_known,
     verify_settings,
 )
-from daq.cameras.waiting import PROBE_MIN_S, wait_for_frame
 from daq.errors import (
     BadFrame,
     CameraBusy,

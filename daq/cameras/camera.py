@@ -15,13 +15,18 @@ ignored_triggers   triggers that came while the camera was busy; None if the cam
 unused             frames that arrived whole and were not handed over: not fetched before the camera was
                    disarmed, or in contradiction to what they announced
 =================  ==================================================================================
+
+Waiting for a frame is the same for every backend: first for the frame, then for a sign of life.
 """
 
+import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from daq.cameras.frame import Frame
+from daq.errors import CameraTimeout, FrameIncomplete
 
 Setting = bool | int | float | str
 
@@ -190,3 +195,39 @@ class Camera(Protocol):
     def close(self) -> None:
         """Give the camera back; harmless when repeated or after a loss."""
         ...
+
+
+PROBE_MIN_S = 0.5
+
+
+def probe_s(timeout_s: float) -> float:
+    """How long a camera may take to answer after a frame did not come; a wait lasts half as long again at most."""
+    return max(PROBE_MIN_S, timeout_s / 2)
+
+
+def wait_for_frame(camera: Camera, timeout_s: float) -> Frame:
+    """Wait for the next complete frame; incomplete ones are left to the counters.
+
+    Raises
+    ------
+    CameraTimeout
+        None came, and the camera answers.
+    CameraLost
+        None came, and it does not.
+    """
+    deadline_s = time.monotonic() + timeout_s
+    while True:
+        try:
+            frame = camera.poll(max(0.0, deadline_s - time.monotonic()))
+        except FrameIncomplete:
+            continue
+        if frame is not None:
+            return frame
+        if time.monotonic() >= deadline_s:
+            break
+    camera.probe(probe_s(timeout_s))
+    with suppress(FrameIncomplete):
+        frame = camera.poll(0.0)  # the probe may have let a late one through
+        if frame is not None:
+            return frame
+    raise CameraTimeout(f"no frame within {timeout_s:g} s; the camera answers, so look at its trigger")

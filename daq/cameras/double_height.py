@@ -9,9 +9,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from daq.cameras.camera import Camera, CameraInfo, Counters, Setting
+from daq.cameras.camera import Camera, CameraInfo, Counters, Setting, wait_for_frame
 from daq.cameras.frame import Frame
-from daq.cameras.waiting import wait_for_frame
 from daq.errors import BadFrame
 
 

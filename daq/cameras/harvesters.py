@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any
 
 from daq.cameras import harvesters_process
-from daq.cameras.camera import CameraInfo, Counters, Setting
+from daq.cameras.camera import CameraInfo, Counters, Setting, wait_for_frame
 from daq.cameras.formats import pixel_format
 from daq.cameras.frame import Frame, FrameMeta
+from daq.cameras.harvesters_process import Message, raise_error, receive, send
 from daq.cameras.ids import IdTracker
 from daq.cameras.ring import FrameRing
-from daq.cameras.waiting import wait_for_frame
-from daq.cameras.wire import Message, raise_error, receive, send
 from daq.errors import BadFrame, CameraError, CameraLost, CameraSetupError, CameraUsageError, FrameIncomplete
 
 OPEN_S = 30.0  # a new Python process, numba, a producer that looks for cameras

@@ -8,24 +8,30 @@ frames for a request, so that a trigger does not find it waiting for nothing.
 
 Only a small part of Harvesters is used: add_file, update, create, node_map, start, raw fetch, stop.  Its own
 unpacking is not (slow, wrong for padded rows), nor its background thread (drops frames without counting).
+
+Complaints that mean nothing are kept away from the terminal: the genicam library writes a line for every GenTL
+function of the newest standard that a vendor's producer does not have.  None of them is used here; what else is
+written to standard error is passed on.
 """
 
+import os
 import signal
+import sys
+import tempfile
 import time
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
 from genicam import genapi, gentl
 from harvesters.core import Callback, Harvester, ImageAcquirer, ParameterKey, ParameterSet
 
-from daq.cameras import buffer_facts
 from daq.cameras.camera import Setting
-from daq.cameras.camera_clock import CameraClock
-from daq.cameras.genapi_nodes import GenApiNodes, one_line
-from daq.cameras.quiet import without_complaints
+from daq.cameras.genicam_objects import GenApiNodes, chunks_of, frame_id, image_of, one_line, timestamp_ns
+from daq.cameras.harvesters_process import Message, pack_error, receive, send
+from daq.cameras.ids import CameraClock
 from daq.cameras.ring import FrameRing
 from daq.cameras.sfnc import (
     apply_or_restore,
@@ -35,8 +41,28 @@ from daq.cameras.sfnc import (
     read_known,
     verify_settings,
 )
-from daq.cameras.wire import Message, pack_error, receive, send
 from daq.errors import BadFrame, CameraBusy, CameraError, CameraLost, CameraSetupError
+
+COMPLAINT = b"GenTL producer does not implement"
+
+
+@contextmanager
+def without_complaints() -> Iterator[None]:
+    """Hold standard error (the file descriptor, for C libraries) back, and pass on what is no such complaint."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    with tempfile.TemporaryFile() as held:
+        os.dup2(held.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            held.seek(0)
+            for line in held:
+                if not line.startswith(COMPLAINT):
+                    os.write(2, line)
+
 
 FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
 LOOK_S = 0.001  # the same where no frame is expected
@@ -245,7 +271,7 @@ class Worker:
         slot = self._free.popleft()
         message: Message
         try:
-            image = buffer_facts.image_of(buffer)
+            image = image_of(buffer)
             size = (image.form, image.width, image.height, image.padding_bytes)
             pixels = self._unpack(image.payload, *size, self._ring.slot(slot))
             message = {"frame": slot, "height": pixels.shape[0], "width": pixels.shape[1]}
@@ -254,13 +280,13 @@ class Worker:
             self._free.append(slot)
             message = {"bad_frame": str(error)}
         underrun = self._underrun()
-        told = buffer_facts.frame_id(buffer)
+        told = frame_id(buffer)
         # A producer that tells no ids hides what was lost on the link; what it counts itself still makes gaps.
         message["id"] = self._grabbed + self._incomplete.count + underrun if told is None else told
         message["id_told"] = told is not None
-        message["chunks"] = buffer_facts.chunks_of(buffer, self._nodes, self._chunks)
+        message["chunks"] = chunks_of(buffer, self._nodes, self._chunks)
         self._grabbed += 1
-        message |= {"timestamp_ns": buffer_facts.timestamp_ns(buffer), "received_ns": received_ns}
+        message |= {"timestamp_ns": timestamp_ns(buffer), "received_ns": received_ns}
         message |= {"exposure_us": self._exposure_us, "incomplete": self._incomplete.count}
         message["underrun"] = underrun
         buffer.parent.queue_buffer(buffer)

@@ -1,11 +1,19 @@
-"""Frame ids to a sequence without wraps, and the count of what is missing.
+"""What tells frames apart: ids as a sequence without wraps, the count of what is missing, the camera's clock.
 
 GigE Vision 1.x ids have 16 bits, never take 0 and go 65535 -> 1; GigE Vision 2 and USB3 ids have 64 bits.  An id
 need not start at 0 and is not reset by arming, so only differences mean anything.  Incomplete frames and
 underruns used up ids too, and are subtracted from the gaps so that nothing is counted twice.
+
+The clock that stamps frames is the camera's own.  SFNC 2 names the command `TimestampLatch` and its result
+`TimestampLatchValue` [ns].  GigE Vision cameras of SFNC 1 call them `GevTimestampControlLatch` and
+`GevTimestampValue`, in ticks of `GevTimestampTickFrequency` [Hz].  What is read is latched on the camera, so it is
+the time of the command, not that of the answer.
 """
 
 from dataclasses import dataclass, field
+
+from daq.cameras.camera import Setting
+from daq.cameras.sfnc import Nodes
 
 LONGEST_GAP = 1_000_000  # ids; a camera that jumps further has begun to count anew
 
@@ -64,3 +72,43 @@ class IdTracker:
             return new - old
         step = (new - old) % 0xFFFF  # 65535 values, 1 to 65535: the wrap skips 0
         return step if step < 0x8000 else step - 0xFFFF
+
+
+NEW = ("TimestampLatch", "TimestampLatchValue")
+OLD = ("GevTimestampControlLatch", "GevTimestampValue")
+OLD_TICKS_PER_S = "GevTimestampTickFrequency"
+
+
+class CameraClock:
+    """The clock of one open camera; which of the names it knows is looked up once.
+
+    Parameters
+    ----------
+    nodes : Nodes
+        Its features.
+    """
+
+    def __init__(self, nodes: Nodes) -> None:
+        self._ns_per_tick = 1.0
+        self._names: tuple[str, str] | None = None
+        for names in (NEW, OLD):
+            if nodes.can_execute(names[0]) and nodes.has(names[1]):
+                self._names = names
+                break
+        if self._names == OLD:
+            per_s = _positive(nodes.get(OLD_TICKS_PER_S)) if nodes.has(OLD_TICKS_PER_S) else 0
+            self._names = OLD if per_s else None
+            self._ns_per_tick = 1e9 / per_s if per_s else 1.0
+
+    def read_ns(self, nodes: Nodes) -> int | None:
+        """Time on the camera's clock now; None if it has none to be read."""
+        if self._names is None:
+            return None
+        latch, value = self._names
+        nodes.execute(latch)
+        ticks = _positive(nodes.get(value))
+        return ticks if self._ns_per_tick == 1.0 else round(ticks * self._ns_per_tick)
+
+
+def _positive(value: Setting) -> int:
+    return max(0, int(value))

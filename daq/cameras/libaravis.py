@@ -1,12 +1,25 @@
-"""The few dozen functions of libaravis-0.8 that the Aravis backend needs, by ctypes.
+"""libaravis-0.8 by ctypes: the few dozen functions that the backend needs, a camera's features, and its stream.
 
 ctypes needs no compiler, no GObject introspection and works on every Python; it also gives Python's lock away
 during each call.  The library is LGPL and is loaded as the system installed it
 (Debian, Ubuntu: ``apt-get install libaravis-0.8-0``).
+
+A stream has to be one that has heard nobody but its own camera.  Where it may (capability CAP_NET_RAW), libaravis
+reads packets from a raw socket with a ring of 32 MB, which loses far less than a plain one.  It binds that socket
+first and attaches the filter for its camera's address after, so whatever crosses the interface in between is taken
+for the camera's: the foreign packet's block id becomes the last id seen, and the camera's own frames are dropped
+as late ones, for as long as the stream lives and without an error (libaravis 0.8.26 to 0.8.36, `_ring_buffer_loop`
+and `_find_frame_data` of arvgvstream.c).
+
+Before the acquisition starts our camera sends nothing, so a stream that has received a packet by then is spoilt
+and is opened anew.  The ring hands a packet on within 5 ms (`tp_retire_blk_tov`); after SETTLE_S it was counted.
+Where an interface is so busy that it goes wrong again and again, a plain socket, which the kernel filters from
+its first packet on, takes its place.
 """
 
 import ctypes
 import ctypes.util
+import time
 from ctypes import (
     POINTER,
     Structure,
@@ -23,7 +36,8 @@ from ctypes import (
 from functools import cache
 from typing import Any
 
-from daq.errors import CameraError, CameraSetupError
+from daq.cameras.camera import Setting
+from daq.errors import CameraError, CameraSetupError, SettingRefused
 
 LIBRARY = "libaravis-0.8.so.0"
 STATUS_SUCCESS = 0
@@ -147,3 +161,134 @@ def strings(name: str, *arguments: Any) -> list[str]:  # noqa: ANN401
     if array:
         call("g_free", ctypes.cast(array, c_void_p))
     return values
+
+
+SETTLE_S = 0.015
+RAW_ATTEMPTS = 4
+NO_OPTION, PLAIN_SOCKET = 0, 1  # ArvGvStreamOption
+
+
+def open_stream(device: int) -> int:
+    """Address of a new ArvStream of this ArvGvDevice; no buffer is in it, and no packet was."""
+    for _ in range(RAW_ATTEMPTS):
+        stream = int(call("arv_device_create_stream", device, None, None))
+        time.sleep(SETTLE_S)
+        if not call("arv_stream_get_info_uint64_by_name", stream, b"n_received_packets"):
+            return stream
+        call("g_object_unref", stream)
+    call("arv_gv_device_set_stream_options", device, PLAIN_SOCKET)
+    try:
+        return int(call("arv_device_create_stream", device, None, None))
+    finally:
+        call("arv_gv_device_set_stream_options", device, NO_OPTION)
+
+
+def open_plain_stream(device: int) -> int:
+    """Address of a new ArvStream of a device that sends no packets over a network."""
+    return int(call("arv_device_create_stream", device, None, None))
+
+
+INTEGERS = {"Integer", "IntReg", "MaskedIntReg", "IntSwissKnife", "IntConverter"}
+FLOATS = {"Float", "FloatReg", "SwissKnife", "Converter"}
+TEXTS = {"String", "StringReg", "Enumeration"}
+MAX_DEPTH = 20
+
+
+class AravisNodes:
+    """Features of one open device.
+
+    Parameters
+    ----------
+    device : int
+        Pointer of the ArvDevice.
+    """
+
+    def __init__(self, device: int) -> None:
+        self._device = device
+
+    def names(self) -> list[str]:
+        """Every feature below Root that has a value."""
+        found: list[str] = []
+        self._collect("Root", found, MAX_DEPTH)
+        return found
+
+    def has(self, name: str) -> bool:
+        """Whether the feature exists and is available now."""
+        if self._kind(name) is None:
+            return False
+        try:
+            return bool(call("arv_device_is_feature_available", self._device, name.encode()))
+        except AravisError:
+            return False
+
+    def get(self, name: str) -> Setting:
+        """Value of a feature, read from the camera.
+
+        Raises
+        ------
+        CameraError
+            There is no such feature, it has no value (a command, a category), or it cannot be read now.
+        """
+        kind, key = self._kind(name), name.encode()
+        if kind in INTEGERS:
+            return int(call("arv_device_get_integer_feature_value", self._device, key))
+        if kind in FLOATS:
+            return float(call("arv_device_get_float_feature_value", self._device, key))
+        if kind == "Boolean":
+            return bool(call("arv_device_get_boolean_feature_value", self._device, key))
+        if kind in TEXTS:
+            text = call("arv_device_get_string_feature_value", self._device, key)
+            return text.decode("utf-8", "replace") if text else ""
+        raise CameraError(f"{name} is a {kind} and has no value")
+
+    def is_float(self, name: str) -> bool:
+        """Whether a feature is a number with a fraction."""
+        return self._kind(name) in FLOATS
+
+    def set(self, name: str, value: Setting) -> None:
+        """Write a feature; SettingRefused if the camera or its description forbids it."""
+        kind, key = self._kind(name), name.encode()
+        try:
+            if kind in INTEGERS and isinstance(value, int):
+                call("arv_device_set_integer_feature_value", self._device, key, value)
+            elif kind in FLOATS and isinstance(value, int | float):
+                call("arv_device_set_float_feature_value", self._device, key, float(value))
+            elif kind == "Boolean" and isinstance(value, bool):
+                call("arv_device_set_boolean_feature_value", self._device, key, int(value))
+            elif kind in TEXTS and isinstance(value, str):
+                call("arv_device_set_string_feature_value", self._device, key, value.encode())
+            else:
+                raise SettingRefused(f"{name} = {value!r} does not fit a feature of the kind {kind}")
+        except (AravisError, ctypes.ArgumentError) as error:
+            raise SettingRefused(f"{name} = {value!r} is refused: {error}") from error
+
+    def entries(self, name: str) -> list[str]:
+        """Available entries of an enumeration."""
+        return strings(
+            "arv_device_dup_available_enumeration_feature_values_as_strings", self._device, name.encode()
+        )
+
+    def can_execute(self, name: str) -> bool:
+        """Whether the command exists and is available now."""
+        return self._kind(name) == "Command" and self.has(name)
+
+    def execute(self, name: str) -> None:
+        """Execute a command."""
+        call("arv_device_execute_command", self._device, name.encode())
+
+    def _kind(self, name: str) -> str | None:
+        node = call("arv_device_get_feature", self._device, name.encode())
+        return call("arv_dom_node_get_node_name", node).decode() if node else None
+
+    def _collect(self, category: str, found: list[str], depth: int) -> None:
+        node = call("arv_device_get_feature", self._device, category.encode())
+        item = call("arv_gc_category_get_features", node) if node and depth else None
+        while item:
+            entry = ctypes.cast(c_void_p(item), POINTER(GSList)).contents
+            name = (ctypes.cast(entry.data, c_char_p).value or b"").decode("utf-8", "replace")
+            kind = self._kind(name)
+            if kind == "Category":
+                self._collect(name, found, depth - 1)
+            elif kind in INTEGERS | FLOATS | TEXTS | {"Boolean"} and name not in found:
+                found.append(name)
+            item = entry.next

@@ -6,7 +6,7 @@ A name is a path that can be read by itself, in any process (`named_frame`):
     stack.tif@25             a page of a TIFF, 1 first
     data.nxs@/entry/data@24  an image of a data set, 0 first
 
-A kind of source is one file with a class that has what `FrameSource` asks for, and one line in `KINDS`.
+A kind of source is one class that has what `FrameSource` asks for, and one line in `KINDS`.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from piv.errors import PairError
 
 KINDS = (  # the first that takes a name
     "daq.frames.numbered_files:NumberedFiles",
-    "daq.frames.frame_folder:FrameFolder",
+    "daq.frames.numbered_files:FrameFolder",
     "daq.frames.tiff_pages:TiffPages",
     "daq.frames.hdf5_stack:Hdf5Stack",
 )

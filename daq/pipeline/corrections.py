@@ -2,7 +2,8 @@
 
 The place of camera and glass is that of the plan (the scene file's): their axes arrive within their tolerance, and
 a map for every micrometre would be another map for every frame.  The target's place does not matter while it lies
-in the investigation plane; frames of a target off the plane are not corrected.
+in the investigation plane; frames of a target off the plane are not corrected.  What was not
+corrected while the frames arrived is corrected from the disk.
 """
 
 from collections.abc import Iterable
@@ -20,6 +21,8 @@ from correction.node_status import MEANING
 from daq.errors import DiskError
 from daq.pipeline.priority import lower_priority
 from daq.plans.steps import CLEAR, Step
+from daq.runs.acquired import read_acquired
+from daq.runs.run_folder import RunFolder
 from daq.whole_text import why
 from piv.files.frame_file import write_frame
 from piv.resampling.sample import Method
@@ -100,3 +103,31 @@ class Corrections:
             prepared.corrector(np.zeros(scene.camera.shape, np.uint16))  # compiled and warm before the first frame
             self._prepared[view] = prepared
         return self._prepared[view]
+
+
+def uncorrected(folder: RunFolder, corrections: Corrections, steps: Iterable[Step]) -> list[tuple[Step, int]]:
+    """Return the frames (step, number) that are to be corrected and have no corrected file yet."""
+    return [
+        (step, number)
+        for step in steps
+        if corrections.of(step) is not None
+        for number in step.numbers
+        if folder.frame_path(number).exists() and not folder.corrected_path(number).exists()
+    ]
+
+
+def correct_from_disk(folder: RunFolder, corrections: Corrections, step: Step, number: int) -> None:
+    """Correct one raw frame of a run.
+
+    Raises
+    ------
+    FrameDamaged, RunDamaged
+        The raw frame is not what the journal has acknowledged.
+    DiskError
+        The disk takes no corrected one.
+    """
+    corrector = corrections.of(step)
+    assert corrector is not None
+    source = folder.frame_path(number)
+    pixels = read_acquired(source)
+    corrections.write(folder.corrected_path(number), corrector(pixels), step, source.name)

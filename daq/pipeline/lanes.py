@@ -3,7 +3,7 @@
     next_frame -> submit --> raw lane:  checksum, TIFF, fsync, rename, journal
                         `-> live lane: correct  -> store lane: corrected TIFF
                                                `-> vectors of the last pair (`live_pairs`)
-                               `-> whoever looks (`show_lane`)
+                               `-> whoever looks (`ShowLane`)
 
 A frame stays in the camera's shared memory until both lanes are through with it; nobody copies it.
 
@@ -11,17 +11,24 @@ A frame stays in the camera's shared memory until both lanes are through with it
   lanes run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
 * The raw queue is bounded, below the number of the camera's buffers.  When the disk is slower than the camera,
   `submit` waits: a software-triggered run slows down.  A stream cannot wait: the camera runs out of buffers,
-  counts that, and the run ends with that reason.  A disk that does not move for `PATIENCE_S` ends the run as well.
+  counts that, and the run ends with that reason.  A disk that does not move for
+  `DISK_TIMEOUT_S` ends the run as well.
 * The live queue leaves its OLDEST frames out when new ones come, a pair as a whole (`live_queue`): what is shown
   is recent, and what was skipped is counted.  Skipped frames are corrected from the disk when the run is over.
 
 Latency is taken from the moment the frame was complete (`received_ns`) to the moment its corrected pixels exist.
+
+The last frame is shown to whoever looks by a thread of low priority, for which no other lane waits.  One frame
+lies in a tray until the thread takes it; a newer one takes its place. So at most two buffers of the camera are
+held for it, the one in the tray and the one that is being shown. What goes wrong in showing is said once and ends
+the showing: the run goes on.
 """
 
 import math
 import queue
 import threading
 import time
+import warnings
 from contextlib import suppress
 from typing import Any
 
@@ -35,12 +42,75 @@ from daq.pipeline.job import Job, SharedJob, Show
 from daq.pipeline.live_pairs import LivePairs
 from daq.pipeline.live_queue import LiveQueue
 from daq.pipeline.priority import lower_priority
-from daq.pipeline.show_lane import ShowLane
 from daq.runs.journal import Journal
 from daq.runs.raw_frame import checksum, write_raw
 from daq.runs.run_folder import RunFolder
 
-PATIENCE_S = 30.0
+SHOWN_WITHIN_S = 10.0
+
+
+class ShowLane:
+    """Shows the last frame.
+
+    Parameters
+    ----------
+    show : callable
+        Called with a frame and its correction, or None instead of it.
+    """
+
+    def __init__(self, show: Show) -> None:
+        self._show_to = show
+        self._tray: tuple[SharedJob, NDArray[np.float32] | None] | None = None
+        self._wake = threading.Condition()
+        self._ends = False
+        self._thread = threading.Thread(target=self._work, name="show lane", daemon=True)
+        self._thread.start()
+
+    def offer(self, shared: SharedJob, corrected: NDArray[np.float32] | None) -> None:
+        """Lay a frame into the tray; nobody may write into its correction any more."""
+        with self._wake:
+            if self._ends:
+                return
+            shared.hold()
+            older, self._tray = self._tray, (shared, corrected)
+            self._wake.notify()
+        if older is not None:
+            older[0].let_go()
+
+    def close(self) -> None:
+        """End; what lies in the tray is still shown."""
+        with self._wake:
+            self._ends = True
+            self._wake.notify()
+        self._thread.join(SHOWN_WITHIN_S)
+
+    def _work(self) -> None:
+        lower_priority(2)
+        try:
+            while (taken := self._taken()) is not None:
+                shared, corrected = taken
+                try:
+                    self._show_to(shared.job, corrected)
+                finally:
+                    shared.let_go()
+                del taken, shared, corrected  # memory that is large
+        except Exception as error:
+            with self._wake:
+                self._ends, left, self._tray = True, self._tray, None
+            if left is not None:
+                left[0].let_go()
+            warnings.warn(f"the live page shows nothing any more: {error!r}", RuntimeWarning, stacklevel=1)
+
+    def _taken(self) -> tuple[SharedJob, NDArray[np.float32] | None] | None:
+        """What lies in the tray, waited for; None when that was all."""
+        with self._wake:
+            while self._tray is None and not self._ends:
+                self._wake.wait()
+            taken, self._tray = self._tray, None
+            return taken
+
+
+DISK_TIMEOUT_S = 30.0
 RAW_QUEUE = 8
 RAW_WRITERS = 2
 RAW_FIRST = 2  # raw frames waiting from which on the live lane gets nothing
@@ -111,7 +181,7 @@ class Pipeline:
         Raises
         ------
         DiskError
-            The raw lane has failed, or has not moved for `PATIENCE_S`.
+            The raw lane has failed, or has not moved for `DISK_TIMEOUT_S`.
         """
         is_live = self._is_live(job)
         shared = SharedJob(job, 2 if is_live else 1)
@@ -134,8 +204,10 @@ class Pipeline:
             self._raise()
             if self.flow.written != moved:
                 moved, since_s = self.flow.written, time.monotonic()
-            if time.monotonic() - since_s > PATIENCE_S:
-                raise DiskError(f"the disk has taken no frame for {PATIENCE_S:g} s; mend it, then resume the run")
+            if time.monotonic() - since_s > DISK_TIMEOUT_S:
+                raise DiskError(
+                    f"the disk has taken no frame for {DISK_TIMEOUT_S:g} s; mend it, then resume the run"
+                )
             time.sleep(0.001)
         self._raise()
 
@@ -145,10 +217,10 @@ class Pipeline:
             self._let_all_go()
         with suppress(queue.Full):
             for _ in range(RAW_WRITERS):
-                self._raw.put(None, timeout=PATIENCE_S)
+                self._raw.put(None, timeout=DISK_TIMEOUT_S)
         self._live.end()
         for thread in self._threads:
-            thread.join(PATIENCE_S)
+            thread.join(DISK_TIMEOUT_S)
         if self._pairs is not None:
             self._pairs.close()
         if self._show_lane is not None:
@@ -165,8 +237,8 @@ class Pipeline:
                 self._raw.put(shared, timeout=0.1)
                 return
             except queue.Full:
-                if time.monotonic() - begun_s > PATIENCE_S:
-                    text = f"the disk has taken no frame for {PATIENCE_S:g} s; mend it, then resume the run"
+                if time.monotonic() - begun_s > DISK_TIMEOUT_S:
+                    text = f"the disk has taken no frame for {DISK_TIMEOUT_S:g} s; mend it, then resume the run"
                     raise DiskError(text) from None
 
     def _show(self, shared: SharedJob) -> None:

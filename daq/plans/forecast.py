@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from daq.bench.bench_table import Bench, trigger_is_software
+from daq.bench.guards import sheet_clearance_mm
 from daq.bench.opened import simulation_class
-from daq.bench.sheet_clearance import sheet_clearance_mm
 from daq.cameras.camera import Setting
 from daq.plans.link_budget import link_excess, link_said
 from daq.plans.steps import Step, frame_count, route

@@ -1,20 +1,32 @@
 """plan.yaml -> a frozen plan -> a flat list of steps; nothing moves and nothing is open.
 
-A plan file names its experiment; see ``plans.experiments`` for the keys of each.
+A plan file names its experiment; see ``plans.experiments`` for the keys of each.  Experiments are one file each
+and one line in `EXPERIMENTS`.  An experiment is a `PlanTable`: its keys in the plan file, and `poses`, a pure
+function of bench and file that says what is to be photographed.  What a plan may ask and hardly ever does is asked
+back, each question with its line (`plan_questions`; see `tracer.scene.unusual`).
 """
 
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from daq.bench.bench_table import CAMERA, DIRECTIONS, GLASS, TARGET, Bench
 from daq.errors import PlanError
-from daq.plans.experiments_by_name import EXPERIMENTS, plan_table
 from daq.plans.plan_table import PlanTable, Pose
 from daq.plans.steps import CLEAR, Step, steps_hash
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError, Problem
 from ground.plain_words import near
+from ground.usual import unusual
 
+EXPERIMENTS = {
+    "target": "daq.plans.experiments.target:TargetPlan",
+    "shift": "daq.plans.experiments.shift:ShiftPlan",
+    "stream": "daq.plans.experiments.stream:StreamPlan",
+    "focus": "daq.plans.experiments.focus:FocusPlan",
+    "align": "daq.plans.experiments.align:AlignPlan",
+    "flow": "daq.plans.experiments.flow:FlowPlan",
+}
 ON_PLANE_MM = 1e-9
 
 
@@ -143,3 +155,17 @@ def _axis(bench: Bench, element: str, direction: str, tag: str) -> str:
     if not found:
         raise PlanError(f"{tag}: no axis moves the {element} along {direction}")
     return found[0]
+
+
+def plan_questions(plan: Plan, bench: Bench) -> list[str]:
+    """Ask about what is unusual in a plan file on its bench: questions with file and line."""
+    asked = unusual(plan.document, plan.table)
+    asked += [Problem(plan.document.line(place), text) for place, text in plan.table.questions(bench, plan.steps)]
+    return [f"{plan.path}:{one.line}: {one.text}" for one in sorted(asked, key=lambda one: one.line)]
+
+
+def plan_table(experiment: str) -> type[PlanTable]:
+    """Class of an experiment; KeyError if there is no line for it."""
+    module, _, name = EXPERIMENTS[experiment].partition(":")
+    found: type[PlanTable] = getattr(import_module(module), name)
+    return found

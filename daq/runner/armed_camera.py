@@ -9,9 +9,8 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from daq.bench.bench_table import CameraSection, trigger_is_software
-from daq.cameras.camera import Camera, Counters, Setting
+from daq.cameras.camera import Camera, Counters, Setting, probe_s
 from daq.cameras.frame import Frame, FrameMeta
-from daq.cameras.waiting import probe_s
 from daq.errors import (
     BadFrame,
     CameraError,

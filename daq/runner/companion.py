@@ -13,8 +13,7 @@ from typing import Any
 from daq.bench.bench_table import CAMERA
 from daq.bench.opened import OpenBench
 from daq.errors import ResumeRefused
-from daq.pipeline.catch_up import correct_from_disk, uncorrected
-from daq.pipeline.corrections import Corrections
+from daq.pipeline.corrections import Corrections, correct_from_disk, uncorrected
 from daq.pipeline.lanes import Pipeline
 from daq.plans.link_budget import require_link
 from daq.plans.pulse_order import pairs_section

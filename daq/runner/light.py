@@ -10,8 +10,8 @@ from contextlib import suppress
 from itertools import cycle
 from typing import Protocol, cast
 
+from daq.bench.guards import sheet_clearance_mm
 from daq.bench.opened import OpenBench, known_positions
-from daq.bench.sheet_clearance import sheet_clearance_mm
 from daq.cameras.camera import Setting
 from daq.errors import DaqError, PlanError, RunInterrupted, RunUsageError
 from daq.plans.pulse_order import PulseOrder, check_marker, pair_exposures, pairs_section

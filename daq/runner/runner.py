@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 from daq.bench.bench_table import CAMERA
 from daq.bench.opened import OpenBench, known_positions
 from daq.errors import BadBalance, PlanError, ResumeRefused, RunInterrupted
-from daq.pipeline.catch_up import correct_from_disk, uncorrected
-from daq.pipeline.corrections import Corrections
+from daq.pipeline.corrections import Corrections, correct_from_disk, uncorrected
 from daq.pipeline.job import Show
 from daq.pipeline.lanes import LIVE_QUEUE, Pipeline
 from daq.pipeline.live_pairs import warm_up

@@ -8,8 +8,7 @@ from collections.abc import Container
 from dataclasses import dataclass
 
 from daq.timing.errors import PulsesRefused
-from daq.timing.laser_head import TRIGGER_US, LaserHead
-from daq.timing.pulses import LAMPS, Q_SWITCHES, Pulse, Role, Schedule
+from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, Pulse, Role, Schedule
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,10 +2,13 @@
 
 A condition that nobody states is not met: every field is False, zero or None by default. The laser asks for a new
 statement all the time while it fires, and goes off when one of them no longer holds, or when no statement comes.
+
+`Rules` are what a laboratory asks beyond what the laser can do.
 """
 
 from dataclasses import dataclass
 
+from daq.timing.alignment import AlignRules
 from daq.timing.pulses import PairExposures, Schedule
 
 CLEAR_MM = 4.0  # of the sheet, where the bench file says nothing else
@@ -86,3 +89,31 @@ def exposure_problem(schedule: Schedule, exposures: PairExposures, dark_us: floa
     if dark_us is not None and exposures.exposure_b_us > dark_us:
         return f"exposure B of {exposures.exposure_b_us:g} us is longer than the {dark_us:g} us of a dark room"
     return None
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """What the laboratory asks for beyond what the laser can do.
+
+    Parameters
+    ----------
+    warmup_s : float
+        How long lamps run before the first pulse.
+    chunk_s : float
+        Longest burst.
+    clear_mm : float
+        What must be free on either side of the sheet.
+    dark_us : float or None
+        Longest exposure B for which the room is dark enough; None if that is no matter.
+    uncounted : bool
+        Whether a box that cannot count may fire.
+    align : AlignRules or None
+        None if there is no alignment mode.
+    """
+
+    warmup_s: float = 600.0
+    chunk_s: float = 10.0
+    clear_mm: float = CLEAR_MM
+    dark_us: float | None = None
+    uncounted: bool = False
+    align: AlignRules | None = None

@@ -11,12 +11,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from daq.timing.box import UNREADABLE, TimingBox
-from daq.timing.conditions import Conditions
+from daq.timing.conditions import Conditions, Rules
 from daq.timing.errors import LaserDoubt, LaserStopped, NotNow, TimingUsageError
 from daq.timing.pulses import PairExposures, Schedule
-from daq.timing.rules import Rules
-from daq.timing.standing import Movers, Standing
-from daq.timing.states import EMITS, Event, LaserState
+from daq.timing.states import EMITS, Event, LaserState, Movers, Standing
 from stages.clock import Clock
 from stages.errors import StageError
 

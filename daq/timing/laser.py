@@ -20,12 +20,19 @@ import math
 
 from daq.timing.alignment import weak_burst
 from daq.timing.box import TimingBox
-from daq.timing.conditions import Conditions, exposure_problem
+from daq.timing.conditions import Conditions, Rules, exposure_problem
 from daq.timing.darkness import Darkness
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
-from daq.timing.laser_head import TRIGGER_US, LaserHead
-from daq.timing.pulses import LAMPS, PairExposures, Pulse, PulseTiming, Schedule, schedule_of
-from daq.timing.rules import Rules
+from daq.timing.pulses import (
+    LAMPS,
+    TRIGGER_US,
+    LaserHead,
+    PairExposures,
+    Pulse,
+    PulseTiming,
+    Schedule,
+    schedule_of,
+)
 from daq.timing.states import Event, LaserState
 from stages.clock import SYSTEM_CLOCK, Clock
 

@@ -15,9 +15,23 @@ OFF (a person asked for it; everything was written off and reads back as off) le
 (a stop, a lost condition, a lost link, an answer that does not fit) leads from every state to UNKNOWN: off has
 been said, and nobody has confirmed it. STILL (it reads back as off) makes that a FAULT, which a person has to
 look at. A laser without lamps is warm at once.
+
+`Standing` is what may be asked of a laser now, for several threads: its state, why it is in doubt, the operator's
+word.  Every verb of a laser requires a state and enters another one; what a stop
+from another thread has made of the state meanwhile wins over what the verb would have made of it.  What can move
+on the bench is kept still from arming until the light reads back as off.
 """
 
+import math
+import secrets
+import threading
+from collections.abc import Callable
 from enum import Enum
+from typing import Protocol
+
+from daq.timing.errors import LaserStopped, NotArmed, NotNow
+from stages.clock import Clock
+from stages.stop_latch import StopLatch
 
 
 class LaserState(Enum):
@@ -75,3 +89,128 @@ def after(state: LaserState, event: Event) -> LaserState:
         return NEXT[state][event]
     except KeyError:
         raise ValueError(f"a laser that is {state.value} cannot meet this: {event.value}") from None
+
+
+_WAYS = {
+    LaserState.UNKNOWN: "its state is unknown; only safe() is allowed",
+    LaserState.FAULT: "look at it, then safe()",
+    LaserState.SAFE: "warm() comes first",
+    LaserState.WARM: "its lamps still warm up",
+    LaserState.READY: "set() and arm() come first",
+    LaserState.ARMED: "fire() or disarm()",
+    LaserState.FIRING: "wait() or stop()",
+    LaserState.ALIGNING: "end it with safe()",
+}
+
+
+class Movers(Protocol):
+    """What can move on the bench; `stages.stage.Stage` is one."""
+
+    def bar_motion(self, why: Callable[[], str | None]) -> None:
+        """Ask before anything moves; a sentence as the answer refuses the motion."""
+        ...
+
+    def what_moves(self) -> str | None:
+        """Say what moves or is about to, as part of a sentence."""
+        ...
+
+
+class Standing:
+    """How a laser stands; safe for several threads.
+
+    Parameters
+    ----------
+    name : str
+        The laser's, for messages.
+    latch : StopLatch
+        What switches it off.
+    clock : Clock
+        Clock of its warm-up.
+    """
+
+    def __init__(self, name: str, latch: StopLatch, clock: Clock) -> None:
+        self.name = name
+        self.why = "it has not been looked at yet"  # of the last time that it went into doubt
+        self.challenge = ""  # the word to be typed
+        self.heated_s = math.inf  # when the lamps have run for long enough
+        self._latch = latch
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._state = LaserState.UNKNOWN
+        self._movers: list[Movers] = []
+
+    @property
+    def state(self) -> LaserState:
+        """What may be asked now; WARM becomes READY by the clock."""
+        with self._lock:
+            if self._state is LaserState.WARM and self._clock.now_s() >= self.heated_s:
+                self._state = after(self._state, Event.HEATED)
+            return self._state
+
+    @property
+    def emits(self) -> bool:
+        """Whether light is meant to leave now; asks no lock, so a signal handler may ask it."""
+        return self._state in EMITS
+
+    # ---- verbs ---------------------------------------------------------------------------------
+
+    def require(self, wanted: LaserState) -> None:
+        """Raise NotNow, with the way, in any other state."""
+        if (state := self.state) is not wanted:
+            raise NotNow(f"{self.name} is {state.value}, not {wanted.value}: {_WAYS[state]} ({self.why})")
+
+    def token(self) -> int:
+        """Return what bytes that switch on have to show; LaserStopped while a stop holds."""
+        if self._latch.held:
+            raise LaserStopped(f"{self.name} is held: {self.why}; look at it, then safe()")
+        return self._latch.count
+
+    def enter(self, event: Event) -> None:
+        """Go on by the table; what a stop has made of the state meanwhile wins."""
+        with self._lock:
+            try:
+                self._state = after(self._state, event)
+            except ValueError as error:
+                if self._latch.held:
+                    raise LaserStopped(f"{self.name} was switched off: {self.why}") from None
+                raise NotNow(f"{self.name}: {error}") from None
+
+    def doubt(self, why: str) -> None:
+        """Nobody knows any more; the first reason stays."""
+        with self._lock:
+            if self._state is not LaserState.UNKNOWN:
+                self.why = why
+            self._state = after(self._state, Event.BAD)
+            self.challenge = ""
+
+    # ---- the word ------------------------------------------------------------------------------
+
+    def ask_anew(self) -> None:
+        """Make another word up, so that no plan, script or habit can hold it."""
+        self.challenge = str(1000 + secrets.randbelow(9000))
+        self.heated_s = math.inf
+
+    def require_word(self, word: str) -> None:
+        """Raise NotArmed unless it is the one that is asked for."""
+        if not self.challenge or not secrets.compare_digest(word.strip().encode(), self.challenge.encode()):
+            raise NotArmed(f"{self.name} is not armed: type the word that it asks for ({self.challenge})")
+
+    # ---- beside what moves -----------------------------------------------------------------------
+
+    def keep_still(self, movers: Movers) -> None:
+        """Let nothing of `movers` move while light may leave, and no light leave while something of it moves."""
+        self._movers.append(movers)
+        movers.bar_motion(self.objection)
+
+    def objection(self) -> str | None:
+        """Say why nothing may move now, as a sentence; asks no lock, so any thread may ask it."""
+        state = self._state
+        if state is LaserState.UNKNOWN:
+            return f"it is unknown whether {self.name} is off; say safe(), or rtpiv laser off"
+        if state in BARS_MOTION:
+            return f"{self.name} is {state.value}; let it end, or switch it off first"
+        return None
+
+    def what_moves(self) -> str | None:
+        """Say what moves or is about to, as part of a sentence; None if nothing does."""
+        return next(filter(None, (movers.what_moves() for movers in self._movers)), None)

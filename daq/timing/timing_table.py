@@ -5,11 +5,9 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from daq.timing.alignment import AlignRules
-from daq.timing.conditions import CLEAR_MM
+from daq.timing.conditions import CLEAR_MM, Rules
 from daq.timing.drivers_by_name import DRIVERS
-from daq.timing.laser_head import TRIGGER_US, LaserHead
-from daq.timing.pulses import LAMPS, Q_SWITCHES, PairExposures, Role
-from daq.timing.rules import Rules
+from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
 from ground.config import Pair, Table
 from ground.usual import Usual
 

@@ -11,8 +11,8 @@ from rich.table import Table
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench, Vector
+from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices
-from daq.bench.stage_kind import idle_stage
 from daq.cameras import require_libraries
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.pipeline.lanes import LIVE_QUEUE

@@ -6,13 +6,12 @@ from pathlib import Path
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
+from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, check_simulation
-from daq.bench.stage_kind import idle_stage
 from daq.bench.unusual import bench_questions
 from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
-from daq.plans.plan import load_plan, read_plan
+from daq.plans.plan import load_plan, plan_questions, read_plan
 from daq.plans.plan_table import px_per_mm
-from daq.plans.unusual import plan_questions
 from daq.plans.way_out import forecast_from_home
 from daq.runner.session import MAPS
 from daq.runs.run_check import RunCheck, check_run

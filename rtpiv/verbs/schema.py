@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.bench.bench_table import BenchTable
-from daq.plans.experiments_by_name import EXPERIMENTS, plan_table
+from daq.plans.plan import EXPERIMENTS, plan_table
 from daq.whole_text import write_text
 from ground.terminal import console
 from rtpiv.verbs.output import require_folder

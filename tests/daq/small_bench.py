@@ -9,8 +9,8 @@ import tifffile
 import yaml
 
 from daq.bench.bench_file import load_bench
+from daq.bench.guards import guard_of
 from daq.bench.opened import OpenBench, start_simulation
-from daq.bench.stage_kind import guard_of
 from daq.cameras.files import FilesCamera
 from daq.plans.plan import load_plan
 from stages.stage import Stage

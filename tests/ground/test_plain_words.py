@@ -4,7 +4,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from daq.bench.bench_table import BenchTable
-from daq.plans.experiments_by_name import EXPERIMENTS, plan_table
+from daq.plans.plan import EXPERIMENTS, plan_table
 from ground import plain_words
 from ground.config import Document, open_document, validate
 from ground.errors import ConfigError

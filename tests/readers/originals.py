@@ -15,7 +15,7 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import grid_of
 from correction.maps.correction_map import CorrectionMap, build_correction_map
 from daq.bench.bench_file import load_bench
-from daq.bench.stage_kind import idle_stage
+from daq.bench.guards import idle_stage
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
 from daq.runs.acquired import read_acquired

@@ -7,7 +7,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from daq.bench.bench_table import BenchTable
-from daq.plans.experiments_by_name import EXPERIMENTS, plan_table
+from daq.plans.plan import EXPERIMENTS, plan_table
 from daq.runs.displacement import Moved
 from daq.runs.done_file import DoneFile
 from daq.runs.journal_lines import Line

@@ -19,13 +19,11 @@ from typing import ClassVar
 
 from daq.errors import DaqError
 from daq.timing.alignment import AlignRules
-from daq.timing.conditions import Conditions
+from daq.timing.conditions import Conditions, Rules
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
 from daq.timing.laser import Laser
-from daq.timing.laser_head import LaserHead
-from daq.timing.pulses import Q_SWITCHES, PairExposures, PulseTiming, Role
-from daq.timing.rules import Rules
+from daq.timing.pulses import Q_SWITCHES, LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import EMITS, LaserState
 from sim.emulators.faults import KINDS, Fault
 from sim.emulators.line import Line

@@ -7,7 +7,7 @@ from daq.bench.bench_table import Bench, BenchTable
 from daq.bench.opened import OpenBench
 from daq.runner.light import Light
 from daq.timing.alignment import AlignRules
-from daq.timing.rules import Rules
+from daq.timing.conditions import Rules
 from daq.timing.states import LaserState
 from daq.timing.vigil import Vigil
 from ground.config import Document

@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.timing.standing import Standing
+from daq.timing.states import Standing
 from tests.safety.light_fuzz import Playground, play
 
 

@@ -1,1 +1,1 @@
-"""Experiments, one file each; `daq.plans.experiments_by_name` lists them."""
+"""Experiments, one file each; `daq.plans.plan` lists them."""

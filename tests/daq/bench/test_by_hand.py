@@ -7,7 +7,7 @@ import yaml
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_session import open_session
-from daq.bench.stage_kind import StageKind
+from daq.bench.kinds import StageKind
 from daq.plans.plan import load_plan
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
@@ -87,6 +87,6 @@ def test_files_of_a_library_lie_beside_the_bench_file(path, mocker):
     tree["stages"]["controllers"]["glass"] = {"driver": "micromanager", "homing": "hand", "config": "glass.cfg"}
     path.write_text(yaml.safe_dump(tree))
     bench = load_bench(path)
-    opened = mocker.patch("daq.bench.stage_kind.Stage.open")
+    opened = mocker.patch("daq.bench.kinds.Stage.open")
     StageKind().open(bench.table.stages, bench, mocker.Mock())
     assert opened.call_args[0][0].controllers["glass"].config == str(path.parent.resolve() / "glass.cfg")

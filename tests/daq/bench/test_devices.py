@@ -66,7 +66,7 @@ LAMPS = "  left: {kind: lamp, port: one}\n  right: {kind: lamp, port: two, volt:
 
 
 def test_they_are_opened_in_order_and_closed_in_reverse(tmp_path, said, mocker):
-    mocker.patch("daq.bench.camera_kind.make_camera")
+    mocker.patch("daq.bench.kinds.make_camera")
     bench = load_bench(bench_with(tmp_path, LAMPS))
     assert list(bench.devices) == ["stages", "camera", "left", "right"]
     with suppress(ZeroDivisionError), open_bench(bench, True) as hardware:
@@ -86,7 +86,7 @@ def test_only_what_is_needed_is_opened(tmp_path, said):
 
 
 def test_what_cannot_be_opened_takes_the_others_down(tmp_path, said, mocker):
-    make = mocker.patch("daq.bench.camera_kind.make_camera")
+    make = mocker.patch("daq.bench.kinds.make_camera")
     mocker.patch.object(LampKind, "open", side_effect=OSError("no lamp"))
     with pytest.raises(OSError, match="no lamp"), open_bench(load_bench(bench_with(tmp_path, LAMPS)), True):
         pass

@@ -3,7 +3,7 @@
 import pytest
 
 from daq.bench.bench_file import load_bench
-from daq.bench.sheet_clearance import sheet_clearance_mm
+from daq.bench.guards import sheet_clearance_mm
 from tests.daq.small_bench import write_bench
 
 

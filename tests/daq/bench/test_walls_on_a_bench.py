@@ -9,8 +9,7 @@ import pytest
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import GLASS
-from daq.bench.sheet_clearance import sheet_clearance_mm
-from daq.bench.stage_kind import guard_of
+from daq.bench.guards import guard_of, sheet_clearance_mm
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from ground.errors import ConfigError
 from sim.arranged import arranged

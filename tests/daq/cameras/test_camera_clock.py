@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.cameras.camera_clock import CameraClock
+from daq.cameras.ids import CameraClock
 
 
 class Features:

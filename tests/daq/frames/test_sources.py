@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from daq.frames.frame_folder import pattern_in
 from daq.frames.named_frame import read_named
+from daq.frames.numbered_files import pattern_in
 from daq.frames.source import KINDS, is_source, source_of
 from piv.errors import FrameDamaged, FrameError, PairError
 from piv.files.frame_file import checksum

@@ -9,7 +9,7 @@ import pytest
 
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import DiskError
-from daq.pipeline.catch_up import correct_from_disk, uncorrected
+from daq.pipeline.corrections import correct_from_disk, uncorrected
 from daq.pipeline.job import Job
 from daq.pipeline.lanes import Pipeline
 from daq.plans.steps import Step

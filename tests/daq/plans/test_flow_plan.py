@@ -3,7 +3,7 @@
 import pytest
 
 from daq.bench.bench_file import load_bench
-from daq.bench.stage_kind import idle_stage
+from daq.bench.guards import idle_stage
 from daq.errors import DaqError
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan

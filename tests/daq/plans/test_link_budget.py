@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from daq.bench.stage_kind import idle_stage
+from daq.bench.guards import idle_stage
 from daq.cameras.files import FilesCamera
 from daq.errors import RunUsageError
 from daq.plans.forecast import forecast

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import digest
-from daq.bench.stage_kind import idle_stage
+from daq.bench.guards import idle_stage
 from daq.errors import PlanError
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan

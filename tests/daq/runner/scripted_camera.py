@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from daq.cameras.camera import CameraInfo, Counters
+from daq.cameras.camera import CameraInfo, Counters, wait_for_frame
 from daq.cameras.frame import Frame, FrameMeta
 from daq.cameras.ids import IdTracker
-from daq.cameras.waiting import wait_for_frame
 from daq.errors import CameraLost, FrameIncomplete, SettingsChanged
 
 MS = 1_000_000

@@ -6,7 +6,7 @@ import pytest
 from correction.alignment.moves import Look, wanted
 from correction.alignment.seen import Arrangement
 from daq.bench.bench_file import load_bench
-from daq.bench.stage_kind import idle_stage
+from daq.bench.guards import idle_stage
 from daq.plans.plan import load_plan
 from daq.plans.steps import route
 from daq.runner.aiming import free_before_target_mm, guard_where_seen, next_targets

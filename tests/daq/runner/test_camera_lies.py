@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from daq.bench.bench_table import CameraSection
-from daq.cameras import waiting
+from daq.cameras import camera as waiting
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import OtherFormat
 from daq.runner.exposures import Exposures

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from daq.cameras import waiting
+from daq.cameras import camera as waiting
 from daq.cameras.files import FilesCamera
 from daq.cameras.frame import Frame
 from daq.errors import BadBalance, FrameDoubt, ResumeRefused

@@ -3,8 +3,8 @@
 import pytest
 
 from daq.bench.bench_file import load_bench
+from daq.bench.guards import idle_stage
 from daq.bench.opened import open_bench
-from daq.bench.stage_kind import idle_stage
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
 from daq.runner.arrival import go_to
@@ -28,7 +28,7 @@ def at_scene(hardware):
 
 @pytest.mark.parametrize("only", [(), ("stages",)])
 def test_whoever_opens_a_bench_gets_a_guard(bench_and_plan, mocker, only):
-    mocker.patch("daq.bench.camera_kind.make_camera")
+    mocker.patch("daq.bench.kinds.make_camera")
     with open_bench(bench_and_plan[0], True, only=only) as found:
         assert found.stage.guard is not None
 

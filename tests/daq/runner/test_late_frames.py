@@ -6,7 +6,7 @@ The simulated camera prints the number of the trigger into pixel (0, 0), so ever
 import pytest
 
 from daq.bench.bench_table import CameraSection
-from daq.cameras import waiting
+from daq.cameras import camera as waiting
 from daq.runner.exposures import Exposures
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan

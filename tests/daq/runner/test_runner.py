@@ -254,7 +254,7 @@ def test_a_slow_disk_slows_the_run_and_loses_nothing(bench_and_plan, folder, fil
 
 def test_a_dead_disk_is_named(bench_and_plan, folder, files, monkeypatch):
     bench, plan = bench_and_plan
-    monkeypatch.setattr(lanes, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(lanes, "DISK_TIMEOUT_S", 0.3)
     gate = threading.Event()
     monkeypatch.setattr(lanes, "write_raw", lambda *_: gate.wait(20.0))
     with files_bench(bench, files) as hardware:

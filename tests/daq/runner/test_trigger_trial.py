@@ -7,10 +7,9 @@ from dataclasses import replace
 import pytest
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import CameraSection
+from daq.bench.bench_table import PRESETS, CameraSection, needs_line
 from daq.cameras.files import FilesCamera
 from daq.cameras.frame import Frame
-from daq.cameras.trigger_presets import PRESETS, needs_line
 from daq.runner.trigger_trial import try_trigger
 from ground.errors import ConfigError
 from rtpiv.command_line.cli import DEVICE, DONE, main

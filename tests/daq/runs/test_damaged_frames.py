@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 from daq.errors import RunDamaged
-from daq.pipeline.catch_up import correct_from_disk
+from daq.pipeline.corrections import correct_from_disk
 from daq.runner.session import reopen
 from daq.runs.acquired import read_acquired
 from daq.runs.raw_frame import read_raw, write_raw

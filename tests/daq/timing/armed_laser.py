@@ -1,11 +1,9 @@
 """A laser on a fake box, armed, and how things stand when all is well."""
 
 from daq.timing.alignment import AlignRules
-from daq.timing.conditions import Conditions
+from daq.timing.conditions import Conditions, Rules
 from daq.timing.laser import Laser
-from daq.timing.laser_head import LaserHead
-from daq.timing.pulses import PairExposures, PulseTiming
-from daq.timing.rules import Rules
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming
 from sim.mechanics.clock import VirtualClock
 from tests.daq.timing.fake_box import FakeBox
 

@@ -11,8 +11,8 @@ import sys
 import time
 
 from daq.errors import DaqError
-from daq.timing.laser_head import LaserHead
-from daq.timing.rules import Rules
+from daq.timing.conditions import Rules
+from daq.timing.pulses import LaserHead
 from daq.timing.vigil import Vigil
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.timing.armed_laser import GOOD, armed

@@ -5,12 +5,10 @@ import time
 
 import pytest
 
-from daq.timing.conditions import Conditions
+from daq.timing.conditions import Conditions, Rules
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
 from daq.timing.laser import Laser
-from daq.timing.laser_head import LaserHead
-from daq.timing.pulses import Pulse, PulseTiming, Role, Schedule
-from daq.timing.rules import Rules
+from daq.timing.pulses import LaserHead, Pulse, PulseTiming, Role, Schedule
 from daq.timing.states import LaserState
 from sim.mechanics.clock import VirtualClock
 from stages.errors import DeviceLost, NoReply

@@ -7,13 +7,11 @@ import pytest
 
 from daq.errors import DaqError
 from daq.timing.alignment import AlignRules
-from daq.timing.conditions import Conditions
+from daq.timing.conditions import Conditions, Rules
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, PulsesRefused, WrongBox
 from daq.timing.laser import Laser
-from daq.timing.laser_head import LaserHead
-from daq.timing.pulses import PairExposures, PulseTiming, Role
-from daq.timing.rules import Rules
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from daq.timing.vigil import Vigil
 from sim.emulators.faults import KINDS, Fault, FaultSchedule

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.timing.errors import PulsesRefused
-from daq.timing.laser_head import LaserHead
-from daq.timing.pulses import PairExposures, PulseTiming, Role, schedule_of
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role, schedule_of
 
 LAMPS = LaserHead(
     max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0), q_switch_to_light_us=(0.1, 0.2), min_dt_us=1.0

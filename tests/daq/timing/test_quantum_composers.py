@@ -6,13 +6,11 @@ from contextlib import contextmanager
 import pytest
 
 from daq.errors import DaqError
-from daq.timing.conditions import Conditions
+from daq.timing.conditions import Conditions, Rules
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
 from daq.timing.errors import LaserDoubt, LaserStopped, PulsesRefused, TimingUsageError, WrongBox
 from daq.timing.laser import Laser
-from daq.timing.laser_head import LaserHead
-from daq.timing.pulses import PairExposures, PulseTiming, Role
-from daq.timing.rules import Rules
+from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from sim.emulators.line import Line

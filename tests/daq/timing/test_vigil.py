@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from daq.timing.conditions import Rules
 from daq.timing.errors import LaserStopped
-from daq.timing.laser_head import LaserHead
-from daq.timing.rules import Rules
+from daq.timing.pulses import LaserHead
 from daq.timing.states import LaserState
 from daq.timing.vigil import BLIND_S, SILENCE_S, Vigil
 from sim.mechanics.clock import ScaledClock

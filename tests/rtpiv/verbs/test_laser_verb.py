@@ -78,7 +78,7 @@ def test_off_goes_past_a_program_that_holds_the_port(tmp_path, box, capsys):
 
 @pytest.mark.parametrize(("word", "code"), [("1234", DONE), ("4321", USAGE), ("", USAGE)])
 def test_alignment_asks_for_its_word(tmp_path, monkeypatch, mocker, word, code):
-    mocker.patch("daq.timing.standing.secrets.randbelow", return_value=234)
+    mocker.patch("daq.timing.states.secrets.randbelow", return_value=234)
     monkeypatch.setattr("builtins.input", lambda: word)
     bench = bench_with(tmp_path, more=", align: {q_switch_delay_us: 300.0}")
     assert main(["laser", "align", "--for-s", "1", "--bench", str(bench.path), "--simulate"]) == code
@@ -237,7 +237,7 @@ def test_a_folder_that_others_may_write_to_names_no_laser(tmp_path, box, monkeyp
 @pytest.mark.parametrize("which", ["lab", "examples"])
 def test_the_shipped_benches_can_align(which, labs, mocker, monkeypatch, capsys):
     """The command of docs/laser.md, as it stands there."""
-    mocker.patch("daq.timing.standing.secrets.randbelow", return_value=234)
+    mocker.patch("daq.timing.states.secrets.randbelow", return_value=234)
     monkeypatch.setattr("builtins.input", lambda: "1234")
     monkeypatch.chdir(labs / which)
     command = "laser align --rate-hz 5 --for-s 10"

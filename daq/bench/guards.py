@@ -1,31 +1,13 @@
-"""The stage: every axis of every controller, guarded by keep-out."""
+"""What is judged by where things stand: every way before it is driven, and how free the light sheet is."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from typing import cast
 
-from daq.bench.bench_table import Bench
+from daq.bench.bench_table import CAMERA, GLASS, TARGET, Bench
 from daq.bench.keep_out import Carrier, Element, KeepOut
-from stages.clock import SYSTEM_CLOCK, Clock
-from stages.config import StagesTable
+from stages.clock import SYSTEM_CLOCK
 from stages.stage import Guard, Piece, Stage
 from tracer.scene.scene import Scene
-
-
-class StageKind:
-    """The section `stages`."""
-
-    section = StagesTable
-    simulator = None  # the world carries things on its own axes
-
-    def open(self, section: StagesTable, bench: Bench, clock: Clock) -> AbstractContextManager[Stage]:
-        """Connect every controller; leaving stops what moves."""
-        return Stage.open(section.beside(bench.path.parent), clock, guard_of(bench))
-
-    def places(self, section: StagesTable) -> Iterator[str]:
-        """Ports of the controllers."""
-        for name, controller in section.controllers.items():
-            yield f"controller {name}: {controller.driver} on {controller.place}"
 
 
 def guard_of(bench: Bench) -> Guard | None:
@@ -68,3 +50,35 @@ def keep_out_of(bench: Bench, scene: Scene) -> KeepOut:
 def idle_stage(bench: Bench) -> Stage:
     """Return the stage with closed ports, to ask what it would do."""
     return Stage(bench.table.stages, SYSTEM_CLOCK, guard_of(bench))
+
+
+def sheet_clearance_mm(bench: Bench, positions_mm: Mapping[str, float]) -> float:
+    """Return the distance [mm] from the sheet to the nearest body or the target.
+
+    Parameters
+    ----------
+    bench : Bench
+        What stands there, and which axes carry it.
+    positions_mm : mapping
+        Measured position of every axis.
+
+    Returns
+    -------
+    float
+        Below 0 if the sheet is cut; infinity if there is neither glass nor target.  A tube around the sheet does
+        not count: the light goes in through it.
+    """
+    distances = [float("inf")]
+    table = bench.table
+    z_mm = {one: table.offset_mm(one, positions_mm)[2] for one in (GLASS, CAMERA)}
+    for body in bench.scene.bodies:
+        off_mm = z_mm.get(body.carried, 0.0)
+        gap_mm = max(body.lowest_mm + off_mm, -body.highest_mm - off_mm)
+        if gap_mm > 0.0 or not body.may_cross_plane:
+            distances.append(gap_mm)
+    if bench.table.axes_of(TARGET):
+        front_mm = bench.table.offset_mm(TARGET, positions_mm)[2]
+        keep_out = bench.table.keep_out
+        thick_mm = 0.0 if keep_out is None else keep_out.target_size_mm[2]
+        distances.append(-front_mm if front_mm <= 0.0 else front_mm - thick_mm)
+    return min(distances)
