@@ -51,7 +51,9 @@ def main() -> None:
             kept[verb] = json.loads(told.read_text())
             print(f"{verb}: {len(kept[verb])} kernels, {sum(call[2] for call in kept[verb]):.0f} s")
     lines = [f' "{verb}": [\n  ' + ",\n  ".join(map(json.dumps, calls)) + "\n ]" for verb, calls in kept.items()]
-    (ROOT / "daq" / "first_use.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    (ROOT / "rtpiv" / "command_line" / "first_use.json").write_text(
+        "{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

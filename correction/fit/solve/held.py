@@ -8,7 +8,8 @@ numbers x, K those by the held ones a in units of what labs ordinarily do not kn
 
 C is the covariance of both, so that the frames tell what they can of a.  Where residuals pull at a, the
 Newton step says how far the map is likely off: one more column of the root of the covariance.  A sigma in the fit
-section, however small, is believed.
+section, however small, is believed.  A ball that shows no corner and is held is thus as unsure as one that is
+free, for its map rests on what was said of it and on nothing else.
 """
 
 from collections.abc import Iterator
@@ -19,10 +20,13 @@ from numpy.typing import NDArray
 
 from correction.fit.solve.unknowns import Unknowns, glasses
 from tracer.media import THINNEST_LIQUID
+from tracer.scene.fit_section import FitTable
 
-ORDINARY = {"x": 0.2, "y": 0.2, "z": 0.2, "radius": 0.02}  # mm
+BELIEVED = FitTable()  # what is believed of a scene that says nothing
+PLACE_MM = BELIEVED.spheres.centre_mm
+ORDINARY = {"x": PLACE_MM, "y": PLACE_MM, "z": PLACE_MM, "radius": BELIEVED.spheres.radius_mm}
 WALL = {"place_mm": 0.2, "tilt_deg": np.deg2rad(0.3), "thickness_mm": 0.1, "radius_mm": 0.1}  # mm, rad
-ORDINARY_N = 1e-3  # melts of one glass, its temperature, the last digit of a catalogue
+ORDINARY_N = BELIEVED.n
 
 
 def doubted(unknowns: Unknowns) -> Unknowns:

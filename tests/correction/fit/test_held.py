@@ -11,6 +11,7 @@ from correction.fit.solve.held import ORDINARY, ORDINARY_N, doubted
 from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
+from tests.correction.fit.strangers import stranger
 from tracer.scene.fit_section import FitNamedTable, FitTable
 
 SCENE = at_size(named_scene("two_spheres_500"), 700)
@@ -61,6 +62,15 @@ def test_a_lab_known_along_one_way_and_not_at_all_along_another_is_judged_as_wel
     lab = drawn_lab(131009, "ball off")
     assert np.isfinite(lab.sigma_px).all()
     assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.8
+
+
+def test_a_held_ball_that_shows_no_corner_is_as_unsure_as_one_that_is_free():
+    """It stands 1.6 mm off, and nothing in the frames says so: its map must, behind it."""
+    lab = drawn_lab(57009, "ball off", draw=stranger)
+    assert lab.cost_px > 1.0
+    assert not any(lab.ball in way for way in lab.fit.expected)
+    assert np.mean(np.abs(lab.error_px) < 2.0 * lab.sigma_px) > 0.95
+    assert any(f"no corner is seen through {lab.ball}" in weak.sentence for weak in weaknesses(lab.fit))
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 ROOT = Path(__file__).resolve().parents[3]
-VERBS = sorted(path.stem for path in (ROOT / "daq" / "verbs").glob("[a-z]*.py"))
+VERBS = sorted(path.stem for path in (ROOT / "rtpiv" / "verbs").glob("[a-z]*.py"))
 DRAWN = {"matplotlib"}
 TRACED = {"numba", "llvmlite"}
 SOLVED = {f"scipy.{part}" for part in ("stats", "optimize", "spatial", "interpolate", "ndimage", "io", "sparse")}
