@@ -24,7 +24,6 @@ AXES = {
     "target_x": Carrier("target", "x"),
 }  # fmt: skip
 AT_SCENE = {name: carrier.scene_at_mm for name, carrier in AXES.items()}
-from tests.stages.conftest import bench  # noqa: F401 - a fixture
 
 
 def scene(gap_mm=30.0, tilt=0.0):
