@@ -33,7 +33,7 @@ PARTS = ("start", "import", "compile", "load", "work", "draw", "write", "childre
 DRAWS = ("rtpiv.analysis.pictures.", "rtpiv.analysis.report.")
 WRITES = (
     "piv.files.frame_file",
-    "correction.evaluate.vector_file",
+    "piv.files.vector_file",
     "daq.whole_text",
     "rtpiv.analysis.report.pair_folder",
 )

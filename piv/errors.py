@@ -5,6 +5,7 @@ PivError
 |   +-- FrameDamaged     its pixels are not those that its checksum was made from
 +-- PairError        two frames do not make a pair: different size, nothing valid, no texture
 +-- SeriesError      statistics of a series do not belong together, or a file of them is damaged
++-- VectorFileError  a file holds no vectors on a grid, or is damaged
 """
 
 from ground.errors import DEVICE, RtpivError
@@ -30,3 +31,7 @@ class PairError(PivError):
 
 class SeriesError(PivError):
     """Statistics of a series cannot be added up or read; the message names what differs and the cure."""
+
+
+class VectorFileError(PivError):
+    """A file of vectors cannot be read; the message names it and what is wrong with it."""

@@ -10,9 +10,9 @@ from daq.errors import DiskError, RunUsageError
 from daq.whole_text import sync_folder, why
 from ground.plain_words import counted
 from ground.terminal import console, progress_if_long
+from piv.files.vector_file import Vectors, read_vectors
 from rtpiv.analysis.export.formats import FORMATS
 from rtpiv.analysis.export.map_files import MAP_FORMATS
-from rtpiv.analysis.export.vector_table import VectorTable, read_vectors
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named
 from tracer.scene.scene_file import load_scene
@@ -46,8 +46,9 @@ def export(files: Sequence[Named], to: str, out: Named | None = None) -> list[Pa
     Raises
     ------
     RunUsageError
-        A file is not there, a folder, or holds no vectors on a grid; two would get one name, or the
-        format is not one of its kind.
+        A file is not there, or a folder; two would get one name, or the format is not one of its kind.
+    VectorFileError
+        A file is damaged or holds no vectors on a grid.
     ConfigError
         A scene file is wrong.
     DiskError
@@ -74,9 +75,9 @@ def export(files: Sequence[Named], to: str, out: Named | None = None) -> list[Pa
             if to in MAP_FORMATS:
                 written += MAP_FORMATS[to](load_scene(source).in_light_sheet(), out / source.stem)
             else:
-                table = read_vectors(source)
-                written += FORMATS[to](table, out / source.stem)
-                said = _said(table, to)
+                vectors = read_vectors(source)
+                written += FORMATS[to](out / source.stem, vectors)
+                said = _said(vectors, to)
         except OSError as error:
             raise DiskError(f"{out}: {why(error)}; make room, then try again") from error
     sync_folder(out)
@@ -94,9 +95,9 @@ def _require_file(source: Path) -> None:
         raise RunUsageError(f"{source}: is not there; name a vectors.nc, mean.nc, chunk of a series or scene.yaml")
 
 
-def _said(table: VectorTable, to: str) -> str:
-    """What the files of a table hold, with units, and what stands where nothing was measured."""
-    names = [table.called(name) for name in table.values]
+def _said(vectors: Vectors, to: str) -> str:
+    """What the files of vectors hold, with units, and what stands where nothing was measured."""
+    names = [vectors.called(name) for name in vectors.everything]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     gaps = "0 in them and in measured" if to == "tecplot" else "NaN"
     return (

@@ -11,8 +11,8 @@ from daq.runs.shown_plane import where_lit
 from ground.terminal import console
 from piv.errors import PairError
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
-from rtpiv.analysis.series.ensemble_file import write_ensemble
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
+from rtpiv.analysis.series.mean_file import ensemble_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE
@@ -104,7 +104,7 @@ def mean(
         given = series[0]
         by_ensemble = ensemble_flow(given, found, ensemble, workers)
         said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
-        write_ensemble(folder / "mean_ensemble.nc", by_ensemble, said)
+        write_statistics(folder / "mean_ensemble.nc", ensemble_vectors(by_ensemble, said))
     from rtpiv.analysis.report.mean import write_mean_page
 
     write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)

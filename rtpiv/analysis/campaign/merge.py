@@ -30,7 +30,7 @@ from piv.statistics.moments import Moments
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.status import campaign_status
 from rtpiv.analysis.series.marker import marker_of
-from rtpiv.analysis.series.mean_file import write_mean
+from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
@@ -81,7 +81,7 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     scenes = [folder.series(name).about["content"]["correction"] for name in names]
     about = {"runs": " ".join(names), "corrections": " ".join(scenes), "rtpiv_version": version("rtpiv")}
     about["runs_apart_in_sigma"] = " ".join(f"{merged.apart[name]:.3f}" for name in names)
-    write_mean(folder.path / STATISTICS, merged.mean, about)
+    write_statistics(folder.path / STATISTICS, mean_vectors(merged.mean, about))
     return merged
 
 

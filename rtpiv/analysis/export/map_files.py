@@ -13,19 +13,18 @@ TIFF has a file for each array, the first row on top, as images lie: NAME_u.tif 
 NAME_status.tif says why it is not, NAME_x.tif and NAME_y.tif are the rays.  Where there is nothing stands NaN.
 """
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING
 from ground.whole_file import whole_file
 from piv.files.frame_file import write_frame
+from piv.files.vector_file import Variable, netcdf
 from tracer.scene.scene import Scene
 from tracer.status import RayStatus
 from tracer.strategies.branches import Branch
@@ -100,30 +99,13 @@ def _netcdf(
     scene: Scene,
     branches: Sequence[Branch],
 ) -> None:
-    stream = io.BytesIO()
-    with scipy.io.netcdf_file(stream, "w", version=2) as file:
-        for name, (values, unit) in {**axes, **variables}.items():
-            if name in axes:
-                file.createDimension(name, len(values))
-            one = file.createVariable(name, _kind(values), (name,) if name in axes else tuple(axes))
-            one[:] = values
-            one.units = unit
-        file.variables["status"].flag_meanings = ", ".join(meanings)
-        ways = (f"{number} {' > '.join(way) or 'direct'}" for number, way in enumerate(branches))
-        file.variables["branch"].flag_meanings = "; ".join(ways)
-        file.Conventions = "CF-1.8"
-        file.scene_hash = scene.content_hash()
-        file.flush()
-        content = stream.getvalue()
+    ways = "; ".join(f"{number} {' > '.join(way) or 'direct'}" for number, way in enumerate(branches))
+    said = {"status": {"flag_meanings": ", ".join(meanings)}, "branch": {"flag_meanings": ways}}
+    found = {name: Variable((name,), values, unit) for name, (values, unit) in axes.items()}
+    for name, (values, unit) in variables.items():
+        found[name] = Variable(tuple(axes), values, unit, said.get(name, {}))
     with whole_file(path) as whole:
-        whole.write(content)
-
-
-def _kind(values: NDArray[Any]) -> str:
-    """Type in a classic NetCDF file, which has no unsigned numbers."""
-    if values.dtype.kind == "f":
-        return f"f{values.dtype.itemsize}"
-    return "i1" if values.dtype.itemsize == 1 else "i4"
+        whole.write(netcdf(found, {"scene_hash": scene.content_hash()}))
 
 
 MAP_FORMATS: dict[str, Callable[[Scene, Path], list[Path]]] = {

@@ -168,9 +168,9 @@ def _vectors(page: Page, evaluation: Evaluation) -> None:
             dense=True,
         )
     if evaluation.task.dt_s is not None:
-        per_px = grid.pitch_mm / evaluation.task.dt_s
+        per_px = 1e-3 * grid.pitch_mm / evaluation.task.dt_s
         page.facts([("time between the frames", f"{evaluation.task.dt_s * 1e6:.3f} us"),
-                    ("1 px of displacement is", f"{per_px:.6g} mm/s")])  # fmt: skip
+                    ("1 px of displacement is", f"{per_px:.6g} m/s")])  # fmt: skip
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
     rule = (
         f"Windows of {field.window_px} px, {field.step_px} px apart. A window is masked if less than 30 % of its "

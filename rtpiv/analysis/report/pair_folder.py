@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from correction.evaluate.vector_file import write_netcdf, write_traced, write_vtk
 from daq.whole_text import write_json
+from piv.correlation.windows import window_grid
+from piv.files.vector_file import Vectors, write_list, write_vectors, write_vtk
+from rtpiv.analysis.pair_vectors import PairResult, columns_of, quality_of, vectors_of_pairs
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.tables import (
     CLAIM_HEAD,
@@ -22,16 +24,17 @@ from rtpiv.analysis.report.tables import (
 
 def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
     """Write all files of the folder of a pair but its page."""
-    task, field, grid = evaluation.task, evaluation.field, evaluation.grid
+    task, field = evaluation.task, evaluation.field
     out, about = task.out, _about(evaluation)
     out.mkdir(parents=True, exist_ok=True)
-    write_netcdf(out / "vectors.nc", field, grid, about, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
+    vectors, timed = vectors_of(evaluation), {**about, "delta_t": np.float64(task.dt_s or 0.0)}
+    write_vectors(out / "vectors.nc", vectors)
     if evaluation.traced is not None:
-        write_traced(out / "vectors_velocity.nc", evaluation.traced, about, task.dt_s)
+        write_list(out / "vectors_velocity.nc", *columns_of(evaluation.traced, task.dt_s), timed)
     if evaluation.tracks is not None:
-        write_traced(out / "tracks.nc", evaluation.tracks.vectors, about, task.dt_s)
+        write_list(out / "tracks.nc", *columns_of(evaluation.tracks.vectors, task.dt_s), timed)
     if vtk:
-        write_vtk(out / "vectors.vtk", field, grid, task.dt_s)
+        write_vtk(out / "vectors.vtk", vectors)
     summary: dict[str, Any] = {
         **about,
         "note": task.note,
@@ -53,6 +56,14 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
     if evaluation.no_tracks:
         summary["no_tracks"] = evaluation.no_tracks
     write_json(out / "evaluation.json", summary)
+
+
+def vectors_of(evaluation: Evaluation) -> Vectors:
+    """Vectors of a pair as a series of one."""
+    task, field, grid, settings = evaluation.task, evaluation.field, evaluation.grid, evaluation.settings
+    windows = window_grid(grid.shape, settings.windows_px[-1], settings.overlap)
+    more = quality_of(field, grid, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
+    return vectors_of_pairs([PairResult(task.name, field, task.dt_s)], windows, grid, _about(evaluation), more)
 
 
 def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:

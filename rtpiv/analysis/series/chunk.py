@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
 from daq.errors import DiskError
-from daq.whole_text import why
+from daq.whole_text import sync_folder, why
+from ground.whole_file import whole_file
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.vector_field import VectorField
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import FrameError, PairError
-from rtpiv.analysis.series.chunk_file import PairResult, write_chunk
+from piv.files.vector_file import vectors_netcdf
+from rtpiv.analysis.pair_vectors import PairResult, vectors_of_pairs
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.marker import Marker, write_marker
 from rtpiv.analysis.series.series_plan import ChunkJob, Method
@@ -52,8 +54,10 @@ def evaluate_chunk(job: ChunkJob, each_pair: Callable[[], object] | None = None)
         if each_pair is not None:
             each_pair()
     about = {"key": job.key, "scene_hash": job.method.scene.content_hash()}
-    content = write_chunk(job.path, results, windows_of(prepared, job.method), prepared.corrector.map.grid, about)
-    failed = {each.pair.tag: each.found for each in results if isinstance(each.found, str)}
+    windows, grid = windows_of(prepared, job.method), prepared.corrector.map.grid
+    content = vectors_netcdf(vectors_of_pairs(results, windows, grid, about))
+    _keep(job.path, content)
+    failed = {each.tag: each.found for each in results if isinstance(each.found, str)}
     return write_marker(job.path, job.key, content, len(results), failed)
 
 
@@ -62,7 +66,19 @@ def results_of(job: ChunkJob, most: int) -> Iterator[PairResult]:
     prepared = correction_of(job.maps, job.method)
     frames = zip(job.pairs, clean_frames(job, 0), clean_frames(job, 1), strict=True)
     for pair, a, b in islice(frames, most):
-        yield PairResult(pair, _vectors(a, b, prepared, job.method))
+        found = _vectors(a, b, prepared, job.method)
+        yield PairResult(pair.tag, found, pair.dt_s, pair.dt_sigma_s, pair.time_s)
+
+
+def _keep(path: Path, content: bytes) -> None:
+    """Write the file of a chunk, atomically, even if others do; DiskError if it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path, among_many=True) as stream:
+            stream.write(content)
+        sync_folder(path.parent)
+    except OSError as error:
+        raise DiskError(f"{path}: {why(error)}; make room, then give the same command again") from error
 
 
 def correction_of(maps: Path, method: Method) -> PreparedCorrection:

@@ -1,6 +1,6 @@
-"""Statistics of a series on disk: NetCDF in the layout of its chunks, with one time.
+"""Statistics of a series as vectors of one time, in the layout of the pairs that they are of.
 
-Dimensions (t, y, x) with one t, so that PIVPy reads it as it reads a pair; y UP; rows from the lowest y:
+mean.nc, where rows begin at the lowest y:
 
     u, v                          mean velocity [m s-1]
     sigma_u, sigma_v              random standard uncertainty of the mean, by the effective samples
@@ -18,111 +18,130 @@ Dimensions (t, y, x) with one t, so that PIVPy reads it as it reads a pair; y UP
     resolution_R_uu, _vv, _uv     by how much they may be too small, as windows do not resolve it: an upper limit
     skewness_u, _v; lowest_u, _v, highest_u, _v
     chc                           1 where there is a mean
+
+mean_ensemble.nc has of these u, v, sigma_u, sigma_v, dt_sigma_u, dt_sigma_v, the stresses R and sigma_R, and chc,
+with `correlation`, the share of the particles that stay.
 """
 
-import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from daq.errors import DiskError
 from daq.whole_text import why
-from ground.whole_file import whole_file
-from rtpiv.analysis.series.chunk_file import NAMES, SCHEMA
+from piv.files.vector_file import SPEED, Vectors, write_vectors
+from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow
 
+STRESS = "m2 s-2"
 Floats = NDArray[np.float64]
+Named = dict[str, tuple[NDArray[Any], str]]  # values and their unit
 
 
-def write_mean(
-    path: Path, mean: MeanFlow, about: dict[str, Any], more: Mapping[str, NDArray[Any]] | None = None
-) -> None:
-    """Write statistics as NetCDF, atomically; DiskError if it cannot be written.
+def mean_vectors(
+    mean: MeanFlow, about: Mapping[str, Any], more: Mapping[str, NDArray[Any]] | None = None
+) -> Vectors:
+    """Statistics of a series as vectors of one time.
 
     Parameters
     ----------
-    path : Path
-        The file.
     mean : MeanFlow
         The statistics.
     about : dict
-        Global attributes.
+        Attributes.
     more : mapping of str to ndarray, optional
         Further numbers without a unit, (ny, nx).
     """
-    buffer = io.BytesIO()
-    with scipy.io.netcdf_file(buffer, "w", version=2) as file:
-        for name, values, unit in (("t", np.zeros(1), "s"), ("y", mean.y_mm, "mm"), ("x", mean.x_mm, "mm")):
-            file.createDimension(name, len(values))
-            axis = file.createVariable(name, "f8", (name,))
-            axis[:], axis.units, axis.standard_name, axis.axis = values, unit, NAMES[name], name.upper()
-        for name, (values, unit) in {
-            **_variables(mean),
-            **{name: (each, "1") for name, each in (more or {}).items()},
-        }.items():
-            kind = "i4" if values.dtype.kind in "iu" else "f8"
-            variable = file.createVariable(name, kind, ("t", "y", "x"))
-            variable[0], variable.units = values, unit
-            if name in NAMES:
-                variable.standard_name = NAMES[name]
-        file.Conventions = "CF-1.8"
-        file.pivpy_schema_version = SCHEMA
-        file.delta_t = np.float64(mean.dt_s)
-        file.px_per_mm, file.window_px, file.step_px = mean.px_per_mm, mean.window_px, mean.step_px
-        file.pairs_used, file.left_out = mean.used, json.dumps(dict(mean.left_out))
-        file.effective_samples = mean.effective.way
-        file.effective_samples_converged = int(mean.effective.converged)
-        file.delta_t_sigma_share = np.float64(mean.dt_sigma_share)
-        file.no_map_sigma = mean.no_map_sigma or "known"
-        for name, value in about.items():
-            setattr(file, name, value)
-        file.flush()
-        content = buffer.getvalue()
+    said: dict[str, Any] = {
+        "delta_t": np.float64(mean.dt_s),
+        "px_per_mm": mean.px_per_mm,
+        "window_px": mean.window_px,
+        "step_px": mean.step_px,
+        "pairs_used": mean.used,
+        "left_out": json.dumps(dict(mean.left_out)),
+        "effective_samples": mean.effective.way,
+        "effective_samples_converged": int(mean.effective.converged),
+        "delta_t_sigma_share": np.float64(mean.dt_sigma_share),
+        "no_map_sigma": mean.no_map_sigma or "known",
+    }
+    beside = {name: (each, "1") for name, each in (more or {}).items()}
+    return _one_time(mean.x_mm, mean.y_mm, _variables(mean) | beside, said | dict(about))
+
+
+def ensemble_vectors(flow: EnsembleFlow, about: Mapping[str, Any]) -> Vectors:
+    """A mean by ensemble correlation as vectors of one time."""
+    found: Named = {"correlation": (flow.correlation, "1")}
+    for before, values, names, unit in (
+        ("", flow.mean_m_s, ("u", "v"), SPEED),
+        ("sigma_", flow.sigma_m_s, ("u", "v"), SPEED),
+        ("R_", flow.stresses_m2_s2, ("uu", "vv", "uv"), STRESS),
+        ("sigma_R_", flow.stress_sigma_m2_s2, ("uu", "vv", "uv"), STRESS),
+    ):
+        for number, name in enumerate(names):
+            found[before + name] = (values[..., number], unit)
+    if np.isfinite(flow.dt_sigma_share):
+        for number, name in enumerate(("u", "v")):
+            found[f"dt_sigma_{name}"] = (np.abs(flow.mean_m_s[..., number]) * flow.dt_sigma_share, SPEED)
+    found["chc"] = (np.asarray(np.isfinite(flow.mean_m_s).all(axis=-1), np.int8), "1")
+    said = {
+        "px_per_m_s": flow.px_per_m_s,
+        "window_px": flow.windows.size_px,
+        "step_px": flow.windows.step_px,
+        "pairs_used": flow.pairs,
+        "delta_t_sigma_share": np.float64(flow.dt_sigma_share),
+    }
+    return _one_time(flow.x_mm, flow.y_mm, found, said | dict(about))
+
+
+def write_statistics(path: Path, vectors: Vectors) -> None:
+    """Write the statistics of a series as NetCDF, atomically; DiskError if they cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as stream:
-            stream.write(content)
+        write_vectors(path, vectors)
     except OSError as error:
         raise DiskError(f"{path}: {why(error)}; make room, then give the same command again") from error
 
 
-def _variables(mean: MeanFlow) -> dict[str, tuple[NDArray[Any], str]]:
+def _one_time(x_mm: Floats, y_mm: Floats, found: Named, about: Mapping[str, Any]) -> Vectors:
+    fields = {name: values[None] for name, (values, _) in found.items()}
+    return Vectors(x_mm, y_mm, np.zeros(1), fields, {}, {name: unit for name, (_, unit) in found.items()}, about)
+
+
+def _variables(mean: MeanFlow) -> Named:
     moments = mean.moments
     there = mean.count > 0
     known = there[..., None]
-    found: dict[str, tuple[NDArray[Any], str]] = {
+    found: Named = {
         "n": (mean.count, "1"),
-        "chc": (there.astype(np.int32), "1"),
-        "resolution": (mean.resolution_m_s, "m s-1"),
+        "chc": (there.astype(np.int8), "1"),
+        "resolution": (mean.resolution_m_s, SPEED),
     }
-    speed, square = "m s-1", "m2 s-2"
     apart: list[tuple[str, str, Floats, str]] = [
-        ("", "uv", mean.mean_m_s, speed),
-        ("sigma_", "uv", mean.sigma_m_s, speed),
-        ("total_sigma_", "uv", mean.total_sigma_m_s, speed),
+        ("", "uv", mean.mean_m_s, SPEED),
+        ("sigma_", "uv", mean.sigma_m_s, SPEED),
+        ("total_sigma_", "uv", mean.total_sigma_m_s, SPEED),
         ("n_effective_", "uv", mean.effective.samples, "1"),
         ("skewness_", "uv", moments.skewness, "1"),
-        ("lowest_", "uv", np.where(known, moments.lowest, np.nan), speed),
-        ("highest_", "uv", np.where(known, moments.highest, np.nan), speed),
+        ("lowest_", "uv", np.where(known, moments.lowest, np.nan), SPEED),
+        ("highest_", "uv", np.where(known, moments.highest, np.nan), SPEED),
     ]
     if np.isfinite(mean.dt_sigma_share):
-        apart.append(("dt_sigma_", "uv", mean.dt_sigma_m_s, speed))
+        apart.append(("dt_sigma_", "uv", mean.dt_sigma_m_s, SPEED))
     if mean.map_sigma_m_s is not None and mean.map_sigma_position_mm is not None:
-        apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, speed))
+        apart.append(("map_sigma_", "uv", mean.map_sigma_m_s, SPEED))
         apart.append(("map_sigma_", "xy", mean.map_sigma_position_mm, "mm"))
     for before, names, values, unit in apart:
         for number, name in enumerate(names):
             found[before + name] = (values[..., number], unit)
     for number, name in enumerate(("uu", "vv", "uv")):
-        found[f"R_{name}"] = (mean.stresses_m2_s2[..., number], square)
-        found[f"R_{name}_measured"] = (mean.noisy_stresses_m2_s2[..., number], square)
-        found[f"sigma_R_{name}"] = (mean.stress_sigma_m2_s2[..., number], square)
-        found[f"resolution_R_{name}"] = (mean.stress_resolution_m2_s2[..., number], square)
+        found[f"R_{name}"] = (mean.stresses_m2_s2[..., number], STRESS)
+        found[f"R_{name}_measured"] = (mean.noisy_stresses_m2_s2[..., number], STRESS)
+        found[f"sigma_R_{name}"] = (mean.stress_sigma_m2_s2[..., number], STRESS)
+        found[f"resolution_R_{name}"] = (mean.stress_resolution_m2_s2[..., number], STRESS)
     for number, name in enumerate(("uu", "vv")):
-        found[f"noise_{name}"] = (moments.noise[..., number], square)
+        found[f"noise_{name}"] = (moments.noise[..., number], STRESS)
     return found

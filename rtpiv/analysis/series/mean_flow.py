@@ -30,7 +30,7 @@ from piv.statistics.merge_tree import MergeTree
 from piv.statistics.moments import Moments
 from piv.statistics.survivors import measured_often, selection_sigma
 from piv.statistics.unresolved import Unresolved
-from rtpiv.analysis.series.chunk_file import ChunkContent, SeriesField
+from rtpiv.analysis.pair_vectors import ChunkContent, SeriesField
 
 BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
 LEAST_OF_USUAL = 0.5  # of the share of measured vectors

@@ -24,7 +24,7 @@ from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
 from daq.whole_text import why, write_json
 from ground.plain_file import read_plain
 from piv.errors import SeriesError
-from rtpiv.analysis.series.chunk_file import ChunkContent, read_chunk
+from rtpiv.analysis.pair_vectors import ChunkContent, read_chunk
 from rtpiv.analysis.series.marker import Marker, marker_of, sound_content
 from rtpiv.analysis.series.series_plan import chunk_path
 

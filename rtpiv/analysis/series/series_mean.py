@@ -10,7 +10,7 @@ from daq.runs.glass_place import with_glass_at
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import SeriesError
 from rtpiv.analysis.series.map_sigma import with_map_sigma
-from rtpiv.analysis.series.mean_file import write_mean
+from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks, SeriesFolder
 from rtpiv.analysis.series.series_input import SCENE_FILE
@@ -49,7 +49,7 @@ def mean_of_series(folder: Path) -> MeanFlow:
         prepared = prepare(through, maps=folder / "maps", grid=grid_of_series(folder))
         mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(standing_of(folder)))
     said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
-    write_mean(folder / MEAN, mean, said)
+    write_statistics(folder / MEAN, mean_vectors(mean, said))
     return mean
 
 

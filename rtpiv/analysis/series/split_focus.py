@@ -25,7 +25,7 @@ from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.moments import Moments
 from rtpiv.analysis.series.image_field import image_field
-from rtpiv.analysis.series.mean_file import write_mean
+from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
 from rtpiv.analysis.series.series_folder import MEAN, SeriesFolder
 from rtpiv.analysis.series.series_mean import grid_of_series, mean_of_series, scene_of, windows_of
@@ -94,7 +94,7 @@ def join_series(beside: Path, behind: Path, out: Path) -> JoinedMean:
     for name, folder in (("beside", beside), ("behind", behind)):
         about[f"{name}_run"] = SeriesFolder(folder).about["run"]
         about[f"{name}_scene_hash"] = scene_of(folder).content_hash()
-    write_mean(out / MEAN, joined.mean, about, {"source": joined.source.astype(np.int32)})
+    write_statistics(out / MEAN, mean_vectors(joined.mean, about, {"source": joined.source.astype(np.int8)}))
     return joined
 
 

@@ -73,9 +73,9 @@ def test_without_a_known_shift_there_are_no_errors_and_with_a_time_there_are_vel
     write_pair(timed)
     write_pair_page(timed)
     with netcdf_file(tmp_path / "timed" / "tracks.nc", mmap=False) as file:
-        assert file.variables["u"].units == b"mm/s"
-        assert np.allclose(file.variables["u"][:], found.tracks.vectors.shift_mm[:, 0] / 0.5)
-        assert np.allclose(file.variables["sigma_v"][:], found.tracks.vectors.sigma_mm[:, 1] / 0.5)
+        assert file.variables["u"].units == b"m s-1"
+        assert np.allclose(file.variables["u"][:], found.tracks.vectors.shift_mm[:, 0] / 500.0)
+        assert np.allclose(file.variables["sigma_v"][:], found.tracks.vectors.sigma_mm[:, 1] / 500.0)
 
 
 def test_a_dewarped_camera_is_refused(pair, tmp_path, capsys):

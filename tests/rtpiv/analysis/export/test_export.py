@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, netcdf_file
 
-from correction.evaluate.vector_file import write_netcdf
-from rtpiv.analysis.export.vector_table import read_vectors
+from piv.files.vector_file import read_vectors, write_vectors
 from rtpiv.command_line.cli import DONE, USAGE, main
-from tests.correction.evaluate.test_vector_file import GRID, a_field
+from tests.rtpiv.analysis.test_pair_vectors import a_field, of_pair
 
 X, Y, T = np.array([1.0, 2.0, 3.0, 4.0]), np.array([-1.0, 0.0, 1.0]), np.array([0.0, 0.1])
 
@@ -43,11 +42,11 @@ def exported(source, to, out):
 @pytest.mark.parametrize("order", [("t", "y", "x"), ("y", "x", "t")])
 def test_both_orders_are_one_table(tmp_path, order):
     table = read_vectors(written(tmp_path / "a.nc", order))
-    assert table.values["u"].shape == (2, 3, 4)
-    assert table.values["u"][1, 2, 3] == 123.0
+    assert table.fields["u"].shape == (2, 3, 4)
+    assert table.fields["u"][1, 2, 3] == 123.0
     assert not table.measured[0, 1, 2]
     assert table.measured.sum() == 23
-    assert np.all(table.values["delta_t"][1] == 2e-3)
+    assert np.all(table.everything["delta_t"][1] == 2e-3)
 
 
 def test_matlab_gets_arrays_with_their_units(tmp_path):
@@ -112,9 +111,9 @@ def test_a_missing_file_and_a_folder_are_called_by_their_name(tmp_path, capsys):
 
 
 def test_what_evaluate_writes_goes_through(tmp_path):
-    write_netcdf(tmp_path / "pair.nc", a_field(), GRID, {})
+    write_vectors(tmp_path / "pair.nc", of_pair(a_field()))
     table = read_vectors(tmp_path / "pair.nc")
-    assert table.values["u"].shape[0] == 1
+    assert table.fields["u"].shape[0] == 1
     assert table.measured.any()
 
 

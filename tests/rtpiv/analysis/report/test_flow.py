@@ -7,10 +7,10 @@ import pytest
 
 from correction.evaluate.regions import Region, Regions
 from piv.correlation.vector_field import VectorFlag
+from rtpiv.analysis.pair_vectors import ChunkContent, SeriesField
 from rtpiv.analysis.report.flow import checks_of, rim_chapter
 from rtpiv.analysis.report.mean import mean_lead
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.series.chunk_file import ChunkContent, SeriesField
 from rtpiv.analysis.series.history import history
 from rtpiv.analysis.series.mean_flow import mean_flow
 from tracer.scene.scene_file import load_scene

@@ -11,9 +11,9 @@ from piv.correlation.windows import window_grid
 from piv.errors import SeriesError
 from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series import ensemble_series
-from rtpiv.analysis.series.ensemble_file import write_ensemble
 from rtpiv.analysis.series.ensemble_part import part_sums, sum_part
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow, ensemble_flow
+from rtpiv.analysis.series.mean_file import ensemble_vectors, write_statistics
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import mean_of_series
@@ -96,9 +96,9 @@ def test_what_cannot_be_is_one_sentence(series, tmp_path):
 
 
 def test_it_is_written(whole, tmp_path):
-    write_ensemble(tmp_path / "mean.nc", whole, {"run": "flow"})
+    write_statistics(tmp_path / "mean.nc", ensemble_vectors(whole, {"run": "flow"}))
     first = (tmp_path / "mean.nc").read_bytes()
-    write_ensemble(tmp_path / "mean.nc", whole, {"run": "flow"})
+    write_statistics(tmp_path / "mean.nc", ensemble_vectors(whole, {"run": "flow"}))
     assert (tmp_path / "mean.nc").read_bytes() == first
 
 
@@ -108,7 +108,8 @@ def test_the_error_of_dt_stands_beside_it(tmp_path):
     places = np.zeros(1)
     flow = EnsembleFlow(places, places, 1.0, windows, speeds, speeds, stresses, stresses, np.ones((1, 1)), 9)
     for share, told in ((np.nan, set()), (0.01, {"dt_sigma_u", "dt_sigma_v"})):
-        write_ensemble(tmp_path / "mean.nc", replace(flow, dt_sigma_share=share), {"run": "flow"})
+        flow = replace(flow, dt_sigma_share=share)
+        write_statistics(tmp_path / "mean.nc", ensemble_vectors(flow, {"run": "flow"}))
         with netcdf_file(tmp_path / "mean.nc", mmap=False) as file:
             assert {name for name in file.variables if name.startswith("dt_")} == told
             found = [float(file.variables[name][0, 0, 0]) for name in sorted(told)]

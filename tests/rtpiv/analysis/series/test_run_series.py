@@ -20,7 +20,7 @@ from piv.errors import PairError, SeriesError
 from rtpiv.analysis.series import clean_frames as clean
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.marker import marker_path
-from rtpiv.analysis.series.mean_file import write_mean
+from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import mean_flow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder
@@ -135,14 +135,14 @@ def test_errors_that_no_number_of_pairs_makes_smaller_are_kept_apart(made, tmp_p
         assert getattr(twice, name)[known] == pytest.approx(getattr(mean, name)[known], rel=1e-9)
     parts = mean.sigma_m_s**2 + mean.dt_sigma_m_s**2 + mean.resolution_m_s[..., None] ** 2
     assert mean.total_sigma_m_s[known] == pytest.approx(np.sqrt(parts)[known])
-    write_mean(tmp_path / "mean.nc", replace(mean, no_map_sigma="not asked"), {})
+    write_statistics(tmp_path / "mean.nc", mean_vectors(replace(mean, no_map_sigma="not asked"), {}))
     with netcdf_file(tmp_path / "mean.nc", mmap=False) as file:
         assert file.delta_t_sigma_share == pytest.approx(0.02)
         assert file.variables["dt_sigma_v"][0] == pytest.approx(mean.dt_sigma_m_s[..., 1], nan_ok=True)
         assert file.variables["resolution"][0] == pytest.approx(mean.resolution_m_s, nan_ok=True)
         assert file.variables["total_sigma_u"][0] == pytest.approx(mean.total_sigma_m_s[..., 0], nan_ok=True)
         assert {"resolution_R_uu", "resolution_R_vv", "resolution_R_uv"} <= set(file.variables)
-    write_mean(tmp_path / "bare.nc", bare, {})
+    write_statistics(tmp_path / "bare.nc", mean_vectors(bare, {}))
     with netcdf_file(tmp_path / "bare.nc", mmap=False) as file:
         assert "dt_sigma_u" not in file.variables
 

@@ -56,8 +56,8 @@ def test_two_frames_with_a_time_have_velocities(recorded, tmp_path, capsys):
     for name in ("moved", "timed"):
         with netcdf_file(tmp_path / name / "vectors.nc", mmap=False) as file:
             found[name] = np.array(file.variables["u"][:]), file.variables["u"].units
-    assert (found["moved"][1], found["timed"][1]) == (b"mm", b"mm/s")
-    np.testing.assert_allclose(found["timed"][0], found["moved"][0] / 50e-6, rtol=1e-6)
+    assert (found["moved"][1], found["timed"][1]) == (b"mm", b"m s-1")
+    np.testing.assert_allclose(found["timed"][0], 1e-3 * found["moved"][0] / 50e-6, rtol=1e-6)
     assert main([*words, "--workers", "2", "-o", str(tmp_path / "no")]) == USAGE
     assert "--workers belongs to a series" in capsys.readouterr().err
 
