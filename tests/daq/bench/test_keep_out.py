@@ -8,6 +8,7 @@ import pytest
 from daq.bench.keep_out import Carrier, KeepOut, KeepOutTable
 from stages.errors import Obstructed, StageUsageError
 from stages.stage import Piece
+from tests.stages.conftest import bench  # noqa: F401 - a fixture
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
 from tracer.media import ConstantMedium
@@ -151,7 +152,7 @@ def benchmark_s():
     return run
 
 
-def test_a_guarded_stage_does_not_move(bench):
+def test_a_guarded_stage_does_not_move(bench):  # noqa: F811 - the same
     made = bench("zaber_ascii", carries="glass", along="z", limits_mm=[0.0, 120.0], approach=None)
     carriers = {"a": Carrier("glass", "z", 60.0), "b": Carrier("target", "z", 60.0)}
     made.stage.guard = KeepOut(scene(), carriers, KeepOutTable(**SIZES))
