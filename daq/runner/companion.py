@@ -18,8 +18,8 @@ from daq.pipeline.lanes import Pipeline
 from daq.plans.link_budget import require_link
 from daq.plans.pulse_order import pairs_section
 from daq.plans.steps import Step
+from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import camera_facts
-from daq.runner.exposures import Exposures
 from daq.runner.flow_side import FlowSide
 from daq.runner.pair_source import PairSource
 from daq.runner.session_record import (
@@ -74,7 +74,9 @@ class Companion:
         self._journal = Journal(folder.journal_path)
         self._pipeline: Pipeline | None = None
         latch = self._hardware.stage.latch
-        self.exposures = Exposures(self._hardware.camera, self._hardware.camera_section, latch, self._write_doubt)
+        self.exposures = CameraSession(
+            self._hardware.camera, self._hardware.camera_section, latch, self._write_doubt
+        )
 
     def begin(self, left: Sequence[Step]) -> FlowSide:
         """Open the books and set the camera up, before anything moves.
@@ -92,7 +94,7 @@ class Companion:
         if self._corrections is not None:
             self._corrections.prepare(step.view for step in left if step.on_plane)
         settings = self.exposures.set_up()
-        self.exposures.require_patience(settings)
+        self.exposures.check_frame_timeout(settings)
         require_link(self._hardware.bench, left, settings)
         write_camera_file(self._folder, self._hardware, settings)
         raw_queue = max(1, self._hardware.camera_section.buffers // 2)

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from daq.runner.exposures import Exposures
+from daq.runner.camera_session import CameraSession
 from daq.runs.raw_frame import checksum
 from stages.stage import Stage
 
@@ -164,7 +164,7 @@ class CameraDevice:
 
     Parameters
     ----------
-    exposures : Exposures
+    exposures : CameraSession
         Open camera with its books.
     keep : callable, optional
         Gets the pixels of every frame, to be copied if they are to be kept.
@@ -173,7 +173,7 @@ class CameraDevice:
     name = "camera"
     parent = None
 
-    def __init__(self, exposures: Exposures, keep: Callable[[Any], None] | None = None) -> None:
+    def __init__(self, exposures: CameraSession, keep: Callable[[Any], None] | None = None) -> None:
         self._exposures = exposures
         self._keep = keep
         self._last: dict[str, tuple[Any, str]] = {}

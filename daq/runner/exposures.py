@@ -1,50 +1,261 @@
-"""The camera of a run: two ways of taking frames, told apart by the camera's settings.
+"""The two ways of taking the frames of a run, told apart by the camera's settings.
 
-* **software** (single_frames): one trigger, one frame, nothing in between.  A frame that does not arrive whole is
-  taken again, a few times.
-* **stream** (streaming): the camera, or an outer clock, decides; it is armed for the step only, and frames keep
-  the place that their id gives them.
+**Software triggers** (`single_frames`): one trigger, one frame, nothing in between.
 
-Both hand over only frames that were exposed when they should have been (trigger_match), in the format that was
-set (frame_format); what they ask of the camera is in armed_camera.
+    drain -> read the camera's clock and trigger -> wait -> does the frame belong to this trigger? -> hand it over
+
+* What lies there before the trigger came too late for its own: rejected and counted.
+* A frame that was exposed before the trigger is rejected, counted, and waited past (trigger_match).
+* Pixels missing: nothing is wrong with the camera; it is triggered again at once.
+* Nothing within `timeout_s`: the camera is asked whether it lives and has its settings, is armed anew, and
+  triggered again, `retakes` times.  Its late frame may come at any time after that.
+* Stamps that fit nothing: a trial settles what they mean (clock_trial), then it is triggered again.
+
+**Stream** (`stream`): the camera, or an outer clock, decides when; it is armed for one step only.  A frame keeps
+the place that its id gives it, counted from the first frame that was exposed after the arming.  A place whose
+frame never came stays empty: nothing can be put there later.  Who takes the stream says how many places may stay
+empty; one more ends it, with the reason that the camera's counters give.
+
+Both hand over only frames that were exposed when they should have been, in the format that was set; what they ask
+of the camera is in camera_session.
 """
 
-from collections.abc import Generator
+import time
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
-from daq.cameras.frame import Frame
-from daq.runner.armed_camera import ArmedCamera
-from daq.runner.single_frames import single_frames
-from daq.runner.streaming import stream
+from daq.cameras.frame import Frame, FrameMeta
+from daq.errors import BadFrame, CameraError, CameraTimeout, FrameIncomplete, FramesLost, OtherFormat
+from daq.runner.clock_trial import PAUSES_S, Shot, explain
+from daq.runner.trigger_match import Place
+from daq.runs.conservation import Ledger
+
+if TYPE_CHECKING:
+    from daq.runner.camera_session import CameraSession
+
+TRIALS = 2
 
 
-class Exposures(ArmedCamera):
-    """The camera of a run, and its frames one after the other."""
+class StampsUnclear(CameraError):  # noqa: N818 - stays within this file
+    """The time stamp of a frame fits no trigger."""
 
-    def frames(self, count: int, begin: int = 0, may_lose: int = 0) -> Generator[tuple[int, Frame], None, None]:
-        """Yield (place in the step, frame), in rising order.
 
-        Parameters
-        ----------
-        count : int
-            Places of the step.
-        begin : int
-            First place that is to be filled.
-        may_lose : int
-            Places that may stay empty where frames come by themselves.
+def single_frames(taken_by: "CameraSession", places: range) -> Generator[tuple[int, Frame], None, None]:
+    """Yield (place, frame), a software trigger each.
 
-        Raises
-        ------
-        FramesLost
-            A frame could not be had, or a stream has more gaps than it may.
-        FrameDoubt
-            A frame came, and nothing tells which trigger it answers.
-        CameraTimeout
-            A stream has ended before its time.
-        CameraLost
-            The camera is gone; see `reopen`.
-        MotionStopped
-            The bench was stopped.
-        """
-        self.begin()
-        places = range(begin, count)
-        return single_frames(self, places) if self.software else stream(self, places, may_lose)
+    Raises
+    ------
+    FramesLost
+        A frame could not be had.
+    FrameDoubt
+        One came, and nothing tells which trigger it answers.
+    """
+    for place in places:
+        yield place, _one(taken_by)
+
+
+def _one(taken_by: "CameraSession") -> Frame:
+    """Trigger until a whole frame comes that was exposed for it."""
+    why: CameraError | None = None
+    match, counts, tries = taken_by.match, taken_by.counts, taken_by.section.retakes + 1
+    failed = 0
+    while failed < tries:
+        failed += 1
+        taken_by.make_ready()
+        try:
+            with _waiting(taken_by):
+                if match.restarted:
+                    taken_by.verify()
+                return _await(taken_by)
+        except FrameIncomplete as error:
+            why = error
+            match.came_incomplete()
+            if not match.by_time:
+                taken_by.end()  # only an empty queue makes sure that the next frame is the next trigger's
+        except CameraTimeout as error:
+            why = error
+            taken_by.verify()
+            if match.needs_trial:
+                failed -= _settle(taken_by)
+            elif match.by_time:  # by its id a frame is known only as long as the camera is armed
+                taken_by.end()
+        except StampsUnclear as error:
+            why = error
+            failed -= _settle(taken_by)
+        except OtherFormat:
+            raise
+        except BadFrame as error:
+            why = error
+            match.came_unusable()
+            taken_by.verify()
+            taken_by.end()
+        except CameraError:
+            counts.in_doubt = True
+            raise
+    raise FramesLost(f"no whole frame after {tries} triggers ({why}); look at link and trigger")
+
+
+@contextmanager
+def _waiting(taken_by: "CameraSession") -> Iterator[Shot]:
+    """Trigger; whatever ends the wait for its frame but a frame, or the remains of one, ends it in vain."""
+    match, counts = taken_by.match, taken_by.counts
+    counts.triggers += 1
+    before_ns = time.monotonic_ns()
+    match.begin()
+    try:
+        shot = Shot(taken_by.camera.trigger(), before_ns, time.monotonic_ns())
+        match.sent(shot)
+        yield shot
+    except BadFrame:
+        raise
+    except StampsUnclear:  # a frame came, and perhaps it was ours
+        counts.timeouts += 1
+        raise
+    except BaseException:
+        if match.waits:
+            counts.timeouts += 1
+            match.gave_up()
+        raise
+
+
+def _await(taken_by: "CameraSession") -> Frame:
+    """Wait for the frame of this trigger, past those of others."""
+    match, deadline_s = taken_by.match, time.monotonic() + taken_by.section.timeout_s
+    while True:
+        try:
+            frame = taken_by.wait_until(deadline_s)
+        except FrameIncomplete:
+            if match.owes_one_frame:
+                raise
+            continue  # perhaps that of an earlier trigger; if it was ours, nothing more will come
+        place = match.place(frame.meta)
+        if place is Place.OURS:
+            return taken_by.hand_over(frame)
+        if place is Place.STALE:
+            taken_by.reject(frame, match.was_owed(frame.meta))
+            continue
+        taken_by.reject(frame, True)
+        if not match.by_time:
+            taken_by.doubt("after a wait in vain a frame came that tells neither its time nor its id")
+        raise StampsUnclear("the time stamp of its frame fits no trigger")
+
+
+def _settle(taken_by: "CameraSession") -> bool:
+    """Learn from a trial what the stamps mean, once more if it was disturbed; False if no frame came at all."""
+    each_had_one = True
+    for _ in range(TRIALS):
+        shots, metas = _try(taken_by)
+        each_had_one &= len(shots) == len(metas)
+        trial = explain(shots, metas)
+        if trial is not None:
+            break
+    if not metas:
+        return False
+    if trial is None and not each_had_one:
+        taken_by.match.learned_nothing()
+        raise FramesLost("so many frames are lost or late that their time stamps cannot be matched to triggers")
+    said = taken_by.match.learn(trial)
+    if said:
+        taken_by.doubt(said)
+    return True
+
+
+def _try(taken_by: "CameraSession") -> tuple[list[Shot], list[FrameMeta]]:
+    """Trigger a few times with unequal pauses; keep no frame."""
+    shots: list[Shot] = []
+    metas: list[FrameMeta] = []
+    for pause_s in PAUSES_S:
+        end_s = time.monotonic() + pause_s
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            taken_by.ask()
+            time.sleep(min(left_s, 0.05))
+        metas += taken_by.drain()
+        with suppress(CameraTimeout, FrameIncomplete), _waiting(taken_by) as shot:
+            shots.append(shot)
+            frame = taken_by.wait_until(time.monotonic() + taken_by.section.timeout_s)
+            metas.append(frame.meta)
+            taken_by.reject(frame, True)
+    return shots, metas
+
+
+def stream(taken_by: "CameraSession", places: range, may_lose: int) -> Generator[tuple[int, Frame], None, None]:
+    """Arm, yield (place, frame) in rising order, disarm.
+
+    Parameters
+    ----------
+    taken_by : CameraSession
+        The camera; not armed.
+    places : range
+        Places to be filled.
+    may_lose : int
+        Places that may stay empty.
+
+    Raises
+    ------
+    FramesLost
+        More places are empty than may be.
+    CameraTimeout
+        No further frame came in time.
+    """
+    before, lost, next_place = taken_by.counts.ledger(), 0, places.start
+    first: int | None = None
+    dried_up: CameraTimeout | None = None
+    try:
+        arm = _arm(taken_by)
+        deadline_s = _deadline_s(taken_by)
+        while next_place < places.stop and lost <= may_lose:
+            try:
+                frame = taken_by.wait_until(deadline_s)
+            except OtherFormat:
+                raise
+            except BadFrame:  # its place stays empty
+                continue
+            except CameraTimeout as error:
+                dried_up = error
+                break
+            if first is None and not taken_by.match.is_of_arm(frame.meta, arm):
+                taken_by.reject(frame, True)
+                continue
+            first = frame.meta.sequence if first is None else first
+            place = places.start + frame.meta.sequence - first
+            if place < next_place:  # its id was there before
+                taken_by.reject(frame, True)
+                continue
+            lost += min(place, places.stop) - next_place
+            next_place = min(place + 1, places.stop)
+            deadline_s = _deadline_s(taken_by)
+            if place < places.stop:
+                yield place, taken_by.hand_over(frame)
+            else:  # the last one that was wanted is gone
+                taken_by.reject(frame, True)
+    finally:
+        taken_by.end()
+    why = _where(before, taken_by.counts.ledger())
+    if lost > may_lose:
+        raise FramesLost(f"{lost} of {next_place - places.start} frames are gone: {why or 'no reason given'}")
+    if dried_up is not None:
+        raise CameraTimeout(
+            f"the stream ended after {next_place - places.start - lost} of {len(places)} frames "
+            f"({dried_up}{'; ' if why else ''}{why})"
+        ) from dried_up
+
+
+def _arm(taken_by: "CameraSession") -> Shot:
+    """Start the acquisition; return the moment right before."""
+    before_ns, clock_ns = time.monotonic_ns(), taken_by.clock_ns()
+    taken_by.make_ready()
+    return Shot(clock_ns, before_ns, time.monotonic_ns())
+
+
+def _deadline_s(taken_by: "CameraSession") -> float:
+    return time.monotonic() + taken_by.section.timeout_s
+
+
+def _where(before: Ledger, after: Ledger) -> str:
+    causes = (
+        ("no buffer was free (disk or computer too slow)", after.underrun - before.underrun),
+        ("incomplete (link)", after.incomplete - before.incomplete),
+        ("never arrived (link)", after.missing - before.missing),
+    )
+    return ", ".join(f"{number} {cause}" for cause, number in causes if number)

@@ -14,12 +14,12 @@ from daq.cameras.frame import Frame
 from daq.errors import BadFrame, CameraTimeout, OtherFormat, RunUsageError
 from daq.plans.pulse_order import PulseOrder
 from daq.runner.brightness import BrightnessSign, LightWatch, mean_counts
+from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import ask_clock
 from daq.runner.chunk import Chunk
-from daq.runner.exposures import Exposures
+from daq.runner.clock_trial import Shot
 from daq.runner.marker_sense import MarkerSense
 from daq.runner.pair_finder import PairFinder
-from daq.runner.shot import Shot
 from daq.runs.chunk_books import DARK, HALF, LEFT
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
@@ -37,13 +37,13 @@ class PairSource:
     ----------
     name : str
         Device of the bench.
-    exposures : Exposures
+    exposures : CameraSession
         The camera, set up.
     section : PairsSection
         How its pairs come.
     """
 
-    def __init__(self, name: str, exposures: Exposures, section: PairsSection) -> None:
+    def __init__(self, name: str, exposures: CameraSession, section: PairsSection) -> None:
         self.name = name
         self.exposures = exposures
         self.section = section

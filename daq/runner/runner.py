@@ -25,9 +25,9 @@ from daq.plans.link_budget import require_link
 from daq.plans.pulse_order import PulseOrder, pairs_section
 from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest
+from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import camera_facts
 from daq.runner.companion import Companion
-from daq.runner.exposures import Exposures
 from daq.runner.flow_side import FlowSide
 from daq.runner.flow_step import FlowStep
 from daq.runner.interrupts import Interrupts
@@ -138,7 +138,7 @@ class Runner:
         self._live_queue, self._show = live_queue, show
         self._again = again
         self._journal: Journal | None = None
-        self._exposures = Exposures(
+        self._exposures = CameraSession(
             hardware.camera, hardware.camera_section, hardware.stage.latch, self._write_doubt
         )
         self._rests_at_mm: dict[str, float] = {}
@@ -197,7 +197,7 @@ class Runner:
 
     def _session(self, journal: Journal, left: list[Step]) -> None:
         settings = self._exposures.set_up() if left else {}
-        self._exposures.require_patience(settings)
+        self._exposures.check_frame_timeout(settings)
         require_link(self._hardware.bench, left, settings)
         write_camera_file(self._folder, self._hardware, settings)
         raw_queue = max(1, self._hardware.camera_section.buffers // 2)

@@ -10,7 +10,7 @@ from daq.cameras.camera import Setting
 from daq.errors import BadBalance
 from daq.pipeline.lanes import Pipeline
 from daq.plans.steps import Step
-from daq.runner.exposures import Exposures
+from daq.runner.camera_session import CameraSession
 from daq.runs.conservation import Ledger
 from daq.runs.gaps import booked_gaps, numbers_in
 from daq.runs.journal import Journal
@@ -50,7 +50,7 @@ def write_camera_file(folder: RunFolder, hardware: OpenBench, settings: Mapping[
 
 
 def end_session(
-    journal: Journal, exposures: Exposures, pipeline: Pipeline, why: str, error: str
+    journal: Journal, exposures: CameraSession, pipeline: Pipeline, why: str, error: str
 ) -> tuple[Ledger, str]:
     """Close the books of a session, with every frame on the disk; return them, and what is in doubt."""
     pipeline.close()

@@ -23,7 +23,7 @@ from daq.errors import CameraError, CameraLost, CameraTimeout, FramesLost, Setti
 from daq.pipeline.job import Job
 from daq.pipeline.lanes import Pipeline
 from daq.plans.steps import Step
-from daq.runner.exposures import Exposures
+from daq.runner.camera_session import CameraSession
 from daq.runner.interrupts import Interrupts
 from daq.runner.progress import Progress
 from daq.runs.gaps import Gaps, gaps_of, next_place
@@ -46,7 +46,7 @@ class StepFrames:
         Its journal.
     pipeline : Pipeline
         Writes them.
-    exposures : Exposures
+    exposures : CameraSession
         The camera, set up.
     hardware : OpenBench
         The bench.
@@ -63,7 +63,7 @@ class StepFrames:
         folder: RunFolder,
         journal: Journal,
         pipeline: Pipeline,
-        exposures: Exposures,
+        exposures: CameraSession,
         hardware: OpenBench,
         interrupts: Interrupts,
         progress: Progress,

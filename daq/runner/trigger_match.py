@@ -32,8 +32,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from daq.cameras.frame import FrameMeta
-from daq.runner.clock_trial import Trial
-from daq.runner.shot import DRIFT, Shot
+from daq.runner.clock_trial import DRIFT, Shot, Trial
 
 CONFIRMED = 3.0  # times our patience; over that even stamps in another unit would have contradicted each other
 TRIALS = 3  # after which a clock is none that has not agreed with us for a while

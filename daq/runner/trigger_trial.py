@@ -16,7 +16,7 @@ from daq.bench.bench_table import CameraSection
 from daq.cameras.camera import Camera
 from daq.cameras.frame import FrameMeta
 from daq.errors import CameraTimeout, FrameIncomplete, SettingRefused
-from daq.runner.exposures import Exposures
+from daq.runner.camera_session import CameraSession
 
 FRAMES = 6
 CHUNK = "ExposureTime"
@@ -52,7 +52,7 @@ def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) ->
     """
     sends = _sends_exposures(camera, section)
     asked = [*section.chunks, *([CHUNK] if sends and CHUNK not in section.chunks else [])]
-    exposures = Exposures(camera, section.model_copy(update={"chunks": asked}))
+    exposures = CameraSession(camera, section.model_copy(update={"chunks": asked}))
     settings = exposures.set_up()
     found = [Found("settings", True, f"{len(section.settings)} read back as they were set")]
     metas: list[FrameMeta] = []

@@ -8,7 +8,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA
 from daq.bench.opened import open_bench
 from daq.errors import CameraError
-from daq.runner.exposures import Exposures
+from daq.runner.camera_session import CameraSession
 from daq.runner.trigger_trial import Found, try_trigger
 from daq.runs.raw_frame import checksum, write_raw
 from ground.terminal import console
@@ -53,7 +53,7 @@ def camera(
         if action == "test":
             _say(try_trigger(hardware.camera, hardware.camera_section))
             return None
-        exposures = Exposures(hardware.camera, hardware.camera_section)
+        exposures = CameraSession(hardware.camera, hardware.camera_section)
         settings = exposures.set_up()
         if action == "list":
             for name in sorted(settings):

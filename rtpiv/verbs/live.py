@@ -17,7 +17,7 @@ from daq.cameras.frame import Frame
 from daq.live.live_page import BYTES_PER_PX, LivePage
 from daq.pipeline.corrections import Corrections
 from daq.plans.steps import BEHIND_GLASS
-from daq.runner.exposures import Exposures
+from daq.runner.camera_session import CameraSession
 from ground.terminal import console
 from rtpiv.verbs.paths import Named
 from tracer.scene.scene import Scene
@@ -80,7 +80,7 @@ def live(
         corrector = _corrector(believed) if correct else None
         page.say("opening the camera")
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
-        exposures = Exposures(hardware.camera, hardware.camera_section)
+        exposures = CameraSession(hardware.camera, hardware.camera_section)
         exposures.set_up()
         away = _away(loaded, hardware)
         if away and corrector is not None:
@@ -121,7 +121,7 @@ def _away(bench: Bench, hardware: OpenBench) -> str:
     return f"simulated axes stand off the place in the scene file: {', '.join(away)}" if away else ""
 
 
-def _endless(exposures: Exposures) -> Iterator[Frame]:
+def _endless(exposures: CameraSession) -> Iterator[Frame]:
     while True:
         for _, frame in exposures.frames(BATCH, may_lose=BATCH):
             yield frame

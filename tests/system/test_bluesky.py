@@ -3,8 +3,8 @@
 import pytest
 
 from daq.plans.steps import route
+from daq.runner.camera_session import CameraSession
 from daq.runner.devices import AxisDevice, CameraDevice
-from daq.runner.exposures import Exposures
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.run_folder import frame_entries
@@ -40,7 +40,7 @@ def theirs(tmp_path, bench, plan):
 
     with files_bench(bench, tmp_path / "frames_in") as hardware:
         axes = {name: AxisDevice(hardware.stage, name) for name in hardware.stage.axes}
-        camera = CameraDevice(Exposures(hardware.camera, hardware.camera_section))
+        camera = CameraDevice(CameraSession(hardware.camera, hardware.camera_section))
         order = list(hardware.stage.axes)
         truths, tags, documents = [], [], []
 
@@ -86,7 +86,7 @@ def test_devices_satisfy_the_protocols(tmp_path, bench_and_plan):
     bench, _ = bench_and_plan
     with files_bench(bench, tmp_path / "frames_in") as hardware:
         axis = AxisDevice(hardware.stage, "target_x")
-        camera = CameraDevice(Exposures(hardware.camera, hardware.camera_section))
+        camera = CameraDevice(CameraSession(hardware.camera, hardware.camera_section))
         for name in ("Movable", "Readable", "Locatable", "Stoppable", "Checkable"):
             assert isinstance(axis, getattr(protocols, name)), name
         for name in ("Triggerable", "Readable", "Stageable"):

@@ -7,8 +7,7 @@ from daq.bench.bench_table import CameraSection
 from daq.cameras import camera as waiting
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import OtherFormat
-from daq.runner.exposures import Exposures
-from daq.runner.frame_format import FrameFormat
+from daq.runner.camera_session import CameraSession, FrameFormat
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.raw_frame import read_raw
@@ -34,7 +33,7 @@ def rig(request, tmp_path, monkeypatch):
 def exposures_of(camera, **settings):
     section = CameraSection(backend="any", settings=SOFTWARE | settings, timeout_s=1.0, buffers=8)
     camera.open()
-    exposures = Exposures(camera, section)
+    exposures = CameraSession(camera, section)
     exposures.set_up()
     return exposures
 
@@ -77,7 +76,7 @@ def test_an_incomplete_frame_is_not_waited_for(rig):
     """A minute of patience: nothing of it is spent, and the frames are those of the triggers after."""
     camera = rig.make(CameraConfig(**SMALL, faults=FaultPlan(incomplete=(1, 2, 4))))
     camera.open()
-    exposures = Exposures(camera, CameraSection(backend="any", settings=SOFTWARE, timeout_s=60.0, buffers=8))
+    exposures = CameraSession(camera, CameraSection(backend="any", settings=SOFTWARE, timeout_s=60.0, buffers=8))
     exposures.set_up()
     shown = []
     for _, frame in exposures.frames(4):

@@ -8,8 +8,8 @@ from daq.bench.bench_table import CameraSection
 from daq.cameras.files import FilesCamera
 from daq.cameras.frame import Frame
 from daq.errors import CameraLost
+from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import camera_facts
-from daq.runner.exposures import Exposures
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.clock_map import clock_maps
@@ -76,7 +76,7 @@ def test_who_asks_for_no_chunks_finds_none_in_the_record(tmp_path):
     kept = {
         wanted: CameraSection(backend="files", chunks=list(wanted)) for wanted in ((), ("Gain", "NoSuchThing"))
     }
-    found = [Exposures(camera, section).facts(frame) for section in kept.values()]
+    found = [CameraSession(camera, section).facts(frame) for section in kept.values()]
     assert found == [{}, {"chunks": {"Gain": 3.0}}]
 
 

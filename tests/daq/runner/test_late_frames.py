@@ -7,7 +7,7 @@ import pytest
 
 from daq.bench.bench_table import CameraSection
 from daq.cameras import camera as waiting
-from daq.runner.exposures import Exposures
+from daq.runner.camera_session import CameraSession
 from sim.camera.config import CameraConfig
 from sim.camera.faults import FaultPlan
 from tests.daq.cameras.rigs import RIGS
@@ -52,7 +52,7 @@ def take(exposures, camera, stops):
 def test_no_frame_is_filed_under_a_stop_that_it_does_not_show(rig, late_s):
     camera = counted(rig.make(CameraConfig(**SMALL, faults=FaultPlan(late_s=late_s))))
     camera.open()
-    exposures = Exposures(camera, SECTION)
+    exposures = CameraSession(camera, SECTION)
     exposures.set_up()
     seen = take(exposures, camera, 7)
     exposures.end()

@@ -3,7 +3,7 @@
 import pytest
 
 from daq.errors import RunUsageError
-from daq.runner.patience import require_patience
+from daq.runner.camera_session import check_frame_timeout
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
@@ -31,8 +31,8 @@ SLOW = {"ExposureTime": 250_000.0, "SensorReadoutTime": 30_000.0, "PayloadSize":
 )  # fmt: skip
 def test_what_a_triggered_frame_takes(settings, needed_s):
     with pytest.raises(RunUsageError, match=f"timeout_s = 0.24 .* more than {needed_s:g}$"):
-        require_patience(0.24, TRIGGERED | settings)
-    require_patience(needed_s + 1e-3, TRIGGERED | settings)
+        check_frame_timeout(0.24, TRIGGERED | settings)
+    check_frame_timeout(needed_s + 1e-3, TRIGGERED | settings)
 
 
 @pytest.mark.parametrize(
@@ -45,12 +45,12 @@ def test_what_a_triggered_frame_takes(settings, needed_s):
 )
 def test_what_a_camera_takes_that_runs_by_itself(settings, needed_s):
     with pytest.raises(RunUsageError, match=f"more than {needed_s:g}$"):
-        require_patience(0.24, {"TriggerMode": "Off"} | settings)
-    require_patience(needed_s + 1e-3, {"TriggerMode": "Off"} | settings)
+        check_frame_timeout(0.24, {"TriggerMode": "Off"} | settings)
+    check_frame_timeout(needed_s + 1e-3, {"TriggerMode": "Off"} | settings)
 
 
 def test_an_outer_trigger_may_come_at_any_time():
-    require_patience(0.1, {"TriggerMode": "On", "TriggerSource": "Line1", "AcquisitionFrameRate": 0.01})
+    check_frame_timeout(0.1, {"TriggerMode": "On", "TriggerSource": "Line1", "AcquisitionFrameRate": 0.01})
 
 
 @pytest.mark.parametrize(
@@ -59,7 +59,7 @@ def test_an_outer_trigger_may_come_at_any_time():
      {"DeviceLinkSpeed": 10}, {"ResultingFrameRate": 0.0}, {"Width": 10**6}],
 )  # fmt: skip
 def test_who_tells_nothing_is_not_refused(settings):
-    require_patience(1e-6, TRIGGERED | settings)
+    check_frame_timeout(1e-6, TRIGGERED | settings)
 
 
 def test_a_run_is_refused_before_anything_moves(tmp_path):

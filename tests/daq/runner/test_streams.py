@@ -9,7 +9,7 @@ import tifffile
 
 from daq.cameras.files import FilesCamera
 from daq.errors import CameraLost, FramesLost, RunDamaged, RunInterrupted, SettingsChanged
-from daq.runner import armed_camera, exposures
+from daq.runner import camera_session, exposures
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, reopen
 from daq.runs.gaps import gap_sentence
@@ -258,14 +258,14 @@ def test_a_stop_ends_a_stream_while_it_waits_for_a_frame(run, tmp_path):
         with pytest.raises(MotionStopped):
             Runner(hardware, folder, plan.steps).run()
         assert len([wait_s for wait_s in polled if wait_s]) == 3
-        assert max(polled) <= armed_camera.SLICE_S
+        assert max(polled) <= camera_session.SLICE_S
         hardware.stage.clear_stop()
     assert sorted(shown(folder)) == list(range(5))
 
 
 def test_a_held_bench_exposes_nothing(run):
     with files_bench(run[0], run[3]) as hardware:
-        taken = exposures.Exposures(hardware.camera, hardware.camera_section, hardware.stage.latch)
+        taken = exposures.CameraSession(hardware.camera, hardware.camera_section, hardware.stage.latch)
         taken.set_up()
         frames = taken.frames(5)
         next(frames)[1].release()

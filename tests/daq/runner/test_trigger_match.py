@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 from daq.bench.bench_table import CameraSection
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import CameraLost, FrameDoubt, FramesLost, SettingsChanged
-from daq.runner import armed_camera as armed_camera_module
-from daq.runner import single_frames as single_frames_module
-from daq.runner import streaming as streaming_module
-from daq.runner.exposures import Exposures
-from daq.runner.shot import Shot
+from daq.runner import camera_session as session_module
+from daq.runner import exposures as exposures_module
+from daq.runner.camera_session import CameraSession
+from daq.runner.clock_trial import Shot
 from daq.runner.trigger_match import Place, TriggerMatch
 from stages.errors import MotionStopped
 from stages.stop_latch import StopLatch
@@ -35,7 +34,7 @@ class Session:
     def __init__(self, time, script, frames_per_stop, stops=STOPS, pause_ms=0):
         self.time, self.camera = time, ScriptedCamera(script, time)
         self.filed = []  # (stop, trigger that the frame shows)
-        self.exposures = Exposures(self.camera, SECTION)
+        self.exposures = CameraSession(self.camera, SECTION)
         self.exposures.set_up()
         self.discarded = 0
         self.why = "finished"
@@ -82,7 +81,7 @@ class Session:
 def play(monkeypatch):
     """Play a session in a time of its own; one session begins where the one before has ended."""
     time = FakeTime()
-    for module in (armed_camera_module, single_frames_module, streaming_module):
+    for module in (session_module, exposures_module):
         monkeypatch.setattr(module, "time", time)
     return lambda script, frames_per_stop=1, **options: Session(time, script, frames_per_stop, **options)
 
@@ -251,7 +250,7 @@ def test_a_stop_while_a_frame_is_waited_for_leaves_the_books_whole(play):
     for survive in (True, False):
         session = play(Script(), stops=0)
         latch, camera = StopLatch(), ScriptedCamera(Script(late_ms={1: 5000}, survive=survive), session.time)
-        exposures = Exposures(camera, SECTION, latch)
+        exposures = CameraSession(camera, SECTION, latch)
         real, polls = camera.poll, []
 
         def poll(timeout_s, real=real, polls=polls, latch=latch):
@@ -287,7 +286,7 @@ def test_a_clock_that_does_not_run_on_is_a_camera_that_restarted():
 def test_the_matching_is_needed(play, monkeypatch):
     """With the judge switched off and nothing drained the same sessions are wrong: these tests can see."""
     monkeypatch.setattr(TriggerMatch, "place", lambda self, meta: Place.OURS)
-    monkeypatch.setattr(Exposures, "drain", lambda self: [])
+    monkeypatch.setattr(CameraSession, "drain", lambda self: [])
     session = play(Script(late_ms={2: 310}))
     assert len(session.misfiled) > 2
 
@@ -375,7 +374,7 @@ def test_a_camera_that_lost_power_between_two_triggers_is_verified_before_its_fr
         return frame
 
     camera._frame = from_the_new_clock
-    exposures, frames = Exposures(camera, SECTION), []
+    exposures, frames = CameraSession(camera, SECTION), []
     exposures.set_up()
     with pytest.raises(SettingsChanged):
         frames.extend(int(frame.pixels[0, 0]) for _, frame in exposures.frames(8))

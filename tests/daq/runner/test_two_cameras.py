@@ -15,9 +15,9 @@ from daq.plans.plan import load_plan
 from daq.plans.pulse_order import PulseOrder
 from daq.runner import flow_side, together
 from daq.runner.chunk import Chunk
+from daq.runner.clock_trial import Shot
 from daq.runner.flow_step import FlowStep
 from daq.runner.pair_source import PairSource
-from daq.runner.shot import Shot
 from daq.runs.chunk_books import ELSEWHERE
 from daq.runs.clock_map import clock_maps
 from daq.runs.pairs import pairs_of

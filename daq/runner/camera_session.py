@@ -1,16 +1,35 @@
 """The camera of a run, whoever takes its frames: arming, disarming, waiting, rejecting, and the books of all that.
 
-Every wait is cut into slices, and before each slice and each trigger the bench's stop is asked.
+Every wait is cut into slices, and before each slice and each trigger the bench's stop is asked.  How frames are
+taken is in exposures.
+
+**Format.**  A producer may read one pixel format back and send another.  Pixels of another format are other grey
+values, and those of another size another place, so not even the first such frame may be kept.  Compared is what
+the camera read back with what each frame itself announces; both are known already, so it costs nothing.
+
+**Timeout.**  With a `timeout_s` below exposure, readout and transfer every frame comes after its timeout, and a
+run would end after its first triggers with words about the link.  The camera tells what it needs by its settings,
+so this is said before anything moves.  Only what a camera tells is counted: one that tells nothing is never
+refused.
+
+    ExposureTime                [us]; ExposureTimeAbs before SFNC 2
+    SensorReadoutTime           [us]
+    PayloadSize                 [byte], over DeviceLinkThroughputLimit, or DeviceLinkSpeed, or GevLinkSpeed
+    1 / ResultingFrameRate      a frame takes that long at least, whatever limits it
+    1 / AcquisitionFrameRate    of a camera that runs by itself: the next frame may be that far away
 """
 
+import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import suppress
 from typing import Any, NoReturn
 
 from daq.bench.bench_table import CameraSection, trigger_is_software
 from daq.cameras.camera import Camera, Counters, Setting, probe_s
+from daq.cameras.formats import FORMATS
 from daq.cameras.frame import Frame, FrameMeta
+from daq.cameras.link import first_of, told_bytes_s
 from daq.errors import (
     BadFrame,
     CameraError,
@@ -18,19 +37,48 @@ from daq.errors import (
     CameraTimeout,
     FrameDoubt,
     OtherFormat,
+    RunUsageError,
     SettingsChanged,
 )
-from daq.runner.frame_format import FrameFormat
-from daq.runner.patience import require_patience
+from daq.runner.exposures import single_frames, stream
 from daq.runner.trigger_match import UNCONFIRMED, TriggerMatch
 from daq.runs.conservation import Bookkeeper, Ledger
 from stages.stop_latch import StopLatch
 
+
+class FrameFormat:
+    """Pixel format and size that frames must have.
+
+    Parameters
+    ----------
+    settings : mapping
+        What the camera read back; what it does not tell is not compared.
+    """
+
+    def __init__(self, settings: Mapping[str, Setting]) -> None:
+        name = settings.get("PixelFormat")
+        self._name = name if name in FORMATS else None  # a name of the vendor's own says nothing
+        self._sides = [settings.get(side) for side in ("Width", "Height")]
+
+    def contradiction(self, frame: Frame) -> str:
+        """How a frame differs from what was read back, as the rest of a sentence; "" if it does not."""
+        height, width = frame.pixels.shape
+        got = (frame.meta.pixel_format, width, height)
+        told = (self._name, *self._sides)
+        if all(mine is None or mine == its for mine, its in zip(told, got, strict=True)):
+            return ""
+        said = [str(mine if mine is not None else its) for mine, its in zip(told, got, strict=True)]
+        return (
+            f"sends {got[0]} of {width} x {height} px and reads {said[0]} of {said[1]} x {said[2]} px back; "
+            "set PixelFormat, Width and Height to what it really sends"
+        )
+
+
 SLICE_S = 0.05
 
 
-class ArmedCamera:
-    """A camera with its books; base of `exposures.Exposures`.
+class CameraSession:
+    """A camera, its frames one after the other, and the books of them.
 
     Parameters
     ----------
@@ -105,9 +153,9 @@ class ArmedCamera:
         chunks = {name: frame.meta.chunks[name] for name in self.section.chunks if name in frame.meta.chunks}
         return {"chunks": chunks} if chunks else {}
 
-    def require_patience(self, settings: Mapping[str, Setting]) -> None:
+    def check_frame_timeout(self, settings: Mapping[str, Setting]) -> None:
         """Refuse a timeout that no frame can meet, by what `set_up` returned; RunUsageError says what would do."""
-        require_patience(self.section.timeout_s, settings)
+        check_frame_timeout(self.section.timeout_s, settings)
 
     def verify(self) -> None:
         """Make sure that the camera still has its settings.
@@ -155,6 +203,35 @@ class ArmedCamera:
             self.doubts.append(UNCONFIRMED)
         return ledger
 
+    def frames(self, count: int, begin: int = 0, may_lose: int = 0) -> Generator[tuple[int, Frame], None, None]:
+        """Yield (place in the step, frame), in rising order.
+
+        Parameters
+        ----------
+        count : int
+            Places of the step.
+        begin : int
+            First place that is to be filled.
+        may_lose : int
+            Places that may stay empty where frames come by themselves.
+
+        Raises
+        ------
+        FramesLost
+            A frame could not be had, or a stream has more gaps than it may.
+        FrameDoubt
+            A frame came, and nothing tells which trigger it answers.
+        CameraTimeout
+            A stream has ended before its time.
+        CameraLost
+            The camera is gone; see `reopen`.
+        MotionStopped
+            The bench was stopped.
+        """
+        self.begin()
+        places = range(begin, count)
+        return single_frames(self, places) if self.software else stream(self, places, may_lose)
+
     def reopen(self) -> None:
         """Bring a lost camera back: close, open, configure.
 
@@ -169,7 +246,7 @@ class ArmedCamera:
         self.match.reopened()
         self.set_up()
 
-    # ---- what the two ways of taking frames ask for --------------------------------------------
+    # ---- what the two ways of taking frames ask for (exposures) --------------------------------
 
     def ask(self) -> None:
         """Ask the bench's stop; MotionStopped if nothing may be exposed any more."""
@@ -290,3 +367,58 @@ def _last_counters(camera: Camera) -> Counters:
         return camera.counters
     except CameraError:
         return Counters()
+
+
+EXPOSURES_US = ("ExposureTime", "ExposureTimeAbs")
+READOUTS_US = ("SensorReadoutTime",)
+RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
+ASKED_HZ = ("AcquisitionFrameRate", "AcquisitionFrameRateAbs")
+
+
+def check_frame_timeout(timeout_s: float, settings: Mapping[str, Setting]) -> None:
+    """Refuse a timeout that no frame can meet.
+
+    Parameters
+    ----------
+    timeout_s : float
+        How long a frame is waited for.
+    settings : mapping
+        What the camera read back when it was set up.
+
+    Raises
+    ------
+    RunUsageError
+        It is too short; says how long it has to be.
+    """
+    parts = dict(_parts_s(settings))
+    frame_s = sum(parts.values())
+    least_s = max(frame_s, _period_s(settings, RATES_HZ))
+    if least_s > frame_s:
+        parts = {"one frame at the camera's rate": least_s}
+    runs_by_itself = settings.get("TriggerMode", "Off") == "Off" and not trigger_is_software(settings)
+    if runs_by_itself and settings.get("AcquisitionFrameRateEnable", True) is True:
+        between_s = _period_s(settings, ASKED_HZ)
+        if between_s:
+            parts["time between frames"] = between_s
+    needed_s = sum(parts.values())
+    if timeout_s < needed_s:
+        told = " + ".join(f"{what} {part_s:.3g} s" for what, part_s in parts.items())
+        raise RunUsageError(
+            f"timeout_s = {timeout_s:g} is shorter than a frame takes ({told}); set timeout_s of the camera to "
+            f"more than {math.ceil(1e3 * needed_s) / 1e3:g}"
+        )
+
+
+def _parts_s(settings: Mapping[str, Setting]) -> Iterator[tuple[str, float]]:
+    for what, names in (("exposure", EXPOSURES_US), ("readout", READOUTS_US)):
+        microseconds = first_of(settings, names)
+        if microseconds:
+            yield what, microseconds * 1e-6
+    payload_bytes, bytes_s = first_of(settings, ("PayloadSize",)), told_bytes_s(settings)
+    if payload_bytes and bytes_s:
+        yield "transfer", payload_bytes / bytes_s
+
+
+def _period_s(settings: Mapping[str, Setting], names: tuple[str, ...]) -> float:
+    rate_hz = first_of(settings, names)
+    return 1.0 / rate_hz if rate_hz else 0.0
