@@ -13,6 +13,10 @@ windows of the deformed frames, and adds the displacement that is left:
 * The predictor is smoothed between passes. Rejected vectors never reach it.
 * Detail that is no stronger than noise is taken off the result (`piv.correlation.denoise`).
 
+**What stands still** (background, reflections, dirt on the glass) draws every vector to zero, and no uncertainty
+sees it. Where particles have moved by more than their own size, frames that show nothing else do not match at no
+displacement; what matches there all the same, as a share of what the window holds, stands still.
+
 Scarano, Meas. Sci. Technol. 13, R1 (2002); Astarita, Cardone, Exp. Fluids 38, 233 (2005).
 Sign and axis conventions: see `piv.correlation.vector_field`.
 """
@@ -31,22 +35,48 @@ from piv.correlation.evidence import unproven
 from piv.correlation.outliers import filled, smoothed
 from piv.correlation.passes import Measured, moved, refine_pass, search
 from piv.correlation.prepare import Pair, prepared
-from piv.correlation.refine import window_weights
+from piv.correlation.refine import refine, window_weights
 from piv.correlation.resolution import matched_share, unmatched_px, unresolved_px
 from piv.correlation.response import COARSE, last_filter, noise_growth, smoothing_after, transfers_between
 from piv.correlation.settings import PivSettings
-from piv.correlation.static import static_share, still_correlation
 from piv.correlation.uncertainty import LARGEST_PX, correlation_statistics, sampling_error_px
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import PairError
 
+FAR_MOVED = 4.0  # displacement over the deviation of a particle image: of the correlation 2 % are left
+FEWEST_MOVED = 12  # windows, for a median
 BYTES_PER_PX = 32  # that all passes hold at most; measured 30 at 2016 x 2016 and 4032 x 4032
 DOUBTFUL_SHARE, GAIN = 0.6, 1.5  # with fewer vectors than this, larger first windows are tried: they may find more
 LEAST_MATCHED, OTHERWISE_PX = 0.25, 0.25  # of a window's light; and what the rest may make of the vector
 CHANGE_PX, CHANGED_SHARE = 0.25, 0.03  # more vectors than this share moved by more: another pass is worth its time
-
 Floats = NDArray[np.float64]
+
+
+def still_correlation(pair: DeformedPair, grid: WindowGrid, window_sigma: float, threads: int | None) -> Floats:
+    """Correlation coefficient at no displacement, for every second window of each direction; `pair` undeformed."""
+    every = slice(None, None, 2)
+    coarse = WindowGrid(grid.row[every], grid.column[every], grid.size_px, 2 * grid.step_px)
+    sums = refine(pair, coarse, window_sigma, threads).sums
+    power = np.sqrt(sums[..., 8] * sums[..., 9])
+    return np.where(power > 0.0, sums[..., 0] / np.where(power > 0.0, power, 1.0), np.nan)
+
+
+def static_share(still: Floats, field: VectorField, spread_px2: float) -> float:
+    """Share of the light that stands still, median over windows; NaN where all moves too little.
+
+    Parameters
+    ----------
+    still : ndarray of float64
+        From `still_correlation`, on the grid of `field`.
+    field : VectorField
+        How far it moves.
+    spread_px2 : float
+        Variance of a particle image.
+    """
+    far = np.hypot(field.u_px, field.v_px)[::2, ::2] > FAR_MOVED * np.sqrt(spread_px2)
+    known = still[far & np.isfinite(still)]
+    return float(np.median(known)) if len(known) >= FEWEST_MOVED else float("nan")
 
 
 def evaluate_pair(

@@ -57,7 +57,7 @@ class VectorField:
     nan_pixels : int
         Pixels that were NaN, infinite or masked in a frame although the mask called them valid; treated as masked.
     static_share : float
-        Share of the light that does not move, see `piv.correlation.static`; NaN where not known.
+        Share of the light that does not move, see `piv.correlation.pair`; NaN where not known.
     resolution_px : ndarray of float64, shape (ny, nx), optional
         Standard uncertainty of a component by what windows do not resolve (`piv.correlation.resolution`), beside
         the random part: means over pairs keep most of it. NaN where sigma is.

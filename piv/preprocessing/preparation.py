@@ -3,18 +3,33 @@
 Raw frames lose their background, whose pixels stand still there; the correction follows; then particles are
 brought to one height.  Every step is the same at every place of a frame, or takes off what does not move: none
 moves a correlation peak.  What is not so is refused by name.
+
+**min-max**: particles brought to one height by their surroundings.  A sliding window of 10 x 10 px: (f - min) /
+(max - min).  Both envelopes are averaged over the same window first; their steps would cost three times the
+random error.  It is the same at every place of both frames, hence it does not move the correlation peak;
+particles that glass dims then count as much as those beside it.
+
+**cap**: bright particles held down.  One particle that outshines its window draws the correlation to its own
+displacement.  Values above
+
+    median + 2 standard deviations
+
+of the frame are set to that (Shavit, Lowe, Steinbuck, Exp. Fluids 42, 225 (2007), who cap at median + n sigma).
+The limit is one number a frame, hence nothing moves.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
-from piv.errors import PairError
-from piv.preprocessing.intensity_cap import intensity_capped
-from piv.preprocessing.min_max import min_max_normalised
+from piv.errors import FrameError, PairError
 
+CAP_DEVIATIONS = 2.0
+MIN_MAX_PX = 10
+NOISES = 6.0  # least range to divide by, in deviations of the noise, where nobody says one
 SLIDING_MINIMUM, MINIMUM, MEAN, POD, UNSEEDED = "sliding-minimum", "minimum", "mean", "pod", "unseeded"
 RAW = {
     SLIDING_MINIMUM: "the smallest value within 4 frames of its pulse before and after is taken off",
@@ -31,6 +46,111 @@ REFUSED = {
     "clahe": "it changes a particle with its place in a tile, so it moves correlation peaks",
     "histogram": "it changes a particle with what lies around it, so it moves correlation peaks",
 }
+
+
+def intensity_capped(
+    frame: NDArray[Any], valid: NDArray[np.bool_] | None = None, deviations: float = CAP_DEVIATIONS
+) -> NDArray[np.float32]:
+    """Cap the bright end of a frame.
+
+    Parameters
+    ----------
+    frame : ndarray, shape (H, W)
+        Intensities; NaN does not count and stays.
+    valid : ndarray of bool, shape (H, W), optional
+        Pixels that the limit is taken from; default all.
+    deviations : float
+        Standard deviations above the median.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+
+    Raises
+    ------
+    FrameError
+        Not a 2-D frame, a mask of another shape, or a number of deviations that is not positive.
+    """
+    values = np.asarray(frame, np.float32)
+    if values.ndim != 2:
+        raise FrameError(f"a frame is a 2-D array, this one has shape {values.shape}")
+    if valid is not None and valid.shape != values.shape:
+        raise FrameError(f"the mask has shape {valid.shape}, the frame {values.shape}")
+    if not deviations > 0.0:
+        raise FrameError(f"a frame is capped a positive number of deviations above its median, not {deviations}")
+    usable = np.isfinite(values)
+    known = values[usable if valid is None else usable & valid]
+    if not known.size:
+        return values.copy()
+    limit = np.float32(float(np.median(known)) + deviations * float(known.std(dtype=np.float64)))
+    return np.where(values > limit, limit, values)
+
+
+def min_max_normalised(
+    frame: NDArray[Any],
+    least_range: float | None = None,
+    valid: NDArray[np.bool_] | None = None,
+    window_px: int = MIN_MAX_PX,
+) -> NDArray[np.float32]:
+    """Bring particle images to one height by their surroundings.
+
+    Parameters
+    ----------
+    frame : ndarray, shape (H, W)
+        Intensities.
+    least_range : float, optional
+        Smallest max - min to divide by, in counts: a few times the noise, or an empty spot becomes all noise.
+        Default NOISES times the deviation of the dark half of the frame.
+    valid : ndarray of bool, shape (H, W), optional
+        True where pixels count; default wherever they are finite.
+    window_px : int
+        Side of the sliding window.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W)
+        Values from about 0 to about 1; NaN where not valid.
+
+    Raises
+    ------
+    FrameError
+        Not a 2-D frame, a mask of another shape, or a range or window that is not positive.
+    """
+    values = np.asarray(frame, np.float32)
+    if values.ndim != 2:
+        raise FrameError(f"a frame is a 2-D array, this one has shape {values.shape}")
+    usable = np.isfinite(values)
+    if valid is not None:
+        if valid.shape != values.shape:
+            raise FrameError(f"the mask has shape {valid.shape}, the frame {values.shape}")
+        usable = usable & valid
+    if least_range is None:
+        least_range = NOISES * _noise(values[usable])
+    if not least_range > 0 or window_px < 2:
+        raise FrameError(f"least_range must be positive and window_px at least 2, got {least_range}, {window_px}")
+    share = _window_mean(usable.astype(np.float32), window_px)[usable]
+    low = scipy.ndimage.minimum_filter(np.where(usable, values, np.float32(np.inf)), window_px)
+    high = scipy.ndimage.maximum_filter(np.where(usable, values, np.float32(-np.inf)), window_px)
+    result = np.full(values.shape, np.nan, np.float32)
+    floor, top = (_window_mean(np.where(usable, x, np.float32(0)), window_px)[usable] / share for x in (low, high))
+    result[usable] = (values[usable] - floor) / np.maximum(top - floor, np.float32(least_range))
+    return result
+
+
+def _noise(values: NDArray[np.float32]) -> float:
+    """Deviation of the noise, from those values that lie below the median: particles only add light."""
+    if not values.size:
+        return 1.0
+    middle, low = (float(each) for each in np.percentile(values, (50.0, 15.87)))
+    return max(middle - low, 1e-6 * max(1.0, abs(middle)))
+
+
+def _window_mean(values: NDArray[np.float32], window_px: int) -> NDArray[np.float32]:
+    """Mean over the window; of even size, it leans to the side that the minimum does not lean to."""
+    mean: NDArray[np.float32] = scipy.ndimage.uniform_filter(
+        values, window_px, origin=-1 if window_px % 2 == 0 else 0
+    )
+    return mean
 
 
 @dataclass(frozen=True)

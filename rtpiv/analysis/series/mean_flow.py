@@ -11,7 +11,7 @@ from blocking beyond that.
 
 **Four errors, kept apart**, since only the first becomes smaller with more pairs: the random one; what windows do
 not resolve of the mean (`piv.statistics.unresolved`), together with what dropped vectors take from it where some
-pairs have none (`piv.statistics.survivors`; where most have none there is no mean); the time between the
+pairs have none (`piv.statistics.unresolved`; where most have none there is no mean); the time between the
 pulses, which is measured once for a run, so that its relative error is one factor for all vectors (and two for
 stresses); and the fitted map (`map_sigma`).
 """
@@ -28,8 +28,7 @@ from piv.errors import SeriesError
 from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
 from piv.statistics.merge_tree import MergeTree
 from piv.statistics.moments import Moments
-from piv.statistics.survivors import measured_often, selection_sigma
-from piv.statistics.unresolved import Unresolved
+from piv.statistics.unresolved import Unresolved, measured_often, selection_sigma
 from rtpiv.analysis.pair_vectors import ChunkContent, SeriesField
 
 BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3

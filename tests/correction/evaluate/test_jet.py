@@ -15,7 +15,7 @@ from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
-from piv.preprocessing.min_max import min_max_normalised
+from piv.preprocessing.preparation import min_max_normalised
 from piv.preprocessing.sliding_minimum import without_sliding_minimum
 from sim.demo.scenes import at_size, named_scene
 from sim.renderer.patterns import printed_particles

@@ -6,10 +6,8 @@ import pytest
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.errors import FrameError, PairError, SeriesError
-from piv.preprocessing.intensity_cap import intensity_capped
-from piv.preprocessing.min_max import min_max_normalised
 from piv.preprocessing.pod import _gram, pod_patterns, rank_before_flat, without_patterns
-from piv.preprocessing.preparation import Preparation
+from piv.preprocessing.preparation import Preparation, intensity_capped, min_max_normalised
 from piv.preprocessing.series_light import series_mean, series_minimum, without_light
 
 

@@ -6,7 +6,7 @@ import pytest
 from piv.correlation.deform import deform_pair
 from piv.correlation.prepare import Pair
 from piv.correlation.windows import window_grid
-from piv.statistics.sampled_noise import noise_correlation
+from piv.statistics.ensemble import noise_correlation
 
 
 @pytest.mark.parametrize("spread_px2", [0.25, 0.63, 0.9])

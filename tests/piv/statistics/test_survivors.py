@@ -5,8 +5,7 @@ import pytest
 
 from piv.correlation.pair import evaluate_pair
 from piv.statistics.moments import Moments
-from piv.statistics.survivors import LEAST_SHARE, measured_often, selection_sigma
-from piv.statistics.unresolved import Unresolved
+from piv.statistics.unresolved import LEAST_SHARE, Unresolved, measured_often, selection_sigma
 from tests.piv.correlation.flows import shaken_jet
 
 SHAPE = (5, 7)
