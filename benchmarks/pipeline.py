@@ -34,7 +34,7 @@ from daq.live.live_page import BYTES_PER_PX, LivePage
 from daq.live.run_shown import RunShown
 from daq.plans.plan import load_plan
 from daq.runner.progress import Progress
-from daq.runner.session import Request, begin, carry_out
+from daq.runner.session import Request, Run, begin, run_session
 from daq.runs.run_folder import RunFolder
 from rtpiv.command_line.cli import ONE_THREAD
 from rtpiv.example_files import examples
@@ -151,7 +151,8 @@ def measure(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         with shown(run, bench, options.live) as watched:
             page, run_shown = watched or (None, None)
             watching, show = (watch, None) if run_shown is None else (run_shown.watching(watch), run_shown.show)
-            carry_out(request, bench, plan, run, home=True, watcher=watching, operator=ScriptOperator(), show=show)
+            asked = Run(request, bench, plan, run)
+            run_session(asked, home=True, watcher=watching, operator=ScriptOperator(), show=show)
         carried["ended"] = "finished"
     except DaqError as error:
         carried["ended"] = f"{type(error).__name__}: {error}"

@@ -9,7 +9,6 @@ for the glass where it was SEEN, not where the scene file has it: that is off by
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import cast
 
 import numpy as np
@@ -24,7 +23,7 @@ from daq.bench.opened import OpenBench
 from daq.errors import PlanError
 from daq.plans.experiments.align import AlignPlan
 from daq.plans.steps import Step, route
-from daq.runs.journal import Journal
+from daq.runs.journal import Journal, utc_now
 from daq.runs.journal_lines import Entry
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_folder import RunFolder, frame_entries
@@ -100,7 +99,7 @@ class Aiming:
             sync=True,
             step=step.index,
             tag=step.tag,
-            utc=datetime.now(UTC).isoformat(timespec="milliseconds"),
+            utc=utc_now(),
             glass_mm=look.seen.glass_mm.tolist(),
             glass_sigma_mm=look.seen.sigma_mm.tolist(),
             spheres={one.name: one.off_mm.tolist() for one in look.seen.spheres if one.own_rim},

@@ -7,11 +7,11 @@ answer is found by whoever waits for its frames.
 
 import math
 import time
-from datetime import UTC, datetime
 from typing import Any
 
 from daq.cameras.camera import Camera
 from daq.errors import CameraError
+from daq.runs.journal import utc_now
 
 QUESTIONS = 5
 TEMPERATURES = ("DeviceTemperature", "TemperatureAbs", "CCDTemperature")  # SFNC 2, an older name, adapters
@@ -32,7 +32,7 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
             now_ns = time.monotonic_ns()
             facts = {"monotonic_ns": [now_ns, now_ns], **facts, "celsius": float(value)}
             break
-    utc = datetime.now(UTC).isoformat(timespec="milliseconds")
+    utc = utc_now()
     return {"utc": utc, **facts} if facts else {}
 
 

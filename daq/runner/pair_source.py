@@ -3,11 +3,15 @@
     frames of one camera -> pairs that are sure (pair_finder) -> those that had light (brightness)
 
 Several cameras are asked in turn by one thread, so a source that has nothing yet says so (None) after a moment.
+
+Books of one chunk of pairs while it is taken.
 """
 
 import time
+from collections import Counter
 from collections.abc import Generator
 from contextlib import closing
+from dataclasses import dataclass, field
 
 from daq.bench.pairs_section import PairsSection
 from daq.cameras.frame import Frame
@@ -16,14 +20,42 @@ from daq.plans.pulse_order import PulseOrder
 from daq.runner.brightness import BrightnessSign, LightWatch, mean_counts
 from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import ask_clock
-from daq.runner.chunk import Chunk
 from daq.runner.clock_trial import Shot
-from daq.runner.marker_sense import MarkerSense
-from daq.runner.pair_finder import PairFinder
+from daq.runner.pair_finder import MarkerSense, PairFinder
 from daq.runs.chunk_books import DARK, HALF, LEFT
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
 from daq.timing.states import EMITS
+from ground.plain_words import counted
+
+
+@dataclass
+class Chunk:
+    """Books of one chunk; frames are dropped by reason, pairs are kept."""
+
+    fired: int
+    triggers: int
+    kept: int = 0
+    surplus: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def lost(self) -> int:
+        """Pairs that were fired and are neither kept nor surplus."""
+        return self.fired - self.kept - self.surplus
+
+    @property
+    def never_came(self) -> int:
+        """Frames that were triggered and never seen whole; below 0 if the camera sent more than were asked for."""
+        return 2 * (self.triggers - self.kept) - sum(self.dropped.values())
+
+    def sentence(self) -> str:
+        """What became of the pairs that were fired."""
+        reasons = ", ".join(f"{counted(number, 'frame')} {why}" for why, number in sorted(self.dropped.items()))
+        never = f"{counted(self.never_came, 'frame')} never came" if self.never_came > 0 else ""
+        told = "; ".join(filter(None, (reasons, never)))
+        return f"{self.kept} of {self.fired} pairs that were fired are sure ({told or 'nothing else came'})"
+
 
 SLICE_S = 0.05
 ROUNDED_NS = 2_000_000  # by which a stamp on the computer's clock may be off, and a little more

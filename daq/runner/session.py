@@ -3,17 +3,26 @@
 run.json holds the files' texts for the record and their paths to read them again; hashes of what they mean decide
 whether a run may be continued.  The scene used for correction may be another file than the bench's (a fitted one);
 what moves depends on the bench's scene only through keep-out and scale, so both are hashed.
+
+**Controllers.**  A run goes on with the controllers that it began with: positions mean something else on any other
+box.  Each session writes into the journal who its controllers say they are.  Two boxes whose cables were swapped,
+or a spare one in the place of another, answer every command; only their identity tells.
+
+**Steps that are taken again**, because a frame of theirs is gone or damaged.  A displacement lives between two
+steps, and the reference was taken right before so that drift does not count; so a step is taken again together
+with its reference, and with what is displaced from it.  A step that keeps what it has counts from its first frame
+on, finished or not.
 """
 
 import shutil
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from daq.bench.bench_file import load_bench
-from daq.bench.bench_table import Bench, digest
+from daq.bench.bench_table import CAMERA, Bench, digest
 from daq.bench.opened import OpenBench, open_bench
 from daq.errors import DiskError, ResumeRefused, RunDamaged
 from daq.pipeline.corrections import Corrections
@@ -22,24 +31,95 @@ from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.experiments.align import AlignPlan
 from daq.plans.plan import Plan, load_plan
 from daq.plans.steps import BEHIND_GLASS, Step, frame_count
-from daq.runner.companion import Companion
 from daq.runner.light import NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
-from daq.runner.retake import steps_to_retake
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
-from daq.runner.same_boxes import require_same_boxes
 from daq.runs.bare_target import dewarp_of
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.done_file import FILE as DONE
-from daq.runs.frame_check import Track, untracked
+from daq.runs.frame_check import Track, frame_faults, named, untracked
 from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
-from daq.runs.run_folder import RunFolder, frame_entries, remaining, versions
+from daq.runs.journal import Entry
+from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, remaining, versions
 from daq.runs.session_books import doubts
 from daq.runs.unclaimed import unclaimed
 from daq.whole_text import write_text
 from piv.resampling.sample import Method
+from stages.errors import WrongDevice
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
+
+
+def require_same_boxes(entries: Sequence[Entry], now: Mapping[str, str]) -> None:
+    """Compare the controllers that are open with those of the sessions before.
+
+    Parameters
+    ----------
+    entries : sequence of dict
+        The journal.
+    now : mapping of str to str
+        Name in the bench file -> identity of the box that answers; "" where it does not tell.
+
+    Raises
+    ------
+    WrongDevice
+        Another box than before answers under a name.
+    """
+    for entry in entries:
+        if entry["kind"] != "session":
+            continue
+        then = entry.get("controllers", {})
+        for name, identity in now.items():
+            before = then.get(name, "")
+            if not before or not identity or before == identity:
+                continue
+            others = [other for other, box in then.items() if other != name and box == identity]
+            if others:
+                cure = f"that is the box that was {others[0]}; swap their cables back"
+            else:
+                cure = "put the box back that the run began with, or begin a new run"
+            raise WrongDevice(f"{name}: {identity!r} answers, and the run began with {before!r}; {cure}")
+
+
+def steps_to_retake(
+    folder: RunFolder, steps: Sequence[Step], entries: Sequence[Entry], retake: bool, track: Track = untracked
+) -> frozenset[int]:
+    """Check every frame that is about to count as done; return the steps that must be taken again.
+
+    Parameters
+    ----------
+    folder : RunFolder
+        The run.
+    steps : sequence of Step
+        Its plan.
+    entries : sequence of dict
+        Its journal.
+    retake : bool
+        Whether anything may be taken again.
+    track : Track, optional
+        Shows how many frames have been read.
+
+    Raises
+    ------
+    RunDamaged
+        A frame is missing or damaged, and nothing may be taken again.
+    """
+    kept = finished_steps(entries) | {step.index for step in steps if step.may_have_gaps}
+    counting = {number: entry for number, entry in frame_entries(entries).items() if entry["step"] in kept}
+    faults = frame_faults(folder, counting, track)
+    if faults and not retake:
+        raise RunDamaged(
+            f"{folder.path}: {len(faults)} of {len(counting)} frames are not what was written ({named(faults)}); "
+            f"restore them from a copy, or take their steps again with rtpiv resume {folder.path} --retake"
+        )
+    return _with_partners({fault.step for fault in faults}, steps) & kept
+
+
+def _with_partners(indices: set[int], steps: Sequence[Step]) -> frozenset[int]:
+    roots = {index if (reference := steps[index].reference) is None else reference for index in indices}
+    return frozenset(roots | {step.index for step in steps if step.reference in roots})
+
 
 DISK_MARGIN = 1.05
 MAPS = "maps"  # beside the runs: maps by the hash of their scene
@@ -130,7 +210,7 @@ def begin(request: Request, bench: Bench, plan: Plan, parent: Path) -> RunFolder
     about = _about(request, bench, plan)
     folder = RunFolder.create(parent, plan.name, {**about, **({"cameras": beside} if beside else {})})
     for name in beside:
-        folder.create_camera(name, _about(_for_companion(request), bench.seen_by(name), plan))
+        folder.create_camera(name, _about(_asked_of(name, request), _seen_by(name, bench), plan))
     return folder
 
 
@@ -155,9 +235,14 @@ def _about(request: Request, bench: Bench, plan: Plan) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _for_companion(request: Request) -> Request:
-    """What is asked of a further camera: its scene is that of the bench file alone, and it has no dewarp."""
-    return replace(request, scene=None, target_clear=None)
+def _asked_of(name: str, request: Request) -> Request:
+    """What is asked of a camera: a further one has the scene of the bench file alone, and no dewarp."""
+    return request if name == CAMERA else replace(request, scene=None, target_clear=None)
+
+
+def _seen_by(name: str, bench: Bench) -> Bench:
+    """The bench as a camera of the run sees it."""
+    return bench if name == CAMERA else bench.seen_by(name)
 
 
 def _pulses_of(step: Step) -> dict[str, Any]:
@@ -168,8 +253,20 @@ def _pulses_of(step: Step) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Reopened:
-    """A run that may go on: what was asked for, its files read again, and the finished steps to take `again`."""
+class Run:
+    """A run that may begin or go on.
+
+    Parameters
+    ----------
+    request : Request
+        What was asked for.
+    bench, plan
+        Its files, read.
+    folder : RunFolder
+        Where it lies.
+    again : frozenset of int
+        Finished steps that are to be taken again.
+    """
 
     request: Request
     bench: Bench
@@ -178,7 +275,7 @@ class Reopened:
     again: frozenset[int] = frozenset()
 
 
-def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Reopened:
+def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
     """Read a run's files again, and make sure that they still mean the same and that its frames are whole.
 
     Parameters
@@ -219,7 +316,7 @@ def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Reopen
     again = steps_to_retake(folder, plan.steps, entries, retake, track)
     if folder.is_done and not again:
         raise ResumeRefused(f"{path} is finished and all of its frames are right; there is nothing to take again")
-    return Reopened(request, bench, plan, folder, again)
+    return Run(request, bench, plan, folder, again)
 
 
 def check_disk(folder: Path, needed_bytes: int) -> None:
@@ -238,33 +335,27 @@ def check_disk(folder: Path, needed_bytes: int) -> None:
         )
 
 
-def carry_out(
-    request: Request,
-    bench: Bench,
-    plan: Plan,
-    folder: RunFolder,
+def run_session(
+    run: Run,
     home: bool,
     watcher: Watcher | None = None,
     before: Callable[[OpenBench], None] | None = None,
-    again: Collection[int] = (),
     operator: Operator | None = None,
     show: Show | None = None,
     say: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Open the bench and do what is left of a run; return the contents of done.json.
+    """Open the bench and do what is left of a run.
 
     Parameters
     ----------
-    request, bench, plan, folder
-        The run.
+    run : Run
+        New (`begin`), or opened again (`reopen`).
     home : bool
         Home every axis first, in the configured order.
     watcher : callable, optional
         Gets the progress.
     before : callable, optional
         Called with the open bench before anything moves.
-    again : collection of int
-        Finished steps that are to be taken again, see `reopen`.
     operator : Operator, optional
         The person at the bench, whom a laser asks for its word.
     show : callable, optional
@@ -272,14 +363,20 @@ def carry_out(
     say : callable, optional
         Gets what an alignment sees and moves, a sentence each.
 
+    Returns
+    -------
+    dict
+        Contents of done.json.
+
     Raises
     ------
     WrongDevice
         Other controllers answer than those that the run began with; nothing has moved.
     """
+    request, bench, plan, folder, again = run.request, run.bench, run.plan, run.folder, run.again
     left = remaining(plan.steps, folder.entries(), again)
-    beside = folder.cameras()
-    shapes = [bench.scene.camera.shape, *(bench.seen_by(name).scene.camera.shape for name in beside)]
+    folders = {CAMERA: folder, **folder.cameras()}
+    shapes = [_seen_by(name, bench).scene.camera.shape for name in folders]
     pixels = sum(height * width for height, width in shapes)
     check_disk(folder.path, 2 * pixels * frame_count(left) * (2 if request.correct else 1))
     progress = Progress(len(plan.steps))
@@ -289,18 +386,18 @@ def carry_out(
         if watcher is not None:
             watcher(progress)
 
-    corrections = make_corrections(request, bench, folder.path.parent / MAPS, left)
-    if corrections is not None:
+    corrections = {
+        name: make_corrections(_asked_of(name, request), _seen_by(name, bench), folder.path.parent / MAPS, left)
+        for name in folders
+    }
+    for each in filter(None, corrections.values()):
         tell("making the correction; the first one on a computer compiles for about a minute")
-        corrections.prepare(step.view for step in left if step.on_plane)
-    shows, exposures_before = plan.table.shows, frame_count(plan.steps)
-    if left:
-        goes_on = left[0].may_have_gaps and left[0].index not in again
-        kept = next_place(left[0], frame_entries(folder.entries())) if goes_on else 0
-        exposures_before = left[0].first_frame + kept
+        each.prepare(step.view for step in left if step.on_plane)
     tell("opening the devices")
     with ExitStack() as stack:
-        hardware = stack.enter_context(open_bench(bench, request.simulate, shows, exposures_before))
+        hardware = stack.enter_context(
+            open_bench(bench, request.simulate, plan.table.shows, _exposures_before(run, left))
+        )
         boxes = {name: box.identity for name, box in hardware.stage.controllers.items()}
         require_same_boxes(folder.entries(), boxes)
         if hardware.simulation is not None:
@@ -309,36 +406,42 @@ def carry_out(
         if before is not None:
             before(hardware)
         if home:
-
-            def ask(axis: str) -> float:
-                if hardware.simulation is not None:  # a simulated person reads a simulated scale
-                    return hardware.simulation.true_mm()[axis]
-                return (operator or NoOperator()).stands_mm(axis)
-
-            hardware.stage.home(tell=lambda axis: tell(f"homing {axis}"), ask=ask)
-        asked = _for_companion(request)
-        companions = [
-            Companion(
-                name, hardware, its, make_corrections(asked, bench.seen_by(name), folder.path.parent / MAPS, left),
-                request.live_queue,
-            )
-            for name, its in beside.items()
-        ]  # fmt: skip
+            _home(hardware, operator or NoOperator(), tell)
+        cameras = [
+            RunCamera(hardware, its, corrections[name], name, request.live_queue, show if name == CAMERA else None)
+            for name, its in folders.items()
+        ]
         if again:  # a run that is short of frames is not finished; in this order a kill leaves one to be resumed
             for name in (DONE, MOVED):
                 (folder.path / name).unlink(missing_ok=True)
-        aiming, end = None, None
-        if isinstance(plan.table, AlignPlan):
-            from daq.runner.aiming import Aiming, end_in_words  # what finds glass loads slowly
+        if not isinstance(plan.table, AlignPlan):
+            return Runner(hardware, cameras, plan.steps, watcher, again, operator).run()
+        from daq.runner.aiming import Aiming, end_in_words  # what finds glass loads slowly
 
-            end = end_in_words
-            aiming = Aiming(hardware, folder, plan.table, say or (lambda sentence: None))
-        runner = Runner(
-            hardware, folder, plan.steps, corrections, watcher, request.live_queue, again, operator, show, aiming,
-            companions,
-        )  # fmt: skip
-        done = runner.run()
-        if aiming is not None and end is not None and say is not None and aiming.looks:
-            for sentence in end(aiming.wanted(), aiming.looks[-1].seen.spheres):
+        aiming = Aiming(hardware, folder, plan.table, say or (lambda sentence: None))
+        done = Runner(hardware, cameras, plan.steps, watcher, again, operator, aiming).run()
+        if say is not None and aiming.looks:
+            for sentence in end_in_words(aiming.wanted(), aiming.looks[-1].seen.spheres):
                 say(sentence)
         return done
+
+
+def _exposures_before(run: Run, left: Sequence[Step]) -> int:
+    """Number of the first frame that will be exposed, for a simulation that goes on where it was."""
+    if not left:
+        return frame_count(run.plan.steps)
+    first = left[0]
+    goes_on = first.may_have_gaps and first.index not in run.again
+    kept = next_place(first, frame_entries(run.folder.entries())) if goes_on else 0
+    return first.first_frame + kept
+
+
+def _home(hardware: OpenBench, operator: Operator, tell: Callable[[str], None]) -> None:
+    """Home every axis, in the configured order."""
+
+    def ask(axis: str) -> float:
+        if hardware.simulation is not None:  # a simulated person reads a simulated scale
+            return hardware.simulation.true_mm()[axis]
+        return operator.stands_mm(axis)
+
+    hardware.stage.home(tell=lambda axis: tell(f"homing {axis}"), ask=ask)

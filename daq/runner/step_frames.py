@@ -15,20 +15,17 @@ The end of such a step may be asked for: it stops after the present frame and ca
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from datetime import UTC, datetime
 from typing import Any
 
-from daq.bench.opened import OpenBench
 from daq.errors import CameraError, CameraLost, CameraTimeout, FramesLost, SettingsChanged
 from daq.pipeline.job import Job
-from daq.pipeline.lanes import Pipeline
 from daq.plans.steps import Step
-from daq.runner.camera_session import CameraSession
 from daq.runner.interrupts import Interrupts
 from daq.runner.progress import Progress
+from daq.runner.run_camera import RunCamera
 from daq.runs.gaps import Gaps, gaps_of, next_place
-from daq.runs.journal import Journal
-from daq.runs.run_folder import RunFolder, frame_entries
+from daq.runs.journal import utc_now
+from daq.runs.run_folder import frame_entries
 
 DISCARDED = "the camera or an axis was not as it should be"
 REPEATS = 3  # in a row, without a single frame
@@ -40,16 +37,8 @@ class StepFrames:
 
     Parameters
     ----------
-    folder : RunFolder
-        Where they go.
-    journal : Journal
-        Its journal.
-    pipeline : Pipeline
-        Writes them.
-    exposures : CameraSession
-        The camera, set up.
-    hardware : OpenBench
-        The bench.
+    camera : RunCamera
+        Set up.
     interrupts : Interrupts
         What was asked for meanwhile.
     progress : Progress
@@ -60,20 +49,12 @@ class StepFrames:
 
     def __init__(
         self,
-        folder: RunFolder,
-        journal: Journal,
-        pipeline: Pipeline,
-        exposures: CameraSession,
-        hardware: OpenBench,
+        camera: RunCamera,
         interrupts: Interrupts,
         progress: Progress,
         tell: Callable[[str], None],
     ) -> None:
-        self._folder = folder
-        self._journal = journal
-        self._pipeline = pipeline
-        self._exposures = exposures
-        self._hardware = hardware
+        self._camera = camera
         self._interrupts = interrupts
         self._progress = progress
         self._tell = tell
@@ -108,7 +89,7 @@ class StepFrames:
                 is_whole = self._expose(step, record, begin)
                 break
             except (CameraLost, SettingsChanged, CameraTimeout) as error:
-                self._pipeline.flush()
+                self._camera.pipeline.flush()
                 if not step.may_have_gaps or isinstance(error, SettingsChanged):
                     self.discard(step, begin)
                 before, begin = begin, self._next_place(step)
@@ -130,45 +111,47 @@ class StepFrames:
         present = self._present()
         numbers = [n for n in step.numbers[self._begun_at if begin is None else begin :] if n in present]
         if numbers:
-            self._journal.append("discard", sync=True, frames=numbers, why=DISCARDED)
-            self._exposures.discarded += len(numbers)
+            self._camera.journal.append("discard", sync=True, frames=numbers, why=DISCARDED)
+            self._camera.session.discarded += len(numbers)
             self._progress.frames -= len(numbers)
         for number in numbers:
-            self._folder.frame_path(number).unlink(missing_ok=True)
-            self._folder.corrected_path(number).unlink(missing_ok=True)
+            self._camera.folder.frame_path(number).unlink(missing_ok=True)
+            self._camera.folder.corrected_path(number).unlink(missing_ok=True)
 
     def _expose(self, step: Step, record: Mapping[str, Any], begin: int) -> bool:
         """One arm; False if the end was asked for before the last place."""
         places = step.frames - begin
         may_lose = max(1, int(step.gaps_at_most * places)) if step.may_have_gaps else 0
         place = begin
-        with closing(self._exposures.frames(step.frames, begin, may_lose)) as frames:
+        with closing(self._camera.session.frames(step.frames, begin, may_lose)) as frames:
             for place, frame in frames:
                 placed = frame.with_positions_mm(record["measured_mm"])
-                self._pipeline.submit(
-                    Job(step, step.first_frame + place, placed, {**record, **self._exposures.facts(frame)})
+                self._camera.pipeline.submit(
+                    Job(step, step.first_frame + place, placed, {**record, **self._camera.session.facts(frame)})
                 )
                 self._progress.frames += 1
-                self._progress.waiting = self._pipeline.waiting
+                self._progress.waiting = self._camera.pipeline.waiting
                 self._tell("exposing")
                 if step.may_have_gaps and self._interrupts.wanted:
                     break
-        self._pipeline.flush()
-        self._exposures.verify()
+        self._camera.pipeline.flush()
+        self._camera.session.verify()
         return place + 1 >= step.frames or not self._interrupts.wanted
 
     def _note_arm(self, step: Step, begin: int, why: str) -> None:
-        utc = datetime.now(UTC).isoformat(timespec="milliseconds")
+        utc = utc_now()
         number = step.first_frame + begin
-        self._journal.append("arm", sync=True, step=step.index, tag=step.tag, frame=number, utc=utc, why=why)
+        self._camera.journal.append(
+            "arm", sync=True, step=step.index, tag=step.tag, frame=number, utc=utc, why=why
+        )
 
     def _bring_back(self, why: CameraError) -> None:
         """Try to get a lost camera back for a while."""
-        end_s = time.monotonic() + self._hardware.camera_section.back_within_s
+        end_s = time.monotonic() + self._camera.hardware.camera_section.back_within_s
         while True:
             self._tell(f"waiting for the camera: {why}")
             try:
-                self._exposures.reopen()
+                self._camera.session.reopen()
                 return
             except CameraError:
                 if time.monotonic() > end_s or self._interrupts.wanted:
@@ -180,4 +163,4 @@ class StepFrames:
 
     def _present(self) -> set[int]:
         """Frames that the journal has; it is read anew, so not for every step."""
-        return set(frame_entries(self._folder.entries()))
+        return set(frame_entries(self._camera.folder.entries()))

@@ -28,6 +28,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from datetime import UTC, datetime
 from pathlib import Path
 
 from pydantic_core import from_json
@@ -94,6 +95,11 @@ def _is_torn(line: bytes) -> bool:
     except ValueError:
         return False
     return b'{"kind":'.startswith(line[:8]) and not _MORE_THAN_WHOLE.search(line)
+
+
+def utc_now() -> str:
+    """Now, as records have it."""
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 class Journal:

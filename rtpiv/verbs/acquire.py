@@ -1,7 +1,7 @@
 """`rtpiv acquire`: carry a plan out; `--dry-run` says what it would do."""
 
 import shlex
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,8 +21,8 @@ from daq.plans.forecast import Forecast, check_views, forecast
 from daq.plans.plan import Plan, load_plan, read_plan
 from daq.plans.way_out import forecast_from_home
 from daq.runner.light import Operator
-from daq.runner.session import Request, begin, carry_out, check_disk
-from daq.runner.watch import watch
+from daq.runner.progress import watch
+from daq.runner.session import Request, Run, begin, check_disk, run_session
 from daq.runs.chunk_books import chunk_sentences
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import Moved, read_displacements
@@ -136,7 +136,7 @@ def acquire(
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
-    run_and_report(screen, request, loaded, steps, folder, home, person, live=live)
+    run_and_report(screen, Run(request, loaded, steps, folder), home, person, live=live)
     return folder.path
 
 
@@ -166,23 +166,20 @@ def _bench_of(bench: Path, plan: Path) -> Bench:
 
 def run_and_report(
     screen: Console,
-    request: Request,
-    bench: Bench,
-    plan: Plan,
-    folder: RunFolder,
+    run: Run,
     home: bool,
     person: Operator,
-    again: Collection[int] = (),
     live: bool = False,
     is_new: bool = True,
 ) -> dict[str, Any]:
     """Do what is left of a run, say what came of it, or how to go on."""
+    request, folder = run.request, run.folder
     try:
-        with watch(error_console()) as watcher, _shown(screen, request, bench, folder, live) as shown:
+        with watch(error_console()) as watcher, _shown(screen, request, run.bench, folder, live) as shown:
             watchers = watcher if shown is None else shown.watching(watcher)
             show = None if shown is None else shown.show
-            done = carry_out(
-                request, bench, plan, folder, home, watchers, again=again, operator=person, show=show,
+            done = run_session(
+                run, home, watchers, operator=person, show=show,
                 say=lambda sentence: screen.print(sentence, soft_wrap=True, highlight=False),
             )  # fmt: skip
     except (BadBalance, FrameDoubt):

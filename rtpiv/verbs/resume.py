@@ -53,6 +53,5 @@ def resume(
         screen.print(f"taken again for missing or damaged frames: {counted(len(found.again), 'step')}")
     person = operator_of(operator, found.request.simulate)
     require_person(person, remaining(found.plan.steps, found.folder.entries(), found.again))
-    request, plan = found.request, found.plan
-    run_and_report(screen, request, found.bench, plan, found.folder, home, person, found.again, live, is_new=False)
+    run_and_report(screen, found, home, person, live, is_new=False)
     return run

@@ -5,6 +5,7 @@ import pytest
 from daq.plans.steps import route
 from daq.runner.camera_session import CameraSession
 from daq.runner.devices import AxisDevice, CameraDevice
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.run_folder import frame_entries
@@ -24,7 +25,7 @@ def bench_and_plan(tmp_path):
 def ours(tmp_path, bench, plan):
     folder = begin(Request(bench.path, plan.path, correct=False), bench, plan, tmp_path / "runs")
     with files_bench(bench, tmp_path / "frames_in") as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     entries = frame_entries(folder.entries())
     return [
         (entry["tag"], entry["crc32"], entry["measured_mm"], entry["true_mm"])

@@ -9,6 +9,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_session import open_session
 from daq.bench.kinds import StageKind
 from daq.plans.plan import load_plan
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from rtpiv.command_line.cli import DONE, USAGE, main
@@ -64,7 +65,7 @@ def test_the_journal_keeps_it(path, tmp_path):
     folder = begin(Request(bench.path, plan.path, correct=False), bench, plan, tmp_path / "runs")
     with files_bench(bench, write_frames(tmp_path / "frames_in", 20), home=False) as hardware:
         hardware.stage.home(ask=STANDS.__getitem__)
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     session = next(entry for entry in folder.entries() if entry["kind"] == "session")
     assert session["said_mm"] == STANDS
 

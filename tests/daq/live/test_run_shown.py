@@ -11,6 +11,7 @@ from websockets.sync.client import connect
 from daq.live.live_page import LivePage
 from daq.live.run_shown import RunShown
 from daq.pipeline.corrections import Corrections
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, SIDE_PX, files_bench, load, write_frames
@@ -33,7 +34,7 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
         folders.append(folder)
         if not is_shown:
             with files_bench(bench, files) as hardware:
-                Runner(hardware, folder, plan.steps, corrections).run()
+                Runner(hardware, [RunCamera(hardware, folder, corrections)], plan.steps).run()
             continue
         with LivePage(12 * SIDE_PX**2, scene=bench.scene, board=bench.table.target.board) as page:
             shown = RunShown(page, folder)
@@ -57,7 +58,9 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
             assert looks.wait(30.0)
             with files_bench(bench, files) as hardware:
                 watching = shown.watching(lambda progress: None)
-                done = Runner(hardware, folder, plan.steps, corrections, watching, show=shown.show).run()
+                done = Runner(
+                    hardware, [RunCamera(hardware, folder, corrections, show=shown.show)], plan.steps, watching
+                ).run()
         viewer.join(30.0)
     assert pixels_of(folders[0]) == pixels_of(folders[1])
     assert done["frames"] == len(pixels_of(folders[0])) == 24

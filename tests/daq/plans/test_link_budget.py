@@ -9,6 +9,7 @@ from daq.cameras.files import FilesCamera
 from daq.errors import RunUsageError
 from daq.plans.forecast import forecast
 from daq.plans.link_budget import require_link
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from rtpiv.verbs.check import check_files
@@ -97,6 +98,6 @@ def test_a_run_is_refused_before_anything_moves(tmp_path):
     with files_bench(bench, write_frames(tmp_path / "frames_in", 4), SlowLink) as hardware:
         here_mm = hardware.simulation.true_mm()
         with pytest.raises(RunUsageError, match=r"100 frames/s need 1.8 MB/s, and the camera's link carries 1.1"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert hardware.simulation.true_mm() == here_mm
     assert not list((folder.path / "frames").iterdir())

@@ -7,6 +7,7 @@ from daq.bench.bench_session import BenchSession
 from daq.bench.guards import idle_stage
 from daq.plans.plan import load_plan
 from daq.plans.way_out import forecast_from_home, way_out
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from ground.errors import ConfigError
@@ -53,7 +54,7 @@ def run(folder, bench, plan):
     with files_bench(bench, folder / "frames_in") as hardware:
         before_mm = hardware.simulation.true_mm()
         try:
-            Runner(hardware, run_folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, run_folder)], plan.steps).run()
         except Obstructed:
             assert hardware.simulation.true_mm() == before_mm
             raise

@@ -10,6 +10,7 @@ from correction.alignment.errors import MoveDoubted
 from daq.cameras.files import FilesCamera
 from daq.errors import PlanError, RunInterrupted
 from daq.runner.aiming import Aiming
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, reopen
 from daq.runs.run_check import check_run
@@ -67,7 +68,7 @@ def run(tmp_path):
             with files_bench(bench, frames, Seeing) as hardware:
                 hardware.camera.hardware, hardware.camera.follows = hardware, np.array(follows)
                 aiming = Aiming(hardware, folder, plan.table, said.append)
-                runner = Runner(hardware, folder, plan.steps, aiming=aiming)
+                runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps, aiming=aiming)
                 at(runner)
                 try:
                     runner.run()

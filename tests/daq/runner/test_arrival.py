@@ -7,6 +7,7 @@ import pytest
 from daq.cameras.files import FilesCamera
 from daq.errors import PlanError
 from daq.runner.arrival import go_to, off_by_mm
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.run_folder import finished_steps, frame_entries
@@ -49,7 +50,7 @@ def test_an_axis_that_slips_while_frames_are_taken_fails_its_step(run, disturbed
     with files_bench(bench, files, disturbed) as hardware:
         disturbed.act = lambda: slip_reading(hardware)
         with pytest.raises(NotInPosition, match=r"target_x is \+6.0\d\d mm off its plan.*resume"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     entries = folder.entries()
     assert finished_steps(entries) == {0, 1}
     assert sorted(frame_entries(entries)) == [0, 1, 2, 3]
@@ -57,7 +58,7 @@ def test_an_axis_that_slips_while_frames_are_taken_fails_its_step(run, disturbed
     assert miss["step"] == 2
     assert miss["measured_mm"]["target_x"] - miss["planned_mm"]["target_x"] == pytest.approx(6.0, abs=0.01)
     with files_bench(bench, files) as hardware:  # somebody has homed it
-        done = Runner(hardware, folder, plan.steps).run()
+        done = Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert done["frames"] == 16
 
 
@@ -79,7 +80,7 @@ def test_a_controller_that_restarts_while_frames_are_taken_fails_its_step(run, d
 
         disturbed.act = restart
         with pytest.raises(PlanError, match="do not know where they are"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert finished_steps(folder.entries()) == {0, 1}
     assert sorted(frame_entries(folder.entries())) == [0, 1, 2, 3]
 
@@ -111,13 +112,13 @@ def test_no_frame_is_taken_after_a_stop(run, disturbed):
     with files_bench(bench, files, disturbed) as hardware:
         disturbed.act = hardware.stage.stop
         with pytest.raises(MotionStopped):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert disturbed.count == disturbed.at
         with pytest.raises(MotionStopped, match="clear"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert disturbed.count == disturbed.at
         hardware.stage.clear_stop()
-        assert Runner(hardware, folder, plan.steps).run()["frames"] == 16
+        assert Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()["frames"] == 16
 
 
 @pytest.mark.parametrize(("off_mm", "is_off"), [(0.0045, False), (0.0055, True), (-0.0055, True), (0.5, True)])

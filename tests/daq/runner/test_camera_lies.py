@@ -8,6 +8,7 @@ from daq.cameras import camera as waiting
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import OtherFormat
 from daq.runner.camera_session import CameraSession, FrameFormat
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.raw_frame import read_raw
@@ -96,7 +97,7 @@ def test_no_frame_is_kept_that_was_exposed_after_the_settings_were_lost(rig, tmp
     camera = rig.make(CameraConfig(**SMALL, faults=FaultPlan(**{fault: 4})))
     bench.table.camera.settings.update(Gain=TRIPLE_DB, **SOFTWARE)
     with files_bench(bench, tmp_path, lambda folder: camera) as hardware:
-        done = Runner(hardware, folder, plan.steps).run()
+        done = Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert done["frames"] == 8
     assert done["conservation"]["imbalance"] == 0
     shown = [int(read_raw(folder.frame_path(n))[0][0, 0]) for n in sorted(frame_entries(folder.entries()))]

@@ -10,6 +10,7 @@ from daq.cameras.frame import Frame
 from daq.errors import CameraLost
 from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import camera_facts
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.clock_map import clock_maps
@@ -43,7 +44,7 @@ def run(tmp_path, camera, camera_class):
     bench, plan = load(tmp_path, SHIFT, camera=camera)
     folder = begin(Request(bench.path, plan.path, correct=False), bench, plan, tmp_path / "runs")
     with files_bench(bench, write_frames(tmp_path / "frames_in", 8), camera_class) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert getattr(hardware.camera, "asked", None) in (None, tuple(bench.table.camera.chunks))
     return folder
 

@@ -10,6 +10,7 @@ from daq.cameras import camera as waiting
 from daq.cameras.files import FilesCamera
 from daq.cameras.frame import Frame
 from daq.errors import BadBalance, FrameDoubt, ResumeRefused
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, reopen
 from daq.runs.raw_frame import read_raw
@@ -75,13 +76,13 @@ def test_a_frame_that_nothing_assigns_ends_the_run_for_good(run):
     bench, plan, folder, files = run
     with files_bench(bench, files, Blind) as hardware:
         with pytest.raises(FrameDoubt, match="neither its time nor its id"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         entries = folder.entries()
         assert [entry["kind"] for entry in entries][-3:] == ["doubt", "counts", "end"]
         assert all("neither its time nor its id" in entry["doubt"] for entry in entries[-3:])
         assert len(frame_entries(entries)) == Blind.late - 1
         with pytest.raises(ResumeRefused, match="begin a new run"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     check_refused(folder)
 
 
@@ -98,13 +99,13 @@ def test_books_that_do_not_balance_are_not_forgotten_by_resuming(run):
     bench, plan, folder, files = run
     with files_bench(bench, files, Miscounting) as hardware:
         with pytest.raises(BadBalance, match="do not balance"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         counts, end = folder.entries()[-2:]
         assert (counts["kind"], end["kind"]) == ("counts", "end")
         assert "do not balance" in counts["doubt"]
         assert end["why"] == "BadBalance"
         with pytest.raises(ResumeRefused, match="do not balance"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     check_refused(folder)
 
 
@@ -127,7 +128,7 @@ def test_a_run_with_late_frames_is_right_and_whole(tmp_path, monkeypatch, rig, l
                 return real()
 
             camera.trigger = trigger
-            runner = Runner(hardware, folder, plan.steps)
+            runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps)
             done = runner.run()
     finally:
         rig.close()

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 
 from daq.errors import FrameDoubt, FramesLost, PlanError, ResumeRefused, RunUsageError
-from daq.runner import flow_side, flow_step
+from daq.runner import flow_step, pair_writer
 from daq.runner.brightness import BrightnessSign
 from daq.runner.light import exposure_of, require_rate
 from daq.runs.pairs import pairs_of
@@ -130,10 +130,10 @@ def test_the_end_may_be_asked_for_and_the_run_goes_on_with_whole_pairs(tmp_path,
     path.joinpath("steps.jsonl").write_bytes(b"".join(lines[:last]))
     before = {file.name: file.read_bytes() for file in (path / "frames").iterdir()}
     monkeypatch.setattr(flow_step.FlowStep, "_keep", kept)
-    monkeypatch.setattr(flow_side, "exposure_of", lambda settings: 300.0)
+    monkeypatch.setattr(pair_writer, "exposure_of", lambda settings: 300.0)
     with pytest.raises(ResumeRefused, match=r"exposed for 400 us .frame 0. and the camera is at 300 us now"):
         resume(path, home=True, operator="test")
-    monkeypatch.setattr(flow_side, "exposure_of", exposure_of)
+    monkeypatch.setattr(pair_writer, "exposure_of", exposure_of)
     resume(path, home=True, operator="test")
     found = pairs_of(path)
     exposed = [entry["exposure_us"] for entry in frame_entries(RunFolder.open(path).entries()).values()]

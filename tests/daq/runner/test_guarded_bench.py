@@ -8,6 +8,7 @@ from daq.bench.opened import open_bench
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
 from daq.runner.arrival import go_to
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from stages.errors import Obstructed
@@ -61,8 +62,8 @@ def test_a_resumed_run_is_judged_from_where_the_axes_are(bench_and_plan, tmp_pat
         at_scene(hardware)
         hardware.stage.move({"rail_z": -194.0})
         with pytest.raises(Obstructed, match=r"glass_z from .* to 30\.5 mm would bring far .* the camera"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert folder.entries()[-1]["why"] == "Obstructed"
         hardware.stage.move({"rail_z": 0.0})
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert folder.is_done

@@ -5,8 +5,7 @@ import random
 import pytest
 
 from daq.bench.pairs_section import PairsSection
-from daq.runner.marker_sense import MarkerSense
-from daq.runner.pair_finder import ALONE, DOUBLED, NO_CLOCK, UNMARKED, UNSURE, PairFinder, longest_gap
+from daq.runner.pair_finder import ALONE, DOUBLED, NO_CLOCK, UNMARKED, UNSURE, MarkerSense, PairFinder, longest_gap
 from tests.daq.runner.frame_trains import RATE_HZ, SECTIONS, Faults, arms, gap_us, train
 
 KIND = Faults(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

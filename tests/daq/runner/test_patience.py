@@ -4,6 +4,7 @@ import pytest
 
 from daq.errors import RunUsageError
 from daq.runner.camera_session import check_frame_timeout
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
@@ -69,6 +70,6 @@ def test_a_run_is_refused_before_anything_moves(tmp_path):
     with files_bench(bench, write_frames(tmp_path / "frames_in", 8)) as hardware:
         here_mm = hardware.simulation.true_mm()
         with pytest.raises(RunUsageError, match=r"timeout_s = 0.3 .*exposure 0.4 s.* more than 0.4"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert hardware.simulation.true_mm() == here_mm
     assert not list((folder.path / "frames").iterdir())

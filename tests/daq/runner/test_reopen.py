@@ -5,8 +5,9 @@ import json
 import pytest
 
 from daq.errors import ResumeRefused, RunDamaged, RunInterrupted
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
-from daq.runner.session import Request, begin, carry_out, reopen
+from daq.runner.session import Request, Run, begin, reopen, run_session
 from daq.runs.conservation import Ledger
 from daq.runs.journal import Journal
 from daq.runs.run_check import check_run
@@ -51,7 +52,7 @@ def test_a_run_that_began_before_there_were_seals_goes_on(tmp_path):
             runner.interrupts.press()
 
     with files_bench(bench, files) as hardware:
-        runner = Runner(hardware, folder, plan.steps, watcher=leave)
+        runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps, watcher=leave)
         with pytest.raises(RunInterrupted):
             runner.run()
         lines = [json.loads(line) for line in folder.journal_path.read_text().splitlines()]
@@ -61,7 +62,7 @@ def test_a_run_that_began_before_there_were_seals_goes_on(tmp_path):
         folder.journal_path.write_text("".join(json.dumps(line) + "\n" for line in lines))
         (folder.path / "run.json").write_text(json.dumps({**about, "layout": 1}))
         assert reopen(folder.path).again == frozenset()
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert check_run(folder.path).is_sound, check_run(folder.path).findings
     data = folder.journal_path.read_bytes()
     last = data.rindex(b'"step":7')
@@ -84,9 +85,9 @@ def test_other_controllers_are_refused_before_anything_moves(run):
 
     identities = {}
     with pytest.raises(Opened):
-        carry_out(found.request, found.bench, found.plan, run, False, before=leave)
+        run_session(Run(found.request, found.bench, found.plan, run), False, before=leave)
     names = [name for name, identity in identities.items() if identity]
     swapped = {**identities, names[0]: identities[names[1]], names[1]: identities[names[0]]}
     session(run, swapped).close()
     with pytest.raises(WrongDevice, match=rf"{names[0]}: .* answers, and the run began with .*; that is the box"):
-        carry_out(found.request, found.bench, found.plan, run, False, before=leave)
+        run_session(Run(found.request, found.bench, found.plan, run), False, before=leave)

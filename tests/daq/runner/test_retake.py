@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from daq.errors import ResumeRefused, RunDamaged
-from daq.runner.retake import steps_to_retake
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
-from daq.runner.session import Request, begin, carry_out, reopen
+from daq.runner.session import Request, Run, begin, reopen, run_session, steps_to_retake
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import frame_entries, remaining
 from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
@@ -25,7 +25,7 @@ def run(tmp_path):
     bench, plan = load(tmp_path, SHIFT + "frames: 2\n", camera=camera, simulation="ring: ring")
     folder = begin(Request(bench.path, plan.path, simulate=True, correct=False), bench, plan, tmp_path / "runs")
     with files_bench(bench, files) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     return bench, plan, folder, files
 
 
@@ -38,7 +38,7 @@ def flip(path):
 def again(run, found):
     bench, plan, folder, files = run
     with files_bench(bench, files) as hardware:
-        return Runner(hardware, folder, plan.steps, again=found).run()
+        return Runner(hardware, [RunCamera(hardware, folder)], plan.steps, again=found).run()
 
 
 def test_a_damaged_frame_takes_its_pair_with_it_and_the_books_say_so(run):
@@ -113,11 +113,11 @@ def test_killed_while_taking_again_goes_on(run):
             raise Killed
 
     with pytest.raises(Killed):
-        carry_out(found.request, bench, plan, folder, True, kill, again=found.again)
+        run_session(Run(found.request, bench, plan, folder, found.again), True, kill)
     assert not folder.is_done
     assert not (folder.path / "displacements.json").exists()  # of frames that are no more
     assert not folder.frame_path(4).exists()
     left = reopen(folder.path)
     assert left.again == frozenset()
-    carry_out(left.request, bench, plan, folder, True)
+    run_session(Run(left.request, bench, plan, folder), True)
     assert check_run(folder.path).is_sound, check_run(folder.path).findings

@@ -9,6 +9,7 @@ import pytest
 from daq.cameras.files import FilesCamera
 from daq.errors import CameraLost, DiskError, FramesLost, ResumeRefused, RunDamaged, RunInterrupted
 from daq.pipeline import lanes
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, check_disk, reopen
 from daq.runs.raw_frame import checksum, read_raw, write_raw
@@ -57,7 +58,7 @@ def assert_complete(folder, plan):
 def test_a_whole_run(bench_and_plan, folder, files):
     bench, plan = bench_and_plan
     with files_bench(bench, files) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     done = assert_complete(folder, plan)
     assert done["conservation"]["triggered"] == 16
     assert kinds(folder)[0] == "session"
@@ -77,7 +78,7 @@ def test_a_whole_run(bench_and_plan, folder, files):
 def test_frames_enter_the_journal_before_their_step(bench_and_plan, folder, files):
     bench, plan = bench_and_plan
     with files_bench(bench, files) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     seen = set()
     for entry in folder.entries():
         if entry["kind"] == "frame":
@@ -95,7 +96,7 @@ def test_ctrl_c_once_finishes_the_step_and_resume_does_the_rest(bench_and_plan, 
             runner.interrupts.press()
 
     with files_bench(bench, files) as hardware:
-        runner = Runner(hardware, folder, plan.steps, watcher=press)
+        runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps, watcher=press)
         if step == 7:  # asked for in the last step: nothing is left to interrupt
             runner.run()
         else:
@@ -104,7 +105,7 @@ def test_ctrl_c_once_finishes_the_step_and_resume_does_the_rest(bench_and_plan, 
         assert finished_steps(folder.entries()) == set(range(step + 1))
         if step != 7:
             assert not folder.is_done
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     done = assert_complete(folder, plan)
     assert [session["ended"] for session in done["sessions"]][-1] == "finished"
 
@@ -114,7 +115,7 @@ def test_ctrl_c_twice_stops_from_another_thread_and_the_run_can_go_on(bench_and_
     bench, plan = bench_and_plan
     with files_bench(bench, files) as hardware:
         stopper = []
-        runner = Runner(hardware, folder, plan.steps)
+        runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps)
         runner.interrupts._stop_now = lambda: stopper.append(threading.current_thread())
         real_move = hardware.stage.move
 
@@ -131,14 +132,14 @@ def test_ctrl_c_twice_stops_from_another_thread_and_the_run_can_go_on(bench_and_
         assert stopper[0] is not threading.main_thread()
         assert folder.entries()[-1]["why"] == "RunInterrupted"
         hardware.stage.move = real_move
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert_complete(folder, plan)
 
 
 def test_pause_waits_between_steps(bench_and_plan, folder, files):
     bench, plan = bench_and_plan
     with files_bench(bench, files) as hardware:
-        runner = Runner(hardware, folder, plan.steps)
+        runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps)
         runner.interrupts.pause()
         thread = threading.Timer(0.5, runner.interrupts.go_on)
         thread.start()
@@ -177,7 +178,7 @@ def test_camera_lost_and_back_repeats_the_step(bench_and_plan, folder, files):
     """Lost at the second frame of step 2: its first frame is discarded, both are taken again."""
     bench, plan = bench_and_plan
     with files_bench(bench, files, lambda folder: Flaky(folder, at=(6,))) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     done = assert_complete(folder, plan)
     assert [entry["frames"] for entry in folder.entries() if entry["kind"] == "discard"] == [[4]]
     assert done["conservation"]["rejected"] == 1
@@ -190,11 +191,11 @@ def test_camera_lost_for_good_ends_the_run_resumable(bench_and_plan, folder, fil
     monkeypatch.setattr("daq.runner.step_frames.RETRY_S", 0.01)
     with files_bench(bench, files, lambda folder: Flaky(folder, at=(6,), forever=True)) as hardware:
         with pytest.raises(CameraLost, match="stepped on the cable"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert finished_steps(folder.entries()) == {0, 1}
         assert folder.entries()[-1]["why"] == "CameraLost"
     with files_bench(bench, files) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert_complete(folder, plan)
 
 
@@ -209,7 +210,7 @@ def test_no_frame_at_all_is_said(bench_and_plan, folder, tmp_path):
             self._next_file = shown
 
     with files_bench(bench, few, Short) as hardware, pytest.raises(FramesLost, match="after 4 triggers"):
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     counts = next(entry for entry in folder.entries() if entry["kind"] == "counts")
     assert counts["books"]["silent"] == 4
     assert counts["books"]["imbalance"] == 0
@@ -228,12 +229,12 @@ def test_disk_full_ends_the_run_and_counts_what_it_did_not_take(bench_and_plan, 
     monkeypatch.setattr(lanes, "write_raw", full)
     with files_bench(bench, files) as hardware:
         with pytest.raises(DiskError, match="No space left"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         books = next(entry for entry in folder.entries() if entry["kind"] == "counts")["books"]
         assert books["imbalance"] == 0
         assert books["unwritten"] >= 1
         room[0] = 1000
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     done = assert_complete(folder, plan)
     assert done["conservation"]["unwritten"] == books["unwritten"]
 
@@ -247,7 +248,7 @@ def test_a_slow_disk_slows_the_run_and_loses_nothing(bench_and_plan, folder, fil
 
     monkeypatch.setattr(lanes, "write_raw", slow)
     with files_bench(bench, files) as hardware:
-        done = Runner(hardware, folder, plan.steps).run()
+        done = Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert done["conservation"]["lost"] == 0
     assert_complete(folder, plan)
 
@@ -260,7 +261,7 @@ def test_a_dead_disk_is_named(bench_and_plan, folder, files, monkeypatch):
     with files_bench(bench, files) as hardware:
         threading.Timer(1.5, gate.set).start()
         with pytest.raises(DiskError, match=r"taken no frame for 0\.3 s"):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
 
 
 def test_unplugged_stage_ends_the_run_and_forgets_its_position(bench_and_plan, folder, files):
@@ -272,11 +273,11 @@ def test_unplugged_stage_ends_the_run_and_forgets_its_position(bench_and_plan, f
 
     with files_bench(bench, files) as hardware:
         with pytest.raises(DeviceLost):
-            Runner(hardware, folder, plan.steps, watcher=unplug).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps, watcher=unplug).run()
         assert hardware.stage.where_mm()["target_x"] is None
         assert finished_steps(folder.entries()) == {0, 1, 2}
     with files_bench(bench, files) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert_complete(folder, plan)
 
 
@@ -298,7 +299,7 @@ def test_resume_is_refused_if_a_file_means_something_else(tmp_path, folder, what
 def test_resume_of_a_finished_run_or_with_missing_files_is_refused(bench_and_plan, folder, files):
     bench, plan = bench_and_plan
     with files_bench(bench, files) as hardware:
-        Runner(hardware, folder, plan.steps).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     with pytest.raises(ResumeRefused, match="is finished"):
         reopen(folder.path)
     (folder.path / "done.json").unlink()

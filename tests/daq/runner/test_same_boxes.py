@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.runner.same_boxes import require_same_boxes
+from daq.runner.session import require_same_boxes
 from stages.errors import WrongDevice
 
 BEGAN = {"glass": "X-MCB2 serial 70001", "target": "X-MCB2 serial 70002", "rail": "grbl 1.1h"}

@@ -10,6 +10,7 @@ import tifffile
 from daq.cameras.files import FilesCamera
 from daq.errors import CameraLost, FramesLost, RunDamaged, RunInterrupted, SettingsChanged
 from daq.runner import camera_session, exposures
+from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, reopen
 from daq.runs.gaps import gap_sentence
@@ -50,7 +51,7 @@ def run(tmp_path):
 def go(run, camera_class=FilesCamera, folder=None, before=None):
     bench, plan, made, files = run
     with files_bench(bench, files, camera_class) as hardware:
-        runner = Runner(hardware, folder or made, plan.steps)
+        runner = Runner(hardware, [RunCamera(hardware, folder or made)], plan.steps)
         if before is not None:
             before(hardware, runner)
         return runner.run()
@@ -137,7 +138,7 @@ def test_what_a_killed_stream_has_stays_and_the_rest_is_taken(run, tmp_path, kil
             copy_as_killed(folder.path, copy)
 
     with files_bench(bench, files) as hardware:
-        Runner(hardware, folder, plan.steps, watcher=press).run()
+        Runner(hardware, [RunCamera(hardware, folder)], plan.steps, watcher=press).run()
     killed = RunFolder(copy)
     kept = {n: (killed.frame_path(n)).read_bytes() for n in frame_entries(killed.entries())}
     assert killed_after <= len(kept) < FRAMES
@@ -256,7 +257,7 @@ def test_a_stop_ends_a_stream_while_it_waits_for_a_frame(run, tmp_path):
     with files_bench(bench, files, Slow) as hardware:
         hardware_of.append(hardware)
         with pytest.raises(MotionStopped):
-            Runner(hardware, folder, plan.steps).run()
+            Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
         assert len([wait_s for wait_s in polled if wait_s]) == 3
         assert max(polled) <= camera_session.SLICE_S
         hardware.stage.clear_stop()

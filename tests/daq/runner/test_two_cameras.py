@@ -13,11 +13,10 @@ from daq.cameras.frame import FrameMeta
 from daq.errors import FrameDoubt, PlanError, RunUsageError
 from daq.plans.plan import load_plan
 from daq.plans.pulse_order import PulseOrder
-from daq.runner import flow_side, together
-from daq.runner.chunk import Chunk
+from daq.runner import flow_step, pair_writer
 from daq.runner.clock_trial import Shot
 from daq.runner.flow_step import FlowStep
-from daq.runner.pair_source import PairSource
+from daq.runner.pair_source import Chunk, PairSource
 from daq.runs.chunk_books import ELSEWHERE
 from daq.runs.clock_map import clock_maps
 from daq.runs.pairs import pairs_of
@@ -116,7 +115,7 @@ def test_what_either_loses_is_lost_for_both(tmp_path, capsys, backend):
 def test_a_run_that_was_cut_off_goes_on_with_both(tmp_path, monkeypatch):
     """Killed when one camera's pair was given to the disk and the other's was not."""
     bench, plan = write_two(tmp_path, pairs=8, chunk=4)
-    keep, count = flow_side.FlowSide.keep, 0
+    keep, count = pair_writer.PairWriter.keep, 0
 
     def cut_off(self, *arguments):
         nonlocal count
@@ -125,13 +124,13 @@ def test_a_run_that_was_cut_off_goes_on_with_both(tmp_path, monkeypatch):
             raise OSError("as if somebody pulled the plug")
         keep(self, *arguments)
 
-    monkeypatch.setattr(flow_side.FlowSide, "keep", cut_off)
+    monkeypatch.setattr(pair_writer.PairWriter, "keep", cut_off)
     with pytest.raises(OSError, match="pulled the plug"):
         acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, correct=False, operator="test")
     (path,) = (tmp_path / "runs").glob("*_plan-flow")
     present = [len(frame_entries(RunFolder.open(each).entries())) for each in (path, path / "cameras" / "behind")]
     assert present == [6, 4]
-    monkeypatch.setattr(flow_side.FlowSide, "keep", keep)
+    monkeypatch.setattr(pair_writer.PairWriter, "keep", keep)
     resume(path, home=True, operator="test")
     beside = judge(path, 8)
     discarded = [e["frames"] for e in RunFolder.open(path).entries() if e["kind"] == "discard"]
@@ -174,7 +173,7 @@ def matched(*times_ms, rate_hz=10.0):
             yield None
             yield (replace(META, timestamp_ns=round(1e6 * ms)), None)
 
-    found = together.together(sources, [stream(times) for times in times_ms], chunks, rate_hz)
+    found = flow_step.together(sources, [stream(times) for times in times_ms], chunks, rate_hz)
     pairs = [tuple(pair[0].timestamp_ns / 1e6 for pair in pairs) for pairs in found]
     return pairs, [chunk.dropped[ELSEWHERE] for chunk in chunks]
 

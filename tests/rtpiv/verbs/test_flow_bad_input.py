@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from daq.errors import ResumeRefused
-from daq.runner.flow_side import FlowSide
+from daq.runner.pair_writer import PairWriter
 from daq.runs.run_folder import RunFolder
 from daq.timing.box import TimingBox
 from rtpiv.command_line.cli import USAGE, main
@@ -52,7 +52,7 @@ def test_what_makes_no_sense_fires_nothing(tmp_path, monkeypatch, capsys, what):
 ])  # fmt: skip
 def test_a_run_does_not_go_on_with_another_exposure(tmp_path, numbers, words):
     folder, exposures = RunFolder.open(flow(tmp_path, numbers=numbers)), SimpleNamespace(settings={})
-    side = FlowSide(folder, None, None, SimpleNamespace(exposures=exposures))
+    side = PairWriter(folder, None, None, SimpleNamespace(exposures=exposures))
     exposures.settings["ExposureTime"] = 90.0
     with pytest.raises(ResumeRefused, match=words):
         side.require_same_exposure()

@@ -9,15 +9,14 @@ from daq.errors import ResumeRefused
 from daq.pipeline.job import Job
 from daq.pipeline.lanes import Pipeline
 from daq.plans.steps import Step
-from daq.runner.chunk import Chunk
 from daq.runner.light import exposure_of
-from daq.runner.pair_source import Pair, PairSource
+from daq.runner.pair_source import Chunk, Pair, PairSource
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder, frame_entries
 
 
 @dataclass(frozen=True)
-class FlowSide:
+class PairWriter:
     """One camera of a flow step.
 
     Parameters
