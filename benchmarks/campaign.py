@@ -34,7 +34,7 @@ from benchmarks.series import written_run
 from correction.fitted.prepared import prepare
 from rtpiv.analysis.campaign.books import read_books
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
-from rtpiv.analysis.campaign.campaign_plan import ask_for, planned_runs
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
 from rtpiv.analysis.campaign.dask_workers import DaskWorkers
 from rtpiv.analysis.campaign.engine import Engine, LocalProcesses
 from rtpiv.analysis.campaign.run_campaign import run_campaign
@@ -73,7 +73,7 @@ def main() -> None:
 def _prepare(out: Path, run: Path) -> None:
     """Trace the map and compile, so that no line has to."""
     folder = CampaignFolder(out)
-    ask_for(folder, [run], [], piv_choice(), 2)
+    ask_for(folder, [run], piv_choice(), CampaignSettings(chunk=2))
     planned = next(planned_runs(folder))
     prepare(planned.given.method.scene, maps=planned.jobs[0].maps)
     for _ in results_of(planned.jobs[0], 1):
@@ -85,7 +85,7 @@ def _once(folder: Path, words: str, chunk: int) -> None:
     kind, _, count = words.partition(":")
     out = folder / f"{kind}_{count}_{chunk}_{time.time_ns()}"
     campaign, run = CampaignFolder(out), next(folder.glob("*_flow"))
-    ask_for(campaign, [run], [], piv_choice(), chunk)
+    ask_for(campaign, [run], piv_choice(), CampaignSettings(chunk=chunk))
     maps = campaign.series(run.name).path / "maps"
     maps.mkdir(parents=True)
     for file in (folder / "warm" / "runs" / run.name / "maps").iterdir():

@@ -9,6 +9,7 @@
     mean         mean flow and Reynolds stresses of many pairs
     report       a run as one page
 
+`CorrectionRecipe` and `LiveFrames` are values that `correct` and `acquire` take.
 Files may be named as text or as `Path`.  `docs/python.md` goes through them.  ERRORS holds the root of all that
 they raise on purpose, `ground.errors.RtpivError`: ``except rtpiv.ERRORS``.  What else there is lies in packages of
 their own; each is imported when it is first used.
@@ -47,6 +48,8 @@ _HOMES = {
     "evaluate": "rtpiv.verbs.evaluate",
     "mean": "rtpiv.verbs.mean",
     "report": "rtpiv.verbs.report",
+    "CorrectionRecipe": "rtpiv.verbs.correct",
+    "LiveFrames": "rtpiv.verbs.acquire",
 }
 __all__ = [*_HOMES, "ERRORS"]
 

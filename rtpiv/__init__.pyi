@@ -1,5 +1,7 @@
+from rtpiv.verbs.acquire import LiveFrames as LiveFrames
 from rtpiv.verbs.acquire import acquire as acquire
 from rtpiv.verbs.calibrate import calibrate as calibrate
+from rtpiv.verbs.correct import CorrectionRecipe as CorrectionRecipe
 from rtpiv.verbs.correct import correct as correct
 from rtpiv.verbs.evaluate import evaluate as evaluate
 from rtpiv.verbs.mean import mean as mean

@@ -1,11 +1,27 @@
-"""How a pair is evaluated, and what cannot be meant."""
+"""How a pair is evaluated, and what cannot be meant.
 
+The range of a number stands once, in its type: settings made in Python are held to it here, and a file of settings
+by whoever reads it.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import cache
 from math import isfinite
+from operator import ge, gt, le, lt
+from typing import Annotated, Any, get_args, get_type_hints
+
+from annotated_types import Interval
 
 from piv.errors import PairError
 
 SMALLEST_WINDOW_PX = 8
+Overlap = Annotated[float, Interval(ge=0.0, lt=1.0)]
+WindowSigma = Annotated[float, Interval(ge=0.15, le=2.0)]
+MinValid = Annotated[float, Interval(gt=0.0, le=1.0)]
+NotNegative = Annotated[float, Interval(ge=0.0)]
+AboveZero = Annotated[float, Interval(gt=0.0)]
+ExtraPasses = Annotated[int, Interval(ge=0, le=20)]
 
 
 @dataclass(frozen=True)
@@ -47,14 +63,14 @@ class PivSettings:
     """
 
     windows_px: tuple[int, ...] = (64, 32, 32, 32)
-    overlap: float = 0.5
-    window_sigma: float = 0.3
-    min_valid: float = 0.3
-    smoothing_px: float | None = None
-    denoise: float = 2.0
-    extra_passes: int = 3
-    outlier_threshold: float = 3.0
-    outlier_epsilon_px: float = 0.1
+    overlap: Overlap = 0.5
+    window_sigma: WindowSigma = 0.3  # or 0
+    min_valid: MinValid = 0.3
+    smoothing_px: NotNegative | None = None
+    denoise: NotNegative = 2.0
+    extra_passes: ExtraPasses = 3
+    outlier_threshold: AboveZero = 3.0
+    outlier_epsilon_px: AboveZero = 0.1
     uncertainty: bool = True
     peak_ratios: bool = False
 
@@ -69,15 +85,33 @@ class PivSettings:
             value = getattr(self, field.name)
             if isinstance(value, int | float) and not isfinite(value):
                 raise PairError(f"{field.name} must be a finite number, got {value}")
-        self._ask("overlap", "lies in 0 <= overlap < 1", 0.0 <= self.overlap < 1.0)
-        self._ask("min_valid", "lies in 0 < min_valid <= 1", 0.0 < self.min_valid <= 1.0)
-        self._ask("window_sigma", "is 0 or at least 0.15", self.window_sigma == 0.0 or self.window_sigma >= 0.15)
-        self._ask("smoothing_px", "is not negative", self.smoothing_px is None or self.smoothing_px >= 0.0)
-        self._ask("denoise", "is not negative", self.denoise >= 0.0)
-        self._ask("extra_passes", "is a whole number from 0", self.extra_passes == int(self.extra_passes) >= 0)
-        self._ask("outlier_threshold", "is positive", self.outlier_threshold > 0.0)
-        self._ask("outlier_epsilon_px", "is positive", self.outlier_epsilon_px > 0.0)
+            if value is not None and not (field.name == "window_sigma" and value == 0.0):
+                _require(field.name, value)
+        if self.extra_passes != int(self.extra_passes):
+            raise PairError(f"extra_passes is a whole number, got {self.extra_passes}")
 
-    def _ask(self, name: str, rule: str, is_kept: bool) -> None:
-        if not is_kept:
-            raise PairError(f"{name} {rule}, got {getattr(self, name)}")
+
+@cache
+def _ranges() -> dict[str, Interval]:
+    """Range of each setting that has one, as its type says."""
+    found: dict[str, Interval] = {}
+    for name, kind in get_type_hints(PivSettings, include_extras=True).items():
+        for one in (kind, *get_args(kind)):  # a | None holds the type that is meant
+            for about in getattr(one, "__metadata__", ()):
+                if isinstance(about, Interval):
+                    found[name] = about
+    return found
+
+
+def _require(name: str, value: Any) -> None:  # noqa: ANN401 - a number, where there is a range
+    """Refuse a number out of its range."""
+    if (within := _ranges().get(name)) is None:
+        return
+    rules: tuple[tuple[str, Any, Callable[[Any, Any], bool]], ...] = (
+        ("above", within.gt, gt), ("at least", within.ge, ge), ("below", within.lt, lt),
+        ("at most", within.le, le),
+    )  # fmt: skip
+    rules = tuple(rule for rule in rules if rule[1] is not None)
+    if not all(holds(value, limit) for _, limit, holds in rules):
+        said = " and ".join(f"{words} {limit:g}" for words, limit, _ in rules)
+        raise PairError(f"{name} should be {said}, got {value}")

@@ -25,7 +25,7 @@ from rtpiv.command_line.exit_codes import DONE as DONE
 from rtpiv.command_line.exit_codes import INTERRUPTED as INTERRUPTED
 from rtpiv.command_line.exit_codes import USAGE as USAGE
 from rtpiv.command_line.exit_codes import exit_code, sentence
-from rtpiv.options import parser
+from rtpiv.options import call_of, parser
 
 THREADS = ("RTPIV_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # who has some
 # Matrices are narrow here: shared by cores they take longer, and the last bits of a sigma depend on the computer.
@@ -44,12 +44,13 @@ DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are
 
 def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
     """Read the words of a command; axes may stand behind options too, where argparse looks for them no more."""
-    known, left = parser().parse_known_args(arguments)
+    words = parser(sys.argv[1:] if arguments is None else arguments)
+    known, left = words.parse_known_args(arguments)
     options = vars(known)
     if left and options["verb"] == "stage" and not any(word.startswith("-") for word in left):
-        options["axes"] += left
+        options["axes"] = [*options["axes"], *left]
     elif left:
-        parser().error(printable(f"unrecognized arguments: {' '.join(left)}"))
+        words.error(printable(f"unrecognized arguments: {' '.join(left)}"))
     return options
 
 
@@ -58,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     verb, threads, trusted = options.pop("verb"), options.pop("threads"), options.pop("trust")
     if verb is None:
-        parser().print_help()
+        parser(()).print_help()
         return USAGE
     if trusted is not None:  # for children as well
         os.environ[VARIABLE] = ",".join(filter(None, (os.environ.get(VARIABLE), trusted)))
@@ -118,7 +119,8 @@ def _carried_out(verb: str, options: dict[str, Any]) -> int | None:
     """Run a verb; exit code, or None if it may be run anew, for a person trusts now what its bench file names."""
     try:
         function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
-        function(**options)
+        words, named = call_of(verb, options)
+        function(*words, **named)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED

@@ -1,3 +1,4 @@
 """The verbs of the command line and their options; nothing is imported for them: ``--help`` answers at once."""
 
+from rtpiv.options.command import call_of as call_of
 from rtpiv.options.command import parser as parser

@@ -1,7 +1,12 @@
-"""Numbers of the command line: what cannot be is refused with the number that was written."""
+"""Kinds of options: how a word of the command line is read, and what cannot be is refused with the word.
+
+The types are those of the verbs' parameters: `Positive` is a float to everybody, and to the command line a number
+that is read by `positive`.
+"""
 
 import argparse
 import math
+from typing import Annotated, Literal
 
 
 def finite(text: str) -> float:
@@ -11,7 +16,7 @@ def finite(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"should be a number, not {text!r}")
+        raise argparse.ArgumentTypeError(f"should be a number, not {text!r}{_with_point(text)}")
     return value
 
 
@@ -29,9 +34,19 @@ def length(text: str) -> float:
     return value
 
 
-def steps(text: str) -> tuple[str, ...]:
-    """Read words with commas between them; none for "none"."""
-    return () if text == "none" else tuple(word.strip() for word in text.split(","))
+def count(text: str) -> int:
+    """Read 1, 2, 3 ..."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"should be 1, 2, 3 ..., not {text!r}")
+    return int(text)
+
+
+def whole(text: str) -> int:
+    """Read a whole number."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"should be a whole number, not {text!r}") from None
 
 
 def port(text: str) -> int:
@@ -41,8 +56,20 @@ def port(text: str) -> int:
     return int(text)
 
 
-def count(text: str) -> int:
-    """Read 1, 2, 3 ..."""
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"should be 1, 2, 3 ..., not {text!r}")
-    return int(text)
+def steps(text: str) -> tuple[str, ...]:
+    """Read words with commas between them; none for "none"."""
+    return () if text == "none" else tuple(word.strip() for word in text.split(","))
+
+
+def _with_point(text: str) -> str:
+    """Guess that a comma was meant as a decimal point."""
+    pointed = text.strip().replace(",", ".", 1)
+    return f"; write a decimal point: {pointed}" if pointed.replace(".", "", 1).lstrip("+-").isdecimal() else ""
+
+
+Positive = Annotated[float, positive]
+Length = Annotated[float, length]  # 0 or above
+Count = Annotated[int, count]
+Port = Annotated[int, port]
+Steps = Annotated[tuple[str, ...], steps]
+DewarpOrder = Literal[2, 3, 4, 5]

@@ -13,9 +13,11 @@ The plane is z = 0, the camera far above it.
 
 import math
 from collections.abc import Sequence
+from typing import Literal, get_args
 
 Vector = tuple[float, float, float]
-ARRANGEMENTS = ("row", "side", "triangle", "pyramid", "sc", "bcc", "hcp")
+Arrangement = Literal["row", "side", "triangle", "pyramid", "sc", "bcc", "hcp"]
+ARRANGEMENTS: tuple[str, ...] = get_args(Arrangement)
 BEDS = {"sc": (8, 27, 64), "bcc": (9, 35, 91), "hcp": (10, 17)}  # numbers of balls
 AIR_MM = 0.01  # between balls: what is rounded must not overlap
 ROD_LENGTH_MM = 60.0

@@ -1,6 +1,7 @@
 """The text of bench.yaml, and of bench-flow.yaml with a laser: nine axes, a camera, and their simulation."""
 
 import textwrap
+from dataclasses import dataclass
 
 from rtpiv.templates.bench_room import BOARD_MM, CAMERA_RADIUS_MM, CLEARANCE_MM, SHEET_MM, Room
 from rtpiv.templates.lab import Lab
@@ -68,15 +69,7 @@ stages:
     glass: {{driver: zaber_ascii, port: /dev/ttyUSB2}}
     target: {{driver: pi_gcs2, port: /dev/ttyUSB3}}
   axes:
-{_axis("rail_z", "rail", "X", "camera", "z", rail, (rail + 5.0, 1500.0), 30.0, steps=320.0, settle_s=0.5)}
-{_axis("camera_x", "portal", "X", "camera", "x", 100.0, (-95.0, 95.0), 20.0)}
-{_axis("camera_y", "portal", '"Y"', "camera", "y", 100.0, (-95.0, 95.0), 20.0)}
-{_axis("glass_x", "glass", "1/1", "glass", "x", -75.0, (-70.0, 70.0), 20.0, steps=3200.0)}
-{_axis("glass_y", "glass", "2/1", "glass", "y", out - 10.0, (out - 5.0, 10.0), 20.0, steps=3200.0)}
-{_axis("glass_z", "glass", "3/1", "glass", "z", -2.0, (-1.0, top + 10.0), 10.0, steps=3200.0, side="from_above")}
-{_axis("target_x", "target", '"1"', "target", "x", -50.0, (-45.0, 45.0), 10.0, in_position=True)}
-{_axis("target_y", "target", '"2"', "target", "y", -50.0, (-45.0, 45.0), 10.0, in_position=True)}
-{_axis("target_z", "target", '"3"', "target", "z", -75.0, (-70.0, 25.0), 10.0, in_position=True)}
+{_axes(out, rail, top)}
   home_order: [glass_z, target_z, glass_y, glass_x, target_x, target_y, rail_z, camera_x, camera_y]
 glass:
   out_mm: {{glass_y: {out:.1f}}}        # the plane is seen without glass there
@@ -110,28 +103,71 @@ simulation:                        # what --simulate puts in place of all that
 """
 
 
-def _axis(
-    name: str,
-    controller: str,
-    channel: str,
-    carries: str,
-    along: str,
-    offset_mm: float,
-    limits_mm: tuple[float, float],
-    speed_mm_s: float,
-    steps: float | None = None,
-    settle_s: float = 0.2,
-    side: str = "from_below",
-    in_position: bool = False,
-) -> str:
-    """One axis, on three lines."""
-    counts = f"steps_per_mm: {steps:.1f}, " if steps is not None else ""
-    where = f"controller: {controller}, channel: {channel}, carries: {carries}, along: {along}"
-    limits = f"limits_mm: [{limits_mm[0]:.1f}, {limits_mm[1]:.1f}]"
-    near = ", in_position_um: 5.0" if in_position else ""
-    hurry = 200.0 if controller == "glass" else 100.0
-    return f"""\
+@dataclass(frozen=True)
+class AxisText:
+    """One axis of the file; lengths in mm.
+
+    Parameters
+    ----------
+    controller, channel : str
+        Which motor.
+    carries, along : str
+        What it moves, and in which direction.
+    offset_mm : float
+        Where it stands when homed.
+    limits_mm : (float, float)
+        Well inside the switches.
+    speed_mm_s : float
+        Its usual speed.
+    steps_per_mm : float, optional
+        Of a motor that counts steps.
+    settle_s : float
+        After a motion.
+    side : str
+        From which it approaches a place.
+    in_position : bool
+        Whether its controller has to confirm that it is there.
+    """
+
+    controller: str
+    channel: str
+    carries: str
+    along: str
+    offset_mm: float
+    limits_mm: tuple[float, float]
+    speed_mm_s: float
+    steps_per_mm: float | None = None
+    settle_s: float = 0.2
+    side: str = "from_below"
+    in_position: bool = False
+
+    def text(self, name: str) -> str:
+        """Return it, on three lines."""
+        counts = "" if self.steps_per_mm is None else f"steps_per_mm: {self.steps_per_mm:.1f}, "
+        motor = f"controller: {self.controller}, channel: {self.channel}"
+        limits = f"limits_mm: [{self.limits_mm[0]:.1f}, {self.limits_mm[1]:.1f}]"
+        near = ", in_position_um: 5.0" if self.in_position else ""
+        acceleration = 200.0 if self.controller == "glass" else 100.0
+        pace = f"speed_mm_s: {self.speed_mm_s:.1f}, acceleration_mm_s2: {acceleration:.1f}"
+        return f"""\
     {name}:
-      {{{where}, {counts}offset_mm: {offset_mm:.1f},
-       {limits}, speed_mm_s: {speed_mm_s:.1f}, acceleration_mm_s2: {hurry:.1f}, settle_s: {settle_s}{near},
-       approach: {{side: {side}, distance_mm: 0.5, speed_mm_s: 2.0}}}}"""
+      {{{motor}, carries: {self.carries}, along: {self.along}, {counts}offset_mm: {self.offset_mm:.1f},
+       {limits}, {pace}, settle_s: {self.settle_s}{near},
+       approach: {{side: {self.side}, distance_mm: 0.5, speed_mm_s: 2.0}}}}"""
+
+
+def _axes(out: float, rail: float, top: float) -> str:
+    """The nine axes: `out` and `top` clear the picture of glass, `rail` is where the camera's rail is homed."""
+    many = 3200.0  # steps of the glass's motors
+    axes = {
+        "rail_z": AxisText("rail", "X", "camera", "z", rail, (rail + 5.0, 1500.0), 30.0, 320.0, settle_s=0.5),
+        "camera_x": AxisText("portal", "X", "camera", "x", 100.0, (-95.0, 95.0), 20.0),
+        "camera_y": AxisText("portal", '"Y"', "camera", "y", 100.0, (-95.0, 95.0), 20.0),
+        "glass_x": AxisText("glass", "1/1", "glass", "x", -75.0, (-70.0, 70.0), 20.0, many),
+        "glass_y": AxisText("glass", "2/1", "glass", "y", out - 10.0, (out - 5.0, 10.0), 20.0, many),
+        "glass_z": AxisText("glass", "3/1", "glass", "z", -2.0, (-1.0, top + 10.0), 10.0, many, side="from_above"),
+        "target_x": AxisText("target", '"1"', "target", "x", -50.0, (-45.0, 45.0), 10.0, in_position=True),
+        "target_y": AxisText("target", '"2"', "target", "y", -50.0, (-45.0, 45.0), 10.0, in_position=True),
+        "target_z": AxisText("target", '"3"', "target", "z", -75.0, (-70.0, 25.0), 10.0, in_position=True),
+    }
+    return "\n".join(axis.text(name) for name, axis in axes.items())

@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,7 @@ from ground.errors import ConfigError
 from ground.plain_words import counted
 from ground.terminal import console, error_console
 from piv.resampling.sample import Method
+from rtpiv.options.numbers import Count, DewarpOrder
 from rtpiv.verbs.operator import operator_of, require_person
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named, path_of
@@ -44,21 +46,47 @@ SHOWN_STEPS = 40
 SHOWN_PAIRS = 12
 
 
+@dataclass(frozen=True)
+class LiveFrames:
+    """What is done with frames as they arrive.
+
+    Parameters
+    ----------
+    correct : bool
+        Correct frames as they arrive.
+    scene : path, optional
+        Scene for the correction, such as a fitted one; default is the bench's.
+    target_clear : path, optional
+        Bare target without glass: the dewarp is fitted to it.
+    dewarp_order : {2, 3, 4, 5}
+        Order of the dewarp polynomial.
+    method : {"quintic", "bilinear"}
+        Interpolation of the correction.
+    live_queue : int
+        Frames that may wait to be corrected; 1 for the lowest latency.
+    live : bool
+        Show frames on a page in the browser as they are corrected.
+    """
+
+    correct: bool = True
+    scene: Named | None = None
+    target_clear: Named | None = None
+    dewarp_order: DewarpOrder = 2
+    method: Method = "quintic"
+    live_queue: Count = LIVE_QUEUE
+    live: bool = False
+
+
 def acquire(
     plan: Named,
+    /,
     bench: Named = "bench.yaml",
     out: Named = "runs",
     simulate: bool = False,
     dry_run: bool = False,
     home: bool = False,
-    correct: bool = True,
-    scene: Named | None = None,
-    target_clear: Named | None = None,
-    dewarp_order: int = 2,
-    method: Method = "quintic",
-    live_queue: int = LIVE_QUEUE,
     operator: str | None = None,
-    live: bool = False,
+    frames: LiveFrames = LiveFrames(),
 ) -> Path | None:
     """Carry a plan out on a bench.
 
@@ -76,20 +104,10 @@ def acquire(
     home : bool
         Home every axis first, in the configured order; the plan is then judged from the homed place, if the bench
         file says where that is.
-    correct : bool
-        Correct frames as they arrive.
-    scene : path, optional
-        Scene for the correction, such as a fitted one; default is the bench's.
-    target_clear, dewarp_order
-        As for `correct`.
-    method : {"quintic", "bilinear"}
-        Interpolation of the correction.
-    live_queue : int
-        Frames that may wait to be corrected; 1 for the lowest latency.
     operator : str, optional
         Who answers for the light of a flow run where nobody sits at a terminal; see `verbs.operator`.
-    live : bool
-        Show frames on a page in the browser as they are corrected.
+    frames : LiveFrames
+        What is done with frames as they arrive.
 
     Returns
     -------
@@ -107,8 +125,9 @@ def acquire(
     """
     screen = console()
     plan, bench, out = Path(plan), Path(bench), Path(out)
-    given = path_of(scene), path_of(target_clear)
-    request = Request(bench, plan, simulate, correct, *given, dewarp_order, method, live_queue)
+    given = path_of(frames.scene), path_of(frames.target_clear)
+    order, method, queue = frames.dewarp_order, frames.method, frames.live_queue
+    request = Request(bench, plan, simulate, frames.correct, *given, order, method, queue)
     loaded = _bench_of(bench, plan)
     check_devices(loaded)
     if not dry_run:
@@ -132,11 +151,11 @@ def acquire(
     person = operator_of(operator, simulate)
     require_person(person, steps.steps)
     require_folder(out).mkdir(parents=True, exist_ok=True)
-    check_disk(out, said.raw_bytes + (said.corrected_bytes if correct else 0))
+    check_disk(out, said.raw_bytes + (said.corrected_bytes if frames.correct else 0))
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
     screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
-    run_and_report(screen, Run(request, loaded, steps, folder), home, person, live=live)
+    run_and_report(screen, Run(request, loaded, steps, folder), home, person, live=frames.live)
     return folder.path
 
 
@@ -175,7 +194,7 @@ def run_and_report(
     """Do what is left of a run, say what came of it, or how to go on."""
     request, folder = run.request, run.folder
     try:
-        with watch(error_console()) as watcher, _shown(screen, request, run.bench, folder, live) as shown:
+        with watch(error_console()) as watcher, _shown(screen, run, live) as shown:
             watchers = watcher if shown is None else shown.watching(watcher)
             show = None if shown is None else shown.show
             done = run_session(
@@ -200,9 +219,7 @@ def run_and_report(
 
 
 @contextmanager
-def _shown(
-    screen: Console, request: Request, bench: Bench, folder: RunFolder, live: bool
-) -> "Iterator[RunShown | None]":
+def _shown(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]":
     """A page for the run, if one is wanted."""
     if not live:
         yield None
@@ -211,12 +228,13 @@ def _shown(
     from daq.live.run_shown import RunShown
     from tracer.scene.scene_file import load_scene
 
-    scene = bench.scene if request.scene is None else load_scene(request.scene)
+    bench, given = run.bench, run.request.scene
+    scene = bench.scene if given is None else load_scene(given)
     width, height = scene.camera.sensor_px
     board = bench.table.target.board
     with LivePage(BYTES_PER_PX * width * height, 0, scene, board) as page:
         screen.print(f"look at {page.url}", soft_wrap=True, highlight=False)
-        yield RunShown(page, folder)
+        yield RunShown(page, run.folder)
 
 
 def forecast_said(screen: Console, bench: Bench, plan: Plan, home: bool, with_steps: bool) -> Forecast:

@@ -25,6 +25,7 @@ MAY_BE_OFF_MM = 1.5  # from which an alignment is made for; less room than that 
 
 def align(
     plan: Named,
+    /,
     bench: Named = "bench.yaml",
     out: Named = "runs",
     simulate: bool = False,

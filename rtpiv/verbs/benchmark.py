@@ -6,12 +6,13 @@ from pathlib import Path
 
 from daq.child import child
 from daq.errors import DaqError, RunUsageError
+from rtpiv.options.numbers import Count
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named
 from tracer.scene.scene_file import load_scene
 
 
-def benchmark(scene: Named, out: Named = "benchmark", rounds: int = 9) -> Path:
+def benchmark(scene: Named, /, out: Named = "benchmark", rounds: Count = 9) -> Path:
     """Measure ray map, correction map and frames of a scene beside the peers that are installed.
 
     The benchmark judges the packages against 50-digit references and other programs, so it stands outside of them

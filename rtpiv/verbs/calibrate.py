@@ -20,6 +20,7 @@ from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS
 from rtpiv.analysis.calibration import Calibration, calibration_of
 from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.options.numbers import Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of
 from rtpiv.verbs.show import show_calibration
@@ -34,10 +35,11 @@ WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear
 
 def calibrate(
     folder: Named,
+    /,
     scene: Named | None = None,
     out: Named | None = None,
-    square_mm: float | None = None,
-    disc_mm: float | None = None,
+    square_mm: Positive | None = None,
+    disc_mm: Positive | None = None,
     pictures: bool = True,
 ) -> SceneFit:
     """Fit a scene to frames of its target.

@@ -1,6 +1,7 @@
 """`rtpiv camera`: say which camera there is, take a frame to look at, or try its trigger out."""
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +18,11 @@ from rtpiv.verbs.paths import Named
 
 
 def camera(
-    action: str, bench: Named = "bench.yaml", simulate: bool = False, out: Named = "snap.tif"
+    action: Literal["list", "snap", "test"],
+    /,
+    bench: Named = "bench.yaml",
+    simulate: bool = False,
+    out: Named = "snap.tif",
 ) -> Path | None:
     """Say which camera the bench has, take a frame with its settings, or try its trigger out.
 

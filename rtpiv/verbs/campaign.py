@@ -1,6 +1,7 @@
 """`rtpiv campaign`: many runs, evaluated chunk by chunk on whatever computers there are, and averaged."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal, Unpack
@@ -9,9 +10,8 @@ from daq.errors import RunUsageError, Unfinished
 from ground.plain_words import counted
 from ground.rows import thread_count
 from ground.terminal import console
-from piv.errors import PairError
-from rtpiv.analysis.campaign.campaign_folder import CHUNK_PAIRS, CampaignFolder
-from rtpiv.analysis.campaign.campaign_plan import Forecast, ask_for
+from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, ask_for
 from rtpiv.analysis.campaign.campaign_trial import adopt, trial
 from rtpiv.analysis.campaign.dask_workers import DaskWorkers
 from rtpiv.analysis.campaign.engine import Engine, LocalProcesses
@@ -22,30 +22,64 @@ from rtpiv.analysis.campaign.slurm_arrays import SlurmArrays
 from rtpiv.analysis.campaign.status import RunStatus, campaign_status
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named, path_of, paths_of
+from rtpiv.verbs.paths import Named, paths_of
 from rtpiv.verbs.show import show_campaign, show_forecasts
 
 Action = Literal["plan", "run", "status", "merge"]
+AS_EACH_RUN = CampaignSettings()  # each run as it was taken
 STRANGERS = 2.0  # sigma: more, and the runs did not see one flow
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does the work; by default all cores of this computer.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Processes of this computer (default one a core).
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers do it, such as tcp://10.0.0.1:8786.
+    slurm : int, optional
+        Let Slurm do it, with so many jobs at a time.
+    slurm_options : sequence of str
+        NAME=VALUE, of `submitit.AutoExecutor.update_parameters`, such as slurm_partition=long timeout_min=600.
+    slurm_here : bool
+        Processes of this computer in place of Slurm's jobs, to try it.
+    patience_s : float
+        After which a worker that finishes no pair is given up and its chunk made by another.
+    """
+
+    workers: Count | None = None
+    scheduler: str | None = None
+    slurm: Count | None = None
+    slurm_options: Sequence[str] = ()
+    slurm_here: bool = False
+    patience_s: Positive = PATIENCE_S
+
+    def engine(self, folder: CampaignFolder) -> Engine:
+        """Return them; RunUsageError if they exclude each other."""
+        if sum(each is not None for each in (self.workers, self.scheduler, self.slurm)) > 1:
+            raise RunUsageError("--workers, --scheduler and --slurm exclude each other; give one")
+        if self.slurm is None and (self.slurm_options or self.slurm_here):
+            raise RunUsageError("--slurm-set and --slurm-here belong to --slurm; say how many jobs")
+        if self.scheduler is not None:
+            return DaskWorkers(self.scheduler)
+        if self.slurm is not None:
+            given = dict(_option(text) for text in self.slurm_options)
+            return SlurmArrays(folder.path / "slurm", self.slurm, given, "local" if self.slurm_here else "slurm")
+        return LocalProcesses(self.workers or thread_count())
 
 
 def campaign(
     action: Action,
     runs: Sequence[Named] = (),
+    /,
     out: Named = "campaign",
-    scenes: Sequence[Named] = (),
-    chunk: int | None = None,
-    target_clear: Named | None = None,
-    dewarp_order: int | None = None,
-    dt_us: float | None = None,
-    sigma_limit_px: float | None = None,
-    workers: int | None = None,
-    scheduler: str | None = None,
-    slurm: int | None = None,
-    slurm_options: Sequence[str] = (),
-    slurm_here: bool = False,
-    patience_s: float = PATIENCE_S,
+    settings: CampaignSettings = AS_EACH_RUN,
+    workers: Workers = Workers(),
     **options: Unpack[PivOptions],
 ) -> list[Forecast] | list[RunStatus] | CampaignMean:
     """Evaluate many runs on this computer or on others, and average them.
@@ -63,24 +97,10 @@ def campaign(
         Flow runs: of ``plan``, and of the first ``run``.
     out : path
         Folder of the campaign, see `rtpiv.analysis.campaign.campaign_folder`; all workers see it by this name.
-    scenes : sequence of path, optional
-        One scene.yaml for all runs or one for each; without it each run's own.
-    chunk : int, optional
-        Pairs a chunk, a power of two, default 128.
-    target_clear, dewarp_order, dt_us, sigma_limit_px
-        As for `evaluate`.
-    workers : int, optional
-        Processes of this computer, default one a core.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers do it, such as ``tcp://10.0.0.1:8786``.
-    slurm : int, optional
-        Let Slurm do it, with so many jobs at a time.
-    slurm_options : sequence of str
-        ``name=value``, of `submitit.AutoExecutor.update_parameters`.
-    slurm_here : bool
-        Processes of this computer in place of Slurm's jobs, to try it.
-    patience_s : float
-        After which a worker that finishes no pair is given up and its chunk made by another.
+    settings : CampaignSettings
+        What holds for the named runs.
+    workers : Workers
+        Who does the work, of ``run``.
     **options
         How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`.
 
@@ -103,28 +123,15 @@ def campaign(
         Workers were killed again and again.
     """
     folder, screen = CampaignFolder(Path(out)), console()
-    asked = (*scenes, chunk, target_clear, dewarp_order, dt_us, sigma_limit_px, *options.values())
+    asked = settings != AS_EACH_RUN or any(value is not None for value in options.values())
     if runs and action not in ("plan", "run"):
         raise RunUsageError(f"{action} takes no runs; {folder.path} knows its own")
-    if not runs and any(value is not None for value in asked):
+    if not runs and asked:
         raise RunUsageError("scenes and settings belong to runs; name the runs as well")
     if not runs and action == "plan":
         raise RunUsageError("name the runs that are to be planned")
     if runs:
-        if target_clear is None and dewarp_order is not None:
-            raise PairError("--dewarp-order is that of --target-clear; give both, or none")
-        ask = partial(
-            ask_for,
-            runs=paths_of(runs),
-            scenes=paths_of(scenes),
-            choice=piv_choice(**options),
-            chunk_pairs=chunk or CHUNK_PAIRS,
-            target_clear=path_of(target_clear),
-            dewarp_order=dewarp_order or 2,
-            dt_us=dt_us,
-            sigma_limit_px=sigma_limit_px,
-            used=folder,
-        )
+        ask = partial(ask_for, runs=paths_of(runs), choice=piv_choice(**options), settings=settings, used=folder)
         if action == "run":
             require_folder(folder.path)
         with trial(folder, ask, thread_count()) as (tried, found):
@@ -138,9 +145,7 @@ def campaign(
         _show_merged(folder, merged)
         return merged
     if action == "run":
-        books = run_campaign(
-            folder, _engine(folder, workers, scheduler, slurm, slurm_options, slurm_here), patience_s
-        )
+        books = run_campaign(folder, workers.engine(folder), workers.patience_s)
         were = "was" if books.kept == 1 else "were"
         screen.print(f"{counted(books.made, 'chunk')} made, {books.kept} {were} there")
         if books.stopped:
@@ -153,27 +158,6 @@ def campaign(
     if action == "run":
         screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
     return states
-
-
-def _engine(
-    folder: CampaignFolder,
-    workers: int | None,
-    scheduler: str | None,
-    slurm: int | None,
-    options: Sequence[str],
-    here: bool,
-) -> Engine:
-    """Who does the work."""
-    if sum(each is not None for each in (workers, scheduler, slurm)) > 1:
-        raise RunUsageError("--workers, --scheduler and --slurm exclude each other; give one")
-    if slurm is None and (options or here):
-        raise RunUsageError("--slurm-set and --slurm-here belong to --slurm; say how many jobs")
-    if scheduler is not None:
-        return DaskWorkers(scheduler)
-    if slurm is not None:
-        given = dict(_option(text) for text in options)
-        return SlurmArrays(folder.path / "slurm", slurm, given, "local" if here else "slurm")
-    return LocalProcesses(workers or thread_count())
 
 
 def _option(text: str) -> tuple[str, str | int]:

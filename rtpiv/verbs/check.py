@@ -48,7 +48,7 @@ class FileCheck:
     questions: tuple[str, ...] = ()  # about what it may say and few labs have, with file and line
 
 
-def check(paths: Sequence[Named] | Named, bench: Named | None = None) -> list[FileCheck | RunCheck]:
+def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> list[FileCheck | RunCheck]:
     """Check files before anything is done with them, and runs after; nothing is changed, nothing is opened.
 
     Parameters

@@ -16,6 +16,7 @@ from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.views.candidates import candidates_of
 from rtpiv.analysis.views.figures import ViewFigures
 from rtpiv.analysis.views.question import ViewQuestion
+from rtpiv.options.numbers import Positive
 from rtpiv.templates.scene_text import scene_text
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named
@@ -48,40 +49,25 @@ class Compared:
 
 
 def compare(
-    lenses_mm: Sequence[float],
-    distances_mm: Sequence[float],
-    balls_mm: Sequence[float],
+    question: ViewQuestion,
     out: Named | None = None,
-    counts: Sequence[int] = (1, 2, 3),
-    arrangements: Sequence[str] = ("row",),
-    glasses: Sequence[str] = ("BK7",),
-    gaps_mm: Sequence[float] = (0.0,),
-    sensor_px: Sequence[int] = (2016, 2016),
-    pixel_pitch_um: float = 11.0,
-    f_number: float = 22.0,
-    error_px: float = 0.1,
-    wavelength_nm: float = 532.0,
+    f_number: Positive = 22.0,
+    error_px: Positive = 0.1,
     pictures: bool = True,
 ) -> Compared:
     """Compute what every combination would show; print those that no other beats, and leave their scene files.
 
     Parameters
     ----------
-    lenses_mm, distances_mm, balls_mm : sequence of float
-        Focal lengths; from the lens to the plane; diameters.
+    question : ViewQuestion
+        The camera, and what there is to choose from.
     out : path, optional
         Folder, default ``compare`` (or ``compare-2`` ...), for ``compare.csv`` (all figures of all arrangements),
         ``compare.png`` and ``scenes``.
-    counts, arrangements, glasses, gaps_mm
-        Numbers of balls, how they stand, of what, and how far off the plane; as `rtpiv init` takes them.
-    sensor_px, pixel_pitch_um : sequence of int, float
-        The camera.
     f_number : float
         At which light, blur and depth of field are stated.
     error_px : float
         Largest noise of a displacement that is of use [corrected px].
-    wavelength_nm : float
-        Of the light.
     pictures : bool
         Draw.
 
@@ -97,11 +83,6 @@ def compare(
     DiskError
         The folder cannot hold results.
     """
-    sensor = (sensor_px[0], sensor_px[1])
-    question = ViewQuestion(
-        sensor, pixel_pitch_um, lenses_mm, distances_mm, balls_mm, counts, arrangements, glasses, gaps_mm,
-        wavelength_nm,
-    )  # fmt: skip
     out, screen = folder_for(out, "compare"), console()
     labs, refused = question.labs()
     found = candidates_of(labs, f_number, error_px, SHOWN)

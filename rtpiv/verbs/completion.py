@@ -1,10 +1,12 @@
 """`rtpiv completion`: completion of verbs and options in a shell."""
 
+from typing import Literal
+
 from rtpiv.command_line.completion_script import completion_script
 from rtpiv.options import parser
 
 
-def completion(shell: str) -> str:
+def completion(shell: Literal["bash", "zsh", "fish"], /) -> str:
     """Print the script that completes `rtpiv` in a shell; ``source <(rtpiv completion bash)`` switches it on.
 
     Parameters

@@ -29,6 +29,7 @@ from piv.resampling.sample import Method
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.through_glass import through_glass
 from rtpiv.analysis.views.arranged import little
+from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of, paths_of
 from rtpiv.write_behind import WriteBehind
@@ -37,6 +38,37 @@ from tracer.scene.scene_file import load_scene
 
 DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
 CELL_PX, PARTICLE_PX = 8.0, 4.0  # of computer-generated particles: seeding that an eye can follow
+
+
+@dataclass(frozen=True)
+class CorrectionRecipe:
+    """How frames are corrected.
+
+    Parameters
+    ----------
+    target_clear : path, optional
+        Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
+        included, is taken as it is.
+    dewarp_order : {2, 3, 4, 5}
+        Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
+    square_mm, disc_mm : float, optional
+        Square and disc of the board, of frames that are of no run (default 2.5, and 0.4 of a square): a run knows
+        its own.
+    method : {"quintic", "bilinear"}
+        Interpolation.
+    blend : int
+        Views joined a node; 1 takes the best.
+    sigma_limit_px : float, optional
+        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
+    """
+
+    target_clear: Named | None = None
+    dewarp_order: DewarpOrder = 2
+    square_mm: Positive | None = None
+    disc_mm: Positive | None = None
+    method: Method = "quintic"
+    blend: Count = 1
+    sigma_limit_px: Positive | None = None
 
 
 @dataclass(frozen=True)
@@ -63,17 +95,12 @@ class Corrected:
 
 def correct(
     frames: Sequence[Named] | Named,
+    /,
     scene: Named | Scene,
     out: Named | None = None,
-    target_clear: Named | None = None,
-    dewarp_order: int = 2,
-    square_mm: float | None = None,
-    disc_mm: float | None = None,
-    method: Method = "quintic",
-    blend: int = 1,
+    recipe: CorrectionRecipe = CorrectionRecipe(),
     as_float: bool = False,
     check_target: bool = False,
-    sigma_limit_px: float | None = None,
     pictures: bool = True,
 ) -> Corrected:
     """Correct frames that were taken through the glass of a scene.
@@ -87,24 +114,13 @@ def correct(
     out : path, optional
         Folder, default ``corrected`` (or ``corrected-2`` ... where that has results): one TIFF a frame,
         ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame, ``correction.json``.
-    target_clear : path, optional
-        Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
-        included, is taken as it is.
-    dewarp_order : int
-        Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
-    square_mm, disc_mm : float, optional
-        The board, of frames that are of no run (default 2.5 and 1.0): a run knows its own.
-    method : {"quintic", "bilinear"}
-        Interpolation.
-    blend : int
-        Views joined a node; 1 takes the best.
+    recipe : CorrectionRecipe
+        Dewarp, interpolation, and how sure the map must be.
     as_float : bool
         Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
     check_target : bool
         The frames show the target: measure its corners against the regular grid.  Frames that do not, and are not
         of a run that photographed a print, show particles in the scene's light sheet.
-    sigma_limit_px : float, optional
-        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
     pictures : bool
         Draw ``overview.png``, after all else is written.
 
@@ -125,29 +141,31 @@ def correct(
         The bare target cannot be read.
     """
     screen = console()
-    frames, target_clear = paths_of(frames), path_of(target_clear)
+    frames, target_clear, limit_px = paths_of(frames), path_of(recipe.target_clear), recipe.sigma_limit_px
     fitted = scene if isinstance(scene, Scene) else load_scene(scene)
     particles = not check_target and shows_light_sheet(frames)
     loaded = fitted.in_light_sheet() if particles else fitted
     shape = loaded.camera.shape
     _refuse_same_names(frames)
-    scene_file = None if sigma_limit_px is None else path_of(scene)
+    scene_file = None if limit_px is None else path_of(scene)
     out = folder_for(out, "corrected")
     with ReadAhead(frames, shape) as acquired:
-        board = board_of([*frames, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
-        dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+        board = board_of(
+            [*frames, *([] if target_clear is None else [target_clear])], recipe.square_mm, recipe.disc_mm
+        )
+        dewarp = dewarp_of(target_clear, fitted.camera, board, recipe.dewarp_order)
         limit = None
-        if sigma_limit_px is not None and scene_file is not None:
+        if limit_px is not None and scene_file is not None:
             from rtpiv.analysis.series.tasks import sigma_limit
 
-            limit = sigma_limit(scene_file, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=particles)
-        corrector = prepare(loaded, dewarp, method, blend, limit=limit).corrector
+            limit = sigma_limit(scene_file, fitted, dewarp is not None, limit_px, in_light_sheet=particles)
+        corrector = prepare(loaded, dewarp, recipe.method, recipe.blend, limit=limit).corrector
         acquired.require_sound()
         grid = corrector.map.grid
         about: dict[str, Any] = {
             "origin_mm": list(grid.origin_mm),
             "scene_hash": loaded.content_hash(),
-            "method": method,
+            "method": recipe.method,
             "dewarp": None if dewarp is None else dewarp.to_dict(),
             "offset": None if as_float else UINT16_OFFSET,
         }

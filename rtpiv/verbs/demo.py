@@ -7,9 +7,9 @@ from daq.cameras import require_libraries
 from daq.runs.run_views import target_views
 from ground.terminal import console
 from rtpiv.example_files import examples
-from rtpiv.verbs.acquire import acquire
+from rtpiv.verbs.acquire import LiveFrames, acquire
 from rtpiv.verbs.calibrate import calibrate
-from rtpiv.verbs.correct import correct
+from rtpiv.verbs.correct import CorrectionRecipe, correct
 from rtpiv.verbs.mean import mean
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named
@@ -51,19 +51,29 @@ def demo(out: Named = "demo") -> Path:
     assert targets is not None
     frames = {view.tag: view.path for view in target_views(targets)}
     screen.rule("3  corrected as known: everything is a few tenths of a millimetre off")
-    correct([frames["target_glass"]], scene, out / "nominal", frames["target_clear"], check_target=True)
+    correct(
+        [frames["target_glass"]],
+        scene,
+        out / "nominal",
+        CorrectionRecipe(frames["target_clear"]),
+        check_target=True,
+    )
     screen.rule("4  the true geometry, found from the target's own frames")
     calibrate(targets, None, out / "fit")
     screen.rule("5  corrected with the geometry found")
     correct([frames["target_glass"]], fitted, out / "fitted", check_target=True)
     screen.rule("6  shift run: printed particles moved by 14 px, corrected as the frames arrive")
-    moved = acquire(files / "plan-shift.yaml", bench, out / "runs", simulate=True, home=True, scene=fitted)
+    moved = acquire(
+        files / "plan-shift.yaml", bench, out / "runs", simulate=True, home=True, frames=LiveFrames(scene=fitted)
+    )
     assert moved is not None
     screen.rule("7  the displacement, measured through the glass, and the report")
     page = report(moved, out / "report", fitted)
     screen.rule("8  a jet, lit by a double-pulse laser: background, two dozen pairs, their mean")
     plan, lit = files / "plan-flow.yaml", files / "bench-flow.yaml"
-    flow = acquire(plan, lit, out / "runs", simulate=True, home=True, scene=fitted, operator="demo")
+    flow = acquire(
+        plan, lit, out / "runs", simulate=True, home=True, operator="demo", frames=LiveFrames(scene=fitted)
+    )
     assert flow is not None
     mean(flow, out / "flow", scene=fitted)
     screen.print(

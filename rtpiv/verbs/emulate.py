@@ -2,16 +2,23 @@
 
 import time
 from dataclasses import replace
+from typing import Literal
 
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
 from daq.bench.kinds import kind_of
 from daq.bench.opened import start_simulation
 from ground.terminal import console
+from rtpiv.options.numbers import Positive
 from rtpiv.verbs.paths import Named
 
 
-def emulate(bench: Named, shows: str = "chessboard", for_s: float | None = None) -> None:
+def emulate(
+    bench: Named,
+    /,
+    shows: Literal["chessboard", "particles", "flow"] = "chessboard",
+    for_s: Positive | None = None,
+) -> None:
     """Put the simulated bench up on device files and a GenTL producer, until Ctrl-C.
 
     Parameters

@@ -24,6 +24,7 @@ from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, series_input
 from rtpiv.analysis.series.series_pairs import is_series
 from rtpiv.analysis.series.tasks import Tasks, tasks_of
+from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of, paths_of
 from rtpiv.verbs.show import show_evaluation, show_series
@@ -34,21 +35,22 @@ USUAL = "evaluation"
 
 def evaluate(
     paths: Sequence[Named] | Named,
+    /,
     out: Named | None = None,
     scene: Named | None = None,
     target_clear: Named | None = None,
-    dewarp_order: int = 2,
-    square_mm: float | None = None,
-    disc_mm: float | None = None,
+    dewarp_order: DewarpOrder = 2,
+    square_mm: Positive | None = None,
+    disc_mm: Positive | None = None,
     shift_mm: tuple[float, float] | None = None,
-    stage_sigma_um: float = 10.0,
+    stage_sigma_um: Positive = 10.0,
     route: Route = "image",
     vtk: bool = False,
     figures: bool = False,
-    dt_us: float | None = None,
-    workers: int | None = None,
+    dt_us: Positive | None = None,
+    workers: Count | None = None,
     tracking: bool = False,
-    sigma_limit_px: float | None = None,
+    sigma_limit_px: Positive | None = None,
     pictures: bool = True,
     **options: Unpack[PivOptions],
 ) -> list[Evaluation] | SeriesBooks:

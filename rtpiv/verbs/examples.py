@@ -8,14 +8,15 @@ from daq.errors import DiskError, RunUsageError
 from daq.whole_text import copy_whole, why
 from ground.terminal import console
 from rtpiv.verbs.output import require_folder
+from rtpiv.verbs.paths import Named
 
 
-def examples(out: Path | str = Path("examples")) -> Path:
+def examples(folder: Named = Path("examples"), /) -> Path:
     """Copy the examples that came with the program.
 
     Parameters
     ----------
-    out : path
+    folder : path
         Folder that is not there yet, or empty.
 
     Returns
@@ -30,7 +31,7 @@ def examples(out: Path | str = Path("examples")) -> Path:
     DiskError
         It cannot be written.
     """
-    out = require_folder(out)
+    out = require_folder(folder)
     if out.exists() and any(out.iterdir()):
         raise RunUsageError(f"{out}: has files already; give another folder")
     source, made = example_files.examples(), not out.exists()

@@ -5,6 +5,7 @@ PIVPy and xarray read the NetCDF files of vectors as they are.
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from daq.errors import DiskError, RunUsageError
 from daq.whole_text import sync_folder, why
@@ -25,7 +26,12 @@ MAPS_SAID = (
 )
 
 
-def export(files: Sequence[Named], to: str, out: Named | None = None) -> list[Path]:
+def export(
+    files: Sequence[Named],
+    /,
+    to: Literal["matlab", "paraview", "tecplot", "netcdf", "tiff"],
+    out: Named | None = None,
+) -> list[Path]:
     """Write vectors, or the maps of a scene, in another program's format.
 
     Parameters

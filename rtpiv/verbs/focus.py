@@ -12,7 +12,7 @@ from rtpiv.verbs.paths import Named
 from rtpiv.verbs.show import show_focus
 
 
-def focus(run: Named, out: Named | None = None) -> FocusScan:
+def focus(run: Named, /, out: Named | None = None) -> FocusScan:
     """Evaluate a focus scan.
 
     Parameters

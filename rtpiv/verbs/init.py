@@ -4,7 +4,7 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,8 @@ from daq.errors import RunUsageError
 from daq.whole_text import write_text
 from ground.plain_words import counted
 from ground.terminal import console
-from rtpiv.templates.arrangement import ARRANGEMENTS, most_balls, usual
+from rtpiv.options.numbers import Count, Positive
+from rtpiv.templates.arrangement import ARRANGEMENTS, Arrangement, most_balls, usual
 from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.bench_text import bench_text
 from rtpiv.templates.lab import Lab
@@ -22,6 +23,7 @@ from rtpiv.templates.plan_texts import flow_plan, shift_plan, target_plan
 from rtpiv.templates.scene_text import scene_text
 from rtpiv.verbs.check import check_files
 from rtpiv.verbs.output import require_folder
+from rtpiv.verbs.paths import Named
 from rtpiv.verbs.schema import write_schemas
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
@@ -59,23 +61,71 @@ QUESTIONS = (
 )
 
 
+@dataclass(frozen=True)
+class GivenLab:
+    """What is said of a lab; the rest is asked, or as is usual.
+
+    Parameters
+    ----------
+    name : str, optional
+        Of the bench: letters, digits, underscores (default lab).
+    sensor_px : (int, int), optional
+        Width and height of the camera's frames (default 1280 1024).
+    pixel_pitch_um : float, optional
+        Size of a pixel (default 4.8).
+    lens_mm : float, optional
+        Focal length (default: the longest that sees all balls).
+    distance_mm : float, optional
+        From the lens to the plane (default 500).
+    arrangement : str, optional
+        How the balls stand: one behind the other, beside each other, ...; sc, bcc, hcp: packed beds (default:
+        row; triangle of 3, pyramid of 4 or 5).
+    balls : int, optional
+        How many (default 2).
+    ball_mm : float or sequence of float, optional
+        Diameter of a ball, or of each in a row or side (default 40).
+    glass : str or sequence of str, optional
+        Of the balls, or of each in a row or side: acrylic, BK7, borosilicate ... (default acrylic).
+    gap_mm : float, optional
+        From the plane to the lowest ball (default: where they show most).
+    support_mm : float, optional
+        Diameter of steel rods that hold them (default 0).
+    wavelength_nm : float, optional
+        Of the light (default 532).
+    turn_deg : float, optional
+        By which the camera looks from the side (default 0).
+    """
+
+    name: str | None = None
+    sensor_px: tuple[Count, Count] | None = None
+    pixel_pitch_um: Positive | None = None
+    lens_mm: Positive | None = None
+    distance_mm: Positive | None = None
+    arrangement: Arrangement | None = None
+    balls: Count | None = None
+    ball_mm: Positive | Sequence[Positive] | None = None
+    glass: str | Sequence[str] | None = None
+    gap_mm: float | None = None
+    support_mm: float | None = None
+    wavelength_nm: Positive | None = None
+    turn_deg: float | None = None
+
+    @property
+    def words(self) -> Words:
+        """What was given, as `Lab` takes it."""
+        words = asdict(self)
+        sensor, ball_mm, glass = words.pop("sensor_px"), words.pop("ball_mm"), words.pop("glass")
+        words |= _each("ball_mm", "sizes_mm", ball_mm, max) | _each("glass", "glasses", glass, _first)
+        words["sensor_px"] = None if sensor is None else (sensor[0], sensor[1])
+        return {key: value for key, value in words.items() if value is not None}
+
+
 def init(
-    folder: Path | str = Path(),
-    ask: bool = False,
+    folder: Named = Path(),
+    /,
+    lab: GivenLab = GivenLab(),
+    ask: bool = True,
     overwrite: bool = False,
-    name: str | None = None,
-    sensor_px: tuple[int, int] | None = None,
-    pixel_pitch_um: float | None = None,
-    lens_mm: float | None = None,
-    distance_mm: float | None = None,
-    arrangement: str | None = None,
-    balls: int | None = None,
-    ball_mm: float | Sequence[float] | None = None,
-    glass: str | Sequence[str] | None = None,
-    gap_mm: float | None = None,
-    support_mm: float | None = None,
-    wavelength_nm: float | None = None,
-    turn_deg: float | None = None,
 ) -> list[Path]:
     """Write scene, benches and plans for a lab, with comments; each is checked as `rtpiv check` does.
 
@@ -83,15 +133,12 @@ def init(
     ----------
     folder : path
         Where to; made if it is not there.
+    lab : GivenLab
+        What the lab has.
     ask : bool
         Ask at the terminal, if there is one, for what is not given; else the usual is taken.
     overwrite : bool
         Replace files of these names.
-    name, sensor_px, pixel_pitch_um, lens_mm, distance_mm, arrangement, balls, ball_mm, glass, gap_mm, support_mm
-        What the lab has, and the wavelength_nm of its light; see `rtpiv.templates.lab.Lab`. Balls of a row or
-        side may have a ball_mm and a glass each.
-    turn_deg : float, optional
-        By which the camera looks from the side.
 
     Returns
     -------
@@ -106,30 +153,22 @@ def init(
         The folder cannot be written to.
     """
     folder = Path(folder)
-    sensor = None if sensor_px is None else (sensor_px[0], sensor_px[1])
-    named: Words = {
-        "name": name, "sensor_px": sensor, "pixel_pitch_um": pixel_pitch_um, "lens_mm": lens_mm,
-        "distance_mm": distance_mm, "arrangement": arrangement, "balls": balls,
-        "gap_mm": gap_mm, "support_mm": support_mm, "wavelength_nm": wavelength_nm,
-        "turn_deg": turn_deg, **_each("ball_mm", "sizes_mm", ball_mm, max),
-        **_each("glass", "glasses", glass, _first),
-    }  # fmt: skip
-    given = {key: value for key, value in named.items() if value is not None}
+    given = lab.words
     _refuse_existing(folder, overwrite)
     if ask and sys.stdin is not None and sys.stdin.isatty():
         console().print("Enter takes what stands in brackets; Ctrl-C ends, and nothing is written.")
         given = _answers(given)
-    lab = _lab(given, placed=True)
-    room = room_of(lab)
-    dt_us = max(20.0, round(1e6 * FLOW_PX / lab.px_per_mm / FLOW_MM_S, -1))
-    flow = bench_text(lab, room, laser=True), flow_plan(lab, dt_us)
-    texts = scene_text(lab), bench_text(lab, room), target_plan(room), shift_plan(), *flow
+    full = _lab(given, placed=True)
+    room = room_of(full)
+    dt_us = max(20.0, round(1e6 * FLOW_PX / full.px_per_mm / FLOW_MM_S, -1))
+    flow = bench_text(full, room, laser=True), flow_plan(full, dt_us)
+    texts = scene_text(full), bench_text(full, room), target_plan(room), shift_plan(), *flow
     with tempfile.TemporaryDirectory(prefix="rtpiv-") as trial:
         _write(Path(trial), texts)
         _check(Path(trial))
     _write(require_folder(folder), texts)
     write_schemas(folder / "schemas")
-    _print(lab, folder, "lens_mm" not in given)
+    _print(full, folder, "lens_mm" not in given)
     return [folder / file for file in FILES]
 
 

@@ -11,7 +11,7 @@ from rtpiv.verbs.paths import Named
 STRANGERS = 2.0  # sigma: more, and the two runs did not see one flow, or one of them is too blurred to say
 
 
-def join(beside: Named, behind: Named, out: Named | None = None) -> JoinedMean:
+def join(beside: Named, behind: Named, /, out: Named | None = None) -> JoinedMean:
     """Join two series by what each was focused on.
 
     Parameters

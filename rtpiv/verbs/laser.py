@@ -7,6 +7,7 @@ and reads back. `state` opens it too, and opening switches off what runs: nobody
 
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Literal
 
 from daq.bench.bench_file import load_bench
 from daq.bench.known_lasers import KIND, KnownLaser, each_once, lasers_near, lasers_of, open_lasers
@@ -17,16 +18,18 @@ from daq.timing.laser import Laser
 from daq.timing.states import LaserState
 from daq.timing.switch_off import SwitchedOff, switch_off
 from ground.terminal import console, error_console
+from rtpiv.options.numbers import Positive
 from rtpiv.verbs.paths import Named, path_of
 
 
 def laser(
-    action: str = "state",
+    action: Literal["off", "state", "align"] = "state",
+    /,
     bench: Named | None = None,
     simulate: bool = False,
     name: str | None = None,
-    rate_hz: float = 5.0,
-    for_s: float = 5.0,
+    rate_hz: Positive = 5.0,
+    for_s: Positive = 5.0,
 ) -> LaserState:
     """Switch lasers off, look at one, or let weak pulses leave.
 

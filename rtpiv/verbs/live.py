@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from daq.pipeline.corrections import Corrections
 from daq.plans.steps import BEHIND_GLASS
 from daq.runner.camera_session import CameraSession
 from ground.terminal import console
+from rtpiv.options.numbers import Port, Positive
 from rtpiv.verbs.paths import Named
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
@@ -32,9 +33,9 @@ def live(
     simulate: bool = False,
     scene: Named | None = None,
     correct: bool = True,
-    port: int = 0,
-    shows: str = "chessboard",
-    for_s: float | None = None,
+    port: Port = 0,
+    shows: Literal["chessboard", "particles", "flow"] = "chessboard",
+    for_s: Positive | None = None,
 ) -> int:
     """Show what the camera sees until Ctrl-C.
 

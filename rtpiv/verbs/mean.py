@@ -1,7 +1,7 @@
 """`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
 
 from pathlib import Path
-from typing import Unpack
+from typing import Literal, Unpack
 
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
@@ -18,6 +18,7 @@ from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import mean_of_series, standing_of
+from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.output import folder_for, require_folder
 from rtpiv.verbs.paths import Named, path_of
@@ -26,15 +27,16 @@ from rtpiv.verbs.show import show_mean, show_series
 
 def mean(
     path: Named,
+    /,
     out: Named | None = None,
     scene: Named | None = None,
     target_clear: Named | None = None,
-    dewarp_order: int = 2,
+    dewarp_order: DewarpOrder = 2,
     figures: bool = False,
-    dt_us: float | None = None,
-    workers: int | None = None,
-    ensemble: int | None = None,
-    sigma_limit_px: float | None = None,
+    dt_us: Positive | None = None,
+    workers: Count | None = None,
+    ensemble: Literal[8, 16, 32] | None = None,
+    sigma_limit_px: Positive | None = None,
     **options: Unpack[PivOptions],
 ) -> MeanFlow:
     """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.

@@ -23,6 +23,7 @@ from rtpiv.analysis.pictures.before_after import before_after
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.series_pairs import is_series
 from rtpiv.analysis.series.tasks import FIT_FILE
+from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.mean import mean
 from rtpiv.verbs.output import require_folder
@@ -35,11 +36,12 @@ TARGET_HEAD = ("region", "corners found", "bias u, v", "rms u, v", "largest")
 
 def report(
     run: Named,
+    /,
     out: Named | None = None,
     scene: Named | None = None,
     target_clear: Named | None = None,
-    dewarp_order: int = 2,
-    stage_sigma_um: float = 10.0,
+    dewarp_order: DewarpOrder = 2,
+    stage_sigma_um: Positive = 10.0,
     route: Route = "compare",
     **options: Unpack[PivOptions],
 ) -> Path:

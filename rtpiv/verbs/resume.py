@@ -13,7 +13,7 @@ from rtpiv.verbs.paths import Named
 
 
 def resume(
-    run: Named, home: bool = False, retake: bool = False, operator: str | None = None, live: bool = False
+    run: Named, /, home: bool = False, retake: bool = False, operator: str | None = None, live: bool = False
 ) -> Path:
     """Do what is left of a run: plan minus journal.
 

@@ -14,7 +14,7 @@ from rtpiv.verbs.paths import Named, file_of, paths_of
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 
 
-def sheet(paths: Sequence[Named] | Named, scene: Named, out: Named | None = None) -> SheetFound:
+def sheet(paths: Sequence[Named] | Named, /, scene: Named, out: Named | None = None) -> SheetFound:
     """Find the light sheet in the frames of a flow, and write a scene file that has it.
 
     Particles that are seen directly and through glass, or through it in two ways, tell how high over the target's

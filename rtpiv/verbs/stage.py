@@ -1,5 +1,8 @@
 """`rtpiv stage`: where the axes are; home, move or jog them, once or from a prompt that keeps the bench open."""
 
+from collections.abc import Sequence
+from typing import Literal
+
 from daq.bench.bench_session import open_session
 from ground.terminal import console, error_console
 from rtpiv.verbs.paths import Named
@@ -7,8 +10,9 @@ from rtpiv.verbs.stage_words import numbers, where_table
 
 
 def stage(
-    action: str = "session",
-    axes: list[str] | None = None,
+    action: Literal["session", "where", "home", "move", "jog"] = "session",
+    axes: Sequence[str] = (),
+    /,
     bench: Named = "bench.yaml",
     simulate: bool = False,
     home: bool = False,
@@ -19,7 +23,7 @@ def stage(
     ----------
     action : {"session", "where", "home", "move", "jog"}
         What to do; `session` reads what to do from the terminal, or from a pipe.
-    axes : list of str
+    axes : sequence of str
         ``name=mm`` to move to, ``name=mm`` to jog by, names to home (default all); ignored by `where`.
     bench : path
         bench.yaml.
@@ -40,7 +44,7 @@ def stage(
     """
     from rtpiv.verbs.stage_prompt import Prompt
 
-    named, say = axes or [], error_console()
+    named, say = list(axes), error_console()
     wanted = numbers(named) if action in ("move", "jog") else {}
 
     def tell(axis: str) -> None:

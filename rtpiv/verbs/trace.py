@@ -56,7 +56,7 @@ class Traced:
     pictures: tuple[Path, ...] = field(repr=False)
 
 
-def trace(scene: Named | Scene, out: Named | None = None, pictures: bool = True) -> Traced:
+def trace(scene: Named | Scene, /, out: Named | None = None, pictures: bool = True) -> Traced:
     """Trace a scene; print what it shows of the plane, and leave pictures.
 
     Parameters

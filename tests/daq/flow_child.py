@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from rtpiv.verbs.acquire import acquire
+from rtpiv.verbs.acquire import LiveFrames, acquire
 from sim import world
 from tests.daq.flow_bench import ToldLight
 
@@ -12,7 +12,7 @@ def main() -> None:
     """Acquire."""
     bench, plan, out = (Path(argument) for argument in sys.argv[1:])
     world.LitFlow = ToldLight  # type: ignore[misc]
-    acquire(plan, bench, out, simulate=True, home=True, correct=False, operator="test")
+    acquire(plan, bench, out, simulate=True, home=True, frames=LiveFrames(correct=False), operator="test")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rtpiv.verbs.init import init
+from rtpiv.verbs.init import GivenLab, init
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "python.md"
 
@@ -35,7 +35,7 @@ def test_the_page_has_a_campaign_and_a_scan():
 def test_the_scripts_of_the_page_run_as_they_stand(number, tmp_path):
     if number == 1:
         pytest.importorskip("bluesky")
-    init(tmp_path, balls=1, sensor_px=(504, 504), pixel_pitch_um=11.0)
+    init(tmp_path, GivenLab(balls=1, sensor_px=(504, 504), pixel_pitch_um=11.0))
     (tmp_path / "campaign.py").write_text(scripts()[number] + "\n")
     ran = subprocess.run(
         [sys.executable, "campaign.py"], cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False

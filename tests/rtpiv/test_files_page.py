@@ -1,5 +1,6 @@
 """docs/files.md is what people write their files from: it must name every key there is."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from daq.runs.journal_lines import Line
 from daq.runs.run_file import RunFile
 from daq.timing.timing_table import TimingTable
 from ground.config import load_yaml, validate
-from rtpiv.analysis.pairs.piv_file import PivTable
+from piv.correlation.settings import PivSettings
+from rtpiv.analysis.pairs.piv_file import PivOptions, PivTable
 from rtpiv.analysis.series.series_folder import SeriesFile
 from sim.bench_table import SimulationTable
 from tracer.scene.scene_file import load_scene
@@ -40,6 +42,15 @@ def keys_of(model: object) -> set[str]:
 def test_every_key_is_on_the_page(model):
     words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`]+)`", PAGE.read_text(encoding="utf-8")))))
     assert keys_of(model) <= words
+
+
+def test_the_page_has_each_setting_of_piv_with_its_default():
+    rows = dict(re.findall(r"^\| (`.*?) \| (.*?) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    said = {key: text for keys, text in rows.items() for key in re.findall(r"`(\w+)`", keys)}
+    assert set(PivOptions.__annotations__) - {"piv"} == set(PivTable.model_fields) <= set(said)
+    for field in dataclasses.fields(PivSettings):
+        if field.name in PivTable.model_fields and field.default is not None and len(said[field.name]) < 8:
+            assert said[field.name].strip("`").lower() == str(field.default).lower(), field.name
 
 
 def test_the_scene_on_the_page_can_be_loaded(tmp_path):

@@ -1,16 +1,25 @@
 """What the command line offers beside its verbs: completion, threads, examples, news of compiling."""
 
+import dataclasses
+import importlib
+import inspect
 import os
 import shutil
 import subprocess
+from pathlib import Path
 
 import pytest
 
+import rtpiv.verbs
 from ground import compile_news
 from ground.compile_news import CompileCount
+from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.command_line.cli import DONE, THREADS, USAGE, main, print_compiling
 from rtpiv.command_line.completion_script import completion_script
-from rtpiv.options import parser
+from rtpiv.options import call_of, parser
+from rtpiv.options.command import VERBS
+from rtpiv.options.signature import REQUIRED, signature, summary
+from rtpiv.verbs.correct import CorrectionRecipe
 
 
 def completed(tmp_path, *words):
@@ -23,6 +32,68 @@ def completed(tmp_path, *words):
     )
     ran = subprocess.run(["bash", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
     return ran.stdout.split()
+
+
+def test_every_verb_is_listed_once():
+    homes = sorted(Path(rtpiv.verbs.__file__).parent.glob("*.py"))
+    found = [
+        home.stem for home in homes if home.read_text(encoding="utf-8").startswith(f'"""`rtpiv {home.stem}`: ')
+    ]
+    assert sorted(VERBS) == found
+    assert all(summary(verb) for verb in VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_what_a_verb_takes_is_what_its_function_takes(verb):
+    """Read from the source, and as Python itself says it."""
+    function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
+    options = signature(verb).options
+    own = {option.name: option for option in options if option.of is None}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if name not in own:
+            holders = [option for option in options if option.holder == name]
+            assert holders, name
+            assert all(option.of == holders[0].of for option in holders)
+            continue
+        assert own[name].is_word == (parameter.kind is parameter.POSITIONAL_ONLY), name
+        if parameter.default is not parameter.empty:
+            assert own[name].default == parameter.default, name
+    for option in options:
+        assert option.help, f"{verb} {option.name}: is described nowhere"
+        if option.of is not None and not option.of.keywords:
+            made = getattr(importlib.import_module(option.of.module), option.of.name)
+            known = {field.name: field.default for field in dataclasses.fields(made)}
+            assert option.default is REQUIRED or option.default == known[option.name], option.name
+
+
+def test_values_are_put_together():
+    words = ["correct", "a.tif", "b.tif", "--scene", "scene.yaml", "--dewarp-order", "3", "--float"]
+    options = vars(parser(words).parse_args(words))
+    (frames,), named = call_of("correct", options)
+    assert frames == [Path("a.tif"), Path("b.tif")]
+    assert named["recipe"] == CorrectionRecipe(dewarp_order=3)
+    assert (named["scene"], named["as_float"], named["pictures"]) == (Path("scene.yaml"), True, True)
+    words = ["mean", "run", "--overlap", "0.75"]
+    _, named = call_of("mean", vars(parser(words).parse_args(words)))
+    assert named["overlap"] == 0.75
+    assert not set(PivOptions.__annotations__) - {"overlap"} & set(named)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("calibrate run --square-mm 20,5", "should be a number, not '20,5'; write a decimal point: 20.5"),
+        ("calibrate run --square-mm 0", "should be above 0, not 0"),
+        ("mean run --passes two", "should be a whole number, not 'two'"),
+        ("mean run --workers 0", "should be 1, 2, 3 ..., not '0'"),
+        ("correct a.tif", "required: --scene"),
+        ("live --port 70000", "should be 0 to 65535"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(words, said, capsys):
+    with pytest.raises(SystemExit):
+        main(words.split())
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")

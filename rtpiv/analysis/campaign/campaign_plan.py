@@ -22,7 +22,15 @@ from piv.correlation.windows import window_grid
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.campaign.books import read_books
-from rtpiv.analysis.campaign.campaign_folder import FILE, LAYOUT, CampaignFile, CampaignFolder, HowAsked, choice_of
+from rtpiv.analysis.campaign.campaign_folder import (
+    CHUNK_PAIRS,
+    FILE,
+    LAYOUT,
+    CampaignFile,
+    CampaignFolder,
+    HowAsked,
+    choice_of,
+)
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.light_file import light_of
 from rtpiv.analysis.series.run_series import about_series
@@ -31,6 +39,7 @@ from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, keep_sce
 from rtpiv.analysis.series.series_plan import ChunkJob, jobs_of
 from rtpiv.analysis.series.source_pairs import FILE as CHECKSUMS
 from rtpiv.analysis.series.workers import worker_processes
+from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.scene.scene_file import load_scene
 
 S_PER_MPX = 0.5  # of one core for a pair, before this campaign has shown its own: 2 s at 4 million pixels
@@ -88,16 +97,48 @@ class Forecast:
     write_bytes: float
 
 
+@dataclass(frozen=True)
+class CampaignSettings:
+    """What holds for the named runs.
+
+    Parameters
+    ----------
+    scenes : sequence of path
+        One scene.yaml for all runs, or one for each in their order; without it each run's own.
+    chunk : int, optional
+        Pairs a chunk, a power of two (default 128).
+    target_clear : path, optional
+        Bare target, for the dewarp.
+    dewarp_order : {2, 3, 4, 5}, optional
+        Order of the dewarp (default 2).
+    dt_us : float, optional
+        Time between the frames of a pair, if the runs do not know it.
+    sigma_limit_px : float, optional
+        Leave out what the fitted map knows less well than this.
+
+    Raises
+    ------
+    PairError
+        An order of a dewarp without the bare target.
+    """
+
+    scenes: Sequence[Path | str] = ()
+    chunk: Count | None = None
+    target_clear: Path | str | None = None
+    dewarp_order: DewarpOrder | None = None
+    dt_us: Positive | None = None
+    sigma_limit_px: Positive | None = None
+
+    def __post_init__(self) -> None:
+        if self.target_clear is None and self.dewarp_order is not None:
+            raise PairError("--dewarp-order is that of --target-clear; give both, or none")
+
+
 def ask_for(
     folder: CampaignFolder,
     runs: Sequence[Path],
-    scenes: Sequence[Path],
     choice: PivChoice,
-    chunk_pairs: int,
-    target_clear: Path | None = None,
-    dewarp_order: int = 2,
-    dt_us: float | None = None,
-    sigma_limit_px: float | None = None,
+    settings: CampaignSettings = CampaignSettings(),
     used: CampaignFolder | None = None,
 ) -> None:
     """Write campaign.json, and beside each run's series the scene that it is seen through.
@@ -108,14 +149,10 @@ def ask_for(
         Of the campaign.
     runs : sequence of Path
         Flow runs, or frames of others in pairs.
-    scenes : sequence of Path
-        One for all, one for each, or none: then each run is seen through the scene its frames were corrected with.
     choice : PivChoice
         How pairs are evaluated.
-    chunk_pairs : int
-        Pairs a chunk, a power of two.
-    target_clear, dewarp_order, dt_us, sigma_limit_px
-        As for the verb `evaluate`.
+    settings : CampaignSettings
+        Scenes, size of the chunks, dewarp: what holds for these runs.
     used : CampaignFolder, optional
         Whose checksums of foreign frames are taken over where files have not changed since.
 
@@ -128,6 +165,7 @@ def ask_for(
     """
     if len({run.resolve() for run in runs}) < len(runs):
         raise SeriesError("a run is named twice; its pairs would count twice")
+    scenes = [Path(scene) for scene in settings.scenes]
     if len(scenes) not in (0, 1, len(runs)):
         raise SeriesError(f"{len(scenes)} scenes for {len(runs)} runs; give one for all, or one for each in order")
     for scene in scenes:
@@ -148,14 +186,14 @@ def ask_for(
     how: HowAsked = {
         "settings": {n: list(v) if isinstance(v, tuple) else v for n, v in asdict(choice.settings).items()},
         "prepare": None if choice.preparation is None else list(choice.preparation.steps),
-        "target_clear": None if target_clear is None else str(target_clear.resolve()),
-        "dewarp_order": dewarp_order,
-        "dt_us": dt_us,
-        "sigma_limit_px": sigma_limit_px,
+        "target_clear": None if settings.target_clear is None else str(Path(settings.target_clear).resolve()),
+        "dewarp_order": settings.dewarp_order or 2,
+        "dt_us": settings.dt_us,
+        "sigma_limit_px": settings.sigma_limit_px,
     }
     asked: CampaignFile = {
         "layout": LAYOUT,
-        "chunk_pairs": chunk_pairs,
+        "chunk_pairs": settings.chunk or CHUNK_PAIRS,
         "runs": [{"name": name, "path": str(run.resolve())} for name, run in zip(names, runs, strict=True)],
         "how": how,
     }

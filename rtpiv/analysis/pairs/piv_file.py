@@ -1,4 +1,4 @@
-"""How pairs are evaluated, from a YAML file and from the command line; what is given on the line wins.
+"""How pairs are evaluated: one declaration for the YAML file, the command line and Python.
 
     final_window_px: 16
     overlap: 0.75
@@ -12,50 +12,91 @@ until it is the last one's, which then repeats.  `prepare` names what is done to
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypedDict, Unpack
+from typing import Annotated, Any, Literal, TypedDict, Unpack, get_type_hints
 
-from pydantic import Field
+from annotated_types import Interval
+from pydantic import create_model
 
 from ground.config import Document, Table, load_yaml, validate
 from ground.errors import ConfigError, Problem
-from piv.correlation.settings import SMALLEST_WINDOW_PX, PivSettings
+from piv.correlation.settings import (
+    SMALLEST_WINDOW_PX,
+    AboveZero,
+    ExtraPasses,
+    MinValid,
+    NotNegative,
+    Overlap,
+    PivSettings,
+    WindowSigma,
+)
 from piv.errors import PairError
 from piv.preprocessing.preparation import Preparation
+from rtpiv.options.numbers import steps
 
 Window = Literal["gaussian", "square"]
-Side = Annotated[int, Field(ge=SMALLEST_WINDOW_PX, le=1024)]
+Side = Annotated[int, Interval(ge=SMALLEST_WINDOW_PX, le=1024)]
+FINAL_PX = 32  # side of the last windows, unless it is said
 LARGEST_FIRST = 2  # times the last window at least: a first window as small as that finds next to nothing
 
 
 class PivOptions(TypedDict, total=False):
-    """What every verb that correlates takes, one by one, in place of what the file says.
+    """How pairs are correlated: what is given wins over the file.
+
+    These are the keys of the file, the options of the command line and the keywords of the verbs, all in one.
+    What is not given has the default of `piv.correlation.settings.PivSettings`.
 
     Parameters
     ----------
-    piv : Path, optional
-        Settings of the correlation (docs/files.md).
-    first_window, final_window : int, optional
-        Side of the first and of the last windows [px].
-    passes : int, optional
-        How many.
-    overlap : float, optional
-        Of neighbouring windows.
-    window : {"gaussian", "square"}, optional
-        Their weights.
-    denoise : float, optional
-        0 keeps all detail.
-    prepare : tuple of str, optional
-        What is done to frames, in order; empty for nothing.
+    piv : path
+        YAML file with any of these settings (docs/files.md).
+    first_window_px : int
+        Side of the first windows, three times the largest displacement (default 64); doubled by itself where few
+        vectors come out.
+    final_window_px : int
+        Side of the last windows (default 32): smaller ones show shorter waves and are noisier.
+    passes : int
+        How many (default 4 or more): sides are halved from pass to pass, and the last one repeats.
+    overlap : float
+        Shared part of neighbouring windows (default 0.5).
+    window : {"gaussian", "square"}
+        Weights of the windows (default gaussian).
+    window_sigma : float
+        Of the Gaussian in each frame, in sides (default 0.3).
+    min_valid : float
+        Smallest share of a window's weight on valid pixels (default 0.3).
+    smoothing_px : float
+        Of the predictor between passes (default a quarter of the last window).
+    denoise : float
+        Detail below the resolution stays where it is stronger than so many times the noise; 0 keeps all (default
+        2).
+    extra_passes : int
+        Most passes that are added while vectors still move (default 3).
+    outlier_threshold : float
+        Largest normalised residual of a vector (default 3).
+    outlier_epsilon_px : float
+        Usual noise that the residual is normalised with (default 0.1).
+    peak_ratios : bool
+        Look for every second peak, not only where something speaks against a vector.
+    prepare : list of str
+        What is done to frames, in order, such as sliding-minimum,min-max, or none (of a flow run the default is
+        sliding-minimum).
     """
 
-    piv: Path | None
-    first_window: int | None
-    final_window: int | None
-    passes: int | None
-    overlap: float | None
-    window: Window | None
-    denoise: float | None
-    prepare: tuple[str, ...] | None
+    piv: Path | str
+    first_window_px: Side | None
+    final_window_px: Side
+    passes: Annotated[int, Interval(ge=1, le=20)] | None
+    overlap: Overlap
+    window: Window
+    window_sigma: WindowSigma
+    min_valid: MinValid
+    smoothing_px: NotNegative | None
+    denoise: NotNegative
+    extra_passes: ExtraPasses
+    outlier_threshold: AboveZero
+    outlier_epsilon_px: AboveZero
+    peak_ratios: bool
+    prepare: Annotated[list[str], steps] | None
 
 
 @dataclass(frozen=True)
@@ -66,32 +107,28 @@ class PivChoice:
     preparation: Preparation | None
 
 
-class PivTable(Table):
-    """Keys of the file; what is not given has the default of `PivSettings`."""
+class _Settings(Table):
+    """A file of settings, made the values that an evaluation takes."""
 
-    first_window_px: Side | None = None
-    final_window_px: Side = 32
-    passes: Annotated[int, Field(ge=1, le=20)] | None = None
-    overlap: Annotated[float, Field(ge=0.0, lt=1.0)] = PivSettings.overlap
-    window: Window = "gaussian"
-    window_sigma: Annotated[float, Field(ge=0.15, le=2.0)] = PivSettings.window_sigma
-    min_valid: Annotated[float, Field(gt=0.0, le=1.0)] = PivSettings.min_valid
-    smoothing_px: Annotated[float, Field(ge=0.0)] | None = None
-    denoise: Annotated[float, Field(ge=0.0)] = PivSettings.denoise
-    extra_passes: Annotated[int, Field(ge=0, le=20)] = PivSettings.extra_passes
-    outlier_threshold: Annotated[float, Field(gt=0.0)] = PivSettings.outlier_threshold
-    outlier_epsilon_px: Annotated[float, Field(gt=0.0)] = PivSettings.outlier_epsilon_px
-    peak_ratios: bool = False
-    prepare: list[str] | None = None
-
-    def settings(self) -> PivSettings:
-        """Return what the evaluation takes."""
-        apart = {"first_window_px", "final_window_px", "passes", "window", "window_sigma", "prepare"}
-        return PivSettings(
-            windows_px=windows_of(self.first_window_px, self.final_window_px, self.passes),
-            window_sigma=self.window_sigma if self.window == "gaussian" else 0.0,
-            **{name: getattr(self, name) for name in type(self).model_fields if name not in apart},
+    def choice(self) -> PivChoice:
+        """Return them; PairError if they contradict each other."""
+        given = self.model_dump(exclude_unset=True)
+        prepare, window = given.pop("prepare", None), given.pop("window", "gaussian")
+        sides = (
+            given.pop("first_window_px", None),
+            given.pop("final_window_px", FINAL_PX),
+            given.pop("passes", None),
         )
+        if window == "square":
+            given["window_sigma"] = 0.0
+        settings = PivSettings(windows_px=windows_of(*sides), **given)
+        return PivChoice(settings, None if prepare is None else Preparation(tuple(prepare)))
+
+
+_KEYS: dict[str, Any] = {
+    name: (kind, None) for name, kind in get_type_hints(PivOptions, include_extras=True).items() if name != "piv"
+}
+PivTable = create_model("PivTable", __base__=_Settings, **_KEYS)  # the keys of the file are those of PivOptions
 
 
 def windows_of(first_px: int | None, final_px: int, passes: int | None) -> tuple[int, ...]:
@@ -138,22 +175,14 @@ def piv_choice(**options: Unpack[PivOptions]) -> PivChoice:
     ConfigError
         The file, or a value, is not what it should be.
     """
-    file = options.get("piv")
-    document = load_yaml(file) if file is not None else Document(Path("settings"), {})
-    prepare = options.get("prepare")
-    given = {
-        "first_window_px": options.get("first_window"),
-        "final_window_px": options.get("final_window"),
-        "passes": options.get("passes"),
-        "overlap": options.get("overlap"),
-        "window": options.get("window"),
-        "denoise": options.get("denoise"),
-        "prepare": None if prepare is None else list(prepare),
-    }
+    given = dict(options)
+    file, prepare = given.pop("piv", None), options.get("prepare")
+    given["prepare"] = None if prepare is None else list(prepare)  # Python may give a tuple
+    document = load_yaml(str(file)) if file is not None else Document(Path("settings"), {})
     if isinstance(document.tree, dict):
         document.tree |= {name: value for name, value in given.items() if value is not None}
     table = validate(document, PivTable)
     try:
-        return PivChoice(table.settings(), None if table.prepare is None else Preparation(tuple(table.prepare)))
+        return table.choice()
     except PairError as error:
         raise ConfigError(document.path, [Problem(0, str(error))]) from None

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import product
 
 from daq.errors import RunUsageError
+from rtpiv.options.numbers import Count, Length, Positive
 from rtpiv.templates.arrangement import most_balls
 from rtpiv.templates.lab import Lab
 
@@ -17,16 +18,24 @@ class ViewQuestion:
 
     Parameters
     ----------
+    lenses_mm : sequence of float
+        Focal lengths.
+    distances_mm : sequence of float
+        From the lens to the plane.
+    balls_mm : sequence of float
+        Diameters of balls.
+    counts : sequence of int
+        Numbers of balls.
+    arrangements : sequence of str
+        How they stand: row, side, triangle, pyramid ...
+    glasses : sequence of str
+        Of what: acrylic, borosilicate, BK7 ..., or an index.
+    gaps_mm : sequence of float
+        From the plane to the lowest ball.
     sensor_px : (int, int)
         Width and height of the camera's frames.
     pixel_pitch_um : float
         Size of a pixel.
-    lenses_mm, distances_mm, balls_mm, gaps_mm : sequence of float
-        Focal lengths; from the lens to the plane; diameters of balls; from the plane to the lowest ball.
-    counts : sequence of int
-        Numbers of balls.
-    arrangements, glasses : sequence of str
-        As in `rtpiv.templates.lab.Lab`.
     wavelength_nm : float
         Of the light.
 
@@ -36,16 +45,16 @@ class ViewQuestion:
         More than `MOST` combinations.
     """
 
-    sensor_px: tuple[int, int]
-    pixel_pitch_um: float
-    lenses_mm: Sequence[float]
-    distances_mm: Sequence[float]
-    balls_mm: Sequence[float]
-    counts: Sequence[int] = (1,)
+    lenses_mm: Sequence[Positive]
+    distances_mm: Sequence[Positive]
+    balls_mm: Sequence[Positive]
+    counts: Sequence[Count] = (1, 2, 3)
     arrangements: Sequence[str] = ("row",)
     glasses: Sequence[str] = ("BK7",)
-    gaps_mm: Sequence[float] = (0.0,)
-    wavelength_nm: float = 532.0
+    gaps_mm: Sequence[Length] = (0.0,)
+    sensor_px: tuple[Count, Count] = (2016, 2016)
+    pixel_pitch_um: Positive = 11.0
+    wavelength_nm: Positive = 532.0
 
     def __post_init__(self) -> None:
         if self.combinations > MOST:
@@ -65,7 +74,7 @@ class ViewQuestion:
             for distance_mm, lens_mm in product(self.distances_mm, self.lenses_mm):
                 try:
                     lab = Lab(
-                        sensor_px=self.sensor_px,
+                        sensor_px=(self.sensor_px[0], self.sensor_px[1]),
                         pixel_pitch_um=self.pixel_pitch_um,
                         lens_mm=lens_mm,
                         distance_mm=distance_mm,

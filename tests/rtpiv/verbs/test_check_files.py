@@ -7,13 +7,13 @@ import pytest
 from daq.errors import RunUsageError
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.check import check
-from rtpiv.verbs.init import init
+from rtpiv.verbs.init import GivenLab, init
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab")
-    init(folder, balls=1, sensor_px=(640, 480))
+    init(folder, GivenLab(balls=1, sensor_px=(640, 480)))
     return folder
 
 
@@ -49,7 +49,7 @@ def test_a_folder_of_files(lab, capsys):
 
 
 def test_a_scene_that_shows_little_through_glass_says_what_would_show_more(tmp_path, capsys):
-    init(tmp_path / "lab", balls=3, gap_mm=4.0, sensor_px=(640, 480))
+    init(tmp_path / "lab", GivenLab(balls=3, gap_mm=4.0, sensor_px=(640, 480)))
     capsys.readouterr()
     check(tmp_path / "lab" / "scene.yaml")
     said = capsys.readouterr().out

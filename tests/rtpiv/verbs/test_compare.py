@@ -10,12 +10,13 @@ from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.correction_map import build_correction_map
 from daq.errors import RunUsageError
 from rtpiv.analysis.views.figures import view_figures, with_sigma
+from rtpiv.analysis.views.question import ViewQuestion
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.templates.lab import Lab
 from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.compare import compare
-from rtpiv.verbs.init import init
+from rtpiv.verbs.init import GivenLab, init
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.ray_map import build_ray_map
 
@@ -60,7 +61,7 @@ def test_where_nothing_is_of_use_that_is_said(tmp_path, capsys):
 )
 def test_sigma_is_what_a_fit_leaves(tmp_path, monkeypatch, lab):
     keys = ("sensor_px", "pixel_pitch_um", "lens_mm", "distance_mm", "balls", "ball_mm", "glass", "gap_mm")
-    init(tmp_path, arrangement=lab.arrangement, **{key: getattr(lab, key) for key in keys})
+    init(tmp_path, GivenLab(arrangement=lab.arrangement, **{key: getattr(lab, key) for key in keys}))
     monkeypatch.chdir(tmp_path)
     run = acquire("plan-target.yaml", bench="bench.yaml", simulate=True, home=True)
     calibrate(run, out="fit", pictures=False)
@@ -76,11 +77,11 @@ def test_sigma_is_what_a_fit_leaves(tmp_path, monkeypatch, lab):
 
 def test_balls_that_the_camera_hardly_sees_are_no_error_of_ours(tmp_path):
     with pytest.raises(RunUsageError, match=r"a lens of 0\.5 mm at 532 mm sees balls of 8 mm"):
-        compare([0.5], [532.0], [8.0], out=tmp_path, pictures=False)
+        compare(ViewQuestion([0.5], [532.0], [8.0]), out=tmp_path, pictures=False)
 
 
 def test_a_python_call_gives_the_figures(tmp_path):
-    made = compare([60.0], [500.0], [50.0], out=tmp_path, counts=[2], error_px=0.2, pictures=False)
+    made = compare(ViewQuestion([60.0], [500.0], [50.0], [2]), out=tmp_path, error_px=0.2, pictures=False)
     assert made.picture is None
     assert made.best[0].lab.balls == 2
     assert made.best[0].usable > 0.8

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from rtpiv.verbs.correct import correct
+from rtpiv.verbs.correct import CorrectionRecipe, correct
 from tests.supplied import supplied
 from tracer.scene.scene_file import dump_scene
 
@@ -45,8 +45,7 @@ def test_nominal_scene_is_right_where_no_glass_is(frames, tmp_path):
         [frames.path("target_glass")],
         tmp_path / "scene.yaml",
         tmp_path / "out",
-        frames.path("target_clear"),
-        dewarp_order=order,
+        CorrectionRecipe(frames.path("target_clear"), dewarp_order=order),
         check_target=True,
     ).errors
     direct, glass = errors[0].regions["seen directly"], errors[0].regions["behind glass"]

@@ -23,7 +23,7 @@ from rtpiv.templates.lab_scene import scene_of
 from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import FileCheck, check
-from rtpiv.verbs.init import FILES, QUESTIONS, init
+from rtpiv.verbs.init import FILES, QUESTIONS, GivenLab, init
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.ray_map import build_ray_map
 
@@ -50,7 +50,7 @@ FEW = [pytest.param(lab, id=name, marks=[pytest.mark.slow] * (name not in FAST))
 
 @pytest.mark.parametrize("lab", FEW)
 def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
-    files = init(tmp_path / "lab", **lab)
+    files = init(tmp_path / "lab", GivenLab(**lab))
     assert [file.name for file in files] == list(FILES)
     checks = check(tmp_path / "lab")
     assert all(isinstance(found, FileCheck) for found in checks)
@@ -84,7 +84,7 @@ def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_
 
 @pytest.mark.parametrize("lab", [LABS["one ball"], LABS["triangle on rods"]], ids=["one", "triangle"])
 def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
-    for file in init(tmp_path, **lab):
+    for file in init(tmp_path, GivenLab(**lab)):
         first = file.read_text().splitlines()[0]
         named = json.loads((tmp_path / first.partition("$schema=")[2]).read_text())
         jsonschema.Draft202012Validator.check_schema(named)
@@ -225,16 +225,16 @@ def test_by_itself_it_lays_out_what_shows_most_of_what_the_balls_hide(tmp_path, 
 
 @pytest.mark.parametrize("lab", [{"balls": 3, "support_mm": 6.0}, {"balls": 1, "glass": "1.7"}, {"balls": 5}])
 def test_where_no_distance_is_said_the_balls_stand_where_they_show_much(lab, tmp_path):
-    init(tmp_path / "lab", **lab)
+    init(tmp_path / "lab", GivenLab(**lab))
     assert traced_share(tmp_path / "lab" / "scene.yaml") > 0.35
 
 
 def test_a_distance_that_is_asked_for_is_kept_and_what_would_show_more_comes_first(tmp_path, capsys):
-    init(tmp_path / "lab", balls=3, gap_mm=4.0)
+    init(tmp_path / "lab", GivenLab(balls=3, gap_mm=4.0))
     said = capsys.readouterr().out
     assert "through glass: 1." in said
     first = next(line.split() for line in said.splitlines() if line.split()[:2] == ["3", "triangle"])
-    init(tmp_path / "other", balls=3, gap_mm=float(first[2]), lens_mm=float(first[3]))
+    init(tmp_path / "other", GivenLab(balls=3, gap_mm=float(first[2]), lens_mm=float(first[3])))
     assert percent(traced_share(tmp_path / "other" / "scene.yaml")) == f"{first[4]} %"
 
 
@@ -255,7 +255,7 @@ def test_beds_are_acquired_and_fitted_on_their_simulated_benches(shape, tmp_path
     """Each packed bed once, from `init` to a fit: the model holds, and residuals are what their sigmas say."""
     monkeypatch.chdir(tmp_path)
     bed = {"arrangement": shape, "balls": BEDS[shape], "ball_mm": 20.0}
-    init(tmp_path, sensor_px=(640, 640), pixel_pitch_um=9.0, **bed)
+    init(tmp_path, GivenLab(sensor_px=(640, 640), pixel_pitch_um=9.0, **bed))
     run = acquire("plan-target.yaml", bench="bench.yaml", simulate=True, home=True)
     fit = calibrate(run, out="fit", pictures=False)
     assert fit.verdict.is_right

@@ -13,7 +13,7 @@ from daq.errors import DiskError, RunUsageError
 from rtpiv.command_line.cli import USAGE, main
 from rtpiv.verbs import output
 from rtpiv.verbs.calibrate import calibrate
-from rtpiv.verbs.correct import correct
+from rtpiv.verbs.correct import CorrectionRecipe, correct
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.output import folder_for, require_folder
 from rtpiv.verbs.trace import trace
@@ -87,7 +87,7 @@ def test_a_scene_goes_where_its_file_goes_and_two_calls_keep_both_results(tmp_pa
     np.testing.assert_array_equal(tifffile.imread(by_file.frames[0]), tifffile.imread(by_scene.frames[0]))
     assert trace(scene, pictures=False).share == trace("scene.yaml", pictures=False).share
     with pytest.raises(RunUsageError, match="give the scene's file: the fit beside it"):
-        correct("a.tif", scene, sigma_limit_px=0.1)
+        correct("a.tif", scene, recipe=CorrectionRecipe(sigma_limit_px=0.1))
     for verb in (lambda: evaluate(["a.tif", "a.tif"], scene=scene), lambda: calibrate(".", scene)):
         with pytest.raises(RunUsageError, match="give the scene's file"):
             verb()

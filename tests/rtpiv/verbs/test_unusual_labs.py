@@ -9,7 +9,7 @@ import yaml
 from daq.errors import RunUsageError
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.check import check_files
-from rtpiv.verbs.init import init
+from rtpiv.verbs.init import GivenLab, init
 from tracer.errors import SceneError
 
 FACTORS = (10.0, 0.1, 1000.0, 0.001)
@@ -177,7 +177,7 @@ def test_labs_that_resemble_none_of_ours_pass(tmp_path, name):
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lab")
-    init(folder, balls=5, arrangement="pyramid")
+    init(folder, GivenLab(balls=5, arrangement="pyramid"))
     (folder / "scene.yaml").write_text((folder / "scene.yaml").read_text())
     return folder
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
-from rtpiv.analysis.campaign.campaign_plan import ask_for, planned_runs
+from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, ask_for, planned_runs
 from rtpiv.analysis.campaign.chunk_task import carry_out
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from tests.rtpiv.analysis.series.small_series import SETTINGS, flow_run
@@ -42,7 +42,7 @@ def planned(out, runs, *steps, chunk=2, settings=SETTINGS, scenes=()):
     """A campaign in `out` that is planned."""
     folder = CampaignFolder(out)
     preparation = Preparation(steps) if steps else None
-    ask_for(folder, runs, scenes, PivChoice(settings, preparation), chunk)
+    ask_for(folder, runs, PivChoice(settings, preparation), CampaignSettings(scenes, chunk))
     for _ in planned_runs(folder):
         pass
     return folder

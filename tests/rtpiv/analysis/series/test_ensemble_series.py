@@ -29,7 +29,7 @@ def series(tmp_path_factory):
     """A series of a flow that sways, its input and its mean."""
     folder = tmp_path_factory.mktemp("ensemble")
     run = flow_run(folder, PAIRS, shift=lambda n: (2.0 + SWAY[n, 0], -1.0 + SWAY[n, 1]))
-    given = series_input(run, folder / "series", piv_choice(first_window=32, final_window=16))
+    given = series_input(run, folder / "series", piv_choice(first_window_px=32, final_window_px=16))
     run_series("flow", given.out, given.given, given.method, 1)
     return given, mean_of_series(given.out)
 

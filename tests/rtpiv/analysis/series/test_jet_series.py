@@ -47,7 +47,7 @@ def test_the_mean_of_a_jet_is_as_sure_as_it_says_where_the_background_is_taken_o
     run = flow_run(tmp_path, scene, flow)
     error, covered = {}, {}
     for name, steps in (("none", ()), ("sliding", ("sliding-minimum",))):
-        found = mean(run, tmp_path / name, final_window=WINDOW_PX, prepare=steps)
+        found = mean(run, tmp_path / name, final_window_px=WINDOW_PX, prepare=steps)
         x, y = np.meshgrid(found.x_mm, found.y_mm)
         window_mm = WINDOW_PX / found.px_per_mm
         places, weights = window_places(window_mm, LightSheet(), 0.3 * window_mm / np.sqrt(2.0))

@@ -26,7 +26,7 @@ def mean_in(folder, run, sheet):
     known = load_scene(scene).content_hash()
     header = {"names": [], "scene_hash": known, "nominal_hash": known, "history": []}
     save_arrays(folder / "fit.npz", KIND, header, {"scene_root": np.zeros((14, 1))})
-    choice = piv_choice(final_window=16, first_window=32)
+    choice = piv_choice(final_window_px=16, first_window_px=32)
     given = series_input(run, folder / "series", choice, scene, sigma_limit_px=5.0)
     run_series("flow", folder / "series", given.given, given.method, 1, 4)
     return mean_of_series(folder / "series")

@@ -32,7 +32,7 @@ PAIR = Lab(balls=2, ball_mm=50.0, lens_mm=60.0, distance_mm=500.0, **IMAGER)
 
 @pytest.mark.parametrize(("balls", "ball_mm", "distance_mm", "lens_mm", "inside", "total"), TABLE_1)
 def test_the_published_table_comes_from_the_question(balls, ball_mm, distance_mm, lens_mm, inside, total):
-    asked = ViewQuestion((2016, 2016), 11.0, (lens_mm,), (distance_mm,), (ball_mm,), (balls,), glasses=("1.53",))
+    asked = ViewQuestion((lens_mm,), (distance_mm,), (ball_mm,), (balls,), glasses=("1.53",))
     (lab,), refused = asked.labs()
     assert not refused
     found = view_figures(lab, 22.0, 0.1)
@@ -108,7 +108,7 @@ def test_the_unbeaten_are_those_that_nobody_beats_and_nothing_is_said_of_what_sh
 
 
 def test_two_balls_in_a_row_come_first_and_what_cannot_be_is_said():
-    asked = ViewQuestion((2016, 2016), 11.0, (60.0,), (500.0, 90.0), (50.0,), (1, 2, 3, 40), ("row", "triangle"))
+    asked = ViewQuestion((60.0,), (500.0, 90.0), (50.0,), (1, 2, 3, 40), ("row", "triangle"))
     labs, refused = asked.labs()
     found = candidates_of(labs, 22.0, 0.1, 1)
     first = found.best[0].lab
@@ -116,7 +116,7 @@ def test_two_balls_in_a_row_come_first_and_what_cannot_be_is_said():
     assert found.best[0].sigma_px < found.best[0].unsaid_px
     assert any("the lens begins" in reason or "inside" in reason for reason in [*refused, *found.refused])
     with pytest.raises(RunUsageError, match="more than 5000"):
-        ViewQuestion((2016, 2016), 11.0, [*range(10, 110)], [*range(200, 300)], (50.0,))
+        ViewQuestion([*range(10, 110)], [*range(200, 300)], (50.0,))
 
 
 def test_sigma_of_the_map_falls_with_the_size_of_the_frame_and_grows_where_no_light_is_said():
