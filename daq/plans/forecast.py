@@ -2,11 +2,16 @@
 
 Limits and keep-out are judged by the same code that will judge the real moves (`Stage.check`), on the same
 route, so a plan that passes here is refused later only if the start is another one.
+
+**The way out of the homed place.**  Homing itself cannot be judged, because nobody knows yet where anything is.
+Where it ends is known only if the bench file says so (`homed_at_mm` of each axis); then the moves of `after_home`
+are judged here as they will be when they are driven, and the plan is forecast from where they end. An axis that
+`after_home` moves is known from then on.
 """
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from daq.bench.bench_table import Bench, trigger_is_software
 from daq.bench.guards import sheet_clearance_mm
@@ -151,3 +156,68 @@ def check_views(bench: Bench, steps: Iterable[Step]) -> None:
     judge = getattr(simulation_class(bench), "check_views", None)
     if judge is not None:
         judge(bench, steps)
+
+
+@dataclass(frozen=True)
+class WayOut:
+    """What is known about the way out of the homed place.
+
+    Parameters
+    ----------
+    start_mm : dict or None
+        Where every axis stands after it; None if that is not known.
+    problems : tuple of (int, str)
+        Moves of `after_home` (counted from 1) that must not be made, and why.
+    sentence : str
+        What a person should know about it.
+    """
+
+    start_mm: dict[str, float] | None
+    problems: tuple[tuple[int, str], ...]
+    sentence: str
+
+
+def way_out(bench: Bench, stage: Stage) -> WayOut:
+    """Go through `after_home` without sending anything.
+
+    Parameters
+    ----------
+    bench : Bench
+        Says where homing ends and what follows it.
+    stage : Stage
+        Its stage, open or not.
+    """
+    stages = bench.table.stages
+    here = {name: axis.homed_at_mm for name, axis in stages.axes.items() if axis.homed_at_mm is not None}
+    unknown = [name for name in stages.axes if name not in here]
+    problems = []
+    for number, move in enumerate(stages.after_home, start=1):
+        if len(here) == len(stages.axes):
+            try:
+                stage.check(here, move)
+            except StageUsageError as error:
+                problems.append((number, str(error)))
+        here |= move
+    known = len(here) == len(stages.axes)
+    if unknown:
+        text = (
+            f"where homing leaves {', '.join(unknown)} is not stated (homed_at_mm), so the way out of the homed "
+            "place is judged only when it is driven"
+        )
+    elif problems:
+        text = f"after_home does not lead out of the homed place: move {problems[0][0]}: {problems[0][1]}"
+    else:
+        text = "the plan is judged from the homed place" + (", left by after_home" if stages.after_home else "")
+    return WayOut(here if known else None, tuple(problems), text)
+
+
+def forecast_from_home(bench: Bench, stage: Stage, steps: Sequence[Step]) -> tuple[Forecast, str]:
+    """Forecast a plan that begins with homing every axis; with a sentence about the way out of the homed place.
+
+    Where that way is not known, the plan is forecast from the place at which the scene file holds.
+    """
+    out = way_out(bench, stage)
+    said = forecast(bench, stage, steps, out.start_mm)
+    first = steps[0].index if steps else 0
+    more = [Violation(first, f"move {number} of after_home", text) for number, text in out.problems]
+    return replace(said, violations=(*more, *said.violations)), out.sentence

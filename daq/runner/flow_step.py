@@ -10,13 +10,12 @@ only what all of them have of one trigger (together), so frames of one number sh
     frames:  2 triggers = 2 pairs + dropped by reason + those that never came
     pairs:   fired = kept + lost + surplus
 
-Pairs of several cameras that were exposed by the same trigger, each camera's in its own order.
-
-Every camera loses pairs of its own, and one lost pair would shift all behind it, so pairs are never put together
-by counting.  All cameras hang on one trigger line; on the computer's clock their exposures A of one trigger begin
-together, within what is known of their clocks (a millisecond), and those of neighbouring triggers a whole period
-apart.  So two pairs are of one trigger if they are nearer than a quarter of the period, and of different ones if
-they are farther than three quarters.  What lies between cannot be, if the clocks are right: then nothing is kept.
+**Pairs of one trigger** (`together`).  Every camera loses pairs of its own, and one lost pair would shift all
+behind it, so pairs are never put together by counting.  All cameras hang on one trigger line; on the computer's
+clock their exposures A of one trigger begin together, within what is known of their clocks (a millisecond), and
+those of neighbouring triggers a whole period apart.  So two pairs are of one trigger if they are nearer than a
+quarter of the period, and of different ones if they are farther than three quarters.  What lies between cannot be,
+if the clocks are right: then nothing is kept.
 
 A pair that another camera has not is dropped as soon as that camera has gone past it.
 """
@@ -34,7 +33,7 @@ from daq.runner.light import Light, require_buffers, require_rate
 from daq.runner.pair_source import Chunk, Pair, PairSource
 from daq.runner.pair_writer import PairWriter
 from daq.runner.progress import Progress
-from daq.runs.chunk_books import ELSEWHERE, LEFT, SURPLUS
+from daq.runs.conservation import ELSEWHERE, LEFT, SURPLUS
 from daq.runs.journal import utc_now
 from daq.timing.laser import Laser
 

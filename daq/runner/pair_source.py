@@ -3,8 +3,6 @@
     frames of one camera -> pairs that are sure (pair_finder) -> those that had light (brightness)
 
 Several cameras are asked in turn by one thread, so a source that has nothing yet says so (None) after a moment.
-
-Books of one chunk of pairs while it is taken.
 """
 
 import time
@@ -22,7 +20,7 @@ from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import ask_clock
 from daq.runner.clock_trial import Shot
 from daq.runner.pair_finder import MarkerSense, PairFinder
-from daq.runs.chunk_books import DARK, HALF, LEFT
+from daq.runs.conservation import DARK, HALF, LEFT
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
 from daq.timing.states import EMITS

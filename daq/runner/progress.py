@@ -1,7 +1,4 @@
-"""What a person wants to know while a run goes on.
-
-What a person sees while a run goes on: one panel that is drawn anew, or a line now and then in a log.
-"""
+"""What a person wants to know while a run goes on, and sees: a panel that is drawn anew, or lines of a log."""
 
 import time
 from collections.abc import Callable, Iterator

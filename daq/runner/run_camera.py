@@ -30,14 +30,13 @@ from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import camera_facts
 from daq.runner.pair_source import PairSource
 from daq.runner.pair_writer import PairWriter
-from daq.runs.conservation import Ledger
+from daq.runs.conservation import Ledger, doubts, total_ledger
 from daq.runs.displacement import displacements, write_displacements
+from daq.runs.done_file import run_hash
 from daq.runs.gaps import booked_gaps, numbers_in
 from daq.runs.journal import Journal, utc_now
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, versions
-from daq.runs.run_hash import run_hash
 from daq.runs.seal import write_record
-from daq.runs.session_books import doubts, total_ledger
 from daq.whole_text import sync_folder, write_json
 
 

@@ -25,7 +25,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA, Bench, digest
 from daq.bench.opened import OpenBench, open_bench
 from daq.errors import DiskError, ResumeRefused, RunDamaged
-from daq.pipeline.corrections import Corrections
+from daq.pipeline.corrections import Corrections, dewarp_of
 from daq.pipeline.job import Show
 from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.experiments.align import AlignPlan
@@ -35,16 +35,14 @@ from daq.runner.light import NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
-from daq.runs.bare_target import dewarp_of
+from daq.runs.conservation import doubts
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.done_file import FILE as DONE
-from daq.runs.frame_check import Track, frame_faults, named, untracked
+from daq.runs.frame_check import Track, frame_faults, named, unclaimed, untracked
 from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from daq.runs.journal import Entry
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, remaining, versions
-from daq.runs.session_books import doubts
-from daq.runs.unclaimed import unclaimed
 from daq.whole_text import write_text
 from piv.resampling.sample import Method
 from stages.errors import WrongDevice

@@ -4,11 +4,16 @@ Verbs are given paths.  A path that lies in the `frames` of a run is looked up i
 have the checksum that was written there when the frame was; so a frame passes neither with damaged pixels nor with
 a damaged description that has lost its checksum.  A frame elsewhere, such as a copy, is compared with the checksum
 that it carries itself, if it carries one.
+
+Frames are looked at while maps are made, and each is read while the one before it is worked on (`ReadAhead`).
 """
 
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,3 +114,59 @@ def _stamp(journal: Path) -> tuple[int, int]:
 def _checksums(run: RunFolder, stamp: tuple[int, int]) -> dict[str, str]:
     """Checksum of every frame that the journal of a run has, by the name of its file; read again if it changed."""
     return {Path(entry["file"]).name: entry["crc32"] for entry in frame_entries(run.entries()).values()}
+
+
+Frame = NDArray[Any]
+
+
+class ReadAhead:
+    """Frames of one size, by a thread of its own; it holds the first, and one that is asked for next.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Acquired frames; the thread begins to look at them at once, from the first to the last.
+    shape : (int, int)
+        Rows and columns that each must have.
+    """
+
+    def __init__(self, paths: Sequence[Path], shape: tuple[int, int]) -> None:
+        self._paths, self._shape = paths, shape
+        self._reader = ThreadPoolExecutor(1, "rtpiv-frames")
+        self._first: list[Future[Frame]] = [self._read(0)] if paths else []
+        self._others = [self._reader.submit(self._look, path) for path in paths[1:]]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._reader.shutdown(wait=True, cancel_futures=True)
+
+    def require_sound(self) -> None:
+        """Wait until all have been looked at; raise what is wrong with the first that is not sound.
+
+        Raises
+        ------
+        FrameError, RunDamaged
+            As `read_acquired`.
+        """
+        for first in self._first:
+            first.result()
+        for other in self._others:
+            other.result()
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames in their order."""
+        ahead = self._first
+        for number in range(len(self._paths)):
+            frame = ahead[0].result()
+            ahead = [self._read(number + 1)] if number + 1 < len(self._paths) else []
+            yield frame
+
+    def _read(self, number: int) -> Future[Frame]:
+        return self._reader.submit(read_acquired, self._paths[number], self._shape)
+
+    def _look(self, path: Path) -> None:
+        read_acquired(path, self._shape)

@@ -21,13 +21,27 @@ Frames that nobody asked for count as triggered where they are known to be just 
 trigger (an earlier process left them behind), unasked by a camera that has forgotten its settings or was gone
 before they could be checked, or any where every frame handed over was told by its time.  Elsewhere they make an
 imbalance: with one frame too many and nothing to tell them apart, all are in doubt.
+
+The books of a whole run are those of its sessions in the journal, added up (`total_ledger`).  A doubt is a reason
+why some frame of the run may not show what its record says: books that do not balance, or a frame that could not
+be given to its trigger.  It never goes away by taking more frames, so a run with one is never done and is not
+resumed; its frames stay where they are.
+
+In a flow run pairs of light pulses are conserved as well (`chunk_sentences`):
+
+    frames:  2 triggers = 2 pairs + dropped by reason + those that never came
+    pairs:   fired = kept + lost + surplus
 """
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
 from typing import Any, Self
 
 from daq.cameras.camera import Counters
+from daq.runs.journal import Entry
+from ground.plain_words import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,3 +157,88 @@ def _added(one: Counters, other: Counters) -> Counters:
         ignored_triggers=sum(ignored) if ignored else None,
         unused=one.unused + other.unused,
     )
+
+
+def total_ledger(entries: Sequence[Entry]) -> tuple[Ledger, list[dict[str, Any]]]:
+    """Add the books of all sessions up.
+
+    A session that was killed has none; its frame lines stand for it, and what was under way is not known.  Frames
+    that a session discards at its beginning were written by an earlier one.
+    """
+    starts = [index for index, entry in enumerate(entries) if entry["kind"] == "session"]
+    total, sessions = Ledger(), []
+    for first, last in pairwise([*starts, len(entries)]):
+        lines = [line for line in entries[first + 1 : last] if line["kind"] != "camera"]  # these count nothing
+        books = next((Ledger.from_dict(line["books"]) for line in lines if line["kind"] == "counts"), None)
+        end = next((line for line in lines if line["kind"] == "end"), None)
+        was_killed = books is None
+        if books is None:
+            written = sum(line["kind"] == "frame" for line in lines)
+            books = Ledger(triggered=written, written=written)
+        for number, line in enumerate(lines):
+            if line["kind"] == "discard" and (number == 0 or was_killed):
+                books += Ledger(written=-len(line["frames"]), rejected=len(line["frames"]))
+        total += books
+        why = {"ended": "killed", "error": ""} if end is None else {"ended": end["why"], "error": end["error"]}
+        sessions.append({"utc": entries[first]["utc"], **why, "conservation": books.to_dict()})
+    return total, sessions
+
+
+def doubts(entries: Sequence[Entry]) -> list[str]:
+    """Return what is in doubt about a run, one sentence each, without full stop; [] if nothing is.
+
+    Sessions say so themselves (key `doubt` of their lines, lines of the kind `doubt`); books that do not balance
+    are a doubt whether they were called one or not.
+    """
+    found: list[str] = []
+    for entry in entries:
+        said = entry.get("doubt")
+        if said is not None:
+            found.append(str(said))
+        elif entry["kind"] == "counts":
+            books = Ledger.from_dict(entry["books"])
+            if books.imbalance:
+                found.append(f"the books of a session do not balance ({books.sentence()})")
+    return list(dict.fromkeys(found))
+
+
+DARK, HALF = "without light", "of pairs with one light"
+ELSEWHERE = "of pairs that another camera has not"
+SURPLUS, LEFT = "more than wanted", "left when the chunk ended"
+_AT_THE_ENDS = (
+    "where lamps run all the time the camera takes some pairs before the first light of a chunk and after the "
+    "last, and the two lights may begin and end a period apart, so a chunk may begin and end with half a pair; "
+    "none of these is kept"
+)
+
+
+def chunk_sentences(entries: Iterable[Entry]) -> list[str]:
+    """Return what the lines of all chunks of a run come to, a sentence each; nothing for a run without chunks.
+
+    Parameters
+    ----------
+    entries : iterable of Entry
+        Lines of the journal.
+    """
+    chunks = [entry for entry in entries if entry["kind"] == "chunk"]
+    if not chunks:
+        return []
+    fired, kept, surplus, lost, never = (
+        sum(entry[name] for entry in chunks) for name in ("fired", "pairs", "surplus", "lost", "never_came")
+    )
+    more = f", {surplus} more than were wanted" if surplus else ""
+    bursts = f"{len(chunks)} chunks" if len(chunks) > 1 else "one chunk"
+    were = "was" if fired == 1 else "were"
+    said = [f"{counted(fired, 'pair')} {were} fired in {bursts}: {kept} are kept{more}, {lost} are lost"]
+    dropped: Counter[str] = Counter()
+    for entry in chunks:
+        dropped.update(entry["dropped"])
+    dark, half = dropped.pop(DARK, 0), dropped.pop(HALF, 0)
+    if dark or half:
+        said.append(f"{dark} frames had no light and {half} were {HALF}: {_AT_THE_ENDS}")
+    dropped.pop(SURPLUS, None)
+    others = [f"{number} {why}" for why, number in sorted(dropped.items()) if number]
+    others += [f"{never} never came"] if never > 0 else []
+    if others:
+        said.append(f"other frames that are in no pair: {', '.join(others)}")
+    return said

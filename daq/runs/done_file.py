@@ -1,14 +1,34 @@
-"""done.json: the last thing a run writes, and the only sign that it is finished."""
+"""done.json: the last thing a run writes, and the only sign that it is finished.
 
+Its key `sha256` is the hash of the whole run: one number that stands for everything that was acquired.  It is the
+SHA-256 of a text in UTF-8 that has one line for each file, sorted by name and ended by a line feed:
+
+    sha256 <64 hex digits>  camera_1.json
+    crc32 <8 hex digits>  frames/000000.tif
+    crc32 <8 hex digits>  frames/000001.tif
+    sha256 <64 hex digits>  run.json
+    sha256 <64 hex digits>  steps.jsonl
+
+A frame stands there with the CRC-32 of its pixels (rows from the top, 16 bit little-endian) as the journal has it,
+because the pixels are what was measured and any container may hold them; every frame of the journal that was not
+discarded is listed.  The other files are hashed byte by byte: run.json, steps.jsonl, every camera_*.json, and
+displacements.json where a run has one.  What can be made again (corrected frames, reports) is not part of a run.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, NotRequired
 
 from pydantic import Field, TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
+from daq.errors import RunDamaged
 from daq.runs.journal_lines import Books, FlowFigures, Gap
-from daq.runs.records import STRICT, Count, Sha, Tag, Text, read_record
+from daq.runs.records import CURE, STRICT, Count, Sha, Tag, Text, read_record
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
+from ground.plain_file import open_plain
 
 FILE = "done.json"
 Signed = Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]
@@ -45,7 +65,7 @@ class DoneFile(TypedDict):
     corrected_after_the_run: Count
     gaps: NotRequired[list[StepGaps]]
     flow: list[FlowFigures]
-    sha256: NotRequired[Sha]  # of the whole run, see runs.run_hash; since layout 2
+    sha256: NotRequired[Sha]  # of the whole run, see `run_hash`; since layout 2
 
 
 DONE_FILE: TypeAdapter[DoneFile] = TypeAdapter(DoneFile)
@@ -62,3 +82,33 @@ def read_done(folder: RunFolder) -> DoneFile | None:
     if not folder.is_done:
         return None
     return read_record(DONE_FILE, folder.path / FILE, folder.about["layout"] >= SEALED_FROM)
+
+
+ALWAYS = ("run.json", "steps.jsonl")
+PATTERNS = ("camera_*.json", "displacements.json")
+
+
+def run_hash(folder: Path, frames: Mapping[str, str]) -> str:
+    """Return the hash of a run, 64 hex digits.
+
+    Parameters
+    ----------
+    folder : Path
+        The run.
+    frames : mapping of str to str
+        CRC-32 of the pixels of every acknowledged frame, by its name within the run.
+
+    Raises
+    ------
+    RunDamaged
+        A file is missing or cannot be read.
+    """
+    lines = {name: f"crc32 {crc32}" for name, crc32 in frames.items()}
+    for name in (*ALWAYS, *(path.name for pattern in PATTERNS for path in folder.glob(pattern))):
+        try:
+            with open_plain(folder / name) as file:
+                lines[name] = f"sha256 {hashlib.file_digest(file, 'sha256').hexdigest()}"
+        except OSError as error:
+            raise RunDamaged(f"{folder / name}: cannot be read ({error.strerror}); {CURE}") from None
+    text = "".join(f"{digits}  {name}\n" for name, digits in sorted(lines.items()))
+    return hashlib.sha256(text.encode()).hexdigest()

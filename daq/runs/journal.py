@@ -34,8 +34,7 @@ from pathlib import Path
 from pydantic_core import from_json
 
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
-from daq.runs.frame_entry import FrameEntry
-from daq.runs.journal_lines import LINE
+from daq.runs.journal_lines import LINE, FrameEntry
 from daq.runs.journal_lines import Entry as Entry  # what readers of a journal hold in their hands
 from daq.runs.records import CURE, parsed
 from daq.runs.seal import sealed

@@ -10,16 +10,14 @@ from pathlib import Path
 
 from daq.errors import DaqError, RunDamaged
 from daq.runs.clock_map import clock_maps
+from daq.runs.conservation import doubts, total_ledger
 from daq.runs.displacement import read_displacements
-from daq.runs.done_file import DoneFile, read_done
-from daq.runs.frame_check import FrameFault, Track, frame_faults, named, untracked
+from daq.runs.done_file import DoneFile, read_done, run_hash
+from daq.runs.frame_check import NAMED, FrameFault, Track, frame_faults, named, unclaimed, untracked
 from daq.runs.gaps import booked_gaps, numbers_in
 from daq.runs.journal import Entry
 from daq.runs.run_file import SEALED_FROM, RunFile
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
-from daq.runs.run_hash import run_hash
-from daq.runs.session_books import doubts, total_ledger
-from daq.runs.unclaimed import NAMED, unclaimed
 from ground.plain_words import counted
 
 

@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
-from daq.runs.frame_entry import frame_name as frame_name
 from daq.runs.journal import read_journal
-from daq.runs.journal_lines import Entry
+from daq.runs.journal_lines import Entry, frame_name
 from daq.runs.records import CURE
 from daq.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
 from daq.runs.seal import write_record

@@ -1,22 +1,31 @@
-"""What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view."""
+"""What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view.
+
+Frames show a board (`board_of`: what their run says; of lone files, what the options say), and a plane: the light
+sheet, or a print on the target's stage (`shows_light_sheet`).
+"""
 
 import os
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal, TypeVar
 
+from correction.errors import BoardError
+from correction.target import Chessboard
 from daq.errors import RunDamaged
+from daq.runs.acquired import run_of
 from daq.runs.records import CURE
-from daq.runs.run_file import FILE
+from daq.runs.run_file import FILE, PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
 from daq.whole_text import write_text
 from ground.config import read
 from ground.errors import ConfigError, GroundError
+from piv.errors import FrameError
 from tracer.errors import TracerError
+from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
 if TYPE_CHECKING:  # most commands have no run, and do not wait for the models of benches
@@ -158,3 +167,75 @@ def bench_table(folder: RunFolder) -> "BenchTable":
     from daq.bench.bench_table import BenchTable
 
     return load_kept(folder, "bench", lambda file: read(file, BenchTable))
+
+
+def board_of(paths: Iterable[Path], square_mm: float | None = None, disc_mm: float | None = None) -> Chessboard:
+    """Return the board of runs, of frames of runs, or of files that belong to none.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Run folders and frames.
+    square_mm, disc_mm : float, optional
+        What somebody says of the board; otherwise squares are those of `Chessboard`, and discs as wide in them.
+
+    Raises
+    ------
+    BoardError
+        Somebody says another thing than a run, or two runs differ.
+    RunUnsuitable, RunDamaged
+        A run cannot be read.
+    """
+    runs = {found.path: found for path in paths if (found := RunFolder(path) if is_run(path) else run_of(path))}
+    said = {"square_mm": square_mm, "disc_mm": disc_mm}
+    by = dict.fromkeys(said, "the options say")
+    for path, run in runs.items():
+        about = run.about
+        for name, value in (("square_mm", about["square_mm"]), ("disc_mm", about.get("disc_mm"))):
+            if value is None:
+                continue
+            before = said[name]
+            if before is not None and before != value:
+                raise BoardError(
+                    f"{path}: the board of this run has {name} {value:g}, {by[name]} {before:g}; a run knows its "
+                    "board, so leave the option out, and take frames of one board at a time"
+                )
+            said[name], by[name] = value, f"{path} says"
+    usual = Chessboard()
+    square = said["square_mm"] or usual.square_mm
+    return Chessboard(square, said["disc_mm"] or usual.disc_mm / usual.square_mm * square)
+
+
+def shows_light_sheet(frames: Iterable[Path]) -> bool:
+    """Whether frames show particles in the light sheet; a frame of no run does.
+
+    Raises
+    ------
+    FrameError
+        Some do, and others show a print.
+    RunUnsuitable, RunDamaged
+        A run cannot be read.
+    """
+    runs = {None if run is None else run.path: run for run in map(run_of, frames)}
+    found = {run is None or any(map(in_light_sheet, run.about["steps"])) for run in runs.values()}
+    if len(found) > 1:
+        raise FrameError(
+            "some frames show a print on the target's stage, others the light sheet; correct them apart"
+        )
+    return found != {False}
+
+
+def in_light_sheet(step: PlannedStep) -> bool:
+    """Whether the frames of a step of a run do: those of a flow or a stream."""
+    return "dt_us" in step or step.get("group", 1) > 1
+
+
+def where_lit(scene: Scene) -> str:
+    """Say in which plane particles were taken to lie, how unsure that is, and what makes it surer."""
+    if scene.sheet is not None:
+        return f"Particles were taken to lie in {scene.sheet.summary}; its sigma is in that of the vectors."
+    return (
+        "The scene file does not say where the light sheet is, so particles were taken to lie in"
+        f" {scene.lit.summary}; all of that is in the sigma of map and vectors. Find it with rtpiv sheet, or"
+        " measure it and write `sheet` into the scene file."
+    )

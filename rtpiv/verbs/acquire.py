@@ -18,13 +18,12 @@ from daq.cameras import require_libraries
 from daq.errors import BadBalance, FrameDoubt, PlanError
 from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
-from daq.plans.forecast import Forecast, check_views, forecast
+from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home
 from daq.plans.plan import Plan, load_plan, read_plan
-from daq.plans.way_out import forecast_from_home
 from daq.runner.light import Operator
 from daq.runner.progress import watch
 from daq.runner.session import Request, Run, begin, check_disk, run_session
-from daq.runs.chunk_books import chunk_sentences
+from daq.runs.conservation import chunk_sentences
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import Moved, read_displacements
 from daq.runs.gaps import gap_sentence

@@ -11,9 +11,8 @@ from correction.fit.solve.errors import ViewsMissing
 from correction.fitted.fit_file import save_fit
 from correction.fitted.map_sigma import map_sigma
 from daq.runs.acquired import read_acquired
-from daq.runs.board import board_of
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import TargetView, is_run, load_kept, target_views
+from daq.runs.run_views import TargetView, board_of, is_run, load_kept, target_views
 from daq.whole_text import write_json, write_text
 from ground.plain_words import counted
 from ground.terminal import console, error_console

@@ -10,9 +10,9 @@ from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices, check_simulation
 from daq.bench.unusual import bench_questions
 from daq.errors import DaqError, PlanError, RunDamaged, RunUsageError
+from daq.plans.forecast import forecast_from_home
 from daq.plans.plan import load_plan, plan_questions, read_plan
 from daq.plans.plan_table import px_per_mm
-from daq.plans.way_out import forecast_from_home
 from daq.runner.session import MAPS
 from daq.runs.run_check import RunCheck, check_run
 from daq.runs.run_folder import CAMERAS, RunFolder

@@ -11,8 +11,7 @@ from correction.fitted.sigma_limit import SigmaLimit
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
 from daq.runs.pairs import pairs_of
-from daq.runs.run_views import is_run
-from daq.runs.shown_plane import where_lit
+from daq.runs.run_views import is_run, where_lit
 from ground.terminal import console
 from piv.errors import PairError, SeriesError
 from rtpiv.analysis.pairs.evaluation import Evaluation, Route, Task, evaluate_task

@@ -6,8 +6,7 @@ from typing import Literal, Unpack
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import is_run
-from daq.runs.shown_plane import where_lit
+from daq.runs.run_views import is_run, where_lit
 from ground.terminal import console
 from piv.errors import PairError
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice

@@ -19,13 +19,12 @@ from daq.bench.guards import idle_stage
 from daq.plans.forecast import forecast
 from daq.plans.plan import load_plan
 from daq.runs.acquired import read_acquired
-from daq.runs.board import board_of
 from daq.runs.done_file import read_done
 from daq.runs.pairs import pairs_of
 from daq.runs.raw_frame import read_raw, write_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import first_view, scene_file, target_views
+from daq.runs.run_views import board_of, first_view, scene_file, target_views
 from ground.map_file import save_arrays
 from piv.files.frame_file import read_frame, write_frame
 from rtpiv.analysis.pairs.piv_file import piv_choice

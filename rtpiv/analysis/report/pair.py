@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.evaluate.shift import shift_errors
-from daq.runs.shown_plane import where_lit
+from daq.runs.run_views import where_lit
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pictures.before_after import BeforeAfter
 from rtpiv.analysis.pictures.blur import CAPTION as BLUR_CAPTION

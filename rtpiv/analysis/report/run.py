@@ -1,7 +1,6 @@
 """The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
 
-from daq.runs.chunk_books import chunk_sentences
-from daq.runs.conservation import Ledger
+from daq.runs.conservation import Ledger, chunk_sentences
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done

@@ -5,8 +5,8 @@ import pytest
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_session import BenchSession
 from daq.bench.guards import idle_stage
+from daq.plans.forecast import forecast_from_home, way_out
 from daq.plans.plan import load_plan
-from daq.plans.way_out import forecast_from_home, way_out
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin

@@ -17,8 +17,8 @@ from daq.runner import flow_step, pair_writer
 from daq.runner.clock_trial import Shot
 from daq.runner.flow_step import FlowStep
 from daq.runner.pair_source import Chunk, PairSource
-from daq.runs.chunk_books import ELSEWHERE
 from daq.runs.clock_map import clock_maps
+from daq.runs.conservation import ELSEWHERE
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries

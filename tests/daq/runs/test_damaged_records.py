@@ -12,12 +12,12 @@ import pytest
 from daq.errors import RunDamaged
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
+from daq.runs.frame_check import unclaimed
 from daq.runs.journal import Journal
 from daq.runs.raw_frame import write_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder
 from daq.runs.seal import sealed
-from daq.runs.unclaimed import unclaimed
 from rtpiv.command_line.cli import DEVICE, main
 from tests.daq.small_run import about_run, keep_frame, planned
 

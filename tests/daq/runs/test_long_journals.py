@@ -6,8 +6,8 @@ import tracemalloc
 
 import pytest
 
-from daq.runs.frame_entry import FrameEntry
 from daq.runs.journal import read_journal
+from daq.runs.journal_lines import FrameEntry
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder, frame_entries
 from daq.runs.seal import sealed

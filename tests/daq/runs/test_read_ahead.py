@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from daq.runs.read_ahead import ReadAhead
+from daq.runs.acquired import ReadAhead
 from piv.errors import FrameError
 
 SHAPE = (8, 12)

@@ -1,7 +1,6 @@
 """What a journal says about doubt; the sums are judged with the runs that make them."""
 
-from daq.runs.conservation import Ledger
-from daq.runs.session_books import doubts
+from daq.runs.conservation import Ledger, doubts
 
 
 def counts(ledger, **more):

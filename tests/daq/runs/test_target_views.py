@@ -6,10 +6,9 @@ import pytest
 from correction.errors import BoardError
 from correction.target import Chessboard
 from daq.errors import RunDamaged
-from daq.runs.board import board_of
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import target_views
+from daq.runs.run_views import board_of, target_views
 from tests.daq.small_run import BENCH, about_run, keep_frame, planned
 
 AXES_Z = BENCH.replace("target_x", "target_z").replace("along: x", "along: z")

@@ -8,7 +8,7 @@ import pytest
 
 from correction.fitted.scene_sigma import KIND
 from daq.runs.run_file import FILE
-from daq.runs.shown_plane import shows_light_sheet
+from daq.runs.run_views import shows_light_sheet
 from ground.map_file import save_arrays
 from piv.errors import FrameError
 from piv.files.frame_file import write_frame
@@ -94,7 +94,7 @@ def test_a_sheet_without_a_word_is_unsure_where_particles_are_lit_by_it(lab, tmp
 )
 def test_a_run_knows_what_its_frames_show(step, is_lit, tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "daq.runs.shown_plane.run_of",
+        "daq.runs.run_views.run_of",
         lambda path: None if path.name == "alone.tif" else _Run(path.parent, [planned(0) | step]),
     )
     frames = [tmp_path / "frames" / "000000.tif"]
