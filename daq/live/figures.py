@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from daq.live.picture import white_of
 from daq.live.watch import Watch
-from daq.pipeline.live_slot import Moment, SlotReader
+from daq.pipeline.live_slot import SlotReader, Snapshot
 
 MEMORY_S = 60.0
 LOOKS = 8  # before anything is said: of fewer the scatter is not known
@@ -231,14 +231,14 @@ class Worth(Watch):
         self.figures: dict[str, Any] = {}
         self._trend, self._of = Trend(), ""
 
-    def see(self, moment: Moment) -> None:
+    def see(self, snapshot: Snapshot) -> None:
         """Figure out what a frame is worth."""
-        raw, white = moment.pictures["raw"], white_of(moment.words)
-        is_board = moment.words.get("shows") == "chessboard"
+        raw, white = snapshot.pictures["raw"], white_of(snapshot.words)
+        is_board = snapshot.words.get("shows") == "chessboard"
         maps: dict[str, Rows] = {"edge_px": edge_map(raw)} if is_board else particle_maps(raw)
-        self._follow(moment.words, middle_of(maps["edge_px" if is_board else "diameter_px"]))
+        self._follow(snapshot.words, middle_of(maps["edge_px" if is_board else "diameter_px"]))
         self.figures = {
-            "of": moment.number,
+            "of": snapshot.number,
             "saturated": saturated_share(raw, white),
             "bright": brightness(raw, white),
             "histogram": histogram(raw, white),

@@ -1,4 +1,4 @@
-"""Start the page, and show it moments: for whoever measures, who is told nothing of viewers and waits for none.
+"""Start the page, and show it snapshots: for whoever measures, who is told nothing of viewers and waits for none.
 
 A server that dies is started again under the same address, and pages that are open find it by themselves. What is
 done while no frame comes, and how it ended, goes to the server as lines on its input; a line for which there is no
@@ -43,7 +43,7 @@ SLOWER, FASTER_HZ = 0.7, 1.0
 
 
 class Pace:
-    """Says when the next moment is due."""
+    """Says when the next snapshot is due."""
 
     def __init__(self) -> None:
         self.most_hz = MOST_HZ
@@ -92,7 +92,7 @@ class Pace:
 ENDS_S = 2.0
 AGAIN_S, SELDOM_S = 0.2, 20.0  # until a server that died is started again, at first and when it dies again at once
 MOST_CHARACTERS = 1000  # of why it has stopped
-BYTES_PER_PX = 12  # of a moment: a frame, and its correction on a plane of up to twice its pixels
+BYTES_PER_PX = 12  # of a snapshot: a frame, and its correction on a plane of up to twice its pixels
 
 
 class PageError(DaqError):
@@ -105,7 +105,7 @@ class LivePage:
     Parameters
     ----------
     most_bytes : int
-        Bytes of the pictures of a moment together.
+        Bytes of the pictures of a snapshot together.
     port : int
         Where it listens on this computer; 0 takes a free one.
     scene : Scene, optional
@@ -171,11 +171,11 @@ class LivePage:
 
     @property
     def is_due(self) -> bool:
-        """Whether a moment would be shown now."""
+        """Whether a snapshot would be shown now."""
         return self.pace.is_due(time.monotonic(), self._slot.is_watched)
 
     def show(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
-        """Show a moment, unless the last one is too young for anybody to have seen it."""
+        """Show a snapshot, unless the last one is too young for anybody to have seen it."""
         if self.is_due:
             self.pace.shown(time.monotonic(), self._slot.is_watched)
             self._slot.put(words, pictures)

@@ -73,7 +73,7 @@ def sent(
     name : str
         Which picture.
     number : int
-        Of the moment.
+        Of the snapshot.
     pixels : (H, W) uint16 or float32
         NaN is sent as NOTHING.
     white : int

@@ -107,7 +107,7 @@ def _scaled(points: NDArray[Any], times: int, closed: bool) -> Line:
 
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-MOST = 24  # balls; what is said of a moment has little room, and more lines hide the picture
+MOST = 24  # balls; what is said of a snapshot has little room, and more lines hide the picture
 
 
 def outlines(scene: Scene) -> dict[str, Any]:

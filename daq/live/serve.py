@@ -1,8 +1,8 @@
 """The page's server: a process of its own, which a stuck browser may hold up as long as it likes.
 
-    slot (another process writes it) --> viewer thread --> WebSocket --> browser --acknowledges--> next moment
+    slot (another process writes it) --> viewer thread --> WebSocket --> browser --acknowledges--> next snapshot
 
-One thread a viewer: it sends the last moment, waits until the browser says that it has drawn it, and takes the
+One thread a viewer: it sends the last snapshot, waits until the browser says that it has drawn it, and takes the
 last one again; what came meanwhile is counted and never queued. Pictures are made where the frames lie, as large
 as the viewer has room for; what seldom changes is sent when it has. While nothing new comes, twice a second a word
 says that the server lives, what the run does and for how long. All of it is of lower priority than the run,
@@ -40,7 +40,7 @@ from websockets.sync.server import Server, ServerConnection, serve
 from daq.live.figures import Worth
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
 from daq.orderly_end import flush_or_leave
-from daq.pipeline.live_slot import Moment, NoSlotError, SlotReader
+from daq.pipeline.live_slot import NoSlotError, SlotReader, Snapshot
 from daq.pipeline.priority import lower_process
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ Key = tuple[int, str, Part, int, Columns]
 
 @dataclass
 class Wish:
-    """What a viewer wants to see of the next moment."""
+    """What a viewer wants to see of the next snapshot."""
 
     wanted: tuple[str, ...] = NAMES
     part: Part = field(default_factory=Part)
@@ -81,7 +81,7 @@ class Wish:
     columns: dict[str, Columns] = field(default_factory=dict)
 
     def heard(self, said: dict[str, Any]) -> bool:
-        """Take what a browser has said; whether it is said out of turn, before the last moment is drawn."""
+        """Take what a browser has said; whether it is said out of turn, before the last snapshot is drawn."""
         self.part, self.room_px = Part.of(said.get("part")), room_px(said.get("room_px"))
         seen = said.get("columns")
         seen = seen if isinstance(seen, dict) else {}
@@ -94,7 +94,7 @@ class Wish:
 
 @dataclass(frozen=True)
 class Ready:
-    """What is sent of a moment: words, and pictures by the place where they are kept for others."""
+    """What is sent of a snapshot: words, and pictures by the place where they are kept for others."""
 
     number: int
     words: dict[str, Any]
@@ -108,7 +108,7 @@ class Page:
     Parameters
     ----------
     slot : SlotReader
-        Where the moments are.
+        Where the snapshots are.
     token : str
         What a viewer must know.
     watches : tuple of Watch
@@ -171,18 +171,18 @@ class Page:
                 if busy:
                     connection.close(BUSY, "too many viewers")
                     return
-                self._show_moments(connection, said)
+                self._show_snapshots(connection, said)
             finally:
                 with self._lock:
                     self.viewers -= 1
 
-    def _show_moments(self, connection: ServerConnection, said: dict[str, Any]) -> None:
+    def _show_snapshots(self, connection: ServerConnection, said: dict[str, Any]) -> None:
         seen, missed, wish = 0, 0, Wish()
         wish.heard(said)
         known: dict[str, Any] = {}
         while (last := self._waited(seen, connection, wish)) is not None:
             seen = last
-            ready = self.slot.taken(lambda moment: self._ready(moment, wish))
+            ready = self.slot.taken(lambda snapshot: self._ready(snapshot, wish))
             if ready is None or ready.number <= seen:
                 time.sleep(LOOK_S)
                 continue
@@ -203,12 +203,12 @@ class Page:
         connection.close()
 
     def _waited(self, seen: int, connection: ServerConnection, wish: Wish) -> int | None:
-        """Wait for a moment that was not seen, or for a viewer who wants the last one in another way.
+        """Wait for a snapshot that was not seen, or for a viewer who wants the last one in another way.
 
         Returns
         -------
         int or None
-            Number of the last moment that need not be shown again; None when there will be no other.
+            Number of the last snapshot that need not be shown again; None when there will be no other.
         """
         alive_s = 0.0
         while not self.over:
@@ -228,27 +228,30 @@ class Page:
         text, since_ns = self.doing
         return {"doing": text, "doing_s": (time.monotonic_ns() - since_ns) / 1e9}
 
-    def _ready(self, moment: Moment, wish: Wish) -> Ready:
-        """What a viewer is sent of a moment, made where it lies."""
-        said, white = moment.words, white_of(moment.words)
+    def _ready(self, snapshot: Snapshot, wish: Wish) -> Ready:
+        """What a viewer is sent of a snapshot, made where it lies."""
+        said, white = snapshot.words, white_of(snapshot.words)
         pictures = {}
-        for name in moment.pictures:
+        for name in snapshot.pictures:
             if name in wish.wanted:
                 how = wish.part, wish.room_px, wish.columns.get(name, EVERY)
-                key = moment.number, name, *how
+                key = snapshot.number, name, *how
                 pictures[key] = self._pictures.get(key) or sent(
-                    name, moment.number, moment.pictures[name], white, *how
+                    name, snapshot.number, snapshot.pictures[name], white, *how
                 )
         counters = dict(said.get("counters", {}))
         for watch in (self.worth, *self.watches):
             counters |= watch.said
-        shown: dict[str, Any] = {"age_s": (time.monotonic_ns() - moment.taken_ns) / 1e9, "number": moment.number}
-        shown |= {"shown": [key[1] for key in pictures], "has": list(moment.pictures)}
+        shown: dict[str, Any] = {
+            "age_s": (time.monotonic_ns() - snapshot.taken_ns) / 1e9,
+            "number": snapshot.number,
+        }
+        shown |= {"shown": [key[1] for key in pictures], "has": list(snapshot.pictures)}
         seldom = {"lines": self.lines.get(said.get("view", ""), {}), "figures": self.worth.figures, "arrows": []}
-        return Ready(moment.number, seldom | said | shown | {"white": white, "counters": counters}, pictures)
+        return Ready(snapshot.number, seldom | said | shown | {"white": white, "counters": counters}, pictures)
 
     def _keep(self, ready: Ready) -> None:
-        """Keep pictures for other viewers, of the last moment only."""
+        """Keep pictures for other viewers, of the last snapshot only."""
         with self._lock:
             kept = next(iter(self._pictures), (0,))[0]
             if kept < ready.number:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any
 
-from daq.pipeline.live_slot import Moment, SlotReader
+from daq.pipeline.live_slot import SlotReader, Snapshot
 from daq.pipeline.priority import lower_priority
 
 MOST_OF_THE_TIME = 0.05
@@ -37,14 +37,14 @@ class Watch(ABC):
         threading.Thread(target=self._work, name=type(self).__name__, daemon=True).start()
 
     def look(self) -> None:
-        """Look at the last moment, if it is a new one with a raw frame."""
-        moment = self._slot.taken(_raw_of)
-        if moment is not None and moment.number != self._seen and "raw" in moment.pictures:
-            self._seen = moment.number
-            self.see(moment)
+        """Look at the last snapshot, if it is a new one with a raw frame."""
+        snapshot = self._slot.taken(_raw_of)
+        if snapshot is not None and snapshot.number != self._seen and "raw" in snapshot.pictures:
+            self._seen = snapshot.number
+            self.see(snapshot)
 
     @abstractmethod
-    def see(self, moment: Moment) -> None:
+    def see(self, snapshot: Snapshot) -> None:
         """Find out what it tells."""
 
     def _work(self) -> None:
@@ -59,7 +59,7 @@ class Watch(ABC):
             time.sleep(POLL_S)
 
 
-def _raw_of(moment: Moment) -> Moment:
-    """A moment with its raw frame alone, copied."""
-    pictures = {name: pixels.copy() for name, pixels in moment.pictures.items() if name == "raw"}
-    return replace(moment, pictures=pictures)
+def _raw_of(snapshot: Snapshot) -> Snapshot:
+    """A snapshot with its raw frame alone, copied."""
+    pictures = {name: pixels.copy() for name, pixels in snapshot.pictures.items() if name == "raw"}
+    return replace(snapshot, pictures=pictures)

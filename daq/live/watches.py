@@ -20,7 +20,7 @@ from correction.errors import CorrectionError
 from correction.self_check.moved_sphere import RunningCheck
 from correction.target import Chessboard
 from daq.live.watch import Watch
-from daq.pipeline.live_slot import Moment, SlotReader
+from daq.pipeline.live_slot import SlotReader, Snapshot
 from ground.config import Document, validate
 from ground.errors import GroundError
 from piv.errors import PivError
@@ -54,13 +54,13 @@ class RimWatch(Watch):
         super().__init__(slot, RIMS_EVERY_S)
         self._scene, self._board = scene, board
 
-    def see(self, moment: Moment) -> None:
+    def see(self, snapshot: Snapshot) -> None:
         """Look for the rims, if the frame may show them where they are believed."""
-        if not moment.words.get("rims"):
+        if not snapshot.words.get("rims"):
             return
-        board = self._board if moment.words.get("shows") == "chessboard" else None
+        board = self._board if snapshot.words.get("shows") == "chessboard" else None
         try:
-            self.said = in_words(find_arrangement(moment.pictures["raw"], self._scene, board, HERE))
+            self.said = in_words(find_arrangement(snapshot.pictures["raw"], self._scene, board, HERE))
         except (CorrectionError, PivError, SceneError) as error:
             self.said = {"rims": [str(error).split(";")[0], False]}  # what to do about it has no room here
 
@@ -102,14 +102,14 @@ class MovedWatch(Watch):
         self._check: RunningCheck | None = None
         self._can_tell = True
 
-    def see(self, moment: Moment) -> None:
+    def see(self, snapshot: Snapshot) -> None:
         """Take a frame of the first pulse, if it shows a flow behind the glass."""
-        words = moment.words
+        words = snapshot.words
         if not self._can_tell or words.get("shows") != "flow" or words.get("pulse") != 0 or not words.get("rims"):
             return
         try:
             self._check = self._check or RunningCheck(self._scene)
-            self._check.add(np.asarray(moment.pictures["raw"], np.float32))
+            self._check.add(np.asarray(snapshot.pictures["raw"], np.float32))
             found = self._check.found
         except (CorrectionError, PivError, SceneError) as error:
             self._can_tell, self.said = False, {"spheres": [str(error).split(";")[0], False]}

@@ -1,12 +1,12 @@
-"""The last moment of a run, where another process can look at it: one place in memory that both have mapped.
+"""The last snapshot of a run, where another process can look at it: one place in memory that both have mapped.
 
-    writer (show lane)  --moment-->  file of fixed size, two halves  --moment-->  readers, as many as like
+    writer (show lane)  --snapshot-->  file of fixed size, two halves  --snapshot-->  readers, as many as like
                         <--asked---  when somebody has last looked
 
 Whoever measures waits for nobody.  The writer fills the half that was not shown last and then says which one is
 newer; each half has a count that is odd while it is written.  A reader makes of a half what it needs, where it
 lies, and keeps that only if the count was even and the same before and after: else the writer has overtaken it,
-and it looks again.  What nobody looked at is gone; the number of the moment says how many that were.
+and it looks again.  What nobody looked at is gone; the number of the snapshot says how many that were.
 
 Readers leave the time at which they look, so that a writer whom nobody watches need not copy. It is all that the
 writer ever reads here: whatever a reader does to the file, the writer copies too often or too rarely.
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from daq.errors import DaqError
 
 MAGIC = b"rtpivlv1"
-HEAD = struct.Struct("<8sQQQ")  # magic, bytes of a half, moments so far, which half is newest
+HEAD = struct.Struct("<8sQQQ")  # magic, bytes of a half, snapshots so far, which half is newest
 ASKED = struct.Struct("<q")  # monotonic clock of whoever looked last [ns]
 HALVES = 64  # bytes before the first half: HEAD, ASKED, nothing
 HALF = struct.Struct("<QIIq")  # count, bytes of words, number of pictures, monotonic clock [ns]
@@ -49,13 +49,13 @@ class NoSlotError(DaqError):
 
 
 @dataclass(frozen=True)
-class Moment:
+class Snapshot:
     """What was seen at one time.
 
     Parameters
     ----------
     number : int
-        Counted from 1; gaps are moments that nobody looked at.
+        Counted from 1; gaps are snapshots that nobody looked at.
     words : dict
         What is known beside the pictures.
     pictures : dict
@@ -76,7 +76,7 @@ class SlotWriter:
     Parameters
     ----------
     most_bytes : int
-        Bytes of all pictures of a moment together.
+        Bytes of all pictures of a snapshot together.
     """
 
     def __init__(self, most_bytes: int) -> None:
@@ -102,7 +102,7 @@ class SlotWriter:
         return _is_watched(self._memory)
 
     def put(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
-        """Show a moment; takes the time of a copy, and waits for nobody.
+        """Show a snapshot; takes the time of a copy, and waits for nobody.
 
         Pictures that do not fit are left out, and words that are too many: the run goes on.
         """
@@ -167,7 +167,7 @@ class SlotReader:
 
     @property
     def number(self) -> int:
-        """Number of the last moment; 0 before the first."""
+        """Number of the last snapshot; 0 before the first."""
         return int(self._head()[2])
 
     @property
@@ -184,18 +184,18 @@ class SlotReader:
         """Whether somebody looks."""
         return _is_watched(self._memory)
 
-    def latest(self) -> Moment | None:
-        """Return the last moment, copied whole; None as in `taken`."""
+    def latest(self) -> Snapshot | None:
+        """Return the last snapshot, copied whole; None as in `taken`."""
         return self.taken(_copied)
 
-    def taken(self, take: Callable[[Moment], T]) -> T | None:
-        """Return what is made of the last moment; None before the first, or if the writer overtakes every look.
+    def taken(self, take: Callable[[Snapshot], T]) -> T | None:
+        """Return what is made of the last snapshot; None before the first, or if the writer overtakes every look.
 
         Parameters
         ----------
         take : callable
-            Gets the moment with pictures that may change while it looks, and must keep nothing of them; what it
-            makes of a moment that changes is thrown away. It may be called again.
+            Gets the snapshot with pictures that may change while it looks, and must keep nothing of them; what it
+            makes of a snapshot that changes is thrown away. It may be called again.
         """
         for _ in range(TRIES):
             _, _, number, which = self._head()
@@ -204,9 +204,9 @@ class SlotReader:
             start = HALVES + which * self._half
             before, words, count, taken_ns = HALF.unpack_from(self._memory, start)
             if before % 2 == 0 and words <= WORDS_BYTES and count <= MOST_PICTURES:
-                moment = self._seen(start, before // 2, words, count, taken_ns)
-                made = None if moment is None else take(moment)
-                del moment
+                snapshot = self._seen(start, before // 2, words, count, taken_ns)
+                made = None if snapshot is None else take(snapshot)
+                del snapshot
                 if made is not None and HALF.unpack_from(self._memory, start)[0] == before:
                     return made
             time.sleep(0.001)
@@ -220,8 +220,8 @@ class SlotReader:
         magic, half, number, which = HEAD.unpack_from(self._memory, 0)
         return magic, half, number, which & 1
 
-    def _seen(self, start: int, number: int, words: int, count: int, taken_ns: int) -> Moment | None:
-        """A moment where it lies; None where it cannot be one, because the writer was in it meanwhile."""
+    def _seen(self, start: int, number: int, words: int, count: int, taken_ns: int) -> Snapshot | None:
+        """A snapshot where it lies; None where it cannot be one, because the writer was in it meanwhile."""
         at = start + HALF.size
         text = bytes(self._memory[at : at + words])
         at += WORDS_BYTES
@@ -241,7 +241,7 @@ class SlotReader:
             known = json.loads(text)
         except ValueError:
             return None
-        return Moment(number, known, pictures, taken_ns) if isinstance(known, dict) else None
+        return Snapshot(number, known, pictures, taken_ns) if isinstance(known, dict) else None
 
 
 def _is_watched(memory: mmap.mmap) -> bool:
@@ -249,6 +249,6 @@ def _is_watched(memory: mmap.mmap) -> bool:
     return 0 <= time.monotonic_ns() - int(asked_ns) < int(WATCHED_S * 1e9)
 
 
-def _copied(moment: Moment) -> Moment:
-    pictures = {name: pixels.copy() for name, pixels in moment.pictures.items()}
-    return replace(moment, pictures=pictures)
+def _copied(snapshot: Snapshot) -> Snapshot:
+    pictures = {name: pixels.copy() for name, pixels in snapshot.pictures.items()}
+    return replace(snapshot, pictures=pictures)

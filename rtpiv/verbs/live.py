@@ -93,7 +93,7 @@ def live(
             for frame in _endless(exposures):
                 with frame:
                     corrected = None if corrector is None else corrector(frame.pixels)
-                    words, pictures = _moment(loaded, frame, corrected, shows, seen, begun_s, away)
+                    words, pictures = _snapshot(loaded, frame, corrected, shows, seen, begun_s, away)
                     page.say(words["doing"])
                     page.show(words, pictures)
                 seen += 1
@@ -128,7 +128,7 @@ def _endless(exposures: CameraSession) -> Iterator[Frame]:
             yield frame
 
 
-def _moment(
+def _snapshot(
     bench: Bench,
     frame: Frame,
     corrected: NDArray[np.float32] | None,

@@ -17,7 +17,7 @@ from websockets.sync.client import connect
 from daq.live.live_page import LivePage
 from rtpiv.command_line.cli import main
 from tests.daq.live.chromium import chromium, tab_at
-from tests.daq.live.test_page import SIDE, moment, taken, until_closed, viewer
+from tests.daq.live.test_page import SIDE, snapshot, taken, until_closed, viewer
 
 BYTES = 2 * 6 * SIDE * SIDE
 STATE = "(document.getElementById('state')?.textContent ?? '')"
@@ -25,9 +25,9 @@ AGE = "(document.getElementById('age')?.hidden === false && document.getElementB
 PROGRAM = f"""
 import sys
 from daq.live.live_page import LivePage
-from tests.daq.live.test_page import moment
+from tests.daq.live.test_page import snapshot
 with LivePage({BYTES}) as page:
-    page.show(*moment(1))
+    page.show(*snapshot(1))
     print(page.url, flush=True)
     sys.stdin.readline()
     raise ValueError("the camera was pulled out")
@@ -37,7 +37,7 @@ with LivePage({BYTES}) as page:
 def shown_once(page: LivePage, number: int) -> None:
     while not page.is_due:
         time.sleep(0.01)
-    page.show(*moment(number))
+    page.show(*snapshot(number))
 
 
 @pytest.mark.slow
@@ -67,7 +67,7 @@ def test_a_page_says_what_is_waited_for_and_how_old_its_picture_is_and_draws_wha
         for name in ("raw", "corrected", "raw"):
             tab.until(f"!document.getElementById('{name}').hidden")
         tab.value("document.getElementById('stage').ondblclick({clientX: 300, clientY: 300})")
-        tab.until("rtpivLive.shown.raw.width < 600")  # the part is another one, of the same moment
+        tab.until("rtpivLive.shown.raw.width < 600")  # the part is another one, of the same snapshot
         assert tab.value("rtpivLive.words.number") == frozen
         old_s = time.monotonic() - shown_s
         tab.ask("Page.reload")  # whoever comes late is told how old it is all the same
@@ -149,7 +149,7 @@ def test_what_is_wished_out_of_turn_is_answered_with_the_same_moment() -> None:
     with LivePage(BYTES) as page, viewer(page) as found:
         while not page.is_due:
             pass
-        page.show(*moment(1))
+        page.show(*snapshot(1))
         words, _ = taken(found)
         found.send(json.dumps({"drawn": words["number"]}))
         found.send(json.dumps({"now": True, "wanted": ["raw"]}))
@@ -174,7 +174,7 @@ def test_sockets_without_a_token_keep_no_viewer_out() -> None:
         with viewer(page) as found:
             while not page.is_due:
                 pass
-            page.show(*moment(1))
+            page.show(*snapshot(1))
             words, _ = taken(found)
             assert words["number"] == 1
         for one in silent:

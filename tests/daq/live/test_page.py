@@ -32,8 +32,8 @@ SIDE = 1008
 EVIL = "<img src=x onerror='window.hit=1'><script>window.hit=1</script>"
 
 
-def moment(number: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """A moment as a run shows it: particles, one saturated square, and a corrected half."""
+def snapshot(number: int) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """A snapshot as a run shows it: particles, one saturated square, and a corrected half."""
     rng = np.random.default_rng(number % 4)
     raw = rng.integers(90, 130, (SIDE, SIDE)).astype(np.uint16)
     raw[100:110, 200:210] = 4095
@@ -52,7 +52,7 @@ class Showing:
     """Somebody who measures at a rate, and shows what there is."""
 
     def __init__(self, page: LivePage, rate_hz: float) -> None:
-        self.page, self._moments = page, [moment(number) for number in range(4)]
+        self.page, self._snapshots = page, [snapshot(number) for number in range(4)]
         self.shown, self.slowest_s, self._ends, self._period_s = 0, 0.0, threading.Event(), 1.0 / rate_hz
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
@@ -60,7 +60,7 @@ class Showing:
     def _work(self) -> None:
         while not self._ends.wait(self._period_s):
             begun_s = time.monotonic()
-            self.page.show(*self._moments[self.shown % 4])
+            self.page.show(*self._snapshots[self.shown % 4])
             self.slowest_s = max(self.slowest_s, time.monotonic() - begun_s)
             self.shown += 1
 
@@ -102,7 +102,7 @@ def until_closed(found: ClientConnection) -> None:
 
 
 def taken(found: ClientConnection) -> tuple[dict[str, Any], list[bytes]]:
-    """Words and pictures of the next moment; signs of life between are let go."""
+    """Words and pictures of the next snapshot; signs of life between are let go."""
     words: dict[str, Any] = {}
     while "number" not in words:
         words = json.loads(found.recv(timeout=20.0))
@@ -253,7 +253,7 @@ def test_what_seldom_changes_is_sent_when_it_has_and_pictures_fit_the_room() -> 
         seen: dict[str, dict[str, Any]] = {}
         end_s = time.monotonic() + 40.0
         while len(seen) < 2 and time.monotonic() < end_s:
-            words, pictures = moment(last)
+            words, pictures = snapshot(last)
             words["view"] = view
             del words["lines"]
             page.show(words, pictures)
@@ -311,7 +311,7 @@ def test_stalled_viewers_and_a_killed_page_hold_nobody_up() -> None:
         time.sleep(0.5)
         assert measures.shown - before > 3
         assert len(stalled) == 50
-        print(f"slowest of {measures.shown} moments: {1e3 * measures.slowest_s:.1f} ms")
+        print(f"slowest of {measures.shown} snapshots: {1e3 * measures.slowest_s:.1f} ms")
 
 
 def test_viewers_are_told_that_it_is_over() -> None:

@@ -11,7 +11,7 @@ from daq.pipeline.live_slot import NoSlotError, SlotReader, SlotWriter
 
 
 def test_a_moment_is_whole_however_fast_the_writer_is() -> None:
-    """Every pixel of a moment has the number of the moment, while it is overwritten as fast as it can be."""
+    """Every pixel of a snapshot has the number of the snapshot, while it is overwritten as fast as it can be."""
     writer = SlotWriter(4 * 300 * 400)
     reader = SlotReader(writer.path)
     assert reader.latest() is None
@@ -28,11 +28,11 @@ def test_a_moment_is_whole_however_fast_the_writer_is() -> None:
     seen: list[int] = []
     end_s = time.monotonic() + 20.0
     while len(set(seen)) < 50 and time.monotonic() < end_s:
-        moment = reader.latest()
-        if moment is not None:
-            assert moment.words["number"] == moment.number
-            assert (moment.pictures["raw"] == moment.number % 60_000).all()
-            seen.append(moment.number)
+        snapshot = reader.latest()
+        if snapshot is not None:
+            assert snapshot.words["number"] == snapshot.number
+            assert (snapshot.pictures["raw"] == snapshot.number % 60_000).all()
+            seen.append(snapshot.number)
     ends.set()
     thread.join()
     assert seen == sorted(seen)
@@ -45,11 +45,11 @@ def test_two_pictures_come_back_as_they_were() -> None:
     writer = SlotWriter(10_000)
     corrected = np.array([[1.5, np.nan]], np.float32)
     writer.put({"text": "ä"}, {"raw": np.arange(6, dtype=np.uint16).reshape(2, 3), "corrected": corrected})
-    moment = SlotReader(writer.path).latest()
-    assert moment is not None
-    assert moment.words == {"text": "ä"}
-    np.testing.assert_array_equal(moment.pictures["raw"], [[0, 1, 2], [3, 4, 5]])
-    np.testing.assert_array_equal(moment.pictures["corrected"], corrected)
+    snapshot = SlotReader(writer.path).latest()
+    assert snapshot is not None
+    assert snapshot.words == {"text": "ä"}
+    np.testing.assert_array_equal(snapshot.pictures["raw"], [[0, 1, 2], [3, 4, 5]])
+    np.testing.assert_array_equal(snapshot.pictures["corrected"], corrected)
     writer.put({}, {"raw": np.zeros((200, 200), np.uint16)})  # does not fit
     late = SlotReader(writer.path).latest()
     assert late is not None
