@@ -72,7 +72,7 @@ Key = tuple[int, str, Part, int, Columns]
 
 
 @dataclass
-class Wish:
+class ViewRequest:
     """What a viewer wants to see of the next snapshot."""
 
     wanted: tuple[str, ...] = NAMES
@@ -93,7 +93,7 @@ class Wish:
 
 
 @dataclass(frozen=True)
-class Ready:
+class Update:
     """What is sent of a snapshot: words, and pictures by the place where they are kept for others."""
 
     number: int
@@ -177,32 +177,32 @@ class Page:
                     self.viewers -= 1
 
     def _show_snapshots(self, connection: ServerConnection, said: dict[str, Any]) -> None:
-        seen, missed, wish = 0, 0, Wish()
-        wish.heard(said)
+        seen, missed, request = 0, 0, ViewRequest()
+        request.heard(said)
         known: dict[str, Any] = {}
-        while (last := self._waited(seen, connection, wish)) is not None:
+        while (last := self._waited(seen, connection, request)) is not None:
             seen = last
-            ready = self.slot.taken(lambda snapshot: self._ready(snapshot, wish))
-            if ready is None or ready.number <= seen:
+            update = self.slot.taken(lambda snapshot: self._update_for(snapshot, request))
+            if update is None or update.number <= seen:
                 time.sleep(LOOK_S)
                 continue
-            self._keep(ready)
-            missed += ready.number - seen - 1 if seen else 0
-            seen = ready.number
-            words = ready.words | self._doing() | {"missed": missed}
+            self._keep(update)
+            missed += update.number - seen - 1 if seen else 0
+            seen = update.number
+            words = update.words | self._doing() | {"missed": missed}
             for name in SELDOM:
                 if name in words and words[name] == known.get(name):
                     del words[name]
             known |= {name: words[name] for name in SELDOM if name in words}
             connection.send(json.dumps(words))
-            for picture in ready.pictures.values():
+            for picture in update.pictures.values():
                 connection.send(picture)
-            while wish.heard(_understood(connection.recv())):  # it has drawn them, or wants others at once
+            while request.heard(_understood(connection.recv())):  # it has drawn them, or wants others at once
                 pass
         connection.send(json.dumps({"over": self.over}))
         connection.close()
 
-    def _waited(self, seen: int, connection: ServerConnection, wish: Wish) -> int | None:
+    def _waited(self, seen: int, connection: ServerConnection, request: ViewRequest) -> int | None:
         """Wait for a snapshot that was not seen, or for a viewer who wants the last one in another way.
 
         Returns
@@ -219,7 +219,7 @@ class Page:
                 connection.send(json.dumps(self._doing()))
                 alive_s = time.monotonic() + ALIVE_S
             with suppress(TimeoutError):
-                wish.heard(_understood(connection.recv(timeout=LOOK_S)))
+                request.heard(_understood(connection.recv(timeout=LOOK_S)))
                 return max(seen - 1, 0)
         return None
 
@@ -228,13 +228,13 @@ class Page:
         text, since_ns = self.doing
         return {"doing": text, "doing_s": (time.monotonic_ns() - since_ns) / 1e9}
 
-    def _ready(self, snapshot: Snapshot, wish: Wish) -> Ready:
+    def _update_for(self, snapshot: Snapshot, request: ViewRequest) -> Update:
         """What a viewer is sent of a snapshot, made where it lies."""
         said, white = snapshot.words, white_of(snapshot.words)
         pictures = {}
         for name in snapshot.pictures:
-            if name in wish.wanted:
-                how = wish.part, wish.room_px, wish.columns.get(name, EVERY)
+            if name in request.wanted:
+                how = request.part, request.room_px, request.columns.get(name, EVERY)
                 key = snapshot.number, name, *how
                 pictures[key] = self._pictures.get(key) or sent(
                     name, snapshot.number, snapshot.pictures[name], white, *how
@@ -248,16 +248,16 @@ class Page:
         }
         shown |= {"shown": [key[1] for key in pictures], "has": list(snapshot.pictures)}
         seldom = {"lines": self.lines.get(said.get("view", ""), {}), "figures": self.worth.figures, "arrows": []}
-        return Ready(snapshot.number, seldom | said | shown | {"white": white, "counters": counters}, pictures)
+        return Update(snapshot.number, seldom | said | shown | {"white": white, "counters": counters}, pictures)
 
-    def _keep(self, ready: Ready) -> None:
+    def _keep(self, update: Update) -> None:
         """Keep pictures for other viewers, of the last snapshot only."""
         with self._lock:
             kept = next(iter(self._pictures), (0,))[0]
-            if kept < ready.number:
-                self._pictures = ready.pictures
-            elif kept == ready.number:
-                self._pictures = dict([*self._pictures.items(), *ready.pictures.items()][-MOST_KEPT:])
+            if kept < update.number:
+                self._pictures = update.pictures
+            elif kept == update.number:
+                self._pictures = dict([*self._pictures.items(), *update.pictures.items()][-MOST_KEPT:])
 
 
 class Connection(ServerConnection):
