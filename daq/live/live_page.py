@@ -4,8 +4,8 @@ A server that dies is started again under the same address, and pages that are o
 done while no frame comes, and how it ended, goes to the server as lines on its input; a line for which there is no
 room there, because the server is stuck, is dropped. An input that ends without a last word: it was killed.
 
-A run is shown as often as eyes like while it keeps up, less when the computer has too much to do (`Pace`).  A
-frame that is not corrected while the run goes on is the first thing that a full computer leaves out, and a page,
+A run is shown as often as eyes like while it keeps up, less when the computer has too much to do (`RateLimiter`).
+A frame that is not corrected while the run goes on is the first thing that a full computer leaves out, and a page,
 whose browser may draw on the same cores, is the first thing that can do with less.  So once a second the rate goes
 down by a third if more than `BEHIND` of the frames were left out, to `LEAST_HZ`, and up by one if not.  While
 nobody looks, one frame a second is shown, so that whoever comes has a picture at once.
@@ -42,7 +42,7 @@ CHECK_S = 1.0
 SLOWER, FASTER_HZ = 0.7, 1.0
 
 
-class Pace:
+class RateLimiter:
     """Says when the next snapshot is due."""
 
     def __init__(self) -> None:
@@ -126,7 +126,7 @@ class LivePage:
             raise PageError("the page needs an extra: pip install 'rtpiv[live]'")
         self._slot = SlotWriter(most_bytes)
         self._token = secrets.token_urlsafe(24)
-        self.pace = Pace()
+        self.rate_limiter = RateLimiter()
         self._orders: dict[str, Any] = {"token": self._token}
         if scene is not None and board is not None:
             self._orders |= {"scene": dump_scene(scene), "board_mm": [board.square_mm, board.disc_mm]}
@@ -172,12 +172,12 @@ class LivePage:
     @property
     def is_due(self) -> bool:
         """Whether a snapshot would be shown now."""
-        return self.pace.is_due(time.monotonic(), self._slot.is_watched)
+        return self.rate_limiter.is_due(time.monotonic(), self._slot.is_watched)
 
     def show(self, words: Mapping[str, Any], pictures: Mapping[str, NDArray[Any]]) -> None:
         """Show a snapshot, unless the last one is too young for anybody to have seen it."""
         if self.is_due:
-            self.pace.shown(time.monotonic(), self._slot.is_watched)
+            self.rate_limiter.shown(time.monotonic(), self._slot.is_watched)
             self._slot.put(words, pictures)
 
     def say(self, doing: str) -> None:

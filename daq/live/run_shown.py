@@ -53,8 +53,8 @@ class RunShown:
 
     def show(self, job: Job, corrected: NDArray[np.float32] | None) -> None:
         """Show a frame, and its correction if it has one; costs nothing if none is due."""
-        flow, pace = self._progress.flow, self._page.pace
-        pace.see(time.monotonic(), flow.corrected, len(flow.skipped))
+        flow, rate_limiter = self._progress.flow, self._page.rate_limiter
+        rate_limiter.see(time.monotonic(), flow.corrected, len(flow.skipped))
         if not self._page.is_due:
             return
         words = words_of(self._progress) | {
@@ -66,8 +66,8 @@ class RunShown:
             "pulse": (job.number - job.step.first_frame) % job.step.group,
         }
         words["counters"] |= self._disk()
-        if pace.sentence:
-            words["counters"]["shown here"] = [pace.sentence, False]
+        if rate_limiter.sentence:
+            words["counters"]["shown here"] = [rate_limiter.sentence, False]
         pictures: dict[str, NDArray[Any]] = {"raw": job.frame.pixels}
         if corrected is not None:
             pictures["corrected"] = corrected

@@ -37,7 +37,7 @@ from websockets.http11 import Request, Response
 from websockets.server import ServerProtocol
 from websockets.sync.server import Server, ServerConnection, serve
 
-from daq.live.figures import Worth
+from daq.live.frame_quality import FrameQuality
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
 from daq.orderly_end import flush_or_leave
 from daq.pipeline.live_slot import NoSlotError, SlotReader, Snapshot
@@ -125,13 +125,13 @@ class Page:
     doing: tuple[str, int] = "", 0
     over: str = ""
     viewers: int = 0
-    worth: Worth = field(init=False)
+    quality: FrameQuality = field(init=False)
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _pictures: dict[Key, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Look at what frames are worth as well."""
-        self.worth = Worth(self.slot)
+        """Look at what frames are quality as well."""
+        self.quality = FrameQuality(self.slot)
 
     @property
     def addresses(self) -> tuple[str, str]:
@@ -240,14 +240,14 @@ class Page:
                     name, snapshot.number, snapshot.pictures[name], white, *how
                 )
         counters = dict(said.get("counters", {}))
-        for watch in (self.worth, *self.watches):
+        for watch in (self.quality, *self.watches):
             counters |= watch.said
         shown: dict[str, Any] = {
             "age_s": (time.monotonic_ns() - snapshot.taken_ns) / 1e9,
             "number": snapshot.number,
         }
         shown |= {"shown": [key[1] for key in pictures], "has": list(snapshot.pictures)}
-        seldom = {"lines": self.lines.get(said.get("view", ""), {}), "figures": self.worth.figures, "arrows": []}
+        seldom = {"lines": self.lines.get(said.get("view", ""), {}), "figures": self.quality.figures, "arrows": []}
         return Update(snapshot.number, seldom | said | shown | {"white": white, "counters": counters}, pictures)
 
     def _keep(self, update: Update) -> None:
@@ -303,7 +303,7 @@ def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
         open_timeout=TOKEN_S, create_connection=Connection,
     )  # fmt: skip
     page.port = server.socket.getsockname()[1]
-    page.worth.start()
+    page.quality.start()
     return server, page
 
 

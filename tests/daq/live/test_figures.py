@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.special import erf
 
-from daq.live.figures import edge_map, histogram, middle_of, particle_maps, saturated_share
+from daq.live.frame_quality import edge_map, histogram, middle_of, particle_maps, saturated_share
 from daq.live.picture import HEAD, NOTHING, SATURATED, Part, columns_of, sent
 
 

@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from daq.live.figures import MEMORY_S, Trend
+from daq.live.frame_quality import MEMORY_S, FocusTrend
 
 PERIOD_S = 0.5
 
 
 def told(places: list[float], noise: float = 0.01, seed: int = 1) -> list[str]:
     """Sentences while the ring goes through places; the focus is at 0, a unit blurs by the width of a particle."""
-    rng, trend, said = np.random.default_rng(seed), Trend(), []
+    rng, trend, said = np.random.default_rng(seed), FocusTrend(), []
     for look, place in enumerate(places):
         trend.see(PERIOD_S * look, 2.5 * math.hypot(1.0, place) * (1.0 + noise * rng.normal()))
         said.append(trend.sentence)
@@ -57,7 +57,7 @@ def test_while_nobody_turns_nothing_is_said_to_change():
 
 def test_one_bad_look_is_neither_a_best_nor_a_turn_for_long():
     widths = [4.0, 4.02, 3.98, 4.01, 1.0, 4.0, 3.99, 4.02, 4.0, 3.98, 4.01, 4.0, 4.02, 3.99]
-    trend, said = Trend(), []
+    trend, said = FocusTrend(), []
     for look, width in enumerate(widths):
         trend.see(PERIOD_S * look, width)
         said.append(trend.sentence)
@@ -67,7 +67,7 @@ def test_one_bad_look_is_neither_a_best_nor_a_turn_for_long():
 
 
 def test_what_was_long_ago_or_something_else_is_forgotten():
-    trend = Trend()
+    trend = FocusTrend()
     for look, width in enumerate([2.5] * 6 + [4.0] * 6):
         trend.see(PERIOD_S * look, width)
     assert "it was 2.50 px" in trend.sentence

@@ -1,6 +1,6 @@
 """Glass beside its place is said on the page, glass at its place is not."""
 
-from daq.live.figures import Worth
+from daq.live.frame_quality import FrameQuality
 from daq.live.watches import MovedWatch, RimWatch, begin, scene_told
 from daq.pipeline.live_slot import SlotReader, SlotWriter
 from tests.correction.alignment.drawn import BOARD, drawn, moved, scene_of
@@ -72,9 +72,9 @@ def test_a_sphere_that_moved_is_named_by_particles_of_one_pulse():
 
 def test_which_way_the_focus_goes_is_followed_and_forgotten_with_the_step(monkeypatch):
     clock = [0.0]
-    monkeypatch.setattr("daq.live.figures.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("daq.live.frame_quality.time.monotonic", lambda: clock[0])
     slot = SlotWriter(4 * 200**2)
-    worth = Worth(SlotReader(slot.path))
+    quality = FrameQuality(SlotReader(slot.path))
     try:
         for look, blur_px in enumerate([3.0] * 8 + [2.6, 2.2, 1.8, 1.4, 1.8, 2.2, 2.2, 2.2, 2.2]):
             clock[0] = 0.5 * look
@@ -82,16 +82,16 @@ def test_which_way_the_focus_goes_is_followed_and_forgotten_with_the_step(monkey
                 {"run": "r: bare", "shows": "chessboard", "bits": 12},
                 {"raw": board(blur_px, 200, look)},
             )
-            worth.look()
-            said = worth.said.get("focus", [""])[0]
+            quality.look()
+            said = quality.said.get("focus", [""])[0]
             if look == 7:
                 assert "turn the ring a little" in said
             if look == 11:
                 assert "becoming sharper: go on" in said
         assert "turn back the way you came" in said
-        assert worth.figures["maps"].keys() == {"edge_px"}
+        assert quality.figures["maps"].keys() == {"edge_px"}
         slot.put({"run": "r: glass", "shows": "chessboard"}, {"raw": board(2.0, 200)})
-        worth.look()
-        assert worth.said == {}
+        quality.look()
+        assert quality.said == {}
     finally:
         slot.close()

@@ -48,7 +48,7 @@ SIXTH, CHI = 6.0, 0.455
 SPAN = 24  # looks whose scatter is taken
 
 
-class Trend:
+class FocusTrend:
     """Follows a width; smaller is sharper."""
 
     def __init__(self) -> None:
@@ -217,7 +217,7 @@ def _alike(image: NDArray[Any], shift_px: int) -> float:
 FIGURES_EVERY_S = 0.5
 
 
-class Worth(Watch):
+class FrameQuality(Watch):
     """Figures of the last frame, made anew twice a second at most, and which way the focus goes.
 
     Parameters
@@ -229,7 +229,7 @@ class Worth(Watch):
     def __init__(self, slot: SlotReader) -> None:
         super().__init__(slot, FIGURES_EVERY_S)
         self.figures: dict[str, Any] = {}
-        self._trend, self._of = Trend(), ""
+        self._trend, self._of = FocusTrend(), ""
 
     def see(self, snapshot: Snapshot) -> None:
         """Figure out what a frame is worth."""
