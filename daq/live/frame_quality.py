@@ -36,8 +36,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.live.monitor import Monitor
 from daq.live.picture import white_of
-from daq.live.watch import Watch
 from daq.pipeline.live_slot import SlotReader, Snapshot
 
 MEMORY_S = 60.0
@@ -217,7 +217,7 @@ def _alike(image: NDArray[Any], shift_px: int) -> float:
 FIGURES_EVERY_S = 0.5
 
 
-class FrameQuality(Watch):
+class FrameQuality(Monitor):
     """Figures of the last frame, made anew twice a second at most, and which way the focus goes.
 
     Parameters

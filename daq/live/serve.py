@@ -44,7 +44,7 @@ from daq.pipeline.live_slot import NoSlotError, SlotReader, Snapshot
 from daq.pipeline.priority import lower_process
 
 if TYPE_CHECKING:
-    from daq.live.watch import Watch
+    from daq.live.monitor import Monitor
 
 HOST = "127.0.0.1"
 SOCKET = "/frames"
@@ -111,7 +111,7 @@ class Page:
         Where the snapshots are.
     token : str
         What a viewer must know.
-    watches : tuple of Watch
+    monitors : tuple of Monitor
         What is found out beside.
     lines : dict
         View -> what is drawn over its frames.
@@ -120,7 +120,7 @@ class Page:
     slot: SlotReader
     token: str
     port: int = 0
-    watches: "tuple[Watch, ...]" = ()
+    monitors: "tuple[Monitor, ...]" = ()
     lines: dict[str, Any] = field(default_factory=dict)
     doing: tuple[str, int] = "", 0
     over: str = ""
@@ -240,7 +240,7 @@ class Page:
                     name, snapshot.number, snapshot.pictures[name], white, *how
                 )
         counters = dict(said.get("counters", {}))
-        for watch in (self.quality, *self.watches):
+        for watch in (self.quality, *self.monitors):
             counters |= watch.said
         shown: dict[str, Any] = {
             "age_s": (time.monotonic_ns() - snapshot.taken_ns) / 1e9,
@@ -310,14 +310,14 @@ def opened(slot: Path, token: str, port: int = 0) -> tuple[Server, Page]:
 def _look_at_scene(page: Page, text: str, board_mm: Sequence[float]) -> None:
     """Draw what a scene says over its frames, and look whether it is so."""
     from correction.target import Chessboard
+    from daq.live.monitors import begin, scene_told
     from daq.live.scene_lines import scene_lines
-    from daq.live.watches import begin, scene_told
 
     scene = scene_told(text)
     if scene is None:
         return
     page.lines = scene_lines(scene, whole=False)
-    page.watches = begin(page.slot, scene, Chessboard(*board_mm))
+    page.monitors = begin(page.slot, scene, Chessboard(*board_mm))
     while not (page.slot.is_watched and page.slot.number):  # the run has compiled then what folds are found with
         if page.slot.is_over:
             return

@@ -1,7 +1,7 @@
 """Glass beside its place is said on the page, glass at its place is not."""
 
 from daq.live.frame_quality import FrameQuality
-from daq.live.watches import MovedWatch, RimWatch, begin, scene_told
+from daq.live.monitors import RimMonitor, SphereMonitor, begin, scene_told
 from daq.pipeline.live_slot import SlotReader, SlotWriter
 from tests.correction.alignment.drawn import BOARD, drawn, moved, scene_of
 from tests.correction.self_check.test_moved_sphere import drawn_flow
@@ -15,7 +15,7 @@ SHOWS = {"rims": True, "shows": "chessboard"}
 def test_glass_that_stands_beside_its_outline_is_red():
     scene = scene_of()
     slot = SlotWriter(4 * scene.camera.shape[0] ** 2)
-    watch = RimWatch(SlotReader(slot.path), scene, BOARD)
+    watch = RimMonitor(SlotReader(slot.path), scene, BOARD)
     try:
         watch.look()
         assert watch.said == {}
@@ -55,7 +55,7 @@ def test_a_sphere_that_moved_is_named_by_particles_of_one_pulse():
     scene, frames = drawn_flow()
     slot = SlotWriter(4 * frames[0][0].size)
     reader = SlotReader(slot.path)
-    right, wrong = MovedWatch(reader, scene), MovedWatch(reader, sphere_moved(scene, 1, (0.04, 0.0, 0.0)))
+    right, wrong = SphereMonitor(reader, scene), SphereMonitor(reader, sphere_moved(scene, 1, (0.04, 0.0, 0.0)))
     try:
         for pair in frames:
             for pulse, frame in enumerate(pair):

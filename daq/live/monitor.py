@@ -17,7 +17,7 @@ MOST_OF_THE_TIME = 0.05
 POLL_S = 0.1
 
 
-class Watch(ABC):
+class Monitor(ABC):
     """Looks at frames of a slot; `said` are counters for the page, name -> [text, whether it is wrong].
 
     Parameters

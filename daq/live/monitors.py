@@ -19,7 +19,7 @@ from correction.alignment.seen import Arrangement, Expected, find_arrangement
 from correction.errors import CorrectionError
 from correction.self_check.moved_sphere import RunningCheck
 from correction.target import Chessboard
-from daq.live.watch import Watch
+from daq.live.monitor import Monitor
 from daq.pipeline.live_slot import SlotReader, Snapshot
 from ground.config import Document, validate
 from ground.errors import GroundError
@@ -37,7 +37,7 @@ RIMS_OFF_MM, RIMS_SURE = (
 HERE = Expected(np.zeros(3), np.zeros(3), np.zeros(3))
 
 
-class RimWatch(Watch):
+class RimMonitor(Monitor):
     """Looks for the rims of a scene.
 
     Parameters
@@ -85,7 +85,7 @@ def _row(off_mm: Any, sigma_mm: Any) -> list[Any]:  # noqa: ANN401 - three numbe
 MOVED_EVERY_S = 1.0
 
 
-class MovedWatch(Watch):
+class SphereMonitor(Monitor):
     """Asks particles of a flow whether the spheres stand where the scene has them.
 
     Parameters
@@ -126,11 +126,11 @@ def scene_told(text: str) -> Scene | None:
         return None
 
 
-def begin(slot: SlotReader, scene: Scene, board: Chessboard) -> tuple[Watch, ...]:
+def begin(slot: SlotReader, scene: Scene, board: Chessboard) -> tuple[Monitor, ...]:
     """Begin to watch the balls of a scene; nothing if it has none."""
     if not scene.spheres:
         return ()
-    watches = RimWatch(slot, scene, board), MovedWatch(slot, scene)
-    for watch in watches:
+    monitors = RimMonitor(slot, scene, board), SphereMonitor(slot, scene)
+    for watch in monitors:
         watch.start()
-    return watches
+    return monitors
