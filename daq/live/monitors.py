@@ -131,6 +131,6 @@ def begin(slot: SlotReader, scene: Scene, board: Chessboard) -> tuple[Monitor, .
     if not scene.spheres:
         return ()
     monitors = RimMonitor(slot, scene, board), SphereMonitor(slot, scene)
-    for watch in monitors:
-        watch.start()
+    for monitor in monitors:
+        monitor.start()
     return monitors

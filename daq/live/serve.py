@@ -130,7 +130,7 @@ class Page:
     _pictures: dict[Key, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Look at what frames are quality as well."""
+        """Judge frames as well."""
         self.quality = FrameQuality(self.slot)
 
     @property
@@ -240,8 +240,8 @@ class Page:
                     name, snapshot.number, snapshot.pictures[name], white, *how
                 )
         counters = dict(said.get("counters", {}))
-        for watch in (self.quality, *self.monitors):
-            counters |= watch.said
+        for monitor in (self.quality, *self.monitors):
+            counters |= monitor.said
         shown: dict[str, Any] = {
             "age_s": (time.monotonic_ns() - snapshot.taken_ns) / 1e9,
             "number": snapshot.number,

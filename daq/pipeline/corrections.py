@@ -3,7 +3,7 @@
 The place of camera and glass is that of the plan (the scene file's): their axes arrive within their tolerance, and
 a map for every micrometre would be another map for every frame.  The target's place does not matter while it lies
 in the investigation plane; frames of a target off the plane are not corrected.  What was not corrected while the
-frames arrived is corrected from the disk.  A camera's dewarp is fitted to a frame of the bare target.
+frames arrived is corrected from the disk.
 """
 
 from collections.abc import Iterable
@@ -14,22 +14,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.errors import CorrectionError
 from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.maps.corrector import UINT16_OFFSET, Corrector, to_uint16
-from correction.maps.dewarp import Dewarp, fit_dewarp
+from correction.maps.dewarp import Dewarp
 from correction.node_status import MEANING
-from correction.target import Chessboard
 from daq.errors import DiskError
 from daq.pipeline.priority import lower_priority
 from daq.plans.steps import CLEAR, Step
 from daq.runs.acquired import read_acquired
 from daq.runs.run_folder import RunFolder
 from daq.whole_text import why
-from piv.errors import PivError
 from piv.files.frame_file import write_frame
 from piv.resampling.sample import Method
-from tracer.camera import Camera
 from tracer.scene.scene import Scene
 
 
@@ -135,33 +131,3 @@ def correct_from_disk(folder: RunFolder, corrections: Corrections, step: Step, n
     source = folder.frame_path(number)
     pixels = read_acquired(source)
     corrections.write(folder.corrected_path(number), corrector(pixels), step, source.name)
-
-
-def dewarp_of(target_clear: Path | None, camera: Camera, board: Chessboard, order: int) -> Dewarp | None:
-    """Fit the dewarp to a frame of the bare target; None without a frame.
-
-    Parameters
-    ----------
-    target_clear : Path, optional
-        Bare target at z = 0, as acquired.
-    camera : Camera
-        The nominal camera.
-    board : Chessboard
-        The target.
-    order : int
-        Order of the polynomial, 2 to 5.
-
-    Raises
-    ------
-    FrameError, FrameDamaged, RunDamaged
-        The file is no frame of this camera, or not what was written.
-    TargetNotFound, DewarpError
-        The frame does not show the target, or too little of it; the message names the file.
-    """
-    if target_clear is None:
-        return None
-    frame = read_acquired(target_clear, camera.shape)
-    try:
-        return fit_dewarp(frame, camera, board, order)
-    except (CorrectionError, PivError) as error:
-        raise type(error)(f"{target_clear}: {error}") from None

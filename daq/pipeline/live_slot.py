@@ -8,7 +8,7 @@ newer; each half has a count that is odd while it is written.  A reader makes of
 lies, and keeps that only if the count was even and the same before and after: else the writer has overtaken it,
 and it looks again.  What nobody looked at is gone; the number of the snapshot says how many that were.
 
-Readers leave the time at which they look, so that a writer whom nobody monitors need not copy. It is all that the
+Readers leave the time at which they look, so that a writer whom nobody watches need not copy. It is all that the
 writer ever reads here: whatever a reader does to the file, the writer copies too often or too rarely.
 """
 

@@ -25,7 +25,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA, Bench, digest
 from daq.bench.opened import OpenBench, open_bench
 from daq.errors import DiskError, ResumeRefused, RunDamaged
-from daq.pipeline.corrections import Corrections, dewarp_of
+from daq.pipeline.corrections import Corrections
 from daq.pipeline.job import Show
 from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.experiments.align import AlignPlan
@@ -43,6 +43,7 @@ from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from daq.runs.journal import Entry
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, remaining, versions
+from daq.runs.run_views import dewarp_of
 from daq.whole_text import write_text
 from piv.resampling.sample import Method
 from stages.errors import WrongDevice

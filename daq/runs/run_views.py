@@ -1,7 +1,8 @@
 """What a run folder shows, for the verbs that work on finished runs: its scene, target frames, a first view.
 
 Frames show a board (`board_of`: what their run says; of lone files, what the options say), and a plane: the light
-sheet, or a print on the target's stage (`shows_light_sheet`).
+sheet, or a print on the target's stage (`shows_light_sheet`).  A camera's dewarp is fitted to a frame of the bare
+target (`dewarp_of`).
 """
 
 import os
@@ -13,17 +14,19 @@ from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal, TypeVar
 
-from correction.errors import BoardError
+from correction.errors import BoardError, CorrectionError
+from correction.maps.dewarp import Dewarp, fit_dewarp
 from correction.target import Chessboard
 from daq.errors import RunDamaged
-from daq.runs.acquired import run_of
+from daq.runs.acquired import read_acquired, run_of
 from daq.runs.records import CURE
 from daq.runs.run_file import FILE, PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
 from daq.whole_text import write_text
 from ground.config import read
 from ground.errors import ConfigError, GroundError
-from piv.errors import FrameError
+from piv.errors import FrameError, PivError
+from tracer.camera import Camera
 from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
@@ -239,3 +242,33 @@ def where_lit(scene: Scene) -> str:
         f" {scene.lit.summary}; all of that is in the sigma of map and vectors. Find it with rtpiv sheet, or"
         " measure it and write `sheet` into the scene file."
     )
+
+
+def dewarp_of(target_clear: Path | None, camera: Camera, board: Chessboard, order: int) -> Dewarp | None:
+    """Fit the dewarp to a frame of the bare target; None without a frame.
+
+    Parameters
+    ----------
+    target_clear : Path, optional
+        Bare target at z = 0, as acquired.
+    camera : Camera
+        The nominal camera.
+    board : Chessboard
+        The target.
+    order : int
+        Order of the polynomial, 2 to 5.
+
+    Raises
+    ------
+    FrameError, FrameDamaged, RunDamaged
+        The file is no frame of this camera, or not what was written.
+    TargetNotFound, DewarpError
+        The frame does not show the target, or too little of it; the message names the file.
+    """
+    if target_clear is None:
+        return None
+    frame = read_acquired(target_clear, camera.shape)
+    try:
+        return fit_dewarp(frame, camera, board, order)
+    except (CorrectionError, PivError) as error:
+        raise type(error)(f"{target_clear}: {error}") from None

@@ -17,9 +17,8 @@ from correction.maps.corrector import UINT16_OFFSET, Corrector, to_uint16
 from correction.maps.dewarp import Dewarp
 from correction.node_status import MEANING, NodeStatus
 from correction.target import Chessboard
-from daq.pipeline.corrections import dewarp_of
 from daq.runs.acquired import ReadAhead
-from daq.runs.run_views import board_of, shows_light_sheet, where_lit
+from daq.runs.run_views import board_of, dewarp_of, shows_light_sheet, where_lit
 from daq.whole_text import write_json
 from ground.terminal import console, progress
 from piv.errors import FrameError

@@ -8,12 +8,11 @@ import numpy as np
 from correction.evaluate.target_error import target_error
 from correction.fitted.prepared import prepare
 from daq.errors import RunUnsuitable
-from daq.pipeline.corrections import dewarp_of
 from daq.runs.acquired import read_acquired
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import board_of, first_view, scene_file
+from daq.runs.run_views import board_of, dewarp_of, first_view, scene_file
 from ground.terminal import console
 from piv.errors import PairError
 from rtpiv.analysis.pairs.evaluation import Evaluation, Route

@@ -7,10 +7,9 @@ from correction.errors import MapUsageError
 from correction.fitted.scene_sigma import SceneSigma
 from correction.fitted.sigma_limit import SigmaLimit
 from correction.maps.dewarp import Dewarp
-from daq.pipeline.corrections import dewarp_of
 from daq.runs.acquired import read_acquired
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
-from daq.runs.run_views import board_of, is_run, scene_file, shows_light_sheet, where_lit
+from daq.runs.run_views import board_of, dewarp_of, is_run, scene_file, shows_light_sheet, where_lit
 from ground.errors import GroundError
 from piv.errors import PairError
 from rtpiv.analysis.pairs.evaluation import Task

@@ -10,7 +10,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import Bench
 from daq.bench.opened import OpenBench
 from rtpiv.verbs.init import init
-from rtpiv.verbs.live import _away, _moment
+from rtpiv.verbs.live import _away, _snapshot
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def test_axes_that_stand_elsewhere_are_named(bench: Bench) -> None:
 def test_the_page_says_so_and_draws_no_outlines(bench: Bench) -> None:
     meta = SimpleNamespace(received_ns=0, significant_bits=12)
     frame: Any = SimpleNamespace(meta=meta, pixels=np.zeros((4, 4), np.uint16))
-    words, pictures = _moment(bench, frame, None, "chessboard", 0, 0.0, "glass_y stands elsewhere")
+    words, pictures = _snapshot(bench, frame, None, "chessboard", 0, 0.0, "glass_y stands elsewhere")
     assert words["doing"] == "no correction: glass_y stands elsewhere"
     assert words["view"] == ""
     assert words["rims"] is False
