@@ -9,7 +9,7 @@ import tifffile
 
 from daq.cameras.files import FilesCamera
 from daq.errors import CameraLost, FramesLost, RunDamaged, RunInterrupted, SettingsChanged
-from daq.runner import camera_session, exposures
+from daq.runner import camera_session
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, reopen
@@ -266,7 +266,7 @@ def test_a_stop_ends_a_stream_while_it_waits_for_a_frame(run, tmp_path):
 
 def test_a_held_bench_exposes_nothing(run):
     with files_bench(run[0], run[3]) as hardware:
-        taken = exposures.CameraSession(hardware.camera, hardware.camera_section, hardware.stage.latch)
+        taken = camera_session.CameraSession(hardware.camera, hardware.camera_section, hardware.stage.latch)
         taken.set_up()
         frames = taken.frames(5)
         next(frames)[1].release()
