@@ -21,7 +21,7 @@ from daq.timing.conditions import Conditions
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
 from daq.timing.states import LaserState
-from daq.timing.vigil import Vigil
+from daq.timing.supervisor import LaserSupervisor
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import StageError
 
@@ -147,7 +147,7 @@ class Light:
         laser.set(order.timing, self.exposures)
         return laser
 
-    def fire(self, laser: Laser, pairs: int, armed: Callable[[], bool]) -> Vigil:
+    def fire(self, laser: Laser, pairs: int, armed: Callable[[], bool]) -> LaserSupervisor:
         """Arm and fire one chunk; return the watch over it, to be entered.
 
         Parameters
@@ -166,7 +166,7 @@ class Light:
             if laser.state is LaserState.ARMED:
                 laser.disarm()
             raise
-        return Vigil(laser, lambda: self._conditions(armed, False), self._hardware.clock, SYSTEM_CLOCK)
+        return LaserSupervisor(laser, lambda: self._conditions(armed, False), self._hardware.clock, SYSTEM_CLOCK)
 
     def off(self) -> None:
         """Switch everything off; what is in doubt stays said in the laser's own words."""

@@ -5,7 +5,7 @@
     rules        what the laboratory asks for, and the weak pulses of an alignment
     states       Unknown, Safe, Warm, Ready, Armed, Firing, Fault as a table that the code obeys
     laser        the verbs of that table: safe, warm, set, arm, fire; and the way off that nothing postpones
-    vigil        the thread that watches while it fires
+    supervisor        the thread that watches while it fires
     box          what a timing unit can do; `drivers` are such boxes, `protocols` their grammars
 
 Software is no interlock: the door switch belongs into the laser's own chain (docs/laser.md).

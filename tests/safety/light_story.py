@@ -9,7 +9,7 @@ from daq.runner.light import Light
 from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Rules
 from daq.timing.states import LaserState
-from daq.timing.vigil import Vigil
+from daq.timing.supervisor import LaserSupervisor
 from ground.config import Document
 from sim.emulators.faults import KINDS, Fault
 from stages.clock import SYSTEM_CLOCK
@@ -55,7 +55,7 @@ class LightStory(laser_fuzz.Story):
         self.laser.keep_still(self.stage)
         hardware = OpenBench(bench_of(SCENE), {"stages": self.stage}, {}, bench.clock, None)
         self.light = Light(hardware, SimpleNamespace(path="."), None, None)
-        self.vigil = None
+        self.supervisor = None
         self.lit_s = []  # when something was lit
         self.lit = self.moves = 0
 
@@ -102,7 +102,7 @@ class LightStory(laser_fuzz.Story):
     def fire(self):
         super().fire()
         self.light._conditions(lambda: True, True)
-        self.vigil = Vigil(
+        self.supervisor = LaserSupervisor(
             self.laser, lambda: self.light._conditions(lambda: True, False), self.clock, SYSTEM_CLOCK
         )
 
@@ -113,19 +113,19 @@ class LightStory(laser_fuzz.Story):
             self.asked_for(pairs)
         self.light._word = self.laser.challenge
         self.sometimes_nudge()
-        self.vigil = self.light.fire(self.laser, pairs, lambda: True)
+        self.supervisor = self.light.fire(self.laser, pairs, lambda: True)
         self.watch()
 
     def watch(self):
-        """The vigil takes some steps."""
+        """The supervisor takes some steps."""
         for _ in range(self.rng.choice((1, 10, 60))):
-            if self.vigil is None:
+            if self.supervisor is None:
                 return
             if self.laser.state is not LaserState.FIRING:
                 self.laser.confirm_off()  # as its second thread does
                 return
-            self.vigil.ask()
-            self.vigil.judge()
+            self.supervisor.ask()
+            self.supervisor.judge()
             self.clock.sleep_s(0.01)
 
     # ---- the stages ------------------------------------------------------------------------------------

@@ -6,8 +6,8 @@ import sys
 from daq.timing.conditions import Conditions
 from daq.timing.opened import open_laser
 from daq.timing.pulses import PairExposures, PulseTiming
+from daq.timing.supervisor import LaserSupervisor
 from daq.timing.timing_table import HeadTable, TimingTable
-from daq.timing.vigil import Vigil
 from stages.clock import SYSTEM_CLOCK
 
 GOOD = Conditions(True, True, True, 5.0, 10_000, True)
@@ -34,8 +34,8 @@ def main():
             laser.arm(GOOD, laser.challenge)
             laser.fire(int(pairs))
             print("fires", flush=True)
-            with Vigil(laser, lambda: GOOD, SYSTEM_CLOCK, SYSTEM_CLOCK) as vigil:
-                vigil.wait()
+            with LaserSupervisor(laser, lambda: GOOD, SYSTEM_CLOCK, SYSTEM_CLOCK) as supervisor:
+                supervisor.wait()
             print("done", flush=True)
 
 

@@ -13,7 +13,7 @@ import time
 from daq.errors import DaqError
 from daq.timing.conditions import Rules
 from daq.timing.pulses import LaserHead
-from daq.timing.vigil import Vigil
+from daq.timing.supervisor import LaserSupervisor
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.timing.armed_laser import GOOD, armed
 
@@ -49,8 +49,8 @@ def main():
     laser.fire(80)
     taker = subprocess.Popen([sys.executable, "-c", TAKER, str(os.getpid())])
     try:
-        with Vigil(laser, ask, clock, SYSTEM_CLOCK) as vigil:
-            vigil.wait()
+        with LaserSupervisor(laser, ask, clock, SYSTEM_CLOCK) as supervisor:
+            supervisor.wait()
     except DaqError as error:
         what = str(error)
     finally:

@@ -13,7 +13,7 @@ from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, PulsesRefused,
 from daq.timing.laser import Laser
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
-from daq.timing.vigil import Vigil
+from daq.timing.supervisor import LaserSupervisor
 from sim.emulators.faults import KINDS, Fault, FaultSchedule
 from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
@@ -180,15 +180,15 @@ def light_after(emulator, clock, seconds):
 
 @pytest.mark.parametrize("driver", FIRMWARE)
 def test_a_condition_that_is_lost_after_a_loose_cable_ends_the_light(driver):
-    """Nobody has asked the box anything between the two, so only the vigil can find the port dead."""
+    """Nobody has asked the box anything between the two, so only the supervisor can find the port dead."""
     with desk(driver) as (laser, emulator, line, clock):
         to_armed(laser)
         laser.fire(200)
         clock.sleep_s(0.5)
         put_out_and_in(line)
         moves = replace(GOOD, at_rest=False)
-        with Vigil(laser, lambda: moves, clock, SYSTEM_CLOCK) as vigil, pytest.raises(LaserStopped):
-            vigil.wait()
+        with LaserSupervisor(laser, lambda: moves, clock, SYSTEM_CLOCK) as supervisor, pytest.raises(LaserStopped):
+            supervisor.wait()
         assert laser.state is LaserState.FAULT
         assert not light_after(emulator, clock, 3.0)
 

@@ -34,7 +34,7 @@ ON_TIME_S = 0.02  # between two looks of a judge who is on time; what is beyond 
 BLIND_S = 5.0  # of the wall's clock, without a new answer, however busy the computer was
 
 
-class Vigil:
+class LaserSupervisor:
     """The watch over one chunk: enter it after `fire`, leave it when the burst has ended.
 
     Parameters
@@ -56,10 +56,10 @@ class Vigil:
         self._silence_s = 0.0  # since then, as far as the judge was on time
         self._ended = threading.Event()
         self._asks = threading.Thread(target=self._go_on_asking, name="conditions", daemon=True)
-        self._judges = threading.Thread(target=self._go_on_judging, name="vigil", daemon=True)
+        self._judges = threading.Thread(target=self._go_on_judging, name="supervisor", daemon=True)
         self.error: Exception | None = None  # what ended the burst before its count
 
-    def __enter__(self) -> "Vigil":
+    def __enter__(self) -> "LaserSupervisor":
         self._heard_s = self._looked_s = self._wall.now_s()
         self._asks.start()
         self._judges.start()

@@ -12,7 +12,7 @@ from daq.timing.conditions import Rules
 from daq.timing.errors import LaserStopped
 from daq.timing.pulses import LaserHead
 from daq.timing.states import LaserState
-from daq.timing.vigil import BLIND_S, SILENCE_S, Vigil
+from daq.timing.supervisor import BLIND_S, SILENCE_S, LaserSupervisor
 from sim.mechanics.clock import ScaledClock
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.timing.armed_laser import GOOD, armed, conditions_with
@@ -41,7 +41,7 @@ def test_the_vigil_switches_off_within_50_ms_of_a_lost_condition():
     laser, box, clock = armed(ScaledClock(), **AT_ONCE)
     now = [GOOD]
     laser.fire(90)
-    with Vigil(laser, lambda: now[0], clock, SYSTEM_CLOCK) as vigil:
+    with LaserSupervisor(laser, lambda: now[0], clock, SYSTEM_CLOCK) as supervisor:
         time.sleep(0.3)
         assert laser.state is LaserState.FIRING
         now[0], lost_s = conditions_with(at_rest=False), time.monotonic()
@@ -49,12 +49,12 @@ def test_the_vigil_switches_off_within_50_ms_of_a_lost_condition():
             time.sleep(0.001)
         assert time.monotonic() - lost_s < 0.05 + 0.1  # the second half for a busy machine
         with pytest.raises(LaserStopped, match="moves"):
-            vigil.wait()
+            supervisor.wait()
     assert laser.state is LaserState.FAULT
 
 
 def test_the_vigil_takes_silence_and_errors_for_lost(mocker):
-    mocker.patch("daq.timing.vigil.SILENCE_S", 0.1)
+    mocker.patch("daq.timing.supervisor.SILENCE_S", 0.1)
 
     def hangs():
         time.sleep(0.6)
@@ -66,7 +66,7 @@ def test_the_vigil_takes_silence_and_errors_for_lost(mocker):
     for ask, words in ((hangs, "no state was reported"), (fails, "no camera")):
         laser, box, clock = armed(ScaledClock(), **AT_ONCE)
         laser.fire(50)
-        with Vigil(laser, ask, clock, SYSTEM_CLOCK):
+        with LaserSupervisor(laser, ask, clock, SYSTEM_CLOCK):
             time.sleep(0.4)
         assert words in laser.why
         assert box.burst is None
@@ -75,7 +75,7 @@ def test_the_vigil_takes_silence_and_errors_for_lost(mocker):
 def test_leaving_the_vigil_switches_off():
     laser, box, clock = armed(ScaledClock(), **AT_ONCE)
     laser.fire(50)
-    with Vigil(laser, lambda: GOOD, clock, SYSTEM_CLOCK):
+    with LaserSupervisor(laser, lambda: GOOD, clock, SYSTEM_CLOCK):
         pass
     assert box.burst is None
 
@@ -91,7 +91,7 @@ def test_a_computer_that_had_no_time_is_not_a_silent_device():
         return GOOD
 
     laser.fire(100)
-    with Vigil(laser, ask, clock, wall):
+    with LaserSupervisor(laser, ask, clock, wall):
         asked.wait(5.0)
         wall.jump(3.0 * SILENCE_S)
         time.sleep(0.1)
@@ -111,7 +111,7 @@ def test_a_computer_that_has_no_time_for_too_long_does_not_watch():
         return GOOD
 
     laser.fire(100)
-    with Vigil(laser, ask, clock, wall):
+    with LaserSupervisor(laser, ask, clock, wall):
         for _ in range(6):
             wall.jump(BLIND_S / 5.0)
             time.sleep(0.03)
@@ -122,7 +122,7 @@ def test_a_computer_that_has_no_time_for_too_long_does_not_watch():
 
 @pytest.mark.parametrize("late_s", [0.0, 0.05])
 def test_a_device_that_says_nothing_is_not_excused_by_a_judge_who_is_late_now_and_then(mocker, late_s):
-    mocker.patch("daq.timing.vigil.SILENCE_S", 0.2)
+    mocker.patch("daq.timing.supervisor.SILENCE_S", 0.2)
     laser, box, clock = armed(ScaledClock(), **AT_ONCE)
     wall, answers = JumpingClock(), threading.Event()
 
@@ -131,7 +131,7 @@ def test_a_device_that_says_nothing_is_not_excused_by_a_judge_who_is_late_now_an
         return GOOD
 
     laser.fire(100)
-    with Vigil(laser, ask, clock, wall):
+    with LaserSupervisor(laser, ask, clock, wall):
         while laser.state is LaserState.FIRING and clock.now_s() < 9.0:
             time.sleep(0.02)
             wall.jump(late_s)
