@@ -39,7 +39,7 @@ from daq.timing.pulses import (
     Schedule,
     schedule_of,
 )
-from daq.timing.states import EMITS, Event, LaserState, Movers, Standing
+from daq.timing.states import EMITS, Event, LaserState, LaserStateMachine, Movers
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
@@ -79,7 +79,7 @@ class Laser:
         self._clock = clock
         self._latch = box.latch
         self._lock = threading.RLock()  # one verb at a time
-        self._standing = Standing(name, box.latch, clock)
+        self._states = LaserStateMachine(name, box.latch, clock)
         self._exposures: PairExposures | None = None
         self._rate_hz: float | None = None  # of lamps that run
         self._ends_s = math.inf  # of the burst that goes on
@@ -91,22 +91,22 @@ class Laser:
     @property
     def state(self) -> LaserState:
         """What may be asked of it now; WARM becomes READY by the clock."""
-        return self._standing.state
+        return self._states.state
 
     @property
     def emits(self) -> bool:
         """Whether light is meant to leave now; asks no lock, so a signal handler may ask it."""
-        return self._standing.emits
+        return self._states.emits
 
     @property
     def why(self) -> str:
         """What happened the last time that it went into doubt."""
-        return self._standing.why
+        return self._states.why
 
     @property
     def challenge(self) -> str:
         """Word that a person has to type before anything can be armed; another one after every `safe`."""
-        return self._standing.challenge
+        return self._states.challenge
 
     @property
     def dt_us(self) -> float | None:
@@ -116,7 +116,7 @@ class Laser:
     @property
     def warm_in_s(self) -> float:
         """Time until the lamps have run for long enough."""
-        return max(0.0, self._standing.heated_s - self._clock.now_s())
+        return max(0.0, self._states.heated_s - self._clock.now_s())
 
     @property
     def camera_triggers(self) -> int:
@@ -130,7 +130,7 @@ class Laser:
 
     def keep_still(self, movers: Movers) -> None:
         """Let nothing of `movers` move while light may leave, and no light leave while something of it moves."""
-        self._standing.keep_still(movers)
+        self._states.keep_still(movers)
 
     # ---- light begins ----------------------------------------------------------------------------------
 
@@ -146,7 +146,7 @@ class Laser:
             self.box.connect(url, baud)
             with suppress(*UNREADABLE):
                 self._silence()
-                self._standing.enter(Event.OFF)
+                self._states.enter(Event.OFF)
                 self._ask_anew()
 
     def warm(self, rate_hz: float | None = None) -> None:
@@ -163,20 +163,20 @@ class Laser:
             It is not SAFE, cannot run at this rate, or the box does not do it.
         """
         with self._lock, self._doubting():
-            self._standing.require(LaserState.SAFE)
+            self._states.require(LaserState.SAFE)
             rate_hz = rate_hz or self.head.lamp_rate_hz or self.head.max_rate_hz
             self.head.require_rate(rate_hz)
-            self.box.token = self._standing.token()
+            self.box.token = self._states.token()
             if self.head.lamp_to_q_switch_us is None:
-                self._standing.heated_s, self._rate_hz = self._clock.now_s(), None
-                self._standing.enter(Event.WARM_UP)
+                self._states.heated_s, self._rate_hz = self._clock.now_s(), None
+                self._states.enter(Event.WARM_UP)
                 return
             lamps = {role: Pulse(0.0, TRIGGER_US) for role in LAMPS if role in self.box.wiring}
             self.box.load(Schedule(1e6 / rate_hz, lamps))
-            self._standing.heated_s, self._rate_hz = math.inf, rate_hz
-            self._standing.enter(Event.WARM_UP)
+            self._states.heated_s, self._rate_hz = math.inf, rate_hz
+            self._states.enter(Event.WARM_UP)
             self.box.start_lamps()
-            self._standing.heated_s = self._clock.now_s() + self.rules.warmup_s
+            self._states.heated_s = self._clock.now_s() + self.rules.warmup_s
 
     def set(self, timing: PulseTiming, exposures: PairExposures) -> Schedule:
         """Load dt and exposures while no Q-switch is on; return what the box says it has.
@@ -190,7 +190,7 @@ class Laser:
         """
         schedule = schedule_of(timing, self.head, exposures)
         with self._lock, self._doubting():
-            self._standing.require(LaserState.READY)
+            self._states.require(LaserState.READY)
             if self._rate_hz is not None and not math.isclose(timing.rate_hz, self._rate_hz, rel_tol=1e-6):
                 raise PulsesRefused(
                     f"the lamps run at {self._rate_hz:g} Hz, and changing that bends the beam; {timing.rate_hz:g} "
@@ -198,7 +198,7 @@ class Laser:
                 )
             self.schedule = None
             self._exposures = exposures
-            self.box.token = self._standing.token()
+            self.box.token = self._states.token()
             self.schedule = self.box.load(schedule)
             if not math.isclose(self.schedule.dt_us, timing.dt_us, abs_tol=1.01 * self.box.least_step_us):
                 raise LaserDoubt(f"{self.name} was set to dt = {timing.dt_us} us and says {self.schedule.dt_us}")
@@ -222,29 +222,29 @@ class Laser:
             The box does not hold what it was loaded with.
         """
         with self._lock, self._doubting():
-            self._standing.require(LaserState.READY)
+            self._states.require(LaserState.READY)
             schedule, exposures = self.schedule, self._exposures
             if schedule is None or exposures is None:
                 raise NotNow(f"{self.name} has no dt yet; set() comes first")
-            self._standing.require_word(word)
+            self._states.require_word(word)
             missing = conditions.missing(1, self.rules.clear_mm)
             missing = missing or exposure_problem(schedule, exposures, self.rules.dark_us)
             if missing is not None:
                 raise NotArmed(f"{self.name} is not armed: {missing}")
             self._require_count()
-            self.box.token = self._standing.token()
+            self.box.token = self._states.token()
             self.box.confirm(schedule, lamps=self._rate_hz is not None)
             self._conditions, self._armed_s = conditions, self._clock.now_s()
-            self._standing.enter(Event.ARM)
-            if moves := self._standing.what_moves():  # asked when nothing can begin to move any more
-                self._standing.enter(Event.DISARM)
+            self._states.enter(Event.ARM)
+            if moves := self._states.what_moves():  # asked when nothing can begin to move any more
+                self._states.enter(Event.DISARM)
                 raise NotArmed(f"{self.name} is not armed: {moves}")
 
     def disarm(self) -> None:
         """Go back to READY."""
         with self._lock:
-            self._standing.require(LaserState.ARMED)
-            self._standing.enter(Event.DISARM)
+            self._states.require(LaserState.ARMED)
+            self._states.enter(Event.DISARM)
 
     def fire(self, pairs: int) -> None:
         """Give that many pairs of pulses; returns when they have begun.
@@ -261,7 +261,7 @@ class Laser:
             The box did not take it; it was switched off.
         """
         with self._lock, self._doubting():
-            self._standing.require(LaserState.ARMED)
+            self._states.require(LaserState.ARMED)
             assert self.schedule is not None
             most = self.most_pairs
             if not 1 <= pairs <= most:
@@ -272,10 +272,10 @@ class Laser:
                 raise NotArmed(f"{self.name} was armed {old_s:.0f} s ago; state the conditions anew (disarm, arm)")
             if missing := self._conditions.missing(pairs, self.rules.clear_mm):
                 raise NotArmed(f"{self.name} does not fire: {missing}")
-            self.box.token = self._standing.token()
+            self.box.token = self._states.token()
             self.pairs = pairs
             self._ends_s = math.inf
-            self._standing.enter(Event.FIRE)
+            self._states.enter(Event.FIRE)
             begun_s = self._clock.now_s()
             self.box.begin(pairs)
             if self.box.counts:  # it counts from when the last output was switched on
@@ -298,18 +298,18 @@ class Laser:
             It is not SAFE, the bench has no such mode, or a limit is broken; nothing was sent.
         """
         with self._lock, self._doubting():
-            self._standing.require(LaserState.SAFE)
+            self._states.require(LaserState.SAFE)
             schedule, pulses = self.weak_burst(rate_hz, for_s)
-            self._standing.require_word(word)
-            if moves := self._standing.what_moves():
+            self._states.require_word(word)
+            if moves := self._states.what_moves():
                 raise NotArmed(f"{self.name} gives no light: {moves}")
-            self.box.token = self._standing.token()
+            self.box.token = self._states.token()
             self.schedule = None
             self.box.load(schedule)
             self.pairs = pulses
             self._ends_s = math.inf
-            self._standing.enter(Event.ALIGN)
-            if moves := self._standing.what_moves():
+            self._states.enter(Event.ALIGN)
+            if moves := self._states.what_moves():
                 raise LaserStopped(f"{self.name} gives no light: {moves}")
             if self.head.lamp_to_q_switch_us is not None:
                 self.box.start_lamps()
@@ -351,11 +351,11 @@ class Laser:
                     self.box.reconnect()
                 self._silence()
             except BaseException as doubt:
-                self._standing.doubt(str(doubt))
+                self._states.doubt(str(doubt))
                 raise
             if self._latch.count != count:
                 raise LaserStopped(f"{self.name}: {self.why}")
-            self._standing.enter(Event.OFF)
+            self._states.enter(Event.OFF)
             self._ask_anew()
 
     def stop(self, why: str = "stopped on request") -> None:
@@ -370,7 +370,7 @@ class Laser:
         try:
             self.box.drop()
         finally:
-            self._standing.doubt(why)
+            self._states.doubt(why)
 
     def confirm_off(self) -> bool:
         """After a stop: try to read back that everything is off; True if nothing is in doubt (any more).
@@ -389,7 +389,7 @@ class Laser:
                     self.box.drop()
                 return False
             with suppress(LaserStopped, NotNow):
-                self._standing.enter(Event.STILL)
+                self._states.enter(Event.STILL)
             return True
 
     def close(self) -> None:
@@ -462,10 +462,10 @@ class Laser:
                 if state is LaserState.FIRING:
                     self.box.end()
                     self.box.require_lamps(self._rate_hz is not None)  # a restart ends bursts too
-                    self._standing.enter(Event.DONE)
+                    self._states.enter(Event.DONE)
                 else:
                     self._silence()
-                    self._standing.enter(Event.OFF)
+                    self._states.enter(Event.OFF)
                 return False
 
     def wait(self) -> None:
@@ -484,7 +484,7 @@ class Laser:
     # ---- inside ----------------------------------------------------------------------------------
 
     def _ask_anew(self) -> None:
-        self._standing.ask_anew()
+        self._states.ask_anew()
         self.schedule = self._exposures = self._rate_hz = None
         self._ends_s = math.inf
 

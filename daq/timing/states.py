@@ -16,10 +16,10 @@ OFF (a person asked for it; everything was written off and reads back as off) le
 been said, and nobody has confirmed it. STILL (it reads back as off) makes that a FAULT, which a person has to
 look at. A laser without lamps is warm at once.
 
-`Standing` is what may be asked of a laser now, for several threads: its state, why it is in doubt, the operator's
-word.  Every verb of a laser requires a state and enters another one; what a stop
-from another thread has made of the state meanwhile wins over what the verb would have made of it.  What can move
-on the bench is kept still from arming until the light reads back as off.
+`LaserStateMachine` is what may be asked of a laser now, for several threads: its state, why it is in doubt, the
+operator's word.  Every verb of a laser requires a state and enters another one; what a stop from another thread
+has made of the state meanwhile wins over what the verb would have made of it.  What can move on the bench is kept
+still from arming until the light reads back as off.
 """
 
 import math
@@ -115,7 +115,7 @@ class Movers(Protocol):
         ...
 
 
-class Standing:
+class LaserStateMachine:
     """How a laser stands; safe for several threads.
 
     Parameters

@@ -98,7 +98,7 @@ class Story:
         if pulse.output not in self.q_switches:
             return
         self.pulses += 1
-        state = self.laser._standing._state  # without its clock
+        state = self.laser._states._state  # without its clock
         self.left[pulse.output] -= 1
         if self.left[pulse.output] < 0 and self.kind != "oltSync":  # which does not count
             self.found.append(f"one pulse too many on {pulse.output} at {pulse.rises_s:.4f} s")

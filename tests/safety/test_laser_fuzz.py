@@ -42,7 +42,7 @@ def test_the_judge_sees_a_state_that_goes_ahead_of_the_box(monkeypatch):
 
 def ends_early(laser):
     if laser.state is LaserState.FIRING:
-        laser._standing.enter(Event.DONE)
+        laser._states.enter(Event.DONE)
     return False
 
 

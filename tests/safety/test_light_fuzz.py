@@ -2,7 +2,7 @@
 
 import pytest
 
-from daq.timing.states import Standing
+from daq.timing.states import LaserStateMachine
 from tests.safety.light_fuzz import Playground, play
 
 
@@ -24,13 +24,13 @@ def test_nothing_moves_while_light_leaves_in_2_000_sequences():
 
 
 def test_the_judge_sees_a_laser_that_lets_things_move(monkeypatch):
-    monkeypatch.setattr(Standing, "objection", lambda self: None)
+    monkeypatch.setattr(LaserStateMachine, "objection", lambda self: None)
     _, found = play(range(50), "moves f")
     assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
 
 
 def test_the_judge_sees_a_laser_that_does_not_look_what_moves(monkeypatch):
-    monkeypatch.setattr(Standing, "what_moves", lambda self: None)
+    monkeypatch.setattr(LaserStateMachine, "what_moves", lambda self: None)
     _, found = play(range(50), "looks a")
     assert any("s while " in line and line.endswith("moves") for line in found), "\n".join(found)
 
