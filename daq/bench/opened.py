@@ -239,7 +239,7 @@ def _keep_apart(devices: Mapping[str, object]) -> None:
     for laser in devices.values():
         if isinstance(laser, Laser):
             for stage in stages:
-                laser.keep_still(stage)
+                laser.add_motion_interlock(stage)
 
 
 def known_positions(where_mm: Mapping[str, float | None]) -> dict[str, float]:

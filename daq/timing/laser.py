@@ -128,9 +128,9 @@ class Laser:
         """Largest chunk at the rate that was set; 0 if none was."""
         return 0 if self.schedule is None else int(self.rules.chunk_s * self.schedule.rate_hz + 1e-9)
 
-    def keep_still(self, movers: Movers) -> None:
+    def add_motion_interlock(self, movers: Movers) -> None:
         """Let nothing of `movers` move while light may leave, and no light leave while something of it moves."""
-        self._states.keep_still(movers)
+        self._states.add_motion_interlock(movers)
 
     # ---- light begins ----------------------------------------------------------------------------------
 

@@ -197,7 +197,7 @@ class LaserStateMachine:
 
     # ---- beside what moves -----------------------------------------------------------------------
 
-    def keep_still(self, movers: Movers) -> None:
+    def add_motion_interlock(self, movers: Movers) -> None:
         """Let nothing of `movers` move while light may leave, and no light leave while something of it moves."""
         self._movers.append(movers)
         movers.bar_motion(self.objection)

@@ -52,7 +52,7 @@ class LightStory(laser_fuzz.Story):
         super().__init__(seed, bench.clock)
         self.laser.rules = RULES
         self.bench, self.glides, self.stage = bench, glides, bench.stage
-        self.laser.keep_still(self.stage)
+        self.laser.add_motion_interlock(self.stage)
         hardware = OpenBench(bench_of(SCENE), {"stages": self.stage}, {}, bench.clock, None)
         self.light = Light(hardware, SimpleNamespace(path="."), None, None)
         self.supervisor = None
