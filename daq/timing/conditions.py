@@ -8,7 +8,7 @@ statement all the time while it fires, and goes off when one of them no longer h
 
 from dataclasses import dataclass
 
-from daq.timing.alignment import AlignRules
+from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import PairExposures, Schedule
 
 CLEAR_MM = 4.0  # of the sheet, where the bench file says nothing else
@@ -107,7 +107,7 @@ class Rules:
         Longest exposure B for which the room is dark enough; None if that is no matter.
     uncounted : bool
         Whether a box that cannot count may fire.
-    align : AlignRules or None
+    align : LowEnergyRules or None
         None if there is no alignment mode.
     """
 
@@ -116,4 +116,4 @@ class Rules:
     clear_mm: float = CLEAR_MM
     dark_us: float | None = None
     uncounted: bool = False
-    align: AlignRules | None = None
+    align: LowEnergyRules | None = None

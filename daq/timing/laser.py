@@ -25,10 +25,10 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from daq.timing.alignment import weak_burst
 from daq.timing.box import UNREADABLE, TimingBox
 from daq.timing.conditions import Conditions, Rules, exposure_problem
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, NotNow, PulsesRefused, TimingUsageError
+from daq.timing.low_energy import low_energy_burst
 from daq.timing.pulses import (
     LAMPS,
     TRIGGER_US,
@@ -290,7 +290,7 @@ class Laser:
         word : str
             `challenge`, as a person has typed it.
         rate_hz, for_s : float
-            Within `AlignRules`.
+            Within `LowEnergyRules`.
 
         Raises
         ------
@@ -299,7 +299,7 @@ class Laser:
         """
         with self._lock, self._doubting():
             self._states.require(LaserState.SAFE)
-            schedule, pulses = self.weak_burst(rate_hz, for_s)
+            schedule, pulses = self.low_energy_burst(rate_hz, for_s)
             self._states.require_word(word)
             if moves := self._states.what_moves():
                 raise NotArmed(f"{self.name} gives no light: {moves}")
@@ -316,7 +316,7 @@ class Laser:
             self.box.begin(self.pairs, camera=False)
             self._ends_s = self._clock.now_s() + self.pairs / rate_hz
 
-    def weak_burst(self, rate_hz: float, for_s: float) -> tuple[Schedule, int]:
+    def low_energy_burst(self, rate_hz: float, for_s: float) -> tuple[Schedule, int]:
         """Return where the weak pulses of `align` lie, and how many they are; nothing is sent.
 
         Raises
@@ -327,7 +327,7 @@ class Laser:
         if self.rules.align is None:
             raise NotNow(f"{self.name} has no alignment mode; say `align` in the bench file")
         self._require_count()
-        return weak_burst(self.rules.align, self.head, self.box.wiring, rate_hz, for_s)
+        return low_energy_burst(self.rules.align, self.head, self.box.wiring, rate_hz, for_s)
 
     # ---- light ends ------------------------------------------------------------------------------------
 

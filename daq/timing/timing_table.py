@@ -4,9 +4,9 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from daq.timing.alignment import AlignRules
 from daq.timing.conditions import CLEAR_MM, Rules
 from daq.timing.drivers_by_name import DRIVERS
+from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
 from ground.config import Pair, Table
 from ground.usual import Usual
@@ -61,7 +61,7 @@ class ExposuresTable(Table):
 
 
 class AlignTable(Table):
-    """Limits of the alignment mode; see `AlignRules`."""
+    """Limits of the alignment mode; see `LowEnergyRules`."""
 
     max_rate_hz: Positive = 10.0
     max_s: Annotated[float, Field(gt=0.0, le=60.0)] = 10.0
@@ -122,7 +122,7 @@ class TimingTable(Table):
             clear_mm=self.clear_mm,
             dark_us=self.dark_us,
             uncounted=self.uncounted,
-            align=None if self.align is None else AlignRules(**self.align.model_dump()),
+            align=None if self.align is None else LowEnergyRules(**self.align.model_dump()),
         )
 
 

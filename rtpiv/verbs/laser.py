@@ -125,7 +125,7 @@ def _off(laser: KnownLaser) -> SwitchedOff:
 
 
 def _align(opened: Laser, rate_hz: float, for_s: float) -> None:
-    opened.weak_burst(rate_hz, for_s)  # what is refused is refused before anybody puts goggles on
+    opened.low_energy_burst(rate_hz, for_s)  # what is refused is refused before anybody puts goggles on
     error_console().print(
         f"{rate_hz:g} weak pulses a second for {for_s:g} s. Goggles on, door shut? Software is no interlock.\n"
         f"Type {opened.challenge} to let them leave: ",

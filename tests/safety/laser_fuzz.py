@@ -18,11 +18,11 @@ from contextlib import suppress
 from typing import ClassVar
 
 from daq.errors import DaqError
-from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Conditions, Rules
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox
 from daq.timing.drivers.quantum_composers import QuantumComposersBox
 from daq.timing.laser import Laser
+from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import Q_SWITCHES, LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import EMITS, LaserState
 from sim.emulators.faults import KINDS, Fault
@@ -37,7 +37,7 @@ GOOD = Conditions(True, True, True, 5.0, 10_000, True)
 LAMPS = {Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH_2: "D", Role.CAMERA: "E"}
 PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.MARKER: "D"}
 DIODE = {Role.Q_SWITCH_1: "2", Role.CAMERA: "1"}
-RULES = Rules(warmup_s=5.0, uncounted=True, align=AlignRules(q_switch_delay_us=300.0, pulse_us=5.0))
+RULES = Rules(warmup_s=5.0, uncounted=True, align=LowEnergyRules(q_switch_delay_us=300.0, pulse_us=5.0))
 FIELDS = {
     "camera_armed": False, "at_rest": False, "sheet_clearance_mm": 1.0, "shutter_open": None, "frames_fit": -1,
 }  # fmt: skip

@@ -6,8 +6,8 @@ from typing import ClassVar
 from daq.bench.bench_table import Bench, BenchTable
 from daq.bench.opened import OpenBench
 from daq.runner.light import Light
-from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Rules
+from daq.timing.low_energy import LowEnergyRules
 from daq.timing.states import LaserState
 from daq.timing.supervisor import LaserSupervisor
 from ground.config import Document
@@ -21,7 +21,7 @@ CLEAR_MM = 4.0
 SLACK_MM = 0.25  # what the workshop built: play, lead, tolerance of arrival
 BALL_MM, BALL_RADIUS_MM, THICK_MM = 25.0, 10.0, 5.0  # of the ball at home; of the target
 CONTROLLERS = ("glass", "target", "target", "portal", "rail")
-WEAK = AlignRules(q_switch_delay_us=300.0, pulse_us=5.0)
+WEAK = LowEnergyRules(q_switch_delay_us=300.0, pulse_us=5.0)
 RULES = Rules(warmup_s=5.0, clear_mm=CLEAR_MM, uncounted=True, align=WEAK)
 READY_BY_HAND = 0.7  # of the stories begin with a laser that may be armed
 

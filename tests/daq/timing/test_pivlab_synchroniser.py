@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 
 from daq.errors import DaqError
-from daq.timing.alignment import AlignRules
 from daq.timing.conditions import Conditions, Rules
 from daq.timing.drivers.pivlab_synchroniser import OltSyncBox, XmSyncBox
 from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed, PulsesRefused, WrongBox
 from daq.timing.laser import Laser
+from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import LaserHead, PairExposures, PulseTiming, Role
 from daq.timing.states import LaserState
 from daq.timing.supervisor import LaserSupervisor
@@ -25,7 +25,7 @@ from stages.errors import CommandRejected, StageError
 WIRING = {Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}
 HEAD = LaserHead(max_rate_hz=100.0, pulse_us=50.0)
 EXPOSURES = PairExposures(9_900.0, 9_900.0, 100.0, start_delay_us=17.0, two_triggers=True)  # rate 50 Hz and less
-RULES = Rules(uncounted=True, warmup_s=0.0, align=AlignRules(pulse_us=2.0))
+RULES = Rules(uncounted=True, warmup_s=0.0, align=LowEnergyRules(pulse_us=2.0))
 GOOD = Conditions(True, True, True, 5.0, 1000, True)
 FIRMWARE = {OltSyncBox: OltSyncEmulator, XmSyncBox: XmSyncEmulator}
 

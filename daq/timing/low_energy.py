@@ -12,7 +12,7 @@ from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, Pulse, R
 
 
 @dataclass(frozen=True, slots=True)
-class AlignRules:
+class LowEnergyRules:
     """Limits of the alignment mode.
 
     Parameters
@@ -33,14 +33,14 @@ class AlignRules:
     pulse_us: float | None = None
 
 
-def weak_burst(
-    rules: AlignRules, head: LaserHead, wired: Container[Role], rate_hz: float, for_s: float
+def low_energy_burst(
+    rules: LowEnergyRules, head: LaserHead, wired: Container[Role], rate_hz: float, for_s: float
 ) -> tuple[Schedule, int]:
     """Return where the weak pulses lie in a period, and how many of them each Q-switch gets.
 
     Parameters
     ----------
-    rules : AlignRules
+    rules : LowEnergyRules
         What makes them weak, and their limits.
     head : LaserHead
         What the laser can do.
@@ -61,10 +61,12 @@ def weak_burst(
             f"alignment at {rate_hz:g} Hz for {for_s:g} s: at most {rules.max_rate_hz:g} Hz and {rules.max_s:g} s"
         )
     head.require_rate(rate_hz)
-    return _weak_schedule(rules, head, wired, rate_hz), max(1, int(rate_hz * for_s))
+    return _low_energy_schedule(rules, head, wired, rate_hz), max(1, int(rate_hz * for_s))
 
 
-def _weak_schedule(rules: AlignRules, head: LaserHead, wired: Container[Role], rate_hz: float) -> Schedule:
+def _low_energy_schedule(
+    rules: LowEnergyRules, head: LaserHead, wired: Container[Role], rate_hz: float
+) -> Schedule:
     """Place weak pulses on every Q-switch that is wired, and none on camera or marker."""
     has_lamps = head.lamp_to_q_switch_us is not None
     width_us = head.pulse_us if rules.pulse_us is None else rules.pulse_us
