@@ -159,7 +159,7 @@ def check_views(bench: Bench, steps: Iterable[Step]) -> None:
 
 
 @dataclass(frozen=True)
-class WayOut:
+class RetractPath:
     """What is known about the way out of the homed place.
 
     Parameters
@@ -177,7 +177,7 @@ class WayOut:
     sentence: str
 
 
-def way_out(bench: Bench, stage: Stage) -> WayOut:
+def retract_path(bench: Bench, stage: Stage) -> RetractPath:
     """Go through `after_home` without sending anything.
 
     Parameters
@@ -208,7 +208,7 @@ def way_out(bench: Bench, stage: Stage) -> WayOut:
         text = f"after_home does not lead out of the homed place: move {problems[0][0]}: {problems[0][1]}"
     else:
         text = "the plan is judged from the homed place" + (", left by after_home" if stages.after_home else "")
-    return WayOut(here if known else None, tuple(problems), text)
+    return RetractPath(here if known else None, tuple(problems), text)
 
 
 def forecast_from_home(bench: Bench, stage: Stage, steps: Sequence[Step]) -> tuple[Forecast, str]:
@@ -216,7 +216,7 @@ def forecast_from_home(bench: Bench, stage: Stage, steps: Sequence[Step]) -> tup
 
     Where that way is not known, the plan is forecast from the place at which the scene file holds.
     """
-    out = way_out(bench, stage)
+    out = retract_path(bench, stage)
     said = forecast(bench, stage, steps, out.start_mm)
     first = steps[0].index if steps else 0
     more = [Violation(first, f"move {number} of after_home", text) for number, text in out.problems]

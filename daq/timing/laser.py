@@ -249,7 +249,8 @@ class Laser:
     def fire(self, pairs: int) -> None:
         """Give that many pairs of pulses; returns when they have begun.
 
-        Somebody must call `watch` with the conditions as they stand until they have ended: `supervisor.LaserSupervisor` does.
+        Somebody must call `watch` with the conditions as they stand until they have ended:
+        `supervisor.LaserSupervisor` does.
 
         Raises
         ------

@@ -5,7 +5,7 @@ import pytest
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_session import BenchSession
 from daq.bench.guards import idle_stage
-from daq.plans.forecast import forecast_from_home, way_out
+from daq.plans.forecast import forecast_from_home, retract_path
 from daq.plans.plan import load_plan
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
@@ -111,7 +111,7 @@ def test_what_is_not_stated_is_not_judged_and_said_so(tmp_path):
     said, sentence = forecast_from_home(bench, idle_stage(bench), plan.steps)
     assert "where homing leaves target_z is not stated (homed_at_mm)" in sentence
     assert said.violations == ()  # forecast from the place of the scene, as without homing
-    out = way_out(obstructed_bench(tmp_path / "moved", "[{target_z: 0.0}]", known)[0], idle_stage(bench))
+    out = retract_path(obstructed_bench(tmp_path / "moved", "[{target_z: 0.0}]", known)[0], idle_stage(bench))
     assert out.start_mm == {**HOMED_AT_MM, "target_z": 0.0}
 
 
