@@ -1,6 +1,6 @@
-"""The laser of a run: warm once, one word of the operator, a chunk at a time, and off in every end.
+"""The laser of a run: warm once, one confirmation by the operator, a chunk at a time, and off in every end.
 
-The word is asked for once a run and holds for its chunks; it is the one that the laser has made up when it was
+The code is asked for once a run and holds for its chunks; it is the one that the laser has made up when it was
 opened (daq.timing.laser), so no plan, script or habit can hold it.
 """
 
@@ -32,8 +32,8 @@ CAMERA_RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "Resul
 class Operator(Protocol):
     """The person at the bench."""
 
-    def word(self, challenge: str) -> str:
-        """Return what was typed when the laser asked for its word."""
+    def confirmation_code(self, challenge: str) -> str:
+        """Return what was typed when the laser asked for its confirmation code."""
         ...
 
     def open_seeding(self) -> None:
@@ -48,7 +48,7 @@ class Operator(Protocol):
 class NoOperator:
     """Nobody is there."""
 
-    def word(self, challenge: str) -> str:
+    def confirmation_code(self, challenge: str) -> str:
         """Nobody can say it.
 
         Raises
@@ -57,7 +57,7 @@ class NoOperator:
             Always.
         """
         raise RunUsageError(
-            "the word that arms the laser cannot be typed here; use a terminal, or --operator NAME for a"
+            "the code that arms the laser cannot be typed here; use a terminal, or --operator NAME for a"
             " simulated one"
         )
 
@@ -87,7 +87,7 @@ class Light:
     folder : RunFolder
         On the disk that has to have room.
     operator : Operator
-        Says the word.
+        Confirms.
     interrupts : Interrupts
         What was asked for meanwhile.
     """
@@ -98,7 +98,7 @@ class Light:
         self._operator = operator
         self._interrupts = interrupts
         self._laser: Laser | None = None
-        self._word = ""
+        self._code = ""
         self._where_mm: dict[str, float | None] = {}
         self._turn: Iterator[str] = iter(())
         self.exposures: PairExposures | None = None
@@ -123,7 +123,7 @@ class Light:
         Raises
         ------
         RunUsageError
-            Camera and pulses do not go together, or nobody says the word.
+            Camera and pulses do not go together, or nobody confirms.
         TimingError, StageError
             The laser cannot.
         RunInterrupted
@@ -141,7 +141,7 @@ class Light:
             laser.safe()
         if laser.state is LaserState.SAFE:
             tell(f"waiting for the operator to type {laser.challenge}")
-            self._word = self._operator.word(laser.challenge)
+            self._code = self._operator.confirmation_code(laser.challenge)
             laser.warm(order.rate_hz)
             self._wait_until_warm(laser, order.warm_up_s, tell)
         laser.set(order.timing, self.exposures)
@@ -159,7 +159,7 @@ class Light:
         armed : callable
             Whether the camera waits for triggers; called from another thread.
         """
-        laser.arm(self._conditions(armed, True), self._word)
+        laser.arm(self._conditions(armed, True), self._code)
         try:
             laser.fire(pairs)
         except BaseException:
@@ -200,7 +200,7 @@ class Light:
         clearance_mm = sheet_clearance_mm(bench, known_positions(where)) if at_rest else None
         height, width = bench.scene.camera.shape
         room = shutil.disk_usage(self._folder.path).free // (4 * height * width)
-        # no shutter is wired to the bench: where there is one, the operator's word stands for it
+        # no shutter is wired to the bench: where there is one, the operator's confirmation stands for it
         return Conditions(armed(), is_empty, at_rest, clearance_mm, int(room), True)
 
 

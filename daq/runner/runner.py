@@ -54,7 +54,7 @@ class Runner:
     again : collection of int
         Finished steps that are to be taken again: a frame of theirs is damaged, see session.steps_to_retake.
     operator : Operator, optional
-        The person at the bench, whom a laser asks for its word.
+        The person at the bench, whom a laser asks for its confirmation code.
     aiming : Aiming, optional
         Decides where the next step of an alignment is.
     """

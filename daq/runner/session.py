@@ -356,7 +356,7 @@ def run_session(
     before : callable, optional
         Called with the open bench before anything moves.
     operator : Operator, optional
-        The person at the bench, whom a laser asks for its word.
+        The person at the bench, whom a laser asks for its confirmation code.
     show : callable, optional
         Gets each frame that is corrected as it arrives, for a page.
     say : callable, optional

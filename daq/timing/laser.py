@@ -3,7 +3,7 @@
     laser.safe()                          everything off, and read back
     laser.warm(10.0)                      lamps at their rate; ready after `warmup_s`
     laser.set(timing, exposures)          dt, with every Q-switch off; read back
-    laser.arm(conditions, word)           `word` is what a person has read from `laser.challenge` and typed
+    laser.arm(conditions, code)           `code` is what a person has read from `laser.challenge` and typed
     laser.fire(50)                        the box counts 50 pairs and stops by itself
     laser.wait()                          until it has; READY again, to be armed for the next chunk
     laser.stop("why")                     off now, from any thread; nothing goes on before `safe()`
@@ -105,7 +105,7 @@ class Laser:
 
     @property
     def challenge(self) -> str:
-        """Word that a person has to type before anything can be armed; another one after every `safe`."""
+        """Code that a person has to type before anything can be armed; another one after every `safe`."""
         return self._states.challenge
 
     @property
@@ -204,14 +204,14 @@ class Laser:
                 raise LaserDoubt(f"{self.name} was set to dt = {timing.dt_us} us and says {self.schedule.dt_us}")
             return self.schedule
 
-    def arm(self, conditions: Conditions, word: str) -> None:
+    def arm(self, conditions: Conditions, code: str) -> None:
         """Make ready to fire, for one chunk.
 
         Parameters
         ----------
         conditions : Conditions
             How things stand now.
-        word : str
+        code : str
             `challenge`, as a person has typed it for this run.
 
         Raises
@@ -226,7 +226,7 @@ class Laser:
             schedule, exposures = self.schedule, self._exposures
             if schedule is None or exposures is None:
                 raise NotNow(f"{self.name} has no dt yet; set() comes first")
-            self._states.require_word(word)
+            self._states.require_code(code)
             missing = conditions.missing(1, self.rules.clear_mm)
             missing = missing or exposure_problem(schedule, exposures, self.rules.dark_us)
             if missing is not None:
@@ -283,12 +283,12 @@ class Laser:
                 begun_s = self._clock.now_s()
             self._ends_s = begun_s + self.camera_triggers / self.schedule.rate_hz
 
-    def align(self, word: str, rate_hz: float, for_s: float) -> None:
+    def align(self, code: str, rate_hz: float, for_s: float) -> None:
         """Give weak pulses to see the sheet by, counted by the box; entered from SAFE, left through `safe`.
 
         Parameters
         ----------
-        word : str
+        code : str
             `challenge`, as a person has typed it.
         rate_hz, for_s : float
             Within `LowEnergyRules`.
@@ -301,7 +301,7 @@ class Laser:
         with self._lock, self._doubting():
             self._states.require(LaserState.SAFE)
             schedule, pulses = self.low_energy_burst(rate_hz, for_s)
-            self._states.require_word(word)
+            self._states.require_code(code)
             if moves := self._states.what_moves():
                 raise NotArmed(f"{self.name} gives no light: {moves}")
             self.box.token = self._states.token()

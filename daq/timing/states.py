@@ -17,7 +17,7 @@ been said, and nobody has confirmed it. STILL (it reads back as off) makes that 
 look at. A laser without lamps is warm at once.
 
 `LaserStateMachine` is what may be asked of a laser now, for several threads: its state, why it is in doubt, the
-operator's word.  Every verb of a laser requires a state and enters another one; what a stop from another thread
+confirmation code.  Every verb of a laser requires a state and enters another one; what a stop from another thread
 has made of the state meanwhile wins over what the verb would have made of it.  What can move on the bench is kept
 still from arming until the light reads back as off.
 """
@@ -53,7 +53,7 @@ class Event(Enum):
     OFF = "everything is off and reads back as off"
     WARM_UP = "lamps begin to run"
     HEATED = "the lamps have run for long enough"
-    ARM = "all conditions hold and the operator has said the word"
+    ARM = "all conditions hold and the operator has confirmed"
     DISARM = "it shall not fire now"
     FIRE = "a counted burst begins"
     DONE = "the box has counted to the end"
@@ -131,7 +131,7 @@ class LaserStateMachine:
     def __init__(self, name: str, latch: StopLatch, clock: Clock) -> None:
         self.name = name
         self.why = "it has not been looked at yet"  # of the last time that it went into doubt
-        self.challenge = ""  # the word to be typed
+        self.challenge = ""  # the code to be typed
         self.heated_s = math.inf  # when the lamps have run for long enough
         self._latch = latch
         self._clock = clock
@@ -183,17 +183,17 @@ class LaserStateMachine:
             self._state = after(self._state, Event.BAD)
             self.challenge = ""
 
-    # ---- the word ------------------------------------------------------------------------------
+    # ---- the confirmation code ------------------------------------------------------------------------------
 
     def ask_anew(self) -> None:
-        """Make another word up, so that no plan, script or habit can hold it."""
+        """Make another code up, so that no plan, script or habit can hold it."""
         self.challenge = str(1000 + secrets.randbelow(9000))
         self.heated_s = math.inf
 
-    def require_word(self, word: str) -> None:
+    def require_code(self, code: str) -> None:
         """Raise NotArmed unless it is the one that is asked for."""
-        if not self.challenge or not secrets.compare_digest(word.strip().encode(), self.challenge.encode()):
-            raise NotArmed(f"{self.name} is not armed: type the word that it asks for ({self.challenge})")
+        if not self.challenge or not secrets.compare_digest(code.strip().encode(), self.challenge.encode()):
+            raise NotArmed(f"{self.name} is not armed: type the code that it asks for ({self.challenge})")
 
     # ---- beside what moves -----------------------------------------------------------------------
 

@@ -132,9 +132,9 @@ def _align(opened: Laser, rate_hz: float, for_s: float) -> None:
         end="",
     )
     try:
-        word = input()
+        code = input()
     except EOFError:
-        word = ""
-    opened.align(word, rate_hz, for_s)
+        code = ""
+    opened.align(code, rate_hz, for_s)
     error_console().print("light; Ctrl-C switches off")
     opened.wait()

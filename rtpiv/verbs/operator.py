@@ -1,8 +1,8 @@
-"""Who says the word that a laser asks for: a person at the terminal, or a script where there is no light.
+"""Who types the code that a laser asks for: a person at the terminal, or a script where there is no light.
 
-The laser makes its word up whenever it has been switched off, so nobody can write it down before the bench is
+The laser makes its code up whenever it has been switched off, so nobody can write it down before the bench is
 open.  A script can therefore answer for a simulated laser only, by `--operator NAME`; a real one wants a person
-who reads the word and types it, at the bench, once a run.
+who reads the code and types it, at the bench, once a run.
 """
 
 import math
@@ -18,11 +18,11 @@ from ground.terminal import error_console
 class TerminalOperator:
     """A person at the terminal."""
 
-    def word(self, challenge: str) -> str:
-        """Show the word and return what was typed."""
+    def confirmation_code(self, challenge: str) -> str:
+        """Show the code and return what was typed."""
         error_console().print(
             "\nThe laser is about to be armed. Software is no interlock: door switch, goggles and beam stops are "
-            f"yours.\nIs everybody out of the beam? Then type this word: {challenge}",
+            f"yours.\nIs everybody out of the beam? Then type this code: {challenge}",
             soft_wrap=True,
         )
         return _typed()
@@ -51,7 +51,7 @@ class TerminalOperator:
 class ScriptOperator:
     """A script that answers for a simulated laser."""
 
-    def word(self, challenge: str) -> str:
+    def confirmation_code(self, challenge: str) -> str:
         """Say what is asked for."""
         return challenge
 
@@ -86,7 +86,7 @@ def operator_of(name: str | None, simulate: bool) -> Operator:
     """
     if name is not None and not simulate:
         raise RunUsageError(
-            "--operator answers for a simulated laser only; at a real one a person types the word that it shows"
+            "--operator answers for a simulated laser only; at a real one a person types the code that it shows"
         )
     if name is not None:
         return ScriptOperator()
@@ -96,7 +96,7 @@ def operator_of(name: str | None, simulate: bool) -> Operator:
 def require_person(person: Operator, steps: Sequence[Step]) -> None:
     """Refuse steps that need light if nobody can arm the laser; RunUsageError before anything moves."""
     if isinstance(person, NoOperator) and any(step.pulses is not None for step in steps):
-        person.word("")
+        person.confirmation_code("")
 
 
 def _typed() -> str:

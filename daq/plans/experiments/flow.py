@@ -18,7 +18,7 @@
 
 Only whole pairs that are sure are kept (runner.pair_finder).  A pair that was fired and lost is counted and fired
 again, for a flow goes on; so a step has no gaps, and the time of every pair stands in its record.  The operator
-types the word that the laser asks for once a run; it stands in no file.
+types the code that the laser asks for once a run; it stands in no file.
 """
 
 from collections.abc import Iterator

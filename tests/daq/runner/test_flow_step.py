@@ -228,10 +228,10 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
     bench, plan = write_flow(tmp_path, channels=DIODES)
     began = []
     monkeypatch.setattr("daq.timing.laser.Laser.fire", lambda self, pairs: began.append(pairs))
-    with pytest.raises(RunUsageError, match="the word that arms the laser cannot be typed"):
+    with pytest.raises(RunUsageError, match="the code that arms the laser cannot be typed"):
         acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, frames=LiveFrames(correct=False))
-    monkeypatch.setattr("rtpiv.verbs.operator.ScriptOperator.word", lambda self, challenge: "wrong")
-    with pytest.raises(RunUsageError, match="type the word"):
+    monkeypatch.setattr("rtpiv.verbs.operator.ScriptOperator.confirmation_code", lambda self, challenge: "wrong")
+    with pytest.raises(RunUsageError, match="type the code"):
         acquire(
             plan,
             bench,

@@ -131,7 +131,7 @@ def test_only_the_word_that_is_asked_for_arms(word):
     laser.warm(10.0)
     clock.sleep_s(61.0)
     laser.set(TIMING, EXPOSURES)
-    with pytest.raises(NotArmed, match="type the word"):
+    with pytest.raises(NotArmed, match="type the code"):
         laser.arm(GOOD, word)
 
 

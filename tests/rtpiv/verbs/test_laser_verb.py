@@ -248,7 +248,7 @@ def test_the_shipped_benches_can_align(which, labs, mocker, monkeypatch, capsys)
 
 @pytest.mark.parametrize(("words", "said"), [(["--rate-hz", "500"], "at most"), (["--for-s", "1e3"], "at most")])
 def test_alignment_refuses_a_limit_before_it_asks_for_goggles(labs, monkeypatch, capsys, words, said):
-    monkeypatch.setattr("builtins.input", lambda: pytest.fail("asked for the word"))
+    monkeypatch.setattr("builtins.input", lambda: pytest.fail("asked for the code"))
     monkeypatch.chdir(labs / "lab")
     assert main(["laser", "align", *words, "--simulate"]) == USAGE
     found = capsys.readouterr().err

@@ -20,25 +20,25 @@ def test_a_person_reads_the_word_and_types_it(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", Terminal("  ember \n\n"))
     person = operator_of(None, simulate=False)
     assert isinstance(person, TerminalOperator)
-    assert person.word("ember") == "ember"
+    assert person.confirmation_code("ember") == "ember"
     person.open_seeding()
     said = capsys.readouterr().err
-    assert "type this word: ember" in said
+    assert "type this code: ember" in said
     assert "no interlock" in said
     assert "Open the seeding" in said
 
 
 def test_a_terminal_that_has_gone_types_nothing(monkeypatch):
     monkeypatch.setattr("sys.stdin", Terminal(""))
-    assert TerminalOperator().word("ember") == ""
+    assert TerminalOperator().confirmation_code("ember") == ""
 
 
 def test_without_a_terminal_nobody_says_it(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("ember\n"))
     nobody = operator_of(None, simulate=True)
     assert isinstance(nobody, NoOperator)
-    with pytest.raises(RunUsageError, match="the word that arms the laser cannot be typed"):
-        nobody.word("ember")
+    with pytest.raises(RunUsageError, match="the code that arms the laser cannot be typed"):
+        nobody.confirmation_code("ember")
 
 
 def test_a_script_answers_for_a_simulated_laser_only():
@@ -54,7 +54,7 @@ def test_a_flow_run_that_nobody_can_arm_is_refused_before_anything_moves(tmp_pat
     words = ("acquire", str(plan), "--bench", str(bench), "--simulate", "--home", "-o", str(tmp_path / "runs"))
     assert main([*words, "--no-correct"]) == USAGE
     said = capsys.readouterr()
-    assert "the word that arms the laser cannot be typed here; use a terminal, or --operator NAME" in said.err
+    assert "the code that arms the laser cannot be typed here; use a terminal, or --operator NAME" in said.err
     assert "homing" not in said.err
     assert not (tmp_path / "runs").exists()
     assert main([*words[:4], "--operator", "me", *words[5:]]) == USAGE  # a real laser
