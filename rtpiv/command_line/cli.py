@@ -47,10 +47,12 @@ def _options(arguments: Sequence[str] | None) -> dict[str, Any]:
     words = parser(sys.argv[1:] if arguments is None else arguments)
     known, left = words.parse_known_args(arguments)
     options = vars(known)
+    refuse = options.pop("refuse", words.error)
     if left and options["verb"] == "stage" and not any(word.startswith("-") for word in left):
         options["axes"] = [*options["axes"], *left]
     elif left:
-        words.error(printable(f"unrecognized arguments: {' '.join(left)}"))
+        several = "one is wanted here, and more are given: " if all(map(os.path.exists, left)) else ""
+        refuse(printable(f"{several or 'unrecognized arguments: '}{' '.join(left)}"))
     return options
 
 

@@ -66,6 +66,7 @@ def parser(said: Collection[str] | None = None) -> argparse.ArgumentParser:
             _add_options(verb, name)
         verb.add_argument("--threads", type=numbers.count, metavar="N", default=argparse.SUPPRESS, help=CORES)
         verb.add_argument("--trust", metavar="NAMES", default=argparse.SUPPRESS, help=TRUST)
+        verb.set_defaults(refuse=verb.error)  # which shows the verb's own usage
     return words
 
 

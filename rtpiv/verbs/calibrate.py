@@ -2,6 +2,7 @@
 
 import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from correction.fit.judge.result import SceneFit
@@ -21,7 +22,7 @@ from rtpiv.analysis.calibration import Calibration, calibration_of
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.options.numbers import Positive
 from rtpiv.verbs.output import folder_for
-from rtpiv.verbs.paths import Named, path_of
+from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.show import show_calibration
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
@@ -33,7 +34,7 @@ WANTED = "target_clear.tif, target_glass.tif, and for other heights target_clear
 
 
 def calibrate(
-    folder: Named,
+    folder: Sequence[Named] | Named,
     /,
     scene: Named | None = None,
     out: Named | None = None,
@@ -46,7 +47,8 @@ def calibrate(
     Parameters
     ----------
     folder : path
-        A target run; or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
+        A target run, of several the newest finished one;
+        or a folder that holds ``target_clear.tif`` (bare target at z = 0), ``target_glass.tif``
         (through the glass) and, for other heights, ``target_clear_z+10mm.tif`` ...
     scene : path, optional
         Nominal scene.yaml; its ``fit:`` section says what may change. A run without it is calibrated from the
@@ -77,7 +79,7 @@ def calibrate(
     """
     progress = error_console()
     began = time.monotonic()
-    folder = Path(folder)
+    folder = one_of(folder)
     nominal, priors = nominal_scene(folder, path_of(scene))
     board = board_of([folder], square_mm, disc_mm)
     frames = target_frames(folder, nominal.camera.shape)

@@ -1,24 +1,24 @@
 """`rtpiv focus`: where a view through glass is sharp, and which aperture makes all of it sharp."""
 
 import json
-from pathlib import Path
+from collections.abc import Sequence
 
 from daq.whole_text import write_text
 from ground.terminal import console
 from rtpiv.analysis.focus.scan import FocusScan, focus_scan
 from rtpiv.analysis.report.focus import best_rows, said_of, write_focus_page
 from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named
+from rtpiv.verbs.paths import Named, one_of
 from rtpiv.verbs.show import show_focus
 
 
-def focus(run: Named, /, out: Named | None = None) -> FocusScan:
+def focus(run: Sequence[Named] | Named, /, out: Named | None = None) -> FocusScan:
     """Evaluate a focus scan.
 
     Parameters
     ----------
     run : path
-        Run of a plan of ``experiment: focus``.
+        Run of a plan of ``experiment: focus``; of several, the newest finished one.
     out : path, optional
         Folder for ``focus.html`` and ``focus.json``, default the run's.
 
@@ -34,7 +34,7 @@ def focus(run: Named, /, out: Named | None = None) -> FocusScan:
     RunDamaged, FrameError
         A record or frame is not what was written.
     """
-    run = Path(run)
+    run = one_of(run)
     folder = require_folder(out if out is not None else run)
     scan = focus_scan(run)
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,6 +1,6 @@
 """`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
 
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Literal, Unpack
 
 from daq.errors import RunUnsuitable
@@ -20,12 +20,12 @@ from rtpiv.analysis.series.series_mean import mean_of_series, standing_of
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.output import folder_for, require_folder
-from rtpiv.verbs.paths import Named, path_of
+from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.show import show_mean, show_series
 
 
 def mean(
-    path: Named,
+    path: Sequence[Named] | Named,
     /,
     out: Named | None = None,
     scene: Named | None = None,
@@ -43,7 +43,8 @@ def mean(
     Parameters
     ----------
     path : path
-        A flow run, or frames of others in pairs (`daq.frames.source`), evaluated where that has not
+        A flow run, of several of one plan the newest finished one; or frames of others in
+        pairs (`daq.frames.source`), evaluated where that has not
         been done with these settings; or the folder of a series that `evaluate` has made.
     out : path, optional
         Folder of the series, default ``series`` in the run or, of frames of others, ``evaluation``: ``mean.nc``
@@ -71,7 +72,7 @@ def mean(
         As for `evaluate`.
     """
     screen = console()
-    path, out, scene, target_clear = Path(path), path_of(out), path_of(scene), path_of(target_clear)
+    path, out, scene, target_clear = one_of(path), path_of(out), path_of(scene), path_of(target_clear)
     series = None
     if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
         name, choice = path.resolve().name, piv_choice(**options)

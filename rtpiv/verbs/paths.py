@@ -27,3 +27,33 @@ def file_of(named: Named | Scene) -> Path:
 def paths_of(named: Sequence[Named] | Named) -> list[Path]:
     """Return several paths; one alone is a list of one."""
     return [Path(named)] if isinstance(named, str | Path) else [Path(one) for one in named]
+
+
+def one_of(named: Sequence[Named] | Named) -> Path:
+    """Return the one path that was named; of several runs of one plan the newest finished one, which is said.
+
+    Raises
+    ------
+    RunUsageError
+        Several paths that are not runs, or runs of several plans.
+    """
+    paths = paths_of(named)
+    if len(paths) == 1:
+        return paths[0]
+    from daq.runs.run_folder import RunFolder  # most commands have no run
+    from daq.runs.run_views import is_run
+    from ground.terminal import console
+
+    if not all(map(is_run, paths)):
+        raise RunUsageError(
+            f"one folder is wanted, not {len(paths)}: {', '.join(map(str, paths))}; give one of them"
+        )
+    runs = [RunFolder.open(path) for path in paths]
+    plans = sorted({run.about["name"] for run in runs})
+    newest = max(runs, key=lambda run: (run.is_done, run.path.name)).path
+    if len(plans) > 1:
+        raise RunUsageError(f"the runs are of several plans ({', '.join(plans)}); give one: {newest}?")
+    finished = "finished " if RunFolder(newest).is_done else ""
+    said = f"{len(runs)} runs of {plans[0]} are given; this is the newest {finished}one: {newest}"
+    console().print(said, soft_wrap=True, highlight=False)
+    return newest

@@ -1,5 +1,6 @@
 """`rtpiv report`: a run as one page that goes into a lab book."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Unpack
 
@@ -25,7 +26,7 @@ from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.mean import mean
 from rtpiv.verbs.output import require_folder
-from rtpiv.verbs.paths import Named, path_of
+from rtpiv.verbs.paths import Named, one_of, path_of
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
@@ -33,7 +34,7 @@ TARGET_HEAD = ("region", "corners found", "bias u, v", "rms u, v", "largest")
 
 
 def report(
-    run: Named,
+    run: Sequence[Named] | Named,
     /,
     out: Named | None = None,
     scene: Named | None = None,
@@ -48,7 +49,8 @@ def report(
     Parameters
     ----------
     run : path
-        Folder of a run.  Pairs of a shift run are evaluated (each also gets a folder with its vectors); a flow run
+        Folder of a run; of several of one plan, the newest finished one.
+        Pairs of a shift run are evaluated (each also gets a folder with its vectors); a flow run
         is averaged as by `mean`; of any other run the first frame through the glass is shown corrected.
     out : path, optional
         Folder, default ``report`` inside the run: ``report.html``, its figures, and a folder a pair.
@@ -73,7 +75,7 @@ def report(
     ConfigError, FrameError, PairError, TargetNotFound, DewarpError
         As for `evaluate`.
     """
-    run, scene, target_clear = Path(run), path_of(scene), path_of(target_clear)
+    run, scene, target_clear = one_of(run), path_of(scene), path_of(target_clear)
     folder = RunFolder.open(run)
     about = folder.about
     out = require_folder(out if out is not None else folder.own("report"))
