@@ -13,12 +13,9 @@ from ground.terminal import console
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import CampaignSettings, Forecast, ask_for
 from rtpiv.analysis.campaign.campaign_trial import adopt, trial
-from rtpiv.analysis.campaign.dask_workers import DaskWorkers
-from rtpiv.analysis.campaign.engine import Engine, LocalProcesses
-from rtpiv.analysis.campaign.hand_out import PATIENCE_S
+from rtpiv.analysis.campaign.engines import DaskWorkers, Engine, LocalProcesses, SlurmArrays
 from rtpiv.analysis.campaign.merge import INDEX, STATISTICS, CampaignMean, merge_campaign, said_missing
-from rtpiv.analysis.campaign.run_campaign import run_campaign
-from rtpiv.analysis.campaign.slurm_arrays import SlurmArrays
+from rtpiv.analysis.campaign.run_campaign import PATIENCE_S, run_campaign
 from rtpiv.analysis.campaign.status import RunStatus, campaign_status
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.series.series_folder import SeriesFolder

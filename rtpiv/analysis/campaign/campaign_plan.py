@@ -21,7 +21,6 @@ from ground.plain_words import counted
 from piv.correlation.windows import window_grid
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import SLIDING_MINIMUM
-from rtpiv.analysis.campaign.books import read_books
 from rtpiv.analysis.campaign.campaign_folder import (
     CHUNK_PAIRS,
     FILE,
@@ -31,6 +30,7 @@ from rtpiv.analysis.campaign.campaign_folder import (
     HowAsked,
     choice_of,
 )
+from rtpiv.analysis.campaign.status import read_books
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.light_file import light_of
 from rtpiv.analysis.series.run_series import about_series

@@ -1,26 +1,49 @@
-"""Compiled kernels for workers elsewhere: packed once, unpacked by each worker into a folder of its own.
+"""What a worker elsewhere needs before its first chunk: compiled kernels, and memory that it keeps.
 
 Kernels take half a minute to compile, and the folder in which numba keeps them is made for one computer: on a disk
 that many nodes share, two that write at once may leave an index that names code which is not there.  So the client
 compiles, packs what it has into one file on the shared disk, and each worker process unpacks it into a temporary
-folder of its node, which nobody else reads or writes and which goes with it.  A worker with another processor
+folder of its node, which no other process reads or writes and which goes with it.  A worker with another processor
 finds that nothing fits and compiles for itself, into its own folder.
+
+glibc hands large blocks back to the system as soon as they are freed unless a program shows that it wants them
+again, and the system clears every page that it gives out anew.  In a process of its own the program shows it by
+itself.  Dask's workers it does not: they are started with a fixed threshold (``MALLOC_TRIM_THRESHOLD_``), which
+ends that adaptation, and call tasks in a second thread, whose memory lies in small pieces that are unmapped when
+they are empty.  A chunk took twice as long there.  So once a process says what it wants (mallopt(3)).
 """
 
 import atexit
+import ctypes
 import io
 import os
 import shutil
 import stat
+import sys
 import tempfile
 import zipfile
+from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 
 from ground.whole_file import whole_file
 from rtpiv.analysis.campaign.chunk_task import ChunkTask, Outcome, carry_out
-from rtpiv.analysis.campaign.kept_memory import keep_memory
 from rtpiv.analysis.series.workers import ONE_THREAD
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # malloc.h of glibc
+KEPT_BYTES = 1 << 30  # free at the top of the memory before any of it is given back
+MAPPED_BYTES = 32 << 20  # what is larger is asked of the system alone; glibc takes no more than this
+
+
+def keep_memory() -> bool:
+    """Ask the C library of this process to keep what is freed; whether it does."""
+    if sys.platform != "linux":
+        return False
+    with suppress(OSError, AttributeError):  # another C library than glibc may have no such function
+        wishes = (M_TRIM_THRESHOLD, KEPT_BYTES), (M_MMAP_THRESHOLD, MAPPED_BYTES), (M_ARENA_MAX, 1)
+        granted = [ctypes.CDLL(None).mallopt(*wish) == 1 for wish in wishes]
+        return all(granted)
+    return False
 
 
 def pack_kernels(path: Path) -> int:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rtpiv.analysis.campaign.engine import LocalProcesses
+from rtpiv.analysis.campaign.engines import LocalProcesses
 from rtpiv.analysis.series import series_plan
 from rtpiv.analysis.series.marker import marker_path
 from rtpiv.analysis.series.series_plan import chunk_path

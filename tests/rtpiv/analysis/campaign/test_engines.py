@@ -12,11 +12,10 @@ from pathlib import Path
 import pytest
 
 from daq.errors import RunUsageError
-from rtpiv.analysis.campaign.dask_workers import DaskWorkers
+from rtpiv.analysis.campaign.engines import DaskWorkers, SlurmArrays
 from rtpiv.analysis.campaign.kernels_at_hand import _made_ready, pack_kernels
 from rtpiv.analysis.campaign.merge import merge_campaign
 from rtpiv.analysis.campaign.run_campaign import run_campaign
-from rtpiv.analysis.campaign.slurm_arrays import SlurmArrays
 from tests.rtpiv.analysis.campaign.small_campaign import Threads, content_of, planned, two_runs
 
 needs_dask = pytest.mark.skipif(
@@ -72,7 +71,7 @@ def test_jobs_of_submitit_write_the_same_bytes(runs, whole, tmp_path):
 
 @needs_dask
 def test_a_scheduler_that_is_not_there_is_one_sentence(runs, tmp_path, monkeypatch):
-    monkeypatch.setattr("rtpiv.analysis.campaign.dask_workers.CONNECT_S", 0.3)
+    monkeypatch.setattr("rtpiv.analysis.campaign.engines.CONNECT_S", 0.3)
     folder = planned(tmp_path / "out", runs)
     for address in ("tcp://127.0.0.1:9", "nonsense"):
         with pytest.raises(RunUsageError, match="no Dask scheduler answers there"):

@@ -11,10 +11,10 @@ from types import SimpleNamespace
 import pytest
 
 from daq.errors import RunInterrupted
-from rtpiv.analysis.campaign import hand_out
+from rtpiv.analysis.campaign import run_campaign as hand_out
 from rtpiv.analysis.campaign.chunk_task import ChunkTask, Outcome
-from rtpiv.analysis.campaign.hand_out import HandOut
 from rtpiv.analysis.campaign.lease import Held
+from rtpiv.analysis.campaign.run_campaign import HandOut
 
 
 def tasks(count):

@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from scipy.io import netcdf_file
 
-from rtpiv.analysis.campaign.engine import LocalProcesses
+from rtpiv.analysis.campaign.engines import LocalProcesses
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.command_line.cli import DONE, USAGE, main
