@@ -5,17 +5,17 @@
 A pair is kept when it is sure, and gets the next two places of the step; what was lost is counted in the line of
 its chunk and fired again, so a step has no gaps.  A flow goes on meanwhile: the time of each pair stands in its
 record.  Frames of pairs before the first light and behind the last are dropped (brightness).  Several cameras keep
-only what all of them have of one trigger (together), so frames of one number show the same light.
+only what all of them have of one trigger (synchronise_pairs), so frames of one number show the same light.
 
     frames:  2 triggers = 2 pairs + dropped by reason + those that never came
     pairs:   fired = kept + lost + surplus
 
-**Pairs of one trigger** (`together`).  Every camera loses pairs of its own, and one lost pair would shift all
-behind it, so pairs are never put together by counting.  All cameras hang on one trigger line; on the computer's
-clock their exposures A of one trigger begin together, within what is known of their clocks (a millisecond), and
-those of neighbouring triggers a whole period apart.  So two pairs are of one trigger if they are nearer than a
-quarter of the period, and of different ones if they are farther than three quarters.  What lies between cannot be,
-if the clocks are right: then nothing is kept.
+**Pairs of one trigger** (`synchronise_pairs`).  Every camera loses pairs of its own, and one lost pair would shift
+all behind it, so pairs are never put together by counting.  All cameras hang on one trigger line; on the
+computer's clock their exposures A of one trigger begin together, within what is known of their clocks (a
+millisecond), and those of neighbouring triggers a whole period apart.  So two pairs are of one trigger if they are
+nearer than a quarter of the period, and of different ones if they are farther than three quarters.  What lies
+between cannot be, if the clocks are right: then nothing is kept.
 
 A pair that another camera has not is dropped as soon as that camera has gone past it.
 """
@@ -165,7 +165,9 @@ class FlowStep:
                 for source, chunk in zip(sources, chunks, strict=True):
                     chunk.triggers = laser.camera_triggers
                     found.append(streams.enter_context(closing(source.pairs(order, laser, light, chunk))))
-                for pairs in streams.enter_context(closing(together(sources, found, chunks, order.rate_hz))):
+                for pairs in streams.enter_context(
+                    closing(synchronise_pairs(sources, found, chunks, order.rate_hz))
+                ):
                     if chunks[0].kept == wanted:
                         self._drop(chunks, SURPLUS, pairs)
                         continue
@@ -204,7 +206,7 @@ SAME, OTHER = 0.25, 0.75  # of the period
 Stream = Generator[Pair | None, None, None]
 
 
-def together(
+def synchronise_pairs(
     sources: Sequence[PairSource], streams: Sequence[Stream], chunks: Sequence[Chunk], rate_hz: float
 ) -> Generator[tuple[Pair, ...], None, None]:
     """Yield pairs of one trigger, a pair a camera, in order.

@@ -52,7 +52,7 @@ class Runner:
     watcher : callable, optional
         Called with the progress, often.
     again : collection of int
-        Finished steps that are to be taken again: a frame of theirs is damaged, see session.steps_to_retake.
+        Finished steps that are to be taken again: a frame of theirs is damaged, see session.damaged_steps.
     operator : Operator, optional
         The person at the bench, whom a laser asks for its confirmation code.
     aiming : Aiming, optional

@@ -81,7 +81,7 @@ def require_same_boxes(entries: Sequence[Entry], now: Mapping[str, str]) -> None
             raise WrongDevice(f"{name}: {identity!r} answers, and the run began with {before!r}; {cure}")
 
 
-def steps_to_retake(
+def damaged_steps(
     folder: RunFolder, steps: Sequence[Step], entries: Sequence[Entry], retake: bool, track: Track = untracked
 ) -> frozenset[int]:
     """Check every frame that is about to count as done; return the steps that must be taken again.
@@ -312,7 +312,7 @@ def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
             )
     if strange := unclaimed(folder, about["steps"], entries).sentence:
         raise RunDamaged(f"{path}: {strange}")
-    again = steps_to_retake(folder, plan.steps, entries, retake, track)
+    again = damaged_steps(folder, plan.steps, entries, retake, track)
     if folder.is_done and not again:
         raise ResumeRefused(f"{path} is finished and all of its frames are right; there is nothing to take again")
     return Run(request, bench, plan, folder, again)

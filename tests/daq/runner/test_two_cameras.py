@@ -183,7 +183,7 @@ def matched(*times_ms, rate_hz=10.0):
             yield None
             yield (replace(META, timestamp_ns=round(1e6 * ms)), None)
 
-    found = flow_step.together(sources, [stream(times) for times in times_ms], chunks, rate_hz)
+    found = flow_step.synchronise_pairs(sources, [stream(times) for times in times_ms], chunks, rate_hz)
     pairs = [tuple(pair[0].timestamp_ns / 1e6 for pair in pairs) for pairs in found]
     return pairs, [chunk.dropped[ELSEWHERE] for chunk in chunks]
 
