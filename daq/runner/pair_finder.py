@@ -13,7 +13,7 @@ What is doubtful is dropped with all that it touches.  A frame is told by its ow
 to be learnt by counting, and no fault can swap the pairs behind it.  What no stream of frames can show is a marker
 that is wired to exposure B of evenly spaced frames.
 
-**A marker that is wired wrongly** (`MarkerSense`).  Frames that come evenly spaced look the same whichever way
+**A marker that is wired wrongly** (`MarkerPolarity`).  Frames that come evenly spaced look the same whichever way
 they are paired.  A marker that is high during exposure B, because it hangs on the second trigger or its input is
 inverted, makes pairs of B and the NEXT A: light 2 of one pulse and light 1 of the next, a period less dt apart,
 and brightness and spacing say nothing against it.
@@ -212,7 +212,7 @@ def longest_gap(section: PairsSection) -> float:
 ENOUGH = 3  # chunks that end with an A, more than those that end with a B, before a run is ended because of it
 
 
-class MarkerSense:
+class MarkerPolarity:
     """Counts how the chunks of a step ended.
 
     Parameters

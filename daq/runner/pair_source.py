@@ -19,7 +19,7 @@ from daq.runner.brightness import BrightnessSign, LightWatch, mean_counts
 from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import ask_clock
 from daq.runner.clock_trial import Shot
-from daq.runner.pair_finder import MarkerSense, PairFinder
+from daq.runner.pair_finder import MarkerPolarity, PairFinder
 from daq.runs.conservation import DARK, HALF, LEFT
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
@@ -78,14 +78,14 @@ class PairSource:
         self.exposures = exposures
         self.section = section
         self._watches = (LightWatch(), LightWatch())
-        self._sense = MarkerSense(section)
+        self._sense = MarkerPolarity(section)
         self._sign = BrightnessSign()
         self._arm = Shot(None, 0, 0)
         self._clock: tuple[int, int] | None = None  # the computer's, the camera's
 
     def begin_step(self) -> None:
         """Forget what was learnt of the light of another step."""
-        self._watches, self._sense = (LightWatch(), LightWatch()), MarkerSense(self.section)
+        self._watches, self._sense = (LightWatch(), LightWatch()), MarkerPolarity(self.section)
         self._sign = BrightnessSign()
 
     def arm(self) -> None:

@@ -5,7 +5,16 @@ import random
 import pytest
 
 from daq.bench.pairs_section import PairsSection
-from daq.runner.pair_finder import ALONE, DOUBLED, NO_CLOCK, UNMARKED, UNSURE, MarkerSense, PairFinder, longest_gap
+from daq.runner.pair_finder import (
+    ALONE,
+    DOUBLED,
+    NO_CLOCK,
+    UNMARKED,
+    UNSURE,
+    MarkerPolarity,
+    PairFinder,
+    longest_gap,
+)
 from tests.daq.runner.frame_trains import RATE_HZ, SECTIONS, Faults, arms, gap_us, train
 
 KIND = Faults(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -129,7 +138,7 @@ def wired_to_b(section, meta, shows):
 def sensed(name, pairs, seed, is_wrong, faults=None):
     """Chunks after which the sense of a marker was doubted, None if never; and pairs that were swapped."""
     section, wrong, after = SECTIONS[name], 0, None
-    sense = MarkerSense(section)
+    sense = MarkerPolarity(section)
     for number, (_, frames) in enumerate(arms(section, pairs, faults or Faults(), seed)):
         if is_wrong:
             frames = [(wired_to_b(section, meta, shows), shows) for meta, shows in frames]
@@ -161,7 +170,7 @@ def test_a_right_marker_is_trusted_and_a_wrong_one_found_in_a_hundred_thousand_p
 
 @pytest.mark.parametrize("name", [name for name in SECTIONS if name not in EVEN])
 def test_the_ends_of_chunks_tell_nothing_where_the_frames_themselves_do(name):
-    sense = MarkerSense(SECTIONS[name])
+    sense = MarkerPolarity(SECTIONS[name])
     for _ in range(10):
         sense.chunk_ended("A")
     assert sense.doubt(True) is None
