@@ -9,7 +9,7 @@
 * Pixels missing: nothing is wrong with the camera; it is triggered again at once.
 * Nothing within `timeout_s`: the camera is asked whether it lives and has its settings, is armed anew, and
   triggered again, `retakes` times.  Its late frame may come at any time after that.
-* Stamps that fit nothing: a trial settles what they mean (clock_trial), then it is triggered again.
+* Stamps that fit nothing: a trial settles what they mean (clock_calibration), then it is triggered again.
 
 **Stream** (`stream`): the camera, or an outer clock, decides when; it is armed for one step only.  A frame keeps
 the place that its id gives it, counted from the first frame that was exposed after the arming.  A place whose
@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 
 from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import BadFrame, CameraError, CameraTimeout, FrameIncomplete, FramesLost, OtherFormat
-from daq.runner.clock_trial import PAUSES_S, Shot, explain
+from daq.runner.clock_calibration import PAUSES_S, Shot, explain
 from daq.runner.trigger_match import Place
 from daq.runs.conservation import Ledger
 

@@ -18,7 +18,7 @@ from daq.plans.pulse_order import PulseOrder
 from daq.runner.brightness import BrightnessSign, LightWatch, mean_counts
 from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import ask_clock
-from daq.runner.clock_trial import Shot
+from daq.runner.clock_calibration import Shot
 from daq.runner.pair_finder import MarkerPolarity, PairFinder
 from daq.runs.conservation import DARK, HALF, LEFT
 from daq.timing.laser import Laser

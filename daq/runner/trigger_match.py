@@ -15,12 +15,13 @@ stale if its exposure, at the latest, was before its trigger; or, at the earlies
 before it.  The first finds frames older than the quickest frame took to arrive; the second those that were left
 behind by a timeout, however slow frames are, for such a one is older than the whole of our patience.
 
-**Trial.**  What is left to be settled: a first frame whose stamp contradicts the latch (another clock, other
-units, or really stale), a first frame after a timeout, a stamp that contradicts those before it.  A few triggers
-with unequal pauses tell (see clock_trial).  It costs nothing while nothing is odd.  If it shows that the first
-frame was exposed before its trigger, that is a doubt; but of frames that have agreed with each other for a few
-times our patience it is believed that the camera's clock was set anew.  What no offset can show is a session whose
-every frame is late by the same time, the first one's trigger having been an earlier process's; a latch shows it.
+**ClockCalibration.**  What is left to be settled: a first frame whose stamp contradicts the latch (another clock,
+other units, or really stale), a first frame after a timeout, a stamp that contradicts those before it.  A few
+triggers with unequal pauses tell (see clock_calibration).  It costs nothing while nothing is odd.  If it shows
+that the first frame was exposed before its trigger, that is a doubt; but of frames that have agreed with each
+other for a few times our patience it is believed that the camera's clock was set anew.  What no offset can show is
+a session whose every frame is late by the same time, the first one's trigger having been an earlier process's; a
+latch shows it.
 
 **Ids.**  A camera without time stamps, or whose stamps follow no clock (one that has to be settled again and again
 is none): without a timeout, one trigger is one frame.  After one, a frame is ours if its id has moved as often as
@@ -32,7 +33,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from daq.cameras.frame import FrameMeta
-from daq.runner.clock_trial import DRIFT, Shot, Trial
+from daq.runner.clock_calibration import DRIFT, ClockCalibration, Shot
 
 CONFIRMED = 3.0  # times our patience; over that even stamps in another unit would have contradicted each other
 TRIALS = 3  # after which a clock is none that has not agreed with us for a while
@@ -236,12 +237,12 @@ class TriggerMatch:
         """Note that a trial was disturbed: what was open to doubt before it stays so."""
         self._note_odd()
 
-    def learn(self, trial: Trial | None) -> str:
+    def learn(self, trial: ClockCalibration | None) -> str:
         """Take over what a trial has shown; return what is in doubt now, or "".
 
         Parameters
         ----------
-        trial : Trial or None
+        trial : ClockCalibration or None
             None if every trigger had its frame, time and again, and no clock explains their stamps.
         """
         self._only_stale = 0

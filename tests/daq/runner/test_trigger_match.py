@@ -15,7 +15,7 @@ from daq.errors import CameraLost, FrameDoubt, FramesLost, SettingsChanged
 from daq.runner import camera_session as session_module
 from daq.runner import exposures as exposures_module
 from daq.runner.camera_session import CameraSession
-from daq.runner.clock_trial import Shot
+from daq.runner.clock_calibration import Shot
 from daq.runner.trigger_match import Place, TriggerMatch
 from stages.errors import MotionStopped
 from stages.stop_latch import StopLatch

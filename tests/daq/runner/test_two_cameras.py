@@ -14,7 +14,7 @@ from daq.errors import FrameDoubt, PlanError, RunUsageError
 from daq.plans.plan import load_plan
 from daq.plans.pulse_order import PulseOrder
 from daq.runner import flow_step, pair_writer
-from daq.runner.clock_trial import Shot
+from daq.runner.clock_calibration import Shot
 from daq.runner.flow_step import FlowStep
 from daq.runner.pair_source import Chunk, PairSource
 from daq.runs.clock_map import clock_maps

@@ -52,7 +52,7 @@ Pairing = tuple[Shot, float, int]  # a trigger, the stamp of its frame [ns], whe
 
 
 @dataclass(frozen=True)
-class Trial:
+class ClockCalibration:
     """What a trial has shown.
 
     Parameters
@@ -77,7 +77,7 @@ class Trial:
         return min(received_ns - stamp_ns for _, stamp_ns, received_ns in self.pairs)
 
 
-def explain(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> Trial | None:
+def explain(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> ClockCalibration | None:
     """Find out which frames answered which triggers.
 
     Parameters
@@ -89,7 +89,7 @@ def explain(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> Trial | None:
 
     Returns
     -------
-    Trial or None
+    ClockCalibration or None
         None if no offset, and no unit, explains them.
     """
     stamps = [float(meta.timestamp_ns) for meta in metas]
@@ -99,7 +99,7 @@ def explain(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> Trial | None:
             pairs = _explained(shots, metas, stamps, shot.before_ns - stamp_ns)
             best = max(best, pairs, key=len)
     if len(best) >= ENOUGH:
-        return Trial(best)
+        return ClockCalibration(best)
     return _in_another_unit(shots, metas) if len(metas) == len(shots) else None
 
 
@@ -117,7 +117,7 @@ def _explained(
     return tuple(pairs)
 
 
-def _in_another_unit(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> Trial | None:
+def _in_another_unit(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> ClockCalibration | None:
     host_ns = np.array([shot.before_ns for shot in shots], dtype=np.float64)
     units = np.array([meta.timestamp_ns for meta in metas], dtype=np.float64)
     host_ns, units = host_ns - host_ns[0], units - units[0]
@@ -132,4 +132,4 @@ def _in_another_unit(shots: Sequence[Shot], metas: Sequence[FrameMeta]) -> Trial
     pairs = tuple(
         (shot, meta.timestamp_ns * ns_per_unit, meta.received_ns) for shot, meta in zip(shots, metas, strict=True)
     )
-    return Trial(pairs, ns_per_unit)
+    return ClockCalibration(pairs, ns_per_unit)
