@@ -10,7 +10,7 @@ from daq.bench.bench_table import CAMERA
 from daq.bench.opened import open_bench
 from daq.errors import CameraError
 from daq.runner.camera_session import CameraSession
-from daq.runner.trigger_trial import Found, try_trigger
+from daq.runner.trigger_check import TriggerCheck, try_trigger
 from daq.runs.raw_frame import checksum, write_raw
 from ground.terminal import console
 from rtpiv.verbs.output import require_folder
@@ -81,7 +81,7 @@ def camera(
     return out
 
 
-def _say(found: list[Found]) -> None:
+def _say(found: list[TriggerCheck]) -> None:
     """Show what was found; CameraError if something is wrong."""
     words = {True: "ok ", False: "BAD", None: "?  "}
     for each in found:

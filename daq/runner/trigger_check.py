@@ -25,7 +25,7 @@ ROUNDED_US = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class TriggerCheck:
     """One thing that was tried: whether it is right (None: nobody tells), and what there is to say."""
 
     what: str
@@ -33,7 +33,7 @@ class Found:
     said: str
 
 
-def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) -> list[Found]:
+def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) -> list[TriggerCheck]:
     """Take a few frames as the bench file sets the camera up, and judge them.
 
     Parameters
@@ -54,7 +54,7 @@ def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) ->
     asked = [*section.chunks, *([CHUNK] if sends and CHUNK not in section.chunks else [])]
     exposures = CameraSession(camera, section.model_copy(update={"chunks": asked}))
     settings = exposures.set_up()
-    found = [Found("settings", True, f"{len(section.settings)} read back as they were set")]
+    found = [TriggerCheck("settings", True, f"{len(section.settings)} read back as they were set")]
     metas: list[FrameMeta] = []
     why = ""
     exposures.begin()
@@ -72,11 +72,14 @@ def try_trigger(camera: Camera, section: CameraSection, frames: int = FRAMES) ->
     source = settings.get("TriggerSource") if settings.get("TriggerMode") == "On" else "its own clock"
     if why:
         cure = "look at the wire, its level and TriggerActivation"
-        return [*found, Found("trigger", False, f"{len(metas)} of {frames} frames by {source}: {why}; {cure}")]
+        return [
+            *found,
+            TriggerCheck("trigger", False, f"{len(metas)} of {frames} frames by {source}: {why}; {cure}"),
+        ]
     ignored = camera.counters.ignored_triggers
     said = f"{frames} of {frames} frames by {source}{_rate(metas)}"
     said += f", {ignored} triggers were ignored while it began and ended" if ignored else ""
-    found.append(Found("trigger", True, said))
+    found.append(TriggerCheck("trigger", True, said))
     second_us = None if section.pairs is None else section.pairs.second_exposure_us
     return [*found, *_exposures(metas, settings.get(CHUNK, settings.get("ExposureTimeAbs")), second_us)]
 
@@ -97,21 +100,23 @@ def _rate(metas: list[FrameMeta]) -> str:
     return f", {min(apart_ms):.3f} to {max(apart_ms):.3f} ms apart"
 
 
-def _exposures(metas: list[FrameMeta], asked: object, second_us: float | None) -> Iterator[Found]:
+def _exposures(metas: list[FrameMeta], asked: object, second_us: float | None) -> Iterator[TriggerCheck]:
     """Judge what came with the frames; exposure B of a double frame may be another."""
     told = [meta.chunks[CHUNK] for meta in metas if CHUNK in meta.chunks]
     if len(told) < len(metas):
-        yield Found("exposure", None, "the camera sends none with its frames, so only what reads back is known")
+        yield TriggerCheck(
+            "exposure", None, "the camera sends none with its frames, so only what reads back is known"
+        )
         return
     shortest, longest = min(told), max(told)
     is_one = math.isclose(shortest, longest, rel_tol=1e-6)
     said = f"{shortest:g} us" if is_one else f"{shortest:g} to {longest:g} us"
     if not isinstance(asked, int | float):
-        yield Found("exposure", None, f"{said}; what it was set to reads not back")
+        yield TriggerCheck("exposure", None, f"{said}; what it was set to reads not back")
         return
     wanted = [asked] if second_us is None else [asked, second_us]
     is_right = all(any(_is_near(each, one) for one in wanted) for each in told)
-    yield Found("exposure", is_right, f"{said}, set to {' and '.join(f'{one:g}' for one in wanted)} us")
+    yield TriggerCheck("exposure", is_right, f"{said}, set to {' and '.join(f'{one:g}' for one in wanted)} us")
 
 
 def _is_near(told_us: float, asked_us: float) -> bool:

@@ -10,7 +10,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import PRESETS, CameraSection, needs_line
 from daq.cameras.files import FilesCamera
 from daq.cameras.frame import Frame
-from daq.runner.trigger_trial import try_trigger
+from daq.runner.trigger_check import try_trigger
 from ground.errors import ConfigError
 from rtpiv.command_line.cli import DEVICE, DONE, main
 from sim.camera.config import CameraConfig
