@@ -29,7 +29,7 @@ from daq.errors import FramesLost
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.interrupts import Interrupts
-from daq.runner.light import Light, require_buffers, require_rate
+from daq.runner.laser_session import LaserSession, require_buffers, require_rate
 from daq.runner.pair_source import Chunk, Pair, PairSource
 from daq.runner.pair_writer import PairWriter
 from daq.runner.progress import Progress
@@ -55,7 +55,7 @@ class FlowStep:
         Gets the number of frames of the first camera.
     tell : callable
         Called with what is being done, after every pair.
-    light : Light
+    light : LaserSession
         The laser of the session.
     """
 
@@ -65,13 +65,13 @@ class FlowStep:
         interrupts: Interrupts,
         progress: Progress,
         tell: Callable[[str], None],
-        light: Light,
+        light: LaserSession,
     ) -> None:
         self._sides = sides
         self._interrupts = interrupts
         self._progress = progress
         self._tell = tell
-        self._light = light
+        self._laser_session = light
 
     def take(self, step: Step, record: Mapping[str, Any]) -> bool:
         """Have every pair of a step on the disk; False if the end was asked for before the last one.
@@ -100,7 +100,7 @@ class FlowStep:
             side.cut_to(step, place)
             side.require_same_exposure()
             side.source.begin_step()
-        laser = self._light.prepare(order, self._sides[0].source.exposures.settings, self._tell)
+        laser = self._laser_session.prepare(order, self._sides[0].source.exposures.settings, self._tell)
         for side in self._sides[1:]:
             exposures = side.source.exposures
             require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
@@ -149,7 +149,7 @@ class FlowStep:
         self, order: PulseOrder, laser: Laser, chunks: Sequence[Chunk], wanted: int
     ) -> Generator[tuple[Pair, ...], None, None]:
         """Fire, and yield the pairs that are sure and had light, one a camera, as many as are wanted."""
-        light = self._light.exposures
+        light = self._laser_session.exposures
         assert light is not None
         sources = [side.source for side in self._sides]
         try:
@@ -158,7 +158,9 @@ class FlowStep:
                 if len(sources) > 1:
                     source.tell_clock()
             fired = chunks[0].fired
-            watch = self._light.fire(laser, fired, lambda: all(source.exposures.is_armed for source in sources))
+            watch = self._laser_session.fire(
+                laser, fired, lambda: all(source.exposures.is_armed for source in sources)
+            )
             with watch, ExitStack() as streams:
                 self._tell("firing")
                 found = []

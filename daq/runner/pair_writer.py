@@ -9,7 +9,7 @@ from daq.errors import ResumeRefused
 from daq.pipeline.job import Job
 from daq.pipeline.lanes import Pipeline
 from daq.plans.steps import Step
-from daq.runner.light import exposure_of
+from daq.runner.laser_session import exposure_of
 from daq.runner.pair_source import Chunk, Pair, PairSource
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder, frame_entries

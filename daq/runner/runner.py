@@ -23,7 +23,7 @@ from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest
 from daq.runner.flow_step import FlowStep
 from daq.runner.interrupts import Interrupts
-from daq.runner.light import Light, NoOperator, Operator
+from daq.runner.laser_session import LaserSession, NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
 from daq.runner.run_camera import RunCamera
 from daq.runner.step_frames import StepFrames
@@ -81,7 +81,7 @@ class Runner:
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
         self._aiming = aiming
         self._operator = operator or NoOperator()
-        self._light = Light(hardware, self._first.folder, self._operator, self.interrupts)
+        self._laser_session = LaserSession(hardware, self._first.folder, self._operator, self.interrupts)
 
     def run(self) -> dict[str, Any]:
         """Do what is left.
@@ -137,7 +137,7 @@ class Runner:
             flow = None
             if any(step.pulses is not None for step in left):
                 writers = [camera.pair_writer() for camera in used]
-                flow = FlowStep(writers, self.interrupts, self.progress, self._tell, self._light)
+                flow = FlowStep(writers, self.interrupts, self.progress, self._tell, self._laser_session)
             self._note_cameras(used)
             for step in left:
                 self._between_steps(len(self._steps) - step.index)
@@ -154,7 +154,7 @@ class Runner:
             raise
         finally:
             try:
-                self._light.off()
+                self._laser_session.off()
                 self._first.session.end()
             finally:
                 ended = [camera.end(why, error_text) for camera in self._first_last]
@@ -246,6 +246,6 @@ class Runner:
             raise
 
     def _tell(self, doing: str, ledger: Ledger | None = None) -> None:
-        self.progress.doing, self.progress.laser = doing, self._light.state
+        self.progress.doing, self.progress.laser = doing, self._laser_session.state
         self.progress.ledger = ledger or self._first.session.books_so_far(self.progress.flow.written)
         self._watcher(self.progress)

@@ -31,7 +31,7 @@ from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.experiments.align import AlignPlan
 from daq.plans.plan import Plan, load_plan
 from daq.plans.steps import BEHIND_GLASS, Step, frame_count
-from daq.runner.light import NoOperator, Operator
+from daq.runner.laser_session import NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner

@@ -20,7 +20,7 @@ from daq.pipeline.lanes import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
 from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home
 from daq.plans.plan import Plan, load_plan, read_plan
-from daq.runner.light import Operator
+from daq.runner.laser_session import Operator
 from daq.runner.progress import watch
 from daq.runner.session import Request, Run, begin, check_disk, run_session
 from daq.runs.conservation import chunk_sentences

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from daq.errors import RunUsageError
 from daq.plans.steps import Step
-from daq.runner.light import NoOperator, Operator
+from daq.runner.laser_session import NoOperator, Operator
 from ground.terminal import error_console
 
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from daq.bench.bench_table import Bench, BenchTable
 from daq.bench.opened import OpenBench
-from daq.runner.light import Light
+from daq.runner.laser_session import LaserSession
 from daq.timing.conditions import Rules
 from daq.timing.low_energy import LowEnergyRules
 from daq.timing.states import LaserState
@@ -54,7 +54,7 @@ class LightStory(laser_fuzz.Story):
         self.bench, self.glides, self.stage = bench, glides, bench.stage
         self.laser.add_motion_interlock(self.stage)
         hardware = OpenBench(bench_of(SCENE), {"stages": self.stage}, {}, bench.clock, None)
-        self.light = Light(hardware, SimpleNamespace(path="."), None, None)
+        self.light = LaserSession(hardware, SimpleNamespace(path="."), None, None)
         self.supervisor = None
         self.lit_s = []  # when something was lit
         self.lit = self.moves = 0

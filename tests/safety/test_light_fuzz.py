@@ -36,6 +36,6 @@ def test_the_judge_sees_a_laser_that_does_not_look_what_moves(monkeypatch):
 
 
 def test_the_judge_sees_light_near_the_glass(monkeypatch):
-    monkeypatch.setattr("daq.runner.light.sheet_clearance_mm", lambda bench, where: 100.0)
+    monkeypatch.setattr("daq.runner.laser_session.sheet_clearance_mm", lambda bench, where: 100.0)
     _, found = play(range(50), "near e")
     assert any("off the sheet" in line for line in found), "\n".join(found)

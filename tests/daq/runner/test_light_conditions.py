@@ -6,7 +6,7 @@ import pytest
 
 from daq.bench.bench_file import load_bench
 from daq.bench.opened import OpenBench
-from daq.runner.light import Light
+from daq.runner.laser_session import LaserSession
 from sim.mechanics.clock import VirtualClock
 from tests.daq.small_bench import write_bench
 
@@ -26,7 +26,7 @@ def stage_and_light(tmp_path):
     bench = load_bench(write_bench(tmp_path))
     stage = Asked(bench.home_mm | {"target_z": -30.0})
     hardware = OpenBench(bench, {"stages": stage}, {}, VirtualClock(), None)
-    return stage, Light(hardware, SimpleNamespace(path=tmp_path), None, None)
+    return stage, LaserSession(hardware, SimpleNamespace(path=tmp_path), None, None)
 
 
 def test_one_axis_that_moves_is_no_rest_whichever_it_is(stage_and_light):

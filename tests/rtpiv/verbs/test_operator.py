@@ -5,7 +5,7 @@ import io
 import pytest
 
 from daq.errors import RunUsageError
-from daq.runner.light import NoOperator
+from daq.runner.laser_session import NoOperator
 from rtpiv.command_line.cli import USAGE, main
 from rtpiv.verbs.operator import ScriptOperator, TerminalOperator, operator_of
 from tests.daq.flow_bench import write_flow

@@ -77,7 +77,7 @@ class NoOperator:
         )
 
 
-class Light:
+class LaserSession:
     """The laser of one session.
 
     Parameters
