@@ -89,7 +89,7 @@ class RunShown:
 
 def words_of(progress: Progress) -> dict[str, Any]:
     """Progress for the page: a sentence, and counters as name -> (text, whether that is wrong)."""
-    flow, books = progress.flow, progress.ledger
+    flow, books = progress.flow, progress.accounting
     raw, live = progress.waiting
     latency = flow.latency_ms[-RECENT:]
     middle_ms = float(np.median(latency)) if latency else 0.0

@@ -1,4 +1,4 @@
-"""The camera of a run, whoever takes its frames: arming, disarming, waiting, rejecting, and the books of all that.
+"""The camera of a run, whoever takes its frames: arming, disarming, waiting, rejecting, and the account of all that.
 
 Every wait is cut into slices, and before each slice and each trigger the bench's stop is asked.  How frames are
 taken is in exposures.
@@ -42,7 +42,7 @@ from daq.errors import (
 )
 from daq.runner.exposures import single_frames, stream
 from daq.runner.trigger_match import UNCONFIRMED, TriggerMatch
-from daq.runs.conservation import Bookkeeper, Ledger
+from daq.runs.frame_accounting import FrameAccounting, FrameCounters
 from stages.stop_latch import StopLatch
 
 
@@ -78,7 +78,7 @@ SLICE_S = 0.05
 
 
 class CameraSession:
-    """A camera, its frames one after the other, and the books of them.
+    """A camera, its frames one after the other, and the account of them.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class CameraSession:
         self.section = section
         self.software = trigger_is_software(section.settings)
         self.match = TriggerMatch(1e9 * section.timeout_s)
-        self.counts = Bookkeeper(self.software)
+        self.counts = FrameCounters(self.software)
         self.discarded = 0  # frames that were written and are not wanted after all
         self.doubts: list[str] = []
         self.settings: dict[str, Setting] = {}  # as the camera read them back
@@ -112,12 +112,12 @@ class CameraSession:
         self._token = 0
         self._format = FrameFormat({})
         self._is_armed = False
-        self._ended = Ledger()  # when the last arm ended, as the next two
+        self._ended = FrameAccounting()  # when the last arm ended, as the next two
         self._handed_before = self._rejected_before = 0
 
-    # ---- the books -----------------------------------------------------------------------------
+    # ---- the account ---------------------------------------------------------------------------
 
-    def books(self, written: int) -> Ledger:
+    def accounting(self, written: int) -> FrameAccounting:
         """Books of the arms that have ended.
 
         Parameters
@@ -125,17 +125,21 @@ class CameraSession:
         written : int
             Frames of this session that are on the disk; what was handed over and is not there counts as lost.
         """
-        ledger, discarded = self.counts.ledger(), self.discarded
-        unwritten = ledger.written - written
-        return ledger + Ledger(written=-unwritten - discarded, unwritten=unwritten, rejected=discarded)
+        accounting, discarded = self.counts.accounting(), self.discarded
+        unwritten = accounting.written - written
+        return accounting + FrameAccounting(
+            written=-unwritten - discarded, unwritten=unwritten, rejected=discarded
+        )
 
-    def books_so_far(self, written: int) -> Ledger:
+    def accounting_so_far(self, written: int) -> FrameAccounting:
         """Books in the middle of an arm, without asking the camera; frames under way are not counted yet."""
         counts, ended = self.counts, self._ended
         handed, rejected = counts.handed - self._handed_before, counts.rejected - self._rejected_before
-        ledger = ended + Ledger(triggered=handed + rejected, written=handed, rejected=rejected)
-        under_way, discarded = ledger.written - written, self.discarded
-        return ledger + Ledger(triggered=-under_way, written=-under_way - discarded, rejected=discarded)
+        accounting = ended + FrameAccounting(triggered=handed + rejected, written=handed, rejected=rejected)
+        under_way, discarded = accounting.written - written, self.discarded
+        return accounting + FrameAccounting(
+            triggered=-under_way, written=-under_way - discarded, rejected=discarded
+        )
 
     # ---- what a run asks for -------------------------------------------------------------------
 
@@ -172,7 +176,7 @@ class CameraSession:
             raise
 
     def end(self) -> None:
-        """Disarm and close the books of this arm.  Harmless when repeated."""
+        """Disarm and close the account of this arm.  Harmless when repeated."""
         if not self._is_armed:
             return
         with suppress(CameraError, FrameDoubt):  # gone; or said and kept
@@ -187,21 +191,21 @@ class CameraSession:
         self._ended = self.counts.close(counters)
         self._handed_before, self._rejected_before = self.counts.handed, self.counts.rejected
 
-    def conclude(self, written: int) -> Ledger:
-        """End the session: close the books, and find what is in doubt now that nothing can clear it any more.
+    def conclude(self, written: int) -> FrameAccounting:
+        """End the session: close the account, and find what is in doubt now that nothing can clear it any more.
 
         Parameters
         ----------
         written : int
-            As for `books`.
+            As for `accounting`.
         """
         self.end()
-        ledger = self.books(written)
-        if ledger.imbalance:
-            self.doubts.append(f"the books do not balance ({ledger.sentence()})")
+        accounting = self.accounting(written)
+        if accounting.imbalance:
+            self.doubts.append(f"the books do not balance ({accounting.sentence()})")
         if self.match.first_is_unconfirmed:
             self.doubts.append(UNCONFIRMED)
-        return ledger
+        return accounting
 
     def frames(self, count: int, begin: int = 0, may_lose: int = 0) -> Generator[tuple[int, Frame], None, None]:
         """Yield (place in the step, frame), in rising order.

@@ -165,7 +165,7 @@ class CameraDevice:
     Parameters
     ----------
     exposures : CameraSession
-        Open camera with its books.
+        Open camera with its account.
     keep : callable, optional
         Gets the pixels of every frame, to be copied if they are to be kept.
     """

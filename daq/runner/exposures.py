@@ -29,7 +29,7 @@ from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import BadFrame, CameraError, CameraTimeout, FrameIncomplete, FramesLost, OtherFormat
 from daq.runner.clock_calibration import PAUSES_S, Shot, explain
 from daq.runner.trigger_match import Place
-from daq.runs.conservation import Ledger
+from daq.runs.frame_accounting import FrameAccounting
 
 if TYPE_CHECKING:
     from daq.runner.camera_session import CameraSession
@@ -198,7 +198,7 @@ def stream(taken_by: "CameraSession", places: range, may_lose: int) -> Generator
     CameraTimeout
         No further frame came in time.
     """
-    before, lost, next_place = taken_by.counts.ledger(), 0, places.start
+    before, lost, next_place = taken_by.counts.accounting(), 0, places.start
     first: int | None = None
     dried_up: CameraTimeout | None = None
     try:
@@ -231,7 +231,7 @@ def stream(taken_by: "CameraSession", places: range, may_lose: int) -> Generator
                 taken_by.reject(frame, True)
     finally:
         taken_by.end()
-    why = _where(before, taken_by.counts.ledger())
+    why = _where(before, taken_by.counts.accounting())
     if lost > may_lose:
         raise FramesLost(f"{lost} of {next_place - places.start} frames are gone: {why or 'no reason given'}")
     if dried_up is not None:
@@ -252,7 +252,7 @@ def _deadline_s(taken_by: "CameraSession") -> float:
     return time.monotonic() + taken_by.section.timeout_s
 
 
-def _where(before: Ledger, after: Ledger) -> str:
+def _where(before: FrameAccounting, after: FrameAccounting) -> str:
     causes = (
         ("no buffer was free (disk or computer too slow)", after.underrun - before.underrun),
         ("incomplete (link)", after.incomplete - before.incomplete),

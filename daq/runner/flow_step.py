@@ -1,6 +1,6 @@
 """The pairs of a step that is lit by pulses, chunk by chunk, of one camera or of several at once.
 
-    cameras armed and empty -> laser armed -> n pairs fired -> frames to pairs (pair_finder) -> books -> next chunk
+    cameras armed and empty -> laser armed -> n pairs fired -> frames to pairs (pair_finder) -> account -> next chunk
 
 A pair is kept when it is sure, and gets the next two places of the step; what was lost is counted in the line of
 its chunk and fired again, so a step has no gaps.  A flow goes on meanwhile: the time of each pair stands in its
@@ -33,7 +33,7 @@ from daq.runner.laser_session import LaserSession, require_buffers, require_rate
 from daq.runner.pair_source import Chunk, Pair, PairSource
 from daq.runner.pair_writer import PairWriter
 from daq.runner.progress import Progress
-from daq.runs.conservation import ELSEWHERE, LEFT, SURPLUS
+from daq.runs.frame_accounting import ELSEWHERE, LEFT, SURPLUS
 from daq.runs.journal import utc_now
 from daq.timing.laser import Laser
 
@@ -216,7 +216,7 @@ def synchronise_pairs(
     Parameters
     ----------
     sources, streams, chunks : sequence
-        Of each camera: itself, what its `pairs` returned, and its books.
+        Of each camera: itself, what its `pairs` returned, and its counts.
     rate_hz : float
         Triggers a second.
 

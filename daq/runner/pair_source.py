@@ -20,7 +20,7 @@ from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import ask_clock
 from daq.runner.clock_calibration import Shot
 from daq.runner.pair_finder import MarkerPolarity, PairFinder
-from daq.runs.conservation import DARK, HALF, LEFT
+from daq.runs.frame_accounting import DARK, HALF, LEFT
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
 from daq.timing.states import EMITS

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from daq.pipeline.flow import Flow
-from daq.runs.conservation import Ledger
+from daq.runs.frame_accounting import FrameAccounting
 from daq.timing.states import LaserState
 
 
@@ -42,7 +42,7 @@ class Progress:
     frames: int = 0
     begun_s: float = field(default_factory=time.monotonic)
     positions_mm: dict[str, float] = field(default_factory=dict)
-    ledger: Ledger = field(default_factory=Ledger)
+    accounting: FrameAccounting = field(default_factory=FrameAccounting)
     waiting: tuple[int, int] = (0, 0)
     flow: Flow = field(default_factory=Flow)
     laser: LaserState | None = None
@@ -82,7 +82,7 @@ def panel(progress: Progress) -> Table:
         ("skipped", f"{len(progress.flow.skipped)} not corrected live (done after the run)"),
         ("vectors", progress.flow.vectors.sentence() if progress.flow.vectors else "-"),
         ("positions", "  ".join(f"{name} {mm:.3f}" for name, mm in progress.positions_mm.items()) or "-"),
-        ("books", progress.ledger.sentence()),
+        ("books", progress.accounting.sentence()),
     ]
     table = Table(show_header=False, box=None)
     for name, value in rows:
@@ -95,7 +95,7 @@ def line(progress: Progress) -> str:
     words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}", progress.doing, progress.left()]
     if progress.flow.vectors is not None:
         words.append(f"vectors {progress.flow.vectors.sentence()}")
-    return "; ".join([*filter(None, words), progress.ledger.sentence()])
+    return "; ".join([*filter(None, words), progress.accounting.sentence()])
 
 
 @contextmanager

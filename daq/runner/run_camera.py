@@ -30,10 +30,10 @@ from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import camera_facts
 from daq.runner.pair_source import PairSource
 from daq.runner.pair_writer import PairWriter
-from daq.runs.conservation import Ledger, doubts, total_ledger
 from daq.runs.displacement import displacements, write_displacements
 from daq.runs.done_file import run_hash
-from daq.runs.gaps import booked_gaps, numbers_in
+from daq.runs.frame_accounting import FrameAccounting, doubts, total_accounting
+from daq.runs.gaps import numbers_in, recorded_gaps
 from daq.runs.journal import Journal, utc_now
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, versions
 from daq.runs.seal import write_record
@@ -113,7 +113,7 @@ class RunCamera:
             raise ResumeRefused(f"{self.folder.path}: {said[0]}; begin a new run")
 
     def open(self, left: Sequence[Step], again: Collection[int] = ()) -> None:
-        """Begin the books of a session: drop what was cut off, and have maps ready for what is left.
+        """Begin a session: drop what was cut off, and have maps ready for what is left.
 
         Parameters
         ----------
@@ -177,8 +177,8 @@ class RunCamera:
 
     # ---- how it ends ---------------------------------------------------------------------------
 
-    def end(self, why: str, error: str) -> tuple[Ledger | None, str]:
-        """Close the books of the session, with every frame on the disk.
+    def end(self, why: str, error: str) -> tuple[FrameAccounting | None, str]:
+        """Close the account of the session, with every frame on the disk.
 
         Parameters
         ----------
@@ -187,7 +187,7 @@ class RunCamera:
 
         Returns
         -------
-        Ledger or None
+        FrameAccounting or None
             What became of its frames; None if the camera was never set up.
         str
             What is in doubt.
@@ -197,14 +197,14 @@ class RunCamera:
             return None, ""
         self._pipeline.close()
         flow = self._pipeline.flow
-        ledger = self.session.conclude(flow.written)
+        accounting = self.session.conclude(flow.written)
         doubt = "; ".join(self.session.doubts)
         about: dict[str, Any] = {"doubt": doubt} if doubt else {}
         if doubt and why == "finished":
             why, error = BadBalance.__name__, doubt
-        self.journal.append("counts", books=ledger.to_dict(), flow=flow.summary(), **about)
+        self.journal.append("counts", books=accounting.to_dict(), flow=flow.summary(), **about)
         self.journal.append("end", sync=True, utc=utc_now(), why=why, error=error, **about)
-        return ledger, doubt
+        return accounting, doubt
 
     def complete(self, steps: Sequence[Step], tell: Callable[[str], None]) -> dict[str, Any]:
         """Correct what was left, and write done.json; return its contents.
@@ -330,10 +330,10 @@ def done_record(folder: RunFolder, steps: Sequence[Step], caught_up: int) -> dic
         Frames are missing, or in doubt; the run is not done.
     """
     entries = folder.entries()
-    total, sessions = total_ledger(entries)
+    total, sessions = total_accounting(entries)
     present = frame_entries(entries)
     absent = folder.absent(entries)
-    gaps = booked_gaps(entries)
+    gaps = recorded_gaps(entries)
     never_came = {number for found in gaps.values() for number in numbers_in(found)}
     if absent or {number for step in steps for number in step.numbers} - never_came != set(present):
         raise BadBalance(f"{len(present)} frames in the journal, {len(absent)} of them without a file")

@@ -27,7 +27,7 @@ from daq.runner.laser_session import LaserSession, NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
 from daq.runner.run_camera import RunCamera
 from daq.runner.step_frames import StepFrames
-from daq.runs.conservation import Ledger
+from daq.runs.frame_accounting import FrameAccounting
 from daq.runs.gaps import Gaps
 from daq.runs.journal import utc_now
 from daq.runs.run_folder import frame_entries, remaining
@@ -245,7 +245,7 @@ class Runner:
             self._first.journal.append("miss", sync=True, step=step.index, tag=step.tag, utc=utc_now(), **about)
             raise
 
-    def _tell(self, doing: str, ledger: Ledger | None = None) -> None:
+    def _tell(self, doing: str, accounting: FrameAccounting | None = None) -> None:
         self.progress.doing, self.progress.laser = doing, self._laser_session.state
-        self.progress.ledger = ledger or self._first.session.books_so_far(self.progress.flow.written)
+        self.progress.accounting = accounting or self._first.session.accounting_so_far(self.progress.flow.written)
         self._watcher(self.progress)

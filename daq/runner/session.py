@@ -35,9 +35,9 @@ from daq.runner.laser_session import NoOperator, Operator
 from daq.runner.progress import Progress, Watcher
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
-from daq.runs.conservation import doubts
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.done_file import FILE as DONE
+from daq.runs.frame_accounting import doubts
 from daq.runs.frame_check import Track, frame_faults, named, unclaimed, untracked
 from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at

@@ -1,4 +1,4 @@
-"""Frames that a step was to have and never got, as a run books them: ranges of numbers, first and last.
+"""Frames that a step was to have and never got, as a run records them: ranges of numbers, first and last.
 
 Only a step that may have gaps (a stream) is ever finished with some; they stand in its line of the journal, in
 done.json, and in one sentence at the end.
@@ -27,7 +27,7 @@ def gaps_of(numbers: Iterable[int], present: Container[int]) -> Gaps:
     return found
 
 
-def booked_gaps(entries: Sequence[Entry]) -> dict[int, Gaps]:
+def recorded_gaps(entries: Sequence[Entry]) -> dict[int, Gaps]:
     """Return the gaps of every finished step that has any."""
     finished = finished_steps(entries)
     lines = [entry for entry in entries if entry["kind"] == "step" and entry["step"] in finished]

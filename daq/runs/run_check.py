@@ -1,4 +1,4 @@
-"""A whole run checked against itself: records, frames, books, hash, corrected frames.
+"""A whole run checked against itself: records, frames, accounts, hash, corrected frames.
 
 Every part says in one sentence whether it is sound.  What a run that is not finished may lack is no fault: a step
 that was cut off leaves frames that `resume` takes again.
@@ -10,11 +10,11 @@ from pathlib import Path
 
 from daq.errors import DaqError, RunDamaged
 from daq.runs.clock_map import clock_maps
-from daq.runs.conservation import doubts, total_ledger
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import DoneFile, read_done, run_hash
+from daq.runs.frame_accounting import doubts, total_accounting
 from daq.runs.frame_check import NAMED, FrameFault, Track, frame_faults, named, unclaimed, untracked
-from daq.runs.gaps import booked_gaps, numbers_in
+from daq.runs.gaps import numbers_in, recorded_gaps
 from daq.runs.journal import Entry
 from daq.runs.run_file import SEALED_FROM, RunFile
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries
@@ -95,7 +95,7 @@ def check_run(path: Path, track: Track = untracked) -> RunCheck:
 
 
 def _journal(about: RunFile, entries: list[Entry], is_done: bool) -> Finding:
-    finished, present, gaps = finished_steps(entries), frame_entries(entries), booked_gaps(entries)
+    finished, present, gaps = finished_steps(entries), frame_entries(entries), recorded_gaps(entries)
     for step in about["steps"]:
         numbers = range(step["first_frame"], step["first_frame"] + step["frames"])
         never_came = numbers_in(gaps.get(step["index"], ()))
@@ -144,7 +144,7 @@ def _unknown(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Finding
 
 
 def _books(entries: list[Entry], frames: int) -> Finding:
-    total, _ = total_ledger(entries)
+    total, _ = total_accounting(entries)
     if said := doubts(entries):
         return Finding("books", False, "; ".join(said))
     if total.imbalance or total.written != frames:
@@ -171,7 +171,7 @@ def _end(folder: RunFolder, about: RunFile, entries: list[Entry], faults: int) -
 
 def _done(folder: RunFolder, about: RunFile, entries: list[Entry], done: DoneFile, faults: int) -> Finding:
     present = frame_entries(entries)
-    total, _ = total_ledger(entries)
+    total, _ = total_accounting(entries)
     if done["frames"] != len(present) or done["conservation"] != total.to_dict():
         return Finding("done.json", False, "counts other frames than the journal")
     if "sha256" not in done:
@@ -199,7 +199,7 @@ def _displacements(folder: RunFolder) -> Finding:
 
 
 def _corrected(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Finding:
-    never_came = numbers_in(gap for gaps in booked_gaps(entries).values() for gap in gaps)
+    never_came = numbers_in(gap for gaps in recorded_gaps(entries).values() for gap in gaps)
     wanted = [
         folder.corrected_path(number)
         for step in about["steps"]

@@ -23,9 +23,9 @@ from daq.plans.plan import Plan, load_plan, read_plan
 from daq.runner.laser_session import Operator
 from daq.runner.progress import watch
 from daq.runner.session import Request, Run, begin, check_disk, run_session
-from daq.runs.conservation import chunk_sentences
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import Moved, read_displacements
+from daq.runs.frame_accounting import chunk_sentences
 from daq.runs.gaps import gap_sentence
 from daq.runs.run_folder import RunFolder
 from ground.errors import ConfigError

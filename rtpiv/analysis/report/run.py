@@ -1,9 +1,9 @@
 """The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
 
-from daq.runs.conservation import Ledger, chunk_sentences
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
+from daq.runs.frame_accounting import FrameAccounting, chunk_sentences
 from daq.runs.run_folder import RunFolder
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.page import Link, Page
@@ -52,7 +52,7 @@ def books_chapter(page: Page, folder: RunFolder) -> None:
     if done is None:
         page.text("The run is not finished: resume it, or what follows is a part of the plan.")
         return
-    books = Ledger.from_dict(done["conservation"])
+    books = FrameAccounting.from_dict(done["conservation"])
     page.text(books.sentence() + ("." if books.imbalance == 0 else f", out by {books.imbalance}."))
     counts = [(name, str(count)) for name, count in books.to_dict().items()]
     page.table(("frames", "count"), counts)

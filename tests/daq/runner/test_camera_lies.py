@@ -45,7 +45,7 @@ def test_frames_in_another_format_than_read_back_are_refused_at_the_first(rig, s
     with pytest.raises(OtherFormat, match=r"sends Mono8 of 64 x 16 px and reads Mono12 of 64 x 16 px back"):
         next(exposures.frames(3))
     exposures.end()
-    books = exposures.books(0)
+    books = exposures.accounting(0)
     assert books.written == 0
     assert books.rejected >= 1
     assert books.imbalance == 0
@@ -122,7 +122,7 @@ def test_a_clock_that_is_another_or_cannot_be_read_still_tells_late_frames(rig, 
         for _, frame in exposures.frames(1):
             filed.append((stop, int(frame.pixels[0, 0])))
             frame.release()
-    ledger = exposures.conclude(len(filed))
+    accounting = exposures.conclude(len(filed))
     assert not exposures.doubts
-    assert ledger.imbalance == 0
+    assert accounting.imbalance == 0
     assert all(sent[shown] == at for at, shown in filed)

@@ -58,7 +58,7 @@ def test_no_frame_is_filed_under_a_stop_that_it_does_not_show(rig, late_s):
     exposures.end()
     wrong = [(shown, before, after) for shown, before, after in seen if not before <= shown < after]
     assert not wrong
-    books = exposures.books(len(seen))
+    books = exposures.accounting(len(seen))
     assert books.imbalance == 0, books.sentence()
     assert min(books.to_dict().values()) >= 0
     assert books.rejected + books.silent >= len(late_s)  # it came too late, or not at all

@@ -8,7 +8,7 @@ from daq.errors import ResumeRefused, RunDamaged, RunInterrupted
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, Run, begin, reopen, run_session
-from daq.runs.conservation import Ledger
+from daq.runs.frame_accounting import FrameAccounting
 from daq.runs.journal import Journal
 from daq.runs.run_check import check_run
 from rtpiv.command_line.cli import USAGE, main
@@ -32,7 +32,7 @@ def session(run, controllers=None):
 
 def test_a_run_in_doubt_is_refused_whatever_followed(run, capsys):
     journal = session(run)
-    journal.append("counts", books=Ledger(triggered=3, written=2).to_dict(), flow=FLOW)
+    journal.append("counts", books=FrameAccounting(triggered=3, written=2).to_dict(), flow=FLOW)
     journal.append("end", utc="now", why="BadBalance", error="")
     journal.close()
     with pytest.raises(ResumeRefused, match=r"do not balance .*begin a new run"):

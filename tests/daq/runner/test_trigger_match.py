@@ -107,7 +107,7 @@ many = settings(
 def check_books(session):
     assert min(value for name, value in session.books.to_dict().items() if name != "imbalance") >= 0
     for written in range(len(session.filed) + session.discarded + 1):
-        live = session.exposures.books_so_far(written).to_dict()
+        live = session.exposures.accounting_so_far(written).to_dict()
         assert live["imbalance"] == session.books.imbalance or session.is_in_doubt
     assert session.books.written == len(session.filed)
 
@@ -263,9 +263,9 @@ def test_a_stop_while_a_frame_is_waited_for_leaves_the_books_whole(play):
         with pytest.raises(MotionStopped):
             list(exposures.frames(2))
         assert len(camera.sent) == 2
-        ledger = exposures.conclude(1)
+        accounting = exposures.conclude(1)
         assert not exposures.doubts
-        assert (ledger.triggered, ledger.written, ledger.silent, ledger.imbalance) == (2, 1, 1, 0)
+        assert (accounting.triggered, accounting.written, accounting.silent, accounting.imbalance) == (2, 1, 1, 0)
 
 
 def test_a_clock_that_does_not_run_on_is_a_camera_that_restarted():

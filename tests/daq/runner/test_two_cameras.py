@@ -18,7 +18,7 @@ from daq.runner.clock_calibration import Shot
 from daq.runner.flow_step import FlowStep
 from daq.runner.pair_source import Chunk, PairSource
 from daq.runs.clock_map import clock_maps
-from daq.runs.conservation import ELSEWHERE
+from daq.runs.frame_accounting import ELSEWHERE
 from daq.runs.pairs import pairs_of
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries

@@ -1,6 +1,6 @@
 """What became of the pairs of a flow, in words."""
 
-from daq.runs.conservation import DARK, HALF, LEFT, SURPLUS, chunk_sentences
+from daq.runs.frame_accounting import DARK, HALF, LEFT, SURPLUS, chunk_sentences
 
 CHUNK = {"kind": "chunk", "fired": 10, "pairs": 8, "surplus": 1, "lost": 1, "never_came": 2}
 

@@ -8,8 +8,8 @@ import pytest
 
 from correction.fitted import prepared
 from correction.grid import grid_of
-from daq.runs.conservation import Ledger
 from daq.runs.displacement import Displacement, write_displacements
+from daq.runs.frame_accounting import FrameAccounting
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import scene_file
@@ -48,7 +48,7 @@ def run_folder(path, name, prints, done=True):
         keep_step(journal, k, prints[k][0])
     journal.close()
     if done:
-        books = Ledger(triggered=len(prints), written=len(prints)).to_dict()
+        books = FrameAccounting(triggered=len(prints), written=len(prints)).to_dict()
         latency = {"p50": 12.0, "p99": 20.0}
         flow = [{"corrected_live": 1, "skipped_live": 0, "latency_ms": latency}]
         done = {"utc": "now", "steps": len(prints), "frames": len(prints), "conservation": books, "sessions": []}

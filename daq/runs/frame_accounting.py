@@ -22,10 +22,10 @@ trigger (an earlier process left them behind), unasked by a camera that has forg
 before they could be checked, or any where every frame handed over was told by its time.  Elsewhere they make an
 imbalance: with one frame too many and nothing to tell them apart, all are in doubt.
 
-The books of a whole run are those of its sessions in the journal, added up (`total_ledger`).  A doubt is a reason
-why some frame of the run may not show what its record says: books that do not balance, or a frame that could not
-be given to its trigger.  It never goes away by taking more frames, so a run with one is never done and is not
-resumed; its frames stay where they are.
+The account of a whole run is those of its sessions in the journal, added up (`total_accounting`).  A doubt is a
+reason why some frame of the run may not show what its record says: accounts that do not balance, or a frame that
+could not be given to its trigger.  It never goes away by taking more frames, so a run with one is never done and
+is not resumed; its frames stay where they are.
 
 In a flow run pairs of light pulses are conserved as well (`chunk_sentences`):
 
@@ -45,7 +45,7 @@ from ground.plain_words import counted
 
 
 @dataclass(frozen=True, slots=True)
-class Ledger:
+class FrameAccounting:
     """Frames by what became of them; ledgers of several arms or sessions add up."""
 
     triggered: int = 0
@@ -65,11 +65,11 @@ class Ledger:
 
     @property
     def imbalance(self) -> int:
-        """Triggered minus everything that became of them; 0 if the books are right."""
+        """Triggered minus everything that became of them; 0 if the account is right."""
         return self.triggered - self.written - self.incomplete - self.rejected - self.lost
 
-    def __add__(self, other: "Ledger") -> "Ledger":
-        return Ledger(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+    def __add__(self, other: "FrameAccounting") -> "FrameAccounting":
+        return FrameAccounting(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def to_dict(self) -> dict[str, int]:
         """Every count by name, `lost` and `imbalance` included."""
@@ -90,8 +90,8 @@ class Ledger:
         return f"{self.triggered} triggered {sign} {self.written} written{failed}"
 
 
-class Bookkeeper:
-    """Makes a ledger from an armed camera's counters and our own; one for all arms of a session.
+class FrameCounters:
+    """Makes a accounting from an armed camera's counters and our own; one for all arms of a session.
 
     A frame that came after its arm had ended is found in a later one, so only the whole session can be balanced.
 
@@ -112,8 +112,8 @@ class Bookkeeper:
         self.in_doubt = False  # settings were lost, or the camera was before they could be checked
         self.by_time = False  # every frame handed over was exposed for its trigger, whatever else the camera sent
 
-    def close(self, counters: Counters) -> Ledger:
-        """Add an arm; return the ledger of the session so far.
+    def close(self, counters: Counters) -> FrameAccounting:
+        """Add an arm; return the accounting of the session so far.
 
         All that was handed over counts as written until the disk says otherwise.
 
@@ -123,10 +123,10 @@ class Bookkeeper:
             The camera's, after it was disarmed.
         """
         self._ended = _added(self._ended, counters)
-        return self.ledger()
+        return self.accounting()
 
-    def ledger(self) -> Ledger:
-        """Ledger of the arms that have ended."""
+    def accounting(self) -> FrameAccounting:
+        """FrameAccounting of the arms that have ended."""
         counters = self._ended
         ignored = (counters.ignored_triggers or 0) if self._software else 0
         seen = counters.delivered + counters.incomplete + counters.underrun + counters.missing + counters.unused
@@ -134,7 +134,7 @@ class Bookkeeper:
         if self.in_doubt or self.by_time:  # it may have exposed unasked
             triggered = max(triggered, seen + ignored)
         silent = min(self.timeouts, max(0, triggered - seen - ignored)) if self._software else 0
-        return Ledger(
+        return FrameAccounting(
             triggered=triggered,
             written=self.handed,
             incomplete=counters.incomplete,
@@ -159,25 +159,27 @@ def _added(one: Counters, other: Counters) -> Counters:
     )
 
 
-def total_ledger(entries: Sequence[Entry]) -> tuple[Ledger, list[dict[str, Any]]]:
-    """Add the books of all sessions up.
+def total_accounting(entries: Sequence[Entry]) -> tuple[FrameAccounting, list[dict[str, Any]]]:
+    """Add the accounts of all sessions up.
 
     A session that was killed has none; its frame lines stand for it, and what was under way is not known.  Frames
     that a session discards at its beginning were written by an earlier one.
     """
     starts = [index for index, entry in enumerate(entries) if entry["kind"] == "session"]
-    total, sessions = Ledger(), []
+    total, sessions = FrameAccounting(), []
     for first, last in pairwise([*starts, len(entries)]):
         lines = [line for line in entries[first + 1 : last] if line["kind"] != "camera"]  # these count nothing
-        books = next((Ledger.from_dict(line["books"]) for line in lines if line["kind"] == "counts"), None)
+        books = next(
+            (FrameAccounting.from_dict(line["books"]) for line in lines if line["kind"] == "counts"), None
+        )
         end = next((line for line in lines if line["kind"] == "end"), None)
         was_killed = books is None
         if books is None:
             written = sum(line["kind"] == "frame" for line in lines)
-            books = Ledger(triggered=written, written=written)
+            books = FrameAccounting(triggered=written, written=written)
         for number, line in enumerate(lines):
             if line["kind"] == "discard" and (number == 0 or was_killed):
-                books += Ledger(written=-len(line["frames"]), rejected=len(line["frames"]))
+                books += FrameAccounting(written=-len(line["frames"]), rejected=len(line["frames"]))
         total += books
         why = {"ended": "killed", "error": ""} if end is None else {"ended": end["why"], "error": end["error"]}
         sessions.append({"utc": entries[first]["utc"], **why, "conservation": books.to_dict()})
@@ -187,7 +189,7 @@ def total_ledger(entries: Sequence[Entry]) -> tuple[Ledger, list[dict[str, Any]]
 def doubts(entries: Sequence[Entry]) -> list[str]:
     """Return what is in doubt about a run, one sentence each, without full stop; [] if nothing is.
 
-    Sessions say so themselves (key `doubt` of their lines, lines of the kind `doubt`); books that do not balance
+    Sessions say so themselves (key `doubt` of their lines, lines of the kind `doubt`); accounts that do not balance
     are a doubt whether they were called one or not.
     """
     found: list[str] = []
@@ -196,7 +198,7 @@ def doubts(entries: Sequence[Entry]) -> list[str]:
         if said is not None:
             found.append(str(said))
         elif entry["kind"] == "counts":
-            books = Ledger.from_dict(entry["books"])
+            books = FrameAccounting.from_dict(entry["books"])
             if books.imbalance:
                 found.append(f"the books of a session do not balance ({books.sentence()})")
     return list(dict.fromkeys(found))
