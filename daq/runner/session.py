@@ -38,7 +38,7 @@ from daq.runner.runner import Runner
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.done_file import FILE as DONE
 from daq.runs.frame_accounting import doubts
-from daq.runs.frame_check import Track, frame_faults, named, unclaimed, untracked
+from daq.runs.frame_check import Track, frame_faults, named, orphan_files, untracked
 from daq.runs.gaps import next_place
 from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from daq.runs.journal import Entry
@@ -310,7 +310,7 @@ def reopen(path: Path, retake: bool = False, track: Track = untracked) -> Run:
                 f"{path}: the {name} is another than when the run began ({now}, was {then}); "
                 "put the old file back, or begin a new run"
             )
-    if strange := unclaimed(folder, about["steps"], entries).sentence:
+    if strange := orphan_files(folder, about["steps"], entries).sentence:
         raise RunDamaged(f"{path}: {strange}")
     again = damaged_steps(folder, plan.steps, entries, retake, track)
     if folder.is_done and not again:

@@ -101,7 +101,7 @@ _FRAME = re.compile(r"\d{6,}\.tif(\.part)?")  # what else people keep there is t
 
 
 @dataclass(frozen=True, slots=True)
-class Unclaimed:
+class OrphanFiles:
     """Names of files among the frames: left behind where a step was `cut_off`, or without any explanation."""
 
     cut_off: tuple[str, ...]
@@ -120,7 +120,7 @@ class Unclaimed:
         )
 
 
-def unclaimed(folder: RunFolder, steps: Sequence[PlannedStep], entries: Sequence[Entry]) -> Unclaimed:
+def orphan_files(folder: RunFolder, steps: Sequence[PlannedStep], entries: Sequence[Entry]) -> OrphanFiles:
     """Look for files that nobody vouches for.
 
     Parameters
@@ -145,5 +145,5 @@ def unclaimed(folder: RunFolder, steps: Sequence[PlannedStep], entries: Sequence
     strange = [name for name in names if name.removesuffix(".part") not in step_of]
     cut_off = [name for name in names if name.removesuffix(".part") in step_of]
     if len({step_of[name.removesuffix(".part")] for name in cut_off}) > 1 or len(cut_off) > MOST_CUT_OFF:
-        return Unclaimed((), tuple(names))
-    return Unclaimed(tuple(cut_off), tuple(strange))
+        return OrphanFiles((), tuple(names))
+    return OrphanFiles(tuple(cut_off), tuple(strange))

@@ -13,7 +13,7 @@ from daq.runs.clock_map import clock_maps
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import DoneFile, read_done, run_hash
 from daq.runs.frame_accounting import doubts, total_accounting
-from daq.runs.frame_check import NAMED, FrameFault, Track, frame_faults, named, unclaimed, untracked
+from daq.runs.frame_check import NAMED, FrameFault, Track, frame_faults, named, orphan_files, untracked
 from daq.runs.gaps import numbers_in, recorded_gaps
 from daq.runs.journal import Entry
 from daq.runs.run_file import SEALED_FROM, RunFile
@@ -136,7 +136,7 @@ def _frames(count: int, faults: list[FrameFault]) -> Finding:
 
 
 def _unknown(folder: RunFolder, about: RunFile, entries: list[Entry]) -> Finding:
-    found = unclaimed(folder, about["steps"], entries)
+    found = orphan_files(folder, about["steps"], entries)
     if found.strange:
         return Finding("other files", False, found.sentence)
     said = f"{len(found.cut_off)} of a step that was cut off; resume takes it again" if found.cut_off else "none"

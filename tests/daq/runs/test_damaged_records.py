@@ -12,7 +12,7 @@ import pytest
 from daq.errors import RunDamaged
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
-from daq.runs.frame_check import unclaimed
+from daq.runs.frame_check import orphan_files
 from daq.runs.journal import Journal
 from daq.runs.raw_frame import write_raw
 from daq.runs.run_check import check_run
@@ -225,7 +225,7 @@ def test_many_frames_of_a_stream_without_lines_are_never_removed(tmp_path, unkno
     journal.close()
     for number in range(100, 100 + unknown):
         write_raw(folder.frame_path(number), pixels, {})
-    found = unclaimed(folder, folder.about["steps"], folder.entries())
+    found = orphan_files(folder, folder.about["steps"], folder.entries())
     assert len(found.strange) == strange
     assert len(found.cut_off) == unknown - strange
     assert ("and 60 more" in found.sentence) == bool(strange)
