@@ -1,4 +1,4 @@
-"""The camera of a run, whoever takes its frames: arming, disarming, waiting, rejecting, and the account of all that.
+"""The camera of a run, whoever takes its frames: arming, disarming, waiting, rejecting, and the account of that.
 
 Every wait is cut into slices, and before each slice and each trigger the bench's stop is asked.  How frames are
 taken is in exposures.

@@ -1,6 +1,6 @@
 """The pairs of a step that is lit by pulses, chunk by chunk, of one camera or of several at once.
 
-    cameras armed and empty -> laser armed -> n pairs fired -> frames to pairs (pair_finder) -> account -> next chunk
+    cameras armed and empty -> laser armed -> n pairs fired -> frames to pairs (pair_finder) -> account -> next
 
 A pair is kept when it is sure, and gets the next two places of the step; what was lost is counted in the line of
 its chunk and fired again, so a step has no gaps.  A flow goes on meanwhile: the time of each pair stands in its

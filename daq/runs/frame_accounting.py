@@ -91,7 +91,7 @@ class FrameAccounting:
 
 
 class FrameCounters:
-    """Makes a accounting from an armed camera's counters and our own; one for all arms of a session.
+    """Makes an accounting from an armed camera's counters and our own; one for all arms of a session.
 
     A frame that came after its arm had ended is found in a later one, so only the whole session can be balanced.
 
@@ -189,7 +189,8 @@ def total_accounting(entries: Sequence[Entry]) -> tuple[FrameAccounting, list[di
 def doubts(entries: Sequence[Entry]) -> list[str]:
     """Return what is in doubt about a run, one sentence each, without full stop; [] if nothing is.
 
-    Sessions say so themselves (key `doubt` of their lines, lines of the kind `doubt`); accounts that do not balance
+    Sessions say so themselves (key `doubt` of their lines, lines of the kind `doubt`); accounts that do not
+    balance
     are a doubt whether they were called one or not.
     """
     found: list[str] = []

@@ -167,7 +167,7 @@ class DiscardLine(TypedDict):
 
 @with_config(STRICT)
 class Books(TypedDict):
-    """A ledger, see runs.conservation; the sides may differ, so only the imbalance may be below 0."""
+    """An account, see runs.frame_accounting; the sides may differ, so only the imbalance may be below 0."""
 
     triggered: Count
     written: Count
@@ -222,7 +222,7 @@ class EndLine(TypedDict):
 
 @with_config(STRICT)
 class DoubtLine(TypedDict):
-    """A frame of this session may not show what its line says; see runs.conservation."""
+    """A frame of this session may not show what its line says; see runs.frame_accounting."""
 
     kind: Literal["doubt"]
     doubt: Text

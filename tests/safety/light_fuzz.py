@@ -4,7 +4,7 @@
 
 To what happens to a laser (`laser_fuzz`) comes what happens to the stages of `bench`: another thread moves and
 homes them at any moment, between any two bytes that go to the timing unit; their boxes restart, are unplugged,
-answer late or wrongly. Conditions are asked as a run asks them (`runner.light`), by the steps of the real
+answer late or wrongly. Conditions are asked as a run asks them (`runner.laser_session`), by the steps of the real
 supervisor.
 
 The judge hangs on plugs and motors and believes nobody. At every pulse that can light something he knows:
