@@ -25,7 +25,7 @@ DARK = (LaserState.SAFE, LaserState.WARM, LaserState.READY)
 
 
 class RunShown:
-    """Shows frames of a run; called by its lanes.
+    """Shows frames of a run; called by its threads.
 
     Parameters
     ----------

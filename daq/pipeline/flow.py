@@ -1,4 +1,4 @@
-"""What the lanes of a run have done: counts, rates, latencies."""
+"""What the threads of a run have done: counts, rates, latencies."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -48,7 +48,7 @@ class LiveVectors:
 
 @dataclass
 class Flow:
-    """What the lanes have done so far; read by anybody, written by the lanes."""
+    """What the threads have done so far; read by anybody, written by the threads."""
 
     submitted: int = 0
     written: int = 0

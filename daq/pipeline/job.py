@@ -1,4 +1,4 @@
-"""A frame on its way, and how several lanes hold its memory together."""
+"""A frame on its way, and how several threads hold its memory together."""
 
 import threading
 from collections.abc import Callable
@@ -38,7 +38,7 @@ Show = Callable[[Job, NDArray[np.float32] | None], None]  # gets a frame and its
 
 
 class SharedJob:
-    """A job that some lanes hold; the last one to let go gives the memory back.
+    """A job that some threads hold; the last one to let go gives the memory back.
 
     Parameters
     ----------

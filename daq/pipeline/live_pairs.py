@@ -1,8 +1,8 @@
 """Vectors of the last pair while the run goes on: the number that says whether dt, seeding and focus are right.
 
-Corrected frames of the live lane are looked at as they come. When both frames of a pair have come, they lie in a
+Corrected frames of the live thread are looked at as they come. When both frames of a pair have come, they lie in a
 tray for one pair, from which a thread of low priority takes them; a newer pair takes the place of one that still
-lies there. So nobody waits for vectors: neither the raw lane nor the live one loses a frame to them, and what is
+lies there. So nobody waits for vectors: neither the raw thread nor the live one loses a frame to them, and what is
 shown is recent. Windows are 64 px (`piv.correlation.live`). At most `MOST_PER_S` pairs a second are measured, for
 `MOST_OF_THE_TIME` at most: on a small or busy computer frames to be corrected come first.
 """
@@ -62,7 +62,7 @@ class LivePairs:
         self._tray: _Pair | None = None
         self._wake = threading.Condition()
         self._ends = False
-        self._thread = threading.Thread(target=self._work, name="vectors lane", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="vectors thread", daemon=True)
         self._thread.start()
 
     def see(self, step: Step, number: int, corrected: Frame, received_ns: int) -> None:

@@ -1,8 +1,8 @@
-"""What waits for the live lane: recent, and never half of what belongs together.
+"""What waits for the live thread: recent, and never half of what belongs together.
 
-A live lane that is too slow has to leave frames out.  Left out one by one, nearly every pair would lose one of its
-two frames: at half the needed speed half of the frames would be corrected, and no vectors measured at all.  So a
-group (`Step.group`; a pair of a flow has two frames) is left out whole or not at all:
+A live thread that is too slow has to leave frames out.  Left out one by one, nearly every pair would lose one of
+its two frames: at half the needed speed half of the frames would be corrected, and no vectors measured at all.  So
+a group (`Step.group`; a pair of a flow has two frames) is left out whole or not at all:
 
 * when too much waits, the OLDEST group that nobody has begun goes, so that what is shown is recent;
 * a frame whose group was left out follows it, and a group that has been begun is brought to its end.

@@ -1,6 +1,6 @@
 """The last snapshot of a run, where another process can look at it: one place in memory that both have mapped.
 
-    writer (show lane)  --snapshot-->  file of fixed size, two halves  --snapshot-->  readers, as many as like
+    writer (preview thread)  --snapshot-->  file of fixed size, two halves  --snapshot-->  readers, as many as like
                         <--asked---  when somebody has last looked
 
 Whoever measures waits for nobody.  The writer fills the half that was not shown last and then says which one is

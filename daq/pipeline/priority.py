@@ -25,7 +25,7 @@ def lower_priority(steps: int = 1) -> None:
 
 
 def lower_process() -> None:
-    """Lower the priority of this process, which is the first of a session of its own, below every lane's.
+    """Lower the priority of this process, which is the first of a session of its own, below every thread's.
 
     Linux may share the processor by sessions first (autogroup; sched(7)): there a niceness counts among processes
     of one session, and the session has one of its own.

@@ -195,7 +195,7 @@ class FlowStep:
     def _keep(
         self, step: Step, record: Mapping[str, Any], place: int, number: int, pairs: tuple[Pair, ...]
     ) -> None:
-        """Give the pairs of one trigger to the lanes."""
+        """Give the pairs of one trigger to the threads."""
         for side, pair in zip(self._sides, pairs, strict=True):
             side.keep(step, record, place, number, pair)
         self._progress.frames += 2

@@ -7,7 +7,7 @@ from typing import Any
 
 from daq.errors import ResumeRefused
 from daq.pipeline.job import Job
-from daq.pipeline.lanes import Pipeline
+from daq.pipeline.pipeline import Pipeline
 from daq.plans.steps import Step
 from daq.runner.laser_session import exposure_of
 from daq.runner.pair_source import Chunk, Pair, PairSource
@@ -75,7 +75,7 @@ class PairWriter:
                 )
 
     def keep(self, step: Step, record: Mapping[str, Any], place: int, number: int, pair: Pair) -> None:
-        """Give a pair to the lanes."""
+        """Give a pair to the threads."""
         order, section = step.pulses, self.source.section
         assert order is not None
         about: dict[str, Any] = {"chunk": number, "dt_us": order.dt_us, "marker": section.told_by}

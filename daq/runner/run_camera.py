@@ -22,7 +22,7 @@ from daq.cameras.camera import Setting
 from daq.errors import BadBalance, ResumeRefused
 from daq.pipeline.corrections import Corrections, correct_from_disk, uncorrected
 from daq.pipeline.job import Show
-from daq.pipeline.lanes import LIVE_QUEUE, Pipeline
+from daq.pipeline.pipeline import LIVE_QUEUE, Pipeline
 from daq.plans.link_budget import require_link
 from daq.plans.pulse_order import pairs_section
 from daq.plans.steps import Step

@@ -27,7 +27,7 @@ from daq.bench.opened import OpenBench, open_bench
 from daq.errors import DiskError, ResumeRefused, RunDamaged
 from daq.pipeline.corrections import Corrections
 from daq.pipeline.job import Show
-from daq.pipeline.lanes import LIVE_QUEUE
+from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.align import AlignPlan
 from daq.plans.plan import Plan, load_plan
 from daq.plans.steps import BEHIND_GLASS, Step, frame_count

@@ -16,7 +16,7 @@ from daq.bench.guards import idle_stage
 from daq.bench.opened import check_devices
 from daq.cameras import require_libraries
 from daq.errors import BadBalance, FrameDoubt, PlanError
-from daq.pipeline.lanes import LIVE_QUEUE
+from daq.pipeline.pipeline import LIVE_QUEUE
 from daq.plans.experiments.focus import FocusPlan
 from daq.plans.forecast import Forecast, check_views, forecast, forecast_from_home
 from daq.plans.plan import Plan, load_plan, read_plan

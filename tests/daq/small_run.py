@@ -42,7 +42,7 @@ def frame_facts(pixels, step=0, tag="step", **more):
 
 
 def keep_frame(folder, journal, number, pixels, **facts):
-    """Write a frame and its line, as the raw lane does."""
+    """Write a frame and its line, as the raw thread does."""
     known = frame_facts(pixels, **facts)
     write_raw(folder.frame_path(number), pixels, known)
     journal.append("frame", frame=number, file=f"frames/{number:06d}.tif", **known)

@@ -1,4 +1,4 @@
-"""A run that is looked at: the page shows what its lanes did, and the run is the one that nobody looks at."""
+"""A run that is looked at: the page shows what its threads did, and the run is the one that nobody looks at."""
 
 import json
 import threading

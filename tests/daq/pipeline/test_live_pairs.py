@@ -9,8 +9,8 @@ import pytest
 from daq.pipeline import live_pairs
 from daq.pipeline.flow import Flow, LiveVectors
 from daq.pipeline.job import Job
-from daq.pipeline.lanes import Pipeline
 from daq.pipeline.live_pairs import LivePairs
+from daq.pipeline.pipeline import Pipeline
 from daq.plans.steps import Step
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder

@@ -1,4 +1,4 @@
-"""What is left out of the live lane: the oldest, and whole groups only."""
+"""What is left out of the live thread: the oldest, and whole groups only."""
 
 import random
 import threading
@@ -75,7 +75,7 @@ def test_who_waits_hears_the_end():
 @pytest.mark.parametrize("size", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(20))
 def test_whatever_the_speed_nothing_is_torn_lost_or_kept_twice(size, seed):
-    """A lane that takes at random: every group is done as a whole or left out as a whole."""
+    """A thread that takes at random: every group is done as a whole or left out as a whole."""
     chance, limit = random.Random(seed), 1 + seed % 5
     queue, done, dropped = LiveQueue(limit), [], []
     for number in range(60 * size):

@@ -1,4 +1,4 @@
-"""The lanes: raw never skips, live may and says so, memory goes back, latency is what it says."""
+"""The threads: raw never skips, live may and says so, memory goes back, latency is what it says."""
 
 import itertools
 import threading
@@ -11,7 +11,7 @@ from daq.cameras.frame import Frame, FrameMeta
 from daq.errors import DiskError
 from daq.pipeline.corrections import correct_from_disk, uncorrected
 from daq.pipeline.job import Job
-from daq.pipeline.lanes import Pipeline
+from daq.pipeline.pipeline import Pipeline
 from daq.plans.steps import Step
 from daq.runs.journal import Journal, read_journal
 from daq.runs.raw_frame import checksum
@@ -106,7 +106,7 @@ def test_a_live_lane_that_falls_behind_skips_the_oldest(run):
     corrections.gate = gate
     pipeline = Pipeline(folder, journal, corrections, live_queue=2)
     memory = Memory()
-    for number in range(FRAMES):  # one after another through the raw lane, however slow the disk is
+    for number in range(FRAMES):  # one after another through the raw thread, however slow the disk is
         pipeline.submit(Job(a_step(), number, memory.frame(number), dict(PLACES)))
         pipeline.flush()
     gate.set()
@@ -144,7 +144,7 @@ def test_a_frame_that_cannot_be_written_ends_everything_and_frees_memory(run, mo
         if next(numbers) == bad:
             raise DiskError(f"{path}: No space left on device")
 
-    monkeypatch.setattr("daq.pipeline.lanes.write_raw", sometimes)
+    monkeypatch.setattr("daq.pipeline.pipeline.write_raw", sometimes)
     memory = Memory()
     pipeline = Pipeline(folder, journal, Doubler())
     with pytest.raises(DiskError, match="No space left"):

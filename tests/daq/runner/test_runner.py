@@ -8,7 +8,7 @@ import pytest
 
 from daq.cameras.files import FilesCamera
 from daq.errors import CameraLost, DiskError, FramesLost, ResumeRefused, RunDamaged, RunInterrupted
-from daq.pipeline import lanes
+from daq.pipeline import pipeline as pipeline_module
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, check_disk, reopen
@@ -226,7 +226,7 @@ def test_disk_full_ends_the_run_and_counts_what_it_did_not_take(bench_and_plan, 
         room[0] -= 1
         write_raw(path, pixels, about)
 
-    monkeypatch.setattr(lanes, "write_raw", full)
+    monkeypatch.setattr(pipeline_module, "write_raw", full)
     with files_bench(bench, files) as hardware:
         with pytest.raises(DiskError, match="No space left"):
             Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
@@ -246,7 +246,7 @@ def test_a_slow_disk_slows_the_run_and_loses_nothing(bench_and_plan, folder, fil
         time.sleep(0.03)
         write_raw(path, pixels, about)
 
-    monkeypatch.setattr(lanes, "write_raw", slow)
+    monkeypatch.setattr(pipeline_module, "write_raw", slow)
     with files_bench(bench, files) as hardware:
         done = Runner(hardware, [RunCamera(hardware, folder)], plan.steps).run()
     assert done["conservation"]["lost"] == 0
@@ -255,9 +255,9 @@ def test_a_slow_disk_slows_the_run_and_loses_nothing(bench_and_plan, folder, fil
 
 def test_a_dead_disk_is_named(bench_and_plan, folder, files, monkeypatch):
     bench, plan = bench_and_plan
-    monkeypatch.setattr(lanes, "DISK_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(pipeline_module, "DISK_TIMEOUT_S", 0.3)
     gate = threading.Event()
-    monkeypatch.setattr(lanes, "write_raw", lambda *_: gate.wait(20.0))
+    monkeypatch.setattr(pipeline_module, "write_raw", lambda *_: gate.wait(20.0))
     with files_bench(bench, files) as hardware:
         threading.Timer(1.5, gate.set).start()
         with pytest.raises(DiskError, match=r"taken no frame for 0\.3 s"):

@@ -1,14 +1,14 @@
-"""Two lanes from camera to disk: the raw lane writes every frame or ends the run; the live lane may fall behind.
+"""Threads from camera to disk: raw ones write every frame or end the run; the live one may fall behind.
 
-    next_frame -> submit --> raw lane:  checksum, TIFF, fsync, rename, journal
-                        `-> live lane: correct  -> store lane: corrected TIFF
+    next_frame -> submit --> raw thread:  checksum, TIFF, fsync, rename, journal
+                        `-> live thread: correct  -> store thread: corrected TIFF
                                                `-> vectors of the last pair (`live_pairs`)
-                               `-> whoever looks (`ShowLane`)
+                               `-> whoever looks (`PreviewThread`)
 
-A frame stays in the camera's shared memory until both lanes are through with it; nobody copies it.
+A frame stays in the camera's shared memory until both threads are through with it; nobody copies it.
 
-* The raw lane comes first: it has two writers, so that one computes while the other waits for the disk; the other
-  lanes run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
+* The raw thread comes first: it has two writers, so that one computes while the other waits for the disk; the other
+  threads run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
 * The raw queue is bounded, below the number of the camera's buffers.  When the disk is slower than the camera,
   `submit` waits: a software-triggered run slows down.  A stream cannot wait: the camera runs out of buffers,
   counts that, and the run ends with that reason.  A disk that does not move for
@@ -18,7 +18,7 @@ A frame stays in the camera's shared memory until both lanes are through with it
 
 Latency is taken from the moment the frame was complete (`received_ns`) to the moment its corrected pixels exist.
 
-The last frame is shown to whoever looks by a thread of low priority, for which no other lane waits.  One frame
+The last frame is shown to whoever looks by a thread of low priority, for which no other thread waits.  One frame
 lies in a tray until the thread takes it; a newer one takes its place. So at most two buffers of the camera are
 held for it, the one in the tray and the one that is being shown. What goes wrong in showing is said once and ends
 the showing: the run goes on.
@@ -49,7 +49,7 @@ from daq.runs.run_folder import RunFolder
 SHOWN_WITHIN_S = 10.0
 
 
-class ShowLane:
+class PreviewThread:
     """Shows the last frame.
 
     Parameters
@@ -63,7 +63,7 @@ class ShowLane:
         self._tray: tuple[SharedJob, NDArray[np.float32] | None] | None = None
         self._wake = threading.Condition()
         self._ends = False
-        self._thread = threading.Thread(target=self._work, name="show lane", daemon=True)
+        self._thread = threading.Thread(target=self._work, name="preview thread", daemon=True)
         self._thread.start()
 
     def offer(self, shared: SharedJob, corrected: NDArray[np.float32] | None) -> None:
@@ -113,13 +113,13 @@ class ShowLane:
 DISK_TIMEOUT_S = 30.0
 RAW_QUEUE = 8
 RAW_WRITERS = 2
-RAW_FIRST = 2  # raw frames waiting from which on the live lane gets nothing
+RAW_FIRST = 2  # raw frames waiting from which on the live thread gets nothing
 LIVE_QUEUE = 4
 STORE_QUEUE = 4
 
 
 class Pipeline:
-    """The lanes of one session.
+    """The threads of one session.
 
     Parameters
     ----------
@@ -130,13 +130,13 @@ class Pipeline:
     corrections : Corrections, optional
         None to write raw frames only.
     live_queue : int
-        Frames that may wait for the live lane, a whole group always; 1 for the lowest latency, more to ride out
+        Frames that may wait for the live thread, a whole group always; 1 for the lowest latency, more to ride out
         bursts.
     raw_queue : int
         Frames that may wait to be written: it bridges moments in which the disk is busy.
     show : callable, optional
         Called with the last frame and its correction, or with None instead of it when the frame is on the disk and
-        is not to be corrected; by a lane that may miss frames.
+        is not to be corrected; by a thread that may miss frames.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class Pipeline:
         self._folder = folder
         self._journal = journal
         self._corrections = corrections
-        self._show_lane = None if show is None else ShowLane(show)
+        self._preview = None if show is None else PreviewThread(show)
         self._raw: queue.Queue[SharedJob | None] = queue.Queue(raw_queue)
         self._store: queue.Queue[tuple[Job, NDArray[np.float32]] | None] = queue.Queue(STORE_QUEUE)
         self._live: LiveQueue[SharedJob] = LiveQueue(live_queue)
@@ -160,12 +160,12 @@ class Pipeline:
         self._bug: Exception | None = None
         self._flow_lock = threading.Lock()
         self._pairs = LivePairs(self.flow) if corrections is not None else None
-        lanes = [("raw", self._raw_lane)] * RAW_WRITERS
+        loops = [("raw", self._write_raw_frames)] * RAW_WRITERS
         if corrections is not None:
-            lanes += [("live", self._live_lane), ("store", self._store_lane)]
+            loops += [("live", self._correct_frames), ("store", self._store_corrected)]
         self._threads = [
-            threading.Thread(target=self._guarded, args=(lane,), name=f"{name} lane", daemon=True)
-            for name, lane in lanes
+            threading.Thread(target=self._guarded, args=(loop,), name=f"{name} thread", daemon=True)
+            for name, loop in loops
         ]
         for thread in self._threads:
             thread.start()
@@ -181,7 +181,7 @@ class Pipeline:
         Raises
         ------
         DiskError
-            The raw lane has failed, or has not moved for `DISK_TIMEOUT_S`.
+            The raw thread has failed, or has not moved for `DISK_TIMEOUT_S`.
         """
         is_live = self._is_live(job)
         shared = SharedJob(job, 2 if is_live else 1)
@@ -212,7 +212,7 @@ class Pipeline:
         self._raise()
 
     def close(self) -> None:
-        """End the lanes; frames that wait are still written and corrected, unless the disk hangs."""
+        """End the threads; frames that wait are still written and corrected, unless the disk hangs."""
         if self._error is not None or self._bug is not None:
             self._let_all_go()
         with suppress(queue.Full):
@@ -223,8 +223,8 @@ class Pipeline:
             thread.join(DISK_TIMEOUT_S)
         if self._pairs is not None:
             self._pairs.close()
-        if self._show_lane is not None:
-            self._show_lane.close()
+        if self._preview is not None:
+            self._preview.close()
         self._let_all_go()
 
     def _is_live(self, job: Job) -> bool:
@@ -255,9 +255,9 @@ class Pipeline:
         if self._error is not None:
             raise self._error
 
-    def _guarded(self, lane: Any) -> None:  # noqa: ANN401
+    def _guarded(self, loop: Any) -> None:  # noqa: ANN401
         try:
-            lane()
+            loop()
         except DaqError as error:
             self._error = self._error or error
         except Exception as error:  # shown by the thread that runs the run, not by this one
@@ -273,12 +273,12 @@ class Pipeline:
             if shared is not None:
                 shared.let_go()
 
-    def _raw_lane(self) -> None:
+    def _write_raw_frames(self) -> None:
         while (shared := self._raw.get()) is not None:
             try:
                 self._write(shared.job)
-                if self._show_lane is not None and not self._is_live(shared.job):
-                    self._show_lane.offer(shared, None)
+                if self._preview is not None and not self._is_live(shared.job):
+                    self._preview.offer(shared, None)
             finally:
                 shared.let_go()
 
@@ -307,7 +307,7 @@ class Pipeline:
             self.flow.written_bytes += frame.pixels.nbytes
             self.flow.written += 1
 
-    def _live_lane(self) -> None:
+    def _correct_frames(self) -> None:
         assert self._corrections is not None
         lower_priority()
         try:
@@ -327,21 +327,21 @@ class Pipeline:
             self.flow.latency_ms.append((time.monotonic_ns() - job.frame.meta.received_ns) / 1e6)
             self.flow.correct_s += time.perf_counter() - begun_s
             self.flow.corrected += 1
-            if self._show_lane is not None:
-                self._show_lane.offer(shared, corrected)
+            if self._preview is not None:
+                self._preview.offer(shared, corrected)
         finally:
             shared.let_go()
         if self._pairs is not None:
             self._pairs.see(job.step, job.number, corrected, job.frame.meta.received_ns)
         self._store.put((job, corrected))
 
-    def _store_lane(self) -> None:
+    def _store_corrected(self) -> None:
         assert self._corrections is not None
         lower_priority()
         failed = False
         while (item := self._store.get()) is not None:
             if failed:
-                continue  # keep the live lane from waiting for a lane that has died
+                continue  # keep the live thread from waiting for a thread that has died
             job, corrected = item
             try:
                 name = self._folder.frame_path(job.number).name
