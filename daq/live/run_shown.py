@@ -53,7 +53,7 @@ class RunShown:
 
     def show(self, job: Job, corrected: NDArray[np.float32] | None) -> None:
         """Show a frame, and its correction if it has one; costs nothing if none is due."""
-        flow, rate_limiter = self._progress.flow, self._page.rate_limiter
+        flow, rate_limiter = self._progress.stats, self._page.rate_limiter
         rate_limiter.see(time.monotonic(), flow.corrected, len(flow.skipped))
         if not self._page.is_due:
             return
@@ -78,7 +78,7 @@ class RunShown:
         now_s = time.monotonic()
         if now_s - self._looked_s > DISK_S:
             self._looked_s, self._free_bytes = now_s, shutil.disk_usage(self._folder.path).free
-        rate = self._progress.flow.written_bytes / self._progress.elapsed_s
+        rate = self._progress.stats.written_bytes / self._progress.elapsed_s
         text, little = f"{self._free_bytes / 1e9:.0f} GB", False
         if rate > 0.0:
             left_s = self._free_bytes / rate
@@ -89,7 +89,7 @@ class RunShown:
 
 def words_of(progress: Progress) -> dict[str, Any]:
     """Progress for the page: a sentence, and counters as name -> (text, whether that is wrong)."""
-    flow, books = progress.flow, progress.accounting
+    flow, books = progress.stats, progress.accounting
     raw, live = progress.waiting
     latency = flow.latency_ms[-RECENT:]
     middle_ms = float(np.median(latency)) if latency else 0.0

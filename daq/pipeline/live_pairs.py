@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.errors import CorrectionError
-from daq.pipeline.flow import Flow, LiveVectors
 from daq.pipeline.priority import lower_priority
+from daq.pipeline.stats import LiveVectors, PipelineStats
 from daq.plans.steps import Step
 from piv.correlation.live import live_vectors
 from piv.correlation.vector_field import STATIC_SHARE, VectorField, VectorFlag
@@ -52,11 +52,11 @@ class LivePairs:
 
     Parameters
     ----------
-    flow : Flow
+    flow : PipelineStats
         Gets the result as `vectors`.
     """
 
-    def __init__(self, flow: Flow) -> None:
+    def __init__(self, flow: PipelineStats) -> None:
         self._flow = flow
         self._first: tuple[int, Frame] | None = None
         self._tray: _Pair | None = None

@@ -37,11 +37,11 @@ from numpy.typing import NDArray
 
 from daq.errors import DaqError, DiskError
 from daq.pipeline.corrections import Corrections
-from daq.pipeline.flow import Flow
 from daq.pipeline.job import Job, SharedJob, Show
 from daq.pipeline.live_pairs import LivePairs
 from daq.pipeline.live_queue import LiveQueue
 from daq.pipeline.priority import lower_priority
+from daq.pipeline.stats import PipelineStats
 from daq.runs.journal import Journal
 from daq.runs.raw_frame import checksum, write_raw
 from daq.runs.run_folder import RunFolder
@@ -148,7 +148,7 @@ class Pipeline:
         raw_queue: int = RAW_QUEUE,
         show: Show | None = None,
     ) -> None:
-        self.flow = Flow()
+        self.stats = PipelineStats()
         self._folder = folder
         self._journal = journal
         self._corrections = corrections
@@ -159,7 +159,7 @@ class Pipeline:
         self._error: DaqError | None = None
         self._bug: Exception | None = None
         self._flow_lock = threading.Lock()
-        self._pairs = LivePairs(self.flow) if corrections is not None else None
+        self._pairs = LivePairs(self.stats) if corrections is not None else None
         loops = [("raw", self._write_raw_frames)] * RAW_WRITERS
         if corrections is not None:
             loops += [("live", self._correct_frames), ("store", self._store_corrected)]
@@ -191,19 +191,19 @@ class Pipeline:
         except BaseException:
             job.frame.release()
             raise
-        self.flow.submit_wait_s += time.monotonic() - begun_s
-        self.flow.submitted += 1
-        self.flow.raw_waiting_most = max(self.flow.raw_waiting_most, self._raw.qsize())
+        self.stats.submit_wait_s += time.monotonic() - begun_s
+        self.stats.submitted += 1
+        self.stats.raw_waiting_most = max(self.stats.raw_waiting_most, self._raw.qsize())
         if is_live:
             self._show(shared)
 
     def flush(self) -> None:
         """Wait until every frame that was handed over is on the disk; DiskError if one cannot be."""
         moved, since_s = -1, time.monotonic()
-        while self.flow.written < self.flow.submitted:
+        while self.stats.written < self.stats.submitted:
             self._raise()
-            if self.flow.written != moved:
-                moved, since_s = self.flow.written, time.monotonic()
+            if self.stats.written != moved:
+                moved, since_s = self.stats.written, time.monotonic()
             if time.monotonic() - since_s > DISK_TIMEOUT_S:
                 raise DiskError(
                     f"the disk has taken no frame for {DISK_TIMEOUT_S:g} s; mend it, then resume the run"
@@ -246,7 +246,7 @@ class Pipeline:
         first = number - (number - step.first_frame) % step.group
         has_room = self._raw.qsize() <= RAW_FIRST
         for dropped in self._live.put(shared, (step.index, first), step.group, has_room):
-            self.flow.skipped.append(dropped.job.number)
+            self.stats.skipped.append(dropped.job.number)
             dropped.let_go()
 
     def _raise(self) -> None:
@@ -302,10 +302,10 @@ class Pipeline:
         write_raw(path, frame.pixels, facts)
         self._journal.append("frame", frame=job.number, file=f"frames/{path.name}", **facts)
         with self._flow_lock:
-            self.flow.raw_latency_ms.append((time.monotonic_ns() - meta.received_ns) / 1e6)
-            self.flow.write_s += time.perf_counter() - begun_s
-            self.flow.written_bytes += frame.pixels.nbytes
-            self.flow.written += 1
+            self.stats.raw_latency_ms.append((time.monotonic_ns() - meta.received_ns) / 1e6)
+            self.stats.write_s += time.perf_counter() - begun_s
+            self.stats.written_bytes += frame.pixels.nbytes
+            self.stats.written += 1
 
     def _correct_frames(self) -> None:
         assert self._corrections is not None
@@ -324,9 +324,9 @@ class Pipeline:
             corrector = self._corrections.of(job.step)
             assert corrector is not None
             corrected = corrector(job.frame.pixels)
-            self.flow.latency_ms.append((time.monotonic_ns() - job.frame.meta.received_ns) / 1e6)
-            self.flow.correct_s += time.perf_counter() - begun_s
-            self.flow.corrected += 1
+            self.stats.latency_ms.append((time.monotonic_ns() - job.frame.meta.received_ns) / 1e6)
+            self.stats.correct_s += time.perf_counter() - begun_s
+            self.stats.corrected += 1
             if self._preview is not None:
                 self._preview.offer(shared, corrected)
         finally:

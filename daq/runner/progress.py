@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from daq.pipeline.flow import Flow
+from daq.pipeline.stats import PipelineStats
 from daq.runs.frame_accounting import FrameAccounting
 from daq.timing.states import LaserState
 
@@ -44,7 +44,7 @@ class Progress:
     positions_mm: dict[str, float] = field(default_factory=dict)
     accounting: FrameAccounting = field(default_factory=FrameAccounting)
     waiting: tuple[int, int] = (0, 0)
-    flow: Flow = field(default_factory=Flow)
+    stats: PipelineStats = field(default_factory=PipelineStats)
     laser: LaserState | None = None
 
     @property
@@ -70,7 +70,7 @@ RECENT = 50
 
 def panel(progress: Progress) -> Table:
     """Return the state of a run as a table."""
-    latency = progress.flow.latency_ms[-RECENT:]
+    latency = progress.stats.latency_ms[-RECENT:]
     raw, live = progress.waiting
     rows = [
         ("step", f"{progress.step + 1} of {progress.steps}  {progress.tag}"),
@@ -79,8 +79,8 @@ def panel(progress: Progress) -> Table:
         ("time", progress.left() or "-"),
         ("waiting", f"{raw} to be written, {live} to be corrected"),
         ("latency", f"{np.median(latency):.0f} ms frame to corrected" if latency else "-"),
-        ("skipped", f"{len(progress.flow.skipped)} not corrected live (done after the run)"),
-        ("vectors", progress.flow.vectors.sentence() if progress.flow.vectors else "-"),
+        ("skipped", f"{len(progress.stats.skipped)} not corrected live (done after the run)"),
+        ("vectors", progress.stats.vectors.sentence() if progress.stats.vectors else "-"),
         ("positions", "  ".join(f"{name} {mm:.3f}" for name, mm in progress.positions_mm.items()) or "-"),
         ("books", progress.accounting.sentence()),
     ]
@@ -93,8 +93,8 @@ def panel(progress: Progress) -> Table:
 def line(progress: Progress) -> str:
     """Return the state of a run as one line of a log."""
     words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}", progress.doing, progress.left()]
-    if progress.flow.vectors is not None:
-        words.append(f"vectors {progress.flow.vectors.sentence()}")
+    if progress.stats.vectors is not None:
+        words.append(f"vectors {progress.stats.vectors.sentence()}")
     return "; ".join([*filter(None, words), progress.accounting.sentence()])
 
 

@@ -196,7 +196,7 @@ class RunCamera:
         if self._pipeline is None:
             return None, ""
         self._pipeline.close()
-        flow = self._pipeline.flow
+        flow = self._pipeline.stats
         accounting = self.session.conclude(flow.written)
         doubt = "; ".join(self.session.doubts)
         about: dict[str, Any] = {"doubt": doubt} if doubt else {}

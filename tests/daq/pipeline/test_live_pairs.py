@@ -5,9 +5,9 @@ import time
 
 import numpy as np
 import pytest
+from daq.pipeline.stats import LiveVectors, PipelineStats
 
 from daq.pipeline import live_pairs
-from daq.pipeline.flow import Flow, LiveVectors
 from daq.pipeline.job import Job
 from daq.pipeline.live_pairs import LivePairs
 from daq.pipeline.pipeline import Pipeline
@@ -39,7 +39,7 @@ def wait_for(condition, seconds=30.0):
 
 
 def test_a_pair_is_measured_with_v_up(frames):
-    flow = Flow()
+    flow = PipelineStats()
     pairs = LivePairs(flow)
     for number, frame in enumerate(frames):
         pairs.see(a_step(), number, frame, time.monotonic_ns())
@@ -53,7 +53,7 @@ def test_a_pair_is_measured_with_v_up(frames):
 
 
 def test_what_is_no_pair_is_not_measured(frames):
-    flow = Flow()
+    flow = PipelineStats()
     pairs = LivePairs(flow)
     a, b = frames
     for step, number, frame in (
@@ -76,7 +76,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
 
     monkeypatch.setattr(live_pairs, "MOST_PER_S", 1000.0)
     monkeypatch.setattr(live_pairs, "_measured", slow)
-    flow, frame = Flow(), np.zeros((8, 8), np.float32)
+    flow, frame = PipelineStats(), np.zeros((8, 8), np.float32)
     pairs, begun_s, elapsed_s = LivePairs(flow), time.monotonic(), 0.0
     number = 0
     while elapsed_s < 0.8 or (flow.vectors_live < 2 and elapsed_s < 30.0):  # others may hold up a low priority
@@ -90,7 +90,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
 
 @pytest.mark.parametrize("bad", [np.zeros((384, 384)), np.full((384, 384), np.nan), np.zeros((10, 10))])
 def test_frames_that_show_nothing_say_so_in_a_sentence(bad):
-    flow = Flow()
+    flow = PipelineStats()
     pairs = LivePairs(flow)
     for number in range(2):
         pairs.see(a_step(), number, bad.astype(np.float32), time.monotonic_ns())
@@ -109,7 +109,7 @@ def test_a_newer_pair_takes_the_place_of_one_that_waits(monkeypatch):
         return LiveVectors(pair.number, 0.0)
 
     monkeypatch.setattr(live_pairs, "_measured", slow)
-    flow = Flow()
+    flow = PipelineStats()
     pairs = LivePairs(flow)
     frame, begun = np.zeros((8, 8), np.float32), time.monotonic()
     for number in range(40):
@@ -134,13 +134,13 @@ def test_the_lanes_lose_nothing_to_vectors_that_never_end(tmp_path, monkeypatch)
         pipeline.submit(Job(a_step(), number, memory.frame(number), dict(PLACES)))
         time.sleep(0.005)
     pipeline.flush()
-    assert wait_for(lambda: len(corrections.made) + len(pipeline.flow.skipped) == 40)
-    assert pipeline.flow.written == 40
+    assert wait_for(lambda: len(corrections.made) + len(pipeline.stats.skipped) == 40)
+    assert pipeline.stats.written == 40
     assert not memory.out
     gate.set()
     pipeline.close()
     journal.close()
-    assert pipeline.flow.corrected == len(corrections.made)
+    assert pipeline.stats.corrected == len(corrections.made)
 
 
 @pytest.mark.parametrize("live_queue", [1, 2, 4])
@@ -157,11 +157,11 @@ def test_a_lane_at_half_the_needed_speed_still_gives_vectors(tmp_path, monkeypat
     pipeline.flush()
     pipeline.close()
     journal.close()
-    assert pipeline.flow.skipped
+    assert pipeline.stats.skipped
     assert not memory.out
     pairs_corrected = {number // 2 for number in corrections.made}
     assert len(corrections.made) == 2 * len(pairs_corrected)
-    assert pipeline.flow.vectors_live >= 0.7 * len(pairs_corrected) >= 5
+    assert pipeline.stats.vectors_live >= 0.7 * len(pairs_corrected) >= 5
 
 
 def test_warming_up_measures_something():

@@ -80,13 +80,13 @@ def test_every_frame_is_written_whatever_the_live_lane_does(run):
     corrections = Doubler(gate=gate)
     pipeline = Pipeline(folder, journal, corrections, live_queue=3)
     push(pipeline, a_step(), memory)
-    assert pipeline.flow.written == FRAMES
-    assert len(pipeline.flow.skipped) >= FRAMES - 5
+    assert pipeline.stats.written == FRAMES
+    assert len(pipeline.stats.skipped) >= FRAMES - 5
     gate.set()
     pipeline.close()
     assert memory.out == set()
-    live = pipeline.flow.corrected
-    assert live + len(pipeline.flow.skipped) == FRAMES
+    live = pipeline.stats.corrected
+    assert live + len(pipeline.stats.skipped) == FRAMES
     entries = [entry for entry in read_journal(folder.journal_path) if entry["kind"] == "frame"]
     assert sorted(entry["frame"] for entry in entries) == list(range(FRAMES))
     for entry in entries:
@@ -112,7 +112,7 @@ def test_a_live_lane_that_falls_behind_skips_the_oldest(run):
     gate.set()
     pipeline.close()
     assert corrections.made[-2:] == [FRAMES - 2, FRAMES - 1]
-    assert sorted(corrections.made + pipeline.flow.skipped) == list(range(FRAMES))
+    assert sorted(corrections.made + pipeline.stats.skipped) == list(range(FRAMES))
 
 
 def test_in_time_nothing_is_skipped_and_latency_is_that_of_the_correction(run):
@@ -120,10 +120,10 @@ def test_in_time_nothing_is_skipped_and_latency_is_that_of_the_correction(run):
     pipeline = Pipeline(folder, journal, Doubler(duration_s=0.005))
     push(pipeline, a_step(), Memory(), period_s=0.02)
     pipeline.close()
-    assert pipeline.flow.skipped == []
-    assert len(pipeline.flow.latency_ms) == FRAMES
-    assert min(pipeline.flow.latency_ms) >= 5.0
-    assert pipeline.flow.summary()["latency_ms"]["p50"] < 100.0
+    assert pipeline.stats.skipped == []
+    assert len(pipeline.stats.latency_ms) == FRAMES
+    assert min(pipeline.stats.latency_ms) >= 5.0
+    assert pipeline.stats.summary()["latency_ms"]["p50"] < 100.0
 
 
 def test_frames_off_the_plane_are_left_alone(run):
@@ -131,7 +131,7 @@ def test_frames_off_the_plane_are_left_alone(run):
     pipeline = Pipeline(folder, journal, Doubler())
     push(pipeline, a_step(on_plane=False), Memory())
     pipeline.close()
-    assert pipeline.flow.corrected == 0
+    assert pipeline.stats.corrected == 0
     assert list((folder.path / "corrected").iterdir()) == []
 
 
@@ -150,7 +150,7 @@ def test_a_frame_that_cannot_be_written_ends_everything_and_frees_memory(run, mo
     with pytest.raises(DiskError, match="No space left"):
         push(pipeline, a_step(), memory)
     pipeline.close()
-    assert pipeline.flow.written < FRAMES
+    assert pipeline.stats.written < FRAMES
     assert memory.out == set()
 
 
@@ -190,14 +190,14 @@ def test_whoever_is_stuck_while_he_looks_holds_two_frames_and_nobody_up(run):
 
     pipeline = Pipeline(folder, journal, Doubler(), show=show)
     push(pipeline, a_step(), memory, 0.005)
-    assert pipeline.flow.written == FRAMES
+    assert pipeline.stats.written == FRAMES
     end_s = time.monotonic() + 20.0
     while len(memory.out) > 2 and time.monotonic() < end_s:
         time.sleep(0.01)
     assert len(memory.out) == 2
     gate.set()
     pipeline.close()
-    assert pipeline.flow.corrected + len(pipeline.flow.skipped) == FRAMES
+    assert pipeline.stats.corrected + len(pipeline.stats.skipped) == FRAMES
     assert not memory.out
     assert all(twice == 2.0 * number for number, twice in shown)
     assert shown[0][0] < shown[-1][0]
@@ -220,5 +220,5 @@ def test_a_page_that_breaks_ends_the_showing_and_not_the_run(run):
     with pytest.warns(RuntimeWarning, match="shows nothing any more.*mmap closed"):
         pipeline = go()
     assert len(shown) == 1
-    assert pipeline.flow.written == FRAMES
+    assert pipeline.stats.written == FRAMES
     assert not memory.out

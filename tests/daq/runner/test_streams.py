@@ -134,7 +134,7 @@ def test_what_a_killed_stream_has_stays_and_the_rest_is_taken(run, tmp_path, kil
     copy = tmp_path / "killed" / folder.path.name
 
     def press(progress):
-        if progress.flow.written >= killed_after and not copy.exists():
+        if progress.stats.written >= killed_after and not copy.exists():
             copy_as_killed(folder.path, copy)
 
     with files_bench(bench, files) as hardware:

@@ -47,7 +47,7 @@ class LiveVectors:
 
 
 @dataclass
-class Flow:
+class PipelineStats:
     """What the threads have done so far; read by anybody, written by the threads."""
 
     submitted: int = 0
