@@ -2,7 +2,7 @@
 
     next_frame -> submit --> raw thread:  checksum, TIFF, fsync, rename, journal
                         `-> live thread: correct  -> store thread: corrected TIFF
-                                               `-> vectors of the last pair (`live_pairs`)
+                                               `-> vectors of the last pair (`preview_vectors`)
                                `-> whoever looks (`PreviewThread`)
 
 A frame stays in the camera's shared memory until both threads are through with it; nobody copies it.
@@ -38,8 +38,8 @@ from numpy.typing import NDArray
 from daq.errors import DaqError, DiskError
 from daq.pipeline.corrections import Corrections
 from daq.pipeline.job import Job, SharedJob, Show
-from daq.pipeline.live_pairs import LivePairs
 from daq.pipeline.live_queue import LiveQueue
+from daq.pipeline.preview_vectors import PreviewVectors
 from daq.pipeline.priority import lower_priority
 from daq.pipeline.stats import PipelineStats
 from daq.runs.journal import Journal
@@ -159,7 +159,7 @@ class Pipeline:
         self._error: DaqError | None = None
         self._bug: Exception | None = None
         self._flow_lock = threading.Lock()
-        self._pairs = LivePairs(self.stats) if corrections is not None else None
+        self._pairs = PreviewVectors(self.stats) if corrections is not None else None
         loops = [("raw", self._write_raw_frames)] * RAW_WRITERS
         if corrections is not None:
             loops += [("live", self._correct_frames), ("store", self._store_corrected)]

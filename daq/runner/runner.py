@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.bench.opened import OpenBench, known_positions
 from daq.errors import BadBalance, PlanError, RunInterrupted
-from daq.pipeline.live_pairs import warm_up
+from daq.pipeline.preview_vectors import warm_up
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.arrival import go_to, require_arrived, rest

@@ -47,7 +47,7 @@ class _Pair:
     received_ns: int
 
 
-class LivePairs:
+class PreviewVectors:
     """Finds pairs among corrected frames and measures the last one.
 
     Parameters

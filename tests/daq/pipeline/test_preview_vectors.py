@@ -9,8 +9,8 @@ from daq.pipeline.stats import LiveVectors, PipelineStats
 
 from daq.pipeline import live_pairs
 from daq.pipeline.job import Job
-from daq.pipeline.live_pairs import LivePairs
 from daq.pipeline.pipeline import Pipeline
+from daq.pipeline.preview_vectors import PreviewVectors
 from daq.plans.steps import Step
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
@@ -40,7 +40,7 @@ def wait_for(condition, seconds=30.0):
 
 def test_a_pair_is_measured_with_v_up(frames):
     flow = PipelineStats()
-    pairs = LivePairs(flow)
+    pairs = PreviewVectors(flow)
     for number, frame in enumerate(frames):
         pairs.see(a_step(), number, frame, time.monotonic_ns())
     assert wait_for(lambda: flow.vectors is not None)
@@ -54,7 +54,7 @@ def test_a_pair_is_measured_with_v_up(frames):
 
 def test_what_is_no_pair_is_not_measured(frames):
     flow = PipelineStats()
-    pairs = LivePairs(flow)
+    pairs = PreviewVectors(flow)
     a, b = frames
     for step, number, frame in (
         (a_step(group=1), 0, a), (a_step(group=1), 1, b),  # not taken as pairs
@@ -77,7 +77,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
     monkeypatch.setattr(live_pairs, "MOST_PER_S", 1000.0)
     monkeypatch.setattr(live_pairs, "_measured", slow)
     flow, frame = PipelineStats(), np.zeros((8, 8), np.float32)
-    pairs, begun_s, elapsed_s = LivePairs(flow), time.monotonic(), 0.0
+    pairs, begun_s, elapsed_s = PreviewVectors(flow), time.monotonic(), 0.0
     number = 0
     while elapsed_s < 0.8 or (flow.vectors_live < 2 and elapsed_s < 30.0):  # others may hold up a low priority
         pairs.see(a_step(), number, frame, time.monotonic_ns())
@@ -91,7 +91,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
 @pytest.mark.parametrize("bad", [np.zeros((384, 384)), np.full((384, 384), np.nan), np.zeros((10, 10))])
 def test_frames_that_show_nothing_say_so_in_a_sentence(bad):
     flow = PipelineStats()
-    pairs = LivePairs(flow)
+    pairs = PreviewVectors(flow)
     for number in range(2):
         pairs.see(a_step(), number, bad.astype(np.float32), time.monotonic_ns())
     assert wait_for(lambda: flow.vectors is not None)
@@ -110,7 +110,7 @@ def test_a_newer_pair_takes_the_place_of_one_that_waits(monkeypatch):
 
     monkeypatch.setattr(live_pairs, "_measured", slow)
     flow = PipelineStats()
-    pairs = LivePairs(flow)
+    pairs = PreviewVectors(flow)
     frame, begun = np.zeros((8, 8), np.float32), time.monotonic()
     for number in range(40):
         pairs.see(a_step(), number, frame, 0)
