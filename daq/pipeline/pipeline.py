@@ -7,8 +7,8 @@
 
 A frame stays in the camera's shared memory until both threads are through with it; nobody copies it.
 
-* The raw thread comes first: it has two writers, so that one computes while the other waits for the disk; the other
-  threads run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
+* The raw thread comes first: it has two writers, so that one computes while the other waits for the disk; the
+  others run at a lower priority, and a frame that arrives while raw frames queue up is not corrected live.
 * The raw queue is bounded, below the number of the camera's buffers.  When the disk is slower than the camera,
   `submit` waits: a software-triggered run slows down.  A stream cannot wait: the camera runs out of buffers,
   counts that, and the run ends with that reason.  A disk that does not move for

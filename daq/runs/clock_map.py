@@ -58,12 +58,6 @@ class ClockMap:
         since_ns = camera_ns - self.at_ns
         return self.host_ns + since_ns + round(since_ns * self.drift_ppm * 1e-6)
 
-    def sigma_at_ns(self, camera_ns: int) -> float:
-        """Standard deviation of `on_host_ns` [ns]."""
-        if camera_ns == self.at_ns:
-            return self.sigma_ns
-        return math.hypot(self.sigma_ns, (camera_ns - self.at_ns) * self.drift_sigma_ppm * 1e-6)
-
     @property
     def sentence(self) -> str:
         """What it says, for a person."""

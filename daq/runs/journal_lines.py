@@ -192,7 +192,7 @@ class Percentiles(TypedDict):
 
 @with_config(STRICT)
 class FlowFigures(TypedDict):
-    """What the threads of a session have done, see pipeline.pipeline_stats."""
+    """What the threads of a session have done, see pipeline.stats."""
 
     corrected_live: Count
     skipped_live: Count

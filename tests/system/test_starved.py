@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from daq.pipeline import lanes
+from daq.pipeline import pipeline as pipeline_module
 from daq.runs.raw_frame import checksum, read_raw, write_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import RunFolder, frame_entries
@@ -37,7 +37,7 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
         time.sleep(0.1)  # two writers: 20 frames/s
         write_raw(path, pixels, about)
 
-    monkeypatch.setattr(lanes, "write_raw", slow)
+    monkeypatch.setattr(pipeline_module, "write_raw", slow)
     options = ["--bench", str(tmp_path / "bench.yaml"), "-o", str(tmp_path / "runs"), "--simulate", "--home"]
     assert main(["acquire", str(tmp_path / "plan.yaml"), *options, "--no-correct"]) == DEVICE
     said = capsys.readouterr().err
@@ -55,7 +55,7 @@ def test_a_disk_that_cannot_follow_a_stream_ends_it_with_that_reason(tmp_path, m
     for number, entry in frames.items():
         assert checksum(read_raw(run.frame_path(number))[0]) == entry["crc32"]
 
-    monkeypatch.setattr(lanes, "write_raw", write_raw)
+    monkeypatch.setattr(pipeline_module, "write_raw", write_raw)
     # A computer that has much else to do may lose some again, and says so; each resume has fewer left to take.
     ends = [main(["resume", str(run.path), "--home"])]
     while ends[-1] == DEVICE and len(ends) < 20:

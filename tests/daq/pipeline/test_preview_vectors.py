@@ -5,12 +5,12 @@ import time
 
 import numpy as np
 import pytest
-from daq.pipeline.stats import LiveVectors, PipelineStats
 
-from daq.pipeline import live_pairs
+from daq.pipeline import preview_vectors
 from daq.pipeline.job import Job
 from daq.pipeline.pipeline import Pipeline
 from daq.pipeline.preview_vectors import PreviewVectors
+from daq.pipeline.stats import LiveVectors, PipelineStats
 from daq.plans.steps import Step
 from daq.runs.journal import Journal
 from daq.runs.run_folder import RunFolder
@@ -74,8 +74,8 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
             pass
         return LiveVectors(pair.number, 0.0)
 
-    monkeypatch.setattr(live_pairs, "MOST_PER_S", 1000.0)
-    monkeypatch.setattr(live_pairs, "_measured", slow)
+    monkeypatch.setattr(preview_vectors, "MOST_PER_S", 1000.0)
+    monkeypatch.setattr(preview_vectors, "_measured", slow)
     flow, frame = PipelineStats(), np.zeros((8, 8), np.float32)
     pairs, begun_s, elapsed_s = PreviewVectors(flow), time.monotonic(), 0.0
     number = 0
@@ -85,7 +85,7 @@ def test_vectors_take_no_more_than_their_share(monkeypatch):
         number, elapsed_s = number + 1, time.monotonic() - begun_s
     pairs.close()
     elapsed_s = time.monotonic() - begun_s
-    assert 2 <= flow.vectors_live <= 1.5 + live_pairs.MOST_OF_THE_TIME * elapsed_s / 0.05
+    assert 2 <= flow.vectors_live <= 1.5 + preview_vectors.MOST_OF_THE_TIME * elapsed_s / 0.05
 
 
 @pytest.mark.parametrize("bad", [np.zeros((384, 384)), np.full((384, 384), np.nan), np.zeros((10, 10))])
@@ -108,7 +108,7 @@ def test_a_newer_pair_takes_the_place_of_one_that_waits(monkeypatch):
         gate.wait(10.0)
         return LiveVectors(pair.number, 0.0)
 
-    monkeypatch.setattr(live_pairs, "_measured", slow)
+    monkeypatch.setattr(preview_vectors, "_measured", slow)
     flow = PipelineStats()
     pairs = PreviewVectors(flow)
     frame, begun = np.zeros((8, 8), np.float32), time.monotonic()
@@ -123,10 +123,12 @@ def test_a_newer_pair_takes_the_place_of_one_that_waits(monkeypatch):
     assert seen == [0, 38]
 
 
-def test_the_lanes_lose_nothing_to_vectors_that_never_end(tmp_path, monkeypatch):
+def test_the_threads_lose_nothing_to_vectors_that_never_end(tmp_path, monkeypatch):
     """Every raw frame is written and every frame corrected while the measurement of a pair hangs."""
     gate = threading.Event()
-    monkeypatch.setattr(live_pairs, "_measured", lambda pair: gate.wait(60.0) and LiveVectors(pair.number, 0.0))
+    monkeypatch.setattr(
+        preview_vectors, "_measured", lambda pair: gate.wait(60.0) and LiveVectors(pair.number, 0.0)
+    )
     folder = RunFolder.create(tmp_path, "p", about_run([planned(0, "t", frames=40)]))
     journal, memory, corrections = Journal(folder.journal_path), Memory(), Doubler()
     pipeline = Pipeline(folder, journal, corrections, live_queue=40)
@@ -146,8 +148,8 @@ def test_the_lanes_lose_nothing_to_vectors_that_never_end(tmp_path, monkeypatch)
 @pytest.mark.parametrize("live_queue", [1, 2, 4])
 def test_a_lane_at_half_the_needed_speed_still_gives_vectors(tmp_path, monkeypatch, live_queue):
     """What is left out is left out in pairs: nearly every frame that is corrected serves a vector."""
-    monkeypatch.setattr(live_pairs, "_measured", lambda pair: LiveVectors(pair.number, 0.0))
-    monkeypatch.setattr(live_pairs, "MOST_PER_S", 1000.0)
+    monkeypatch.setattr(preview_vectors, "_measured", lambda pair: LiveVectors(pair.number, 0.0))
+    monkeypatch.setattr(preview_vectors, "MOST_PER_S", 1000.0)
     folder = RunFolder.create(tmp_path, "p", about_run([planned(0, "t", frames=80)]))
     journal, memory, corrections = Journal(folder.journal_path), Memory(), Doubler(duration_s=0.02)
     pipeline = Pipeline(folder, journal, corrections, live_queue=live_queue)
@@ -165,4 +167,4 @@ def test_a_lane_at_half_the_needed_speed_still_gives_vectors(tmp_path, monkeypat
 
 
 def test_warming_up_measures_something():
-    live_pairs.warm_up()
+    preview_vectors.warm_up()

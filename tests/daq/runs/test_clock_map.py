@@ -42,7 +42,9 @@ def test_what_it_says_is_inside_its_sigma():
         assert found.questions == len(drawn.entries) - 1
         middle_ns = (drawn.power_up_ns + drawn.last_ns) // 2
         off_ns = found.on_host_ns(drawn.camera(middle_ns)) - middle_ns
-        beyond += abs(off_ns) > 2.0 * found.sigma_at_ns(drawn.camera(middle_ns))
+        since_ns = drawn.camera(middle_ns) - found.at_ns
+        drifted_ns = since_ns * found.drift_sigma_ppm * 1e-6 if since_ns else 0.0
+        beyond += abs(off_ns) > 2.0 * math.hypot(found.sigma_ns, drifted_ns)
         slower_ppm = 1e6 * (1 / (1 + drawn.ppm / 1e6) - 1)
         drifts += abs(found.drift_ppm - slower_ppm) > 2.0 * found.drift_sigma_ppm
     assert beyond <= 15  # of 300: 5 %
