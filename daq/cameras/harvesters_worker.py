@@ -65,7 +65,7 @@ def without_complaints() -> Iterator[None]:
 
 
 FETCH_S = 0.004  # longest wait for a frame before requests are looked at again
-LOOK_S = 0.001  # the same where no frame is expected
+POLL_S = 0.001  # the same where no frame is expected
 MIN_PRODUCER_BUFFERS = 3
 GENICAM_ERRORS = (genapi.GenericException, gentl.GenericException)
 
@@ -127,7 +127,7 @@ class Worker:
                     is_armed = self._ring is not None
                 if is_armed and self._free and self._triggers and not self._unanswered:
                     if not self._pipe.poll(FETCH_S):
-                        self._grab(LOOK_S)
+                        self._grab(POLL_S)
                 elif is_armed and self._free:
                     self._grab(FETCH_S)
                 elif is_armed:

@@ -160,7 +160,7 @@ class CoreNodes:
 
 
 LABEL = "Camera"
-LOOK_S = 0.002
+POLL_S = 0.002
 CALL_S = 30.0  # an adapter may look for its camera for a while
 ENDLESS = 2_000_000_000  # images of a sequence that ends when it is disarmed
 MOST_BYTES = 1 << 29
@@ -323,7 +323,7 @@ class MicroManagerCamera:
                 return self._frame(*found)
             if time.monotonic() >= deadline_s:
                 return None
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
 
     def probe(self, patience_s: float) -> None:
         """CameraLost unless the adapter answers."""

@@ -56,7 +56,7 @@ PAGES = {
 MOST_VIEWERS = 64
 MOST_KEPT = 16  # pictures, of up to 2 MB
 MOST_WORDS = 4096  # bytes of a message from a browser
-TOKEN_S, LOOK_S = 5.0, 0.005  # patience with who has said nothing yet; between two looks into the slot
+TOKEN_S, POLL_S = 5.0, 0.005  # patience with who has said nothing yet; between two looks into the slot
 OVER_S = 0.2  # between two looks whether the run is over
 ALIVE_S = 0.5  # between two signs of life
 FAREWELL_S = 1.5  # for those who look, on a busy computer; whoever measures waits 2 s for our end
@@ -184,7 +184,7 @@ class Page:
             seen = last
             update = self.slot.taken(lambda snapshot: self._update_for(snapshot, request))
             if update is None or update.number <= seen:
-                time.sleep(LOOK_S)
+                time.sleep(POLL_S)
                 continue
             self._keep(update)
             missed += update.number - seen - 1 if seen else 0
@@ -219,7 +219,7 @@ class Page:
                 connection.send(json.dumps(self._doing()))
                 alive_s = time.monotonic() + ALIVE_S
             with suppress(TimeoutError):
-                request.heard(_understood(connection.recv(timeout=LOOK_S)))
+                request.heard(_understood(connection.recv(timeout=POLL_S)))
                 return max(seen - 1, 0)
         return None
 
@@ -361,7 +361,7 @@ def _serve(server: Server, page: Page, orders: dict[str, Any]) -> None:
         page.over = words.get("over", "")
     until_s = time.monotonic() + FAREWELL_S
     while page.viewers and time.monotonic() < until_s:  # those who can hear it are told that it is over
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
     server.shutdown()
 
 

@@ -22,7 +22,7 @@ from typing import Any, Self
 from daq.orderly_end import leave_terminals, terminals_of
 from stages.stop_signals import StopThread
 
-LOOK_S = 0.05
+POLL_S = 0.05
 STOPS_AT = 2  # presses
 
 
@@ -81,7 +81,7 @@ class Interrupts:
     def wait(self) -> None:
         """Return when there is no pause."""
         while self._paused:  # no Event: its lock is not made for signal handlers
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
 
     def __enter__(self) -> Self:
         self._thread = StopThread(lambda: self._stop_now())

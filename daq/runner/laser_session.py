@@ -25,7 +25,7 @@ from daq.timing.supervisor import LaserSupervisor
 from stages.clock import SYSTEM_CLOCK
 from stages.errors import StageError
 
-LOOK_S = 0.05
+POLL_S = 0.05
 CAMERA_RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "ResultingFrameRateAbs")
 
 
@@ -183,7 +183,7 @@ class LaserSession:
             if laser.state not in (LaserState.WARM, LaserState.READY):
                 break  # set() says what is wrong
             tell(f"the laser warms up, {max(0.0, left_s):.0f} s left")
-            clock.sleep_s(LOOK_S)
+            clock.sleep_s(POLL_S)
 
     def _conditions(self, armed: Callable[[], bool], is_empty: bool) -> Conditions:
         """How things stand: every axis is asked before arming, one after the other while it fires."""

@@ -44,7 +44,7 @@ from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
 LATE_S = 1.0  # a burst that the box still calls running so long after its end is in doubt
-LOOK_S = 0.01  # between two looks of `wait`
+POLL_S = 0.01  # between two looks of `wait`
 CONFIRM_S = 0.2  # between two attempts to read back that everything is off
 LEAVING_S = 10.0  # how long whoever leaves goes on with them; a cable that comes loose is mostly put back by then
 ARMED_S = 10.0  # how long conditions that were stated at arming may be believed
@@ -478,7 +478,7 @@ class Laser:
             It was switched off meanwhile.
         """
         while self.look():
-            self._clock.sleep_s(LOOK_S)
+            self._clock.sleep_s(POLL_S)
         if self.state in (LaserState.UNKNOWN, LaserState.FAULT):
             raise LaserStopped(f"{self.name} was switched off: {self.why}")
 

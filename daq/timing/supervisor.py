@@ -1,13 +1,13 @@
 """Two threads that watch a laser while it fires, so that nobody else's waiting can postpone its end.
 
-One **asks** how things stand, every `LOOK_S`, and switches off as soon as an answer is not good; what it calls
+One **asks** how things stand, every `POLL_S`, and switches off as soon as an answer is not good; what it calls
 may talk to a camera or to stages and take its time. The other one **judges** that: an answer that has not come
 for `SILENCE_S` is a lost condition as well. It also ends bursts, and after a stop says off until it reads back
 as off.
 
 **A silent box or a busy computer?** On a computer that has too much to do both threads are late, and a stage that
 answers in milliseconds seems to say nothing for a second.  What tells the two apart is the judge's own waking: if
-nobody answers while the judge wakes every `LOOK_S`, a device is silent; if the judge is late too, nobody could
+nobody answers while the judge wakes every `POLL_S`, a device is silent; if the judge is late too, nobody could
 have asked.  So of the time between two looks no more than `ON_TIME_S` counts as silence.  That has an end: who
 could not ask for `BLIND_S`, for whatever reason, does not watch, and the light goes off.  A computer that does
 not even wake to see that is the one that hangs, of which the box's own count is the end (ADR 14).
@@ -28,7 +28,7 @@ from daq.timing.states import EMITS, LaserState
 from stages.clock import Clock
 from stages.errors import StageError
 
-LOOK_S = 0.01  # between two questions, and between two judgements
+POLL_S = 0.01  # between two questions, and between two judgements
 SILENCE_S = 1.0  # without a new answer, of the wall's time in which the judge was on time
 ON_TIME_S = 0.02  # between two looks of a judge who is on time; what is beyond is the computer's, not a device's
 BLIND_S = 5.0  # of the wall's clock, without a new answer, however busy the computer was
@@ -75,7 +75,7 @@ class LaserSupervisor:
     def wait(self) -> None:
         """Return when the burst has ended; LaserStopped if it was switched off."""
         while self._laser.state is LaserState.FIRING and self._judges.is_alive():
-            self._clock.sleep_s(LOOK_S)
+            self._clock.sleep_s(POLL_S)
         if self.error is not None:
             raise self.error
         self._laser.wait()
@@ -107,12 +107,12 @@ class LaserSupervisor:
     def _go_on_asking(self) -> None:
         while not self._ended.is_set():
             self.ask()
-            self._ended.wait(LOOK_S)
+            self._ended.wait(POLL_S)
 
     def _go_on_judging(self) -> None:
         while not self._ended.is_set() and self._laser.state is LaserState.FIRING:
             self.judge()
-            self._clock.sleep_s(LOOK_S)
+            self._clock.sleep_s(POLL_S)
         while not self._laser.confirm_off() and not self._ended.wait(CONFIRM_S):
             pass
 

@@ -7,7 +7,7 @@
     frames: 1                 # at each look; more lower the noise
 
 Only the first look is where the plan has it, off the target, because the glass may be off in depth as well. Where
-the others are is decided by what was seen (runner.aiming), each move judged before it is made.
+the others are is decided by what was seen (runner.alignment_loop), each move judged before it is made.
 """
 
 from collections.abc import Iterator
