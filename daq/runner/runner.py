@@ -35,7 +35,7 @@ from daq.timing.errors import LaserStopped
 from stages.errors import DeviceLost, NotInPosition, StageError
 
 if TYPE_CHECKING:
-    from daq.runner.aiming import Aiming
+    from daq.runner.alignment_loop import AlignmentLoop
 
 
 class Runner:
@@ -55,7 +55,7 @@ class Runner:
         Finished steps that are to be taken again: a frame of theirs is damaged, see session.damaged_steps.
     operator : Operator, optional
         The person at the bench, whom a laser asks for its confirmation code.
-    aiming : Aiming, optional
+    alignment : AlignmentLoop, optional
         Decides where the next step of an alignment is.
     """
 
@@ -67,7 +67,7 @@ class Runner:
         watcher: Watcher | None = None,
         again: Collection[int] = (),
         operator: Operator | None = None,
-        aiming: "Aiming | None" = None,
+        alignment: "AlignmentLoop | None" = None,
     ) -> None:
         self._hardware = hardware
         self._cameras = list(cameras)
@@ -79,7 +79,7 @@ class Runner:
         self._found_mm: dict[str, float] | None = None  # at the end of the step before
         self.progress = Progress(steps=len(self._steps))
         self.interrupts = Interrupts(hardware.stage.stop_quietly)
-        self._aiming = aiming
+        self._alignment = alignment
         self._operator = operator or NoOperator()
         self._laser_session = LaserSession(hardware, self._first.folder, self._operator, self.interrupts)
 
@@ -141,12 +141,12 @@ class Runner:
             self._note_cameras(used)
             for step in left:
                 self._between_steps(len(self._steps) - step.index)
-                aimed = step if self._aiming is None else self._aiming.before(step)
+                aimed = step if self._alignment is None else self._alignment.before(step)
                 self._step(frames, aimed, flow)
                 self._note_cameras(used)
-                if self._aiming is not None:
-                    self._aiming.after(aimed, first.journal)
-                    if self._aiming.is_settled:  # the looks that are left would show the same
+                if self._alignment is not None:
+                    self._alignment.after(aimed, first.journal)
+                    if self._alignment.is_settled:  # the looks that are left would show the same
                         self._steps = self._steps[: step.index + 1]
                         break
         except BaseException as error:

@@ -415,12 +415,12 @@ def run_session(
                 (folder.path / name).unlink(missing_ok=True)
         if not isinstance(plan.table, AlignPlan):
             return Runner(hardware, cameras, plan.steps, watcher, again, operator).run()
-        from daq.runner.aiming import Aiming, end_in_words  # what finds glass loads slowly
+        from daq.runner.alignment_loop import AlignmentLoop, end_in_words  # what finds glass loads slowly
 
-        aiming = Aiming(hardware, folder, plan.table, say or (lambda sentence: None))
-        done = Runner(hardware, cameras, plan.steps, watcher, again, operator, aiming).run()
-        if say is not None and aiming.looks:
-            for sentence in end_in_words(aiming.wanted(), aiming.looks[-1].seen.spheres):
+        alignment = AlignmentLoop(hardware, folder, plan.table, say or (lambda sentence: None))
+        done = Runner(hardware, cameras, plan.steps, watcher, again, operator, alignment).run()
+        if say is not None and alignment.looks:
+            for sentence in end_in_words(alignment.wanted(), alignment.looks[-1].seen.spheres):
                 say(sentence)
         return done
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from correction.alignment.moves import Wanted
 from correction.alignment.spheres_seen import SphereSeen
-from daq.runner.aiming import end_in_words, move_in_words
+from daq.runner.alignment_loop import end_in_words, move_in_words
 
 NOTHING = np.zeros(3)
 

@@ -9,7 +9,7 @@ import pytest
 from correction.alignment.errors import MoveDoubted
 from daq.cameras.files import FilesCamera
 from daq.errors import PlanError, RunInterrupted
-from daq.runner.aiming import Aiming
+from daq.runner.alignment_loop import AlignmentLoop
 from daq.runner.run_camera import RunCamera
 from daq.runner.runner import Runner
 from daq.runner.session import Request, begin, reopen
@@ -67,8 +67,8 @@ def run(tmp_path):
         def carry_out(at=lambda step: None):
             with files_bench(bench, frames, Seeing) as hardware:
                 hardware.camera.hardware, hardware.camera.follows = hardware, np.array(follows)
-                aiming = Aiming(hardware, folder, plan.table, said.append)
-                runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps, aiming=aiming)
+                alignment = AlignmentLoop(hardware, folder, plan.table, said.append)
+                runner = Runner(hardware, [RunCamera(hardware, folder)], plan.steps, alignment=alignment)
                 at(runner)
                 try:
                     runner.run()
@@ -131,14 +131,14 @@ def test_an_interrupted_alignment_goes_on_from_its_frames(run):
     carry_out, bench, _, folder = run()
 
     def end_after_two(runner):
-        looked = runner._aiming.after
+        looked = runner._alignment.after
 
         def after(step, journal):
             looked(step, journal)
             if step.index == 1:
                 runner.interrupts.press()
 
-        runner._aiming.after = after
+        runner._alignment.after = after
 
     with pytest.raises(RunInterrupted):
         carry_out(end_after_two)
@@ -151,7 +151,7 @@ def test_an_interrupted_alignment_goes_on_from_its_frames(run):
 
 def test_no_look_is_taken_once_nothing_need_move(run, monkeypatch):
     """Two moves are allowed; the first look asks for none, so the run is done, and sound."""
-    monkeypatch.setattr("daq.runner.aiming.next_targets", lambda bench, planned, look, want: dict(planned))
+    monkeypatch.setattr("daq.runner.alignment_loop.next_targets", lambda bench, planned, look, want: dict(planned))
     carry_out, *_, folder = run()
     carry_out()
     assert [entry["tag"] for entry in looks(folder)] == ["look_0"]

@@ -35,7 +35,7 @@ SAID_MM = 1e-6
 UNSURE = 0.25  # of a sigma: glass that is seen to stand so near its place is moved by noise alone
 
 
-class Aiming:
+class AlignmentLoop:
     """Aims the steps of one alignment.
 
     Parameters

@@ -9,7 +9,7 @@ from daq.bench.bench_file import load_bench
 from daq.bench.guards import idle_stage
 from daq.plans.plan import load_plan
 from daq.plans.steps import route
-from daq.runner.aiming import free_before_target_mm, guard_where_seen, next_targets
+from daq.runner.alignment_loop import free_before_target_mm, guard_where_seen, next_targets
 from sim.arranged import put_up
 from sim.witness.clearances import Carried, Clearances
 from stages.errors import StageUsageError
