@@ -34,7 +34,7 @@ DRAWS = ("rtpiv.analysis.pictures.", "rtpiv.analysis.report.")
 WRITES = (
     "piv.files.frame_file",
     "piv.files.vector_file",
-    "daq.whole_text",
+    "daq.atomic_write",
     "rtpiv.analysis.report.pair_folder",
 )
 DRAWN = ("trace", "correct", "evaluate", "calibrate")

@@ -18,8 +18,8 @@ from typing import Any
 
 import yaml
 
+from daq.atomic_write import write_text
 from daq.errors import RunUsageError
-from daq.whole_text import write_text
 from ground.config import load_yaml
 
 Place = tuple[str, ...]

@@ -18,12 +18,12 @@ from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.maps.corrector import UINT16_OFFSET, Corrector, to_uint16
 from correction.maps.dewarp import Dewarp
 from correction.node_status import MEANING
+from daq.atomic_write import why
 from daq.errors import DiskError
 from daq.pipeline.priority import lower_priority
 from daq.plans.steps import CLEAR, Step
 from daq.runs.acquired import read_acquired
 from daq.runs.run_folder import RunFolder
-from daq.whole_text import why
 from piv.files.frame_file import write_frame
 from piv.resampling.sample import Method
 from tracer.scene.scene import Scene

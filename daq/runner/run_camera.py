@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from daq.atomic_write import sync_folder, write_json
 from daq.bench.bench_table import CAMERA
 from daq.bench.opened import OpenBench
 from daq.cameras.camera import Setting
@@ -37,7 +38,6 @@ from daq.runs.gaps import numbers_in, recorded_gaps
 from daq.runs.journal import Journal, utc_now
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, versions
 from daq.runs.seal import write_record
-from daq.whole_text import sync_folder, write_json
 
 
 class RunCamera:

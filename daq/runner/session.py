@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from daq.atomic_write import write_text
 from daq.bench.bench_file import load_bench
 from daq.bench.bench_table import CAMERA, Bench, digest
 from daq.bench.opened import OpenBench, open_bench
@@ -44,7 +45,6 @@ from daq.runs.glass_place import glass_off_scene_mm, with_glass_at
 from daq.runs.journal import Entry
 from daq.runs.run_folder import RunFolder, finished_steps, frame_entries, remaining, versions
 from daq.runs.run_views import dewarp_of
-from daq.whole_text import write_text
 from piv.resampling.sample import Method
 from stages.errors import WrongDevice
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene

@@ -20,6 +20,7 @@ from typing import Any
 from pydantic import TypeAdapter, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
+from daq.atomic_write import write_text
 from daq.bench.bench_table import TARGET, Bench, Vector
 from daq.errors import RunDamaged, RunUnsuitable
 from daq.plans.steps import Step
@@ -28,7 +29,6 @@ from daq.runs.records import CURE, MOST_BYTES, STRICT, Count, Tag, Way, parsed, 
 from daq.runs.run_file import SEALED_FROM
 from daq.runs.run_folder import RunFolder
 from daq.runs.seal import sealed
-from daq.whole_text import write_text
 from ground.plain_file import read_plain
 
 FILE = "displacements.json"

@@ -13,8 +13,8 @@ import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
+from daq.atomic_write import why
 from daq.errors import DiskError, RunDamaged
-from daq.whole_text import why
 from ground.whole_file import whole_file
 from piv.errors import FrameError
 from piv.files.frame_file import checksum as checksum  # who writes raw frames needs it

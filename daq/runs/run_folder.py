@@ -23,13 +23,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.atomic_write import sync_folder
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs.journal import read_journal
 from daq.runs.journal_lines import Entry, frame_name
 from daq.runs.records import CURE
 from daq.runs.run_file import FILE, LAYOUT, SEALED_FROM, PlannedStep, RunFile, read_run_file
 from daq.runs.seal import write_record
-from daq.whole_text import sync_folder
 
 if TYPE_CHECKING:
     from daq.plans.steps import Step

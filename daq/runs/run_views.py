@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 from correction.errors import BoardError, CorrectionError
 from correction.maps.dewarp import Dewarp, fit_dewarp
 from correction.target import Chessboard
+from daq.atomic_write import write_text
 from daq.errors import RunDamaged
 from daq.runs.acquired import read_acquired, run_of
 from daq.runs.records import CURE
 from daq.runs.run_file import FILE, PlannedStep
 from daq.runs.run_folder import RunFolder, frame_entries
-from daq.whole_text import write_text
 from ground.config import read
 from ground.errors import ConfigError, GroundError
 from piv.errors import FrameError, PivError

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from daq.whole_text import write_text
+from daq.atomic_write import write_text
 
 _SEAL = re.compile(rb',\s*"seal":\s*"([0-9a-f]{8})"\s*\}\s*\Z')
 _LONGEST = 64  # bytes that a seal and the end of its record take, with room for line ends

@@ -11,10 +11,10 @@ from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.errors import ViewsMissing
 from correction.fitted.fit_file import save_fit
 from correction.fitted.map_sigma import map_sigma
+from daq.atomic_write import write_json, write_text
 from daq.runs.acquired import read_acquired
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import TargetView, board_of, is_run, load_kept, target_views
-from daq.whole_text import write_json, write_text
 from ground.plain_words import counted
 from ground.terminal import console, error_console
 from piv.files.frame_file import FRAME_ENDINGS

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from rich.table import Table
 
+from daq.atomic_write import write_text
 from daq.errors import RunUsageError
-from daq.whole_text import write_text
 from ground.terminal import console
 from rtpiv.analysis.pictures.apart import drawing
 from rtpiv.analysis.views.candidates import candidates_of

@@ -17,9 +17,9 @@ from correction.maps.corrector import UINT16_OFFSET, Corrector, to_uint16
 from correction.maps.dewarp import Dewarp
 from correction.node_status import MEANING, NodeStatus
 from correction.target import Chessboard
+from daq.atomic_write import write_json
 from daq.runs.acquired import ReadAhead
 from daq.runs.run_views import board_of, dewarp_of, shows_light_sheet, where_lit
-from daq.whole_text import write_json
 from ground.terminal import console, progress
 from piv.errors import FrameError
 from piv.files.frame_file import stem_of, write_frame

@@ -4,8 +4,8 @@ import shutil
 from pathlib import Path
 
 import rtpiv.example_files as example_files
+from daq.atomic_write import copy_whole, why
 from daq.errors import DiskError, RunUsageError
-from daq.whole_text import copy_whole, why
 from ground.terminal import console
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError, RunUsageError
-from daq.whole_text import sync_folder, why
 from ground.plain_words import counted
 from ground.terminal import console, progress_if_long
 from piv.files.vector_file import Vectors, read_vectors

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Sequence
 
-from daq.whole_text import write_text
+from daq.atomic_write import write_text
 from ground.terminal import console
 from rtpiv.analysis.focus.scan import FocusScan, focus_scan
 from rtpiv.analysis.report.focus import best_rows, said_of, write_focus_page

@@ -10,8 +10,8 @@ from typing import Any
 
 from rich.table import Table
 
+from daq.atomic_write import write_text
 from daq.errors import RunUsageError
-from daq.whole_text import write_text
 from ground.plain_words import counted
 from ground.terminal import console
 from rtpiv.options.numbers import Count, Positive

@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from daq.atomic_write import write_text
 from daq.bench.bench_table import BenchTable
 from daq.plans.plan import EXPERIMENTS, plan_table
-from daq.whole_text import write_text
 from ground.terminal import console
 from rtpiv.verbs.output import require_folder
 from tracer.scene.scene_tables import SceneTable

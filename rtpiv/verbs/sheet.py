@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from correction.light_sheet.self_calibration import SheetFound
-from daq.whole_text import copy_whole, write_json, write_text
+from daq.atomic_write import copy_whole, write_json, write_text
 from ground.plain_words import counted
 from ground.terminal import console
 from rtpiv.analysis.light_sheet import about_sheet, flow_frames, sheet_of

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from correction.grid import grid_of
+from daq.atomic_write import copy_whole, why, write_json
 from daq.errors import DiskError, RunUnsuitable
 from daq.frames.source import is_source
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import is_run, scene_file
-from daq.whole_text import copy_whole, why, write_json
 from ground.plain_words import counted
 from piv.correlation.windows import window_grid
 from piv.errors import PairError, SeriesError

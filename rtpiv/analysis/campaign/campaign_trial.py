@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from daq.atomic_write import copy_whole
 from daq.errors import RunUnsuitable
-from daq.whole_text import copy_whole
 from piv.errors import SeriesError
 from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import Forecast, forecasts, would_be_lost

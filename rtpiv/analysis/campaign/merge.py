@@ -19,8 +19,8 @@ from importlib.metadata import version
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.atomic_write import write_text
 from daq.errors import Unfinished
-from daq.whole_text import write_text
 from ground.plain_words import counted
 from ground.short_repr import short_repr
 from piv.errors import SeriesError

@@ -26,8 +26,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
 
+from daq.atomic_write import why
 from daq.errors import DiskError, RunInterrupted
-from daq.whole_text import why
 from ground.terminal import progress
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import PlannedRun, planned_runs

@@ -20,9 +20,9 @@ from typing import Annotated, Literal
 from pydantic import Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
+from daq.atomic_write import why
 from daq.errors import DiskError
 from daq.runs.records import STRICT, Count, Sha
-from daq.whole_text import why
 from ground.plain_file import open_plain
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.lease import read_lease

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from daq.whole_text import write_json
+from daq.atomic_write import write_json
 from piv.correlation.windows import window_grid
 from piv.files.vector_file import Vectors, write_list, write_vectors, write_vtk
 from rtpiv.analysis.pair_vectors import PairResult, columns_of, quality_of, vectors_of_pairs

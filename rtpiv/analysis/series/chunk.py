@@ -12,8 +12,8 @@ from typing import Any
 from numpy.typing import NDArray
 
 from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
+from daq.atomic_write import sync_folder, why
 from daq.errors import DiskError
-from daq.whole_text import sync_folder, why
 from ground.whole_file import whole_file
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.vector_field import VectorField

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.atomic_write import why
 from daq.errors import DiskError
-from daq.whole_text import why
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from piv.correlation.windows import WindowGrid

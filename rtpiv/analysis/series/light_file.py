@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.atomic_write import why
 from daq.errors import DiskError, RunDamaged
 from daq.runs.acquired import read_promised
-from daq.whole_text import why
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from ground.terminal import progress_if_long

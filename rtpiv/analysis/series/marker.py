@@ -11,8 +11,8 @@ from pathlib import Path
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
+from daq.atomic_write import write_json
 from daq.runs.records import Count, Sha
-from daq.whole_text import write_json
 from ground.plain_file import read_plain
 
 MARKER_BYTES = 10_000_000

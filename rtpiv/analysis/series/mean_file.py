@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.atomic_write import why
 from daq.errors import DiskError
-from daq.whole_text import why
 from piv.files.vector_file import SPEED, Vectors, write_vectors
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow

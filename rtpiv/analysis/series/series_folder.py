@@ -19,9 +19,9 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter, ValidationError, with_config
 from typing_extensions import TypedDict  # that of typing cannot be checked before Python 3.12
 
+from daq.atomic_write import why, write_json
 from daq.errors import DiskError, RunUnsuitable
 from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
-from daq.whole_text import why, write_json
 from ground.plain_file import read_plain
 from piv.errors import SeriesError
 from rtpiv.analysis.pair_vectors import ChunkContent, read_chunk

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from daq.atomic_write import copy_whole, why
 from daq.errors import DiskError
 from daq.frames.source import is_source
 from daq.runs.glass_place import with_glass_at
 from daq.runs.pairs import pairs_of
 from daq.runs.run_views import board_of, dewarp_of, is_run, scene_file
-from daq.whole_text import copy_whole, why
 from piv.errors import PairError
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from rtpiv.analysis.pairs.piv_file import PivChoice

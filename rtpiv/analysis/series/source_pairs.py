@@ -8,9 +8,9 @@ chunk.  The list is kept in the folder of the series and asked again as long as 
 import json
 from pathlib import Path
 
+from daq.atomic_write import write_text
 from daq.frames.named_frame import checksum_of
 from daq.frames.source import FrameSource, source_of
-from daq.whole_text import write_text
 from ground.plain_file import read_plain
 from ground.terminal import progress_if_long
 from piv.errors import PairError

@@ -16,7 +16,7 @@ import numpy as np
 from daq.errors import DiskError
 from daq.runs.journal import Journal, read_journal
 from daq.runs.raw_frame import checksum, read_raw, write_raw
-from daq.whole_text import write_json
+from daq.atomic_write import write_json
 
 folder, frame, whole = Path(sys.argv[1]), np.full((128, 128), 7, np.uint16), 0
 places = {"planned_mm": {}, "measured_mm": {}}
