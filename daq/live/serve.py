@@ -39,9 +39,9 @@ from websockets.sync.server import Server, ServerConnection, serve
 
 from daq.live.frame_quality import FrameQuality
 from daq.live.picture import EVERY, LARGEST_PX, Columns, Part, columns_of, room_px, sent, white_of
-from daq.orderly_end import flush_or_leave
 from daq.pipeline.live_slot import NoSlotError, SlotReader, Snapshot
 from daq.pipeline.priority import lower_process
+from daq.signal_handling import flush_or_leave
 
 if TYPE_CHECKING:
     from daq.live.monitor import Monitor

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-from daq.orderly_end import leave_terminals, terminals_of
+from daq.signal_handling import leave_terminals, terminals_of
 from stages.stop_signals import StopThread
 
 POLL_S = 0.05

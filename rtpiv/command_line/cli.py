@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, TextIO
 
 import ground.compile_news as compile_news
-from daq.orderly_end import SIGNALLED, flush_or_leave, orderly_end
+from daq.signal_handling import SIGNALLED, flush_or_leave, handle_signals
 from ground.errors import UntrustedProgram
 from ground.named_program import VARIABLE, trust
 from ground.printable import printable
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     compile_news.complain = lambda complaint: print(f"rtpiv {verb}: {complaint}", file=sys.stderr)
     compile_news.make_helper, compile_news.helper = lambda: _first_use(verb), None
     draws = DRAWS.get(verb, ()) if options.get("pictures") else ()
-    with _drawn_apart(draws), orderly_end(), _without_helper(), warnings.catch_warnings():
+    with _drawn_apart(draws), handle_signals(), _without_helper(), warnings.catch_warnings():
         warnings.showwarning = print_warning
         try:
             code = _carried_out(verb, options)

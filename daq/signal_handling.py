@@ -23,7 +23,7 @@ PATIENCE_S = 5.0
 
 
 @contextmanager
-def orderly_end() -> Iterator[None]:
+def handle_signals() -> Iterator[None]:
     """Turn SIGTERM and SIGHUP into SystemExit within the block; in the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield

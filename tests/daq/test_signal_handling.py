@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.orderly_end import SIGNALLED, orderly_end
+from daq.signal_handling import SIGNALLED, handle_signals
 from tests.rtpiv.test_cli import SMALL
 
 # A verb that has a temporary file open and works for a long time; said to begin when it does.
@@ -68,7 +68,7 @@ def test_a_window_that_is_closed_ends_a_verb(tmp_path):
 
 def test_handlers_are_put_back():
     before = [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)]
-    with orderly_end():
+    with handle_signals():
         assert signal.getsignal(signal.SIGTERM) not in before
     assert [signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)] == before
 
@@ -77,7 +77,7 @@ def test_what_is_ignored_stays_ignored(monkeypatch):
     """Under nohup."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
-        with orderly_end():
+        with handle_signals():
             signal.raise_signal(signal.SIGHUP)
     finally:
         signal.signal(signal.SIGHUP, before)
