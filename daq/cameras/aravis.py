@@ -282,7 +282,7 @@ class AravisCamera:
             if not left_s:
                 return None
 
-    def probe(self, patience_s: float) -> None:
+    def probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers and still knows that it is controlled.
 
         CameraTimeout if the caller holds every buffer; release frames first.
@@ -290,7 +290,7 @@ class AravisCamera:
         self._require_armed()
         if not self._free:
             raise CameraTimeout("every buffer is held by frames that were not released; release them")
-        self._probe(patience_s)
+        self._probe(timeout_s)
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Wait for the next complete frame; incomplete ones are counted and put aside."""

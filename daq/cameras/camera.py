@@ -170,7 +170,7 @@ class Camera(Protocol):
         """
         ...
 
-    def probe(self, patience_s: float) -> None:
+    def probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers within this time."""
         ...
 

@@ -58,9 +58,9 @@ class DoubleHeightCamera:
         """As the camera does."""
         return self._camera.trigger()
 
-    def probe(self, patience_s: float) -> None:
+    def probe(self, timeout_s: float) -> None:
         """As the camera does."""
-        self._camera.probe(patience_s)
+        self._camera.probe(timeout_s)
 
     def configure(self, settings: Mapping[str, Setting], chunks: Sequence[str] = ()) -> dict[str, Setting]:
         """As the camera does."""

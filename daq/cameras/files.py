@@ -143,7 +143,7 @@ class FilesCamera:
             due.append(time.monotonic_ns())
         return before_ns
 
-    def probe(self, patience_s: float) -> None:
+    def probe(self, timeout_s: float) -> None:
         """Files always answer."""
         self._require_armed()
 

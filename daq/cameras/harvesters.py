@@ -163,9 +163,9 @@ class HarvestersCamera:
         number, self._incomplete_told = self._incomplete - self._incomplete_told, self._incomplete
         raise FrameIncomplete(f"{number} frame came with pixels missing; look at the link")
 
-    def probe(self, patience_s: float) -> None:
+    def probe(self, timeout_s: float) -> None:
         """CameraLost unless the camera answers within this time."""
-        self._call("probe", patience_s)
+        self._call("probe", timeout_s)
 
     def next_frame(self, timeout_s: float) -> Frame:
         """Wait for the next complete frame."""

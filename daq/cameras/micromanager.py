@@ -325,7 +325,7 @@ class MicroManagerCamera:
                 return None
             time.sleep(POLL_S)
 
-    def probe(self, patience_s: float) -> None:
+    def probe(self, timeout_s: float) -> None:
         """CameraLost unless the adapter answers."""
         self._require_armed()
         self._ask("for its exposure", lambda: self._core.getExposure())

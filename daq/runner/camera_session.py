@@ -85,7 +85,7 @@ class CameraSession:
     camera : Camera
         Open.
     section : CameraSection
-        Settings, patience, retakes.
+        Settings, timeout, retakes.
     latch : StopLatch, optional
         The bench's stop, which ends exposures too; None where nothing can be stopped.
     tell_doubt : callable, optional

@@ -164,7 +164,7 @@ class PairSource:
         finder: PairFinder[Frame] = PairFinder(
             self.section, order.rate_hz, light.exposure_a_us + light.gap_us, lambda f: exposures.reject(f, True)
         )
-        patience_s = exposures.section.timeout_s + 1.0 / order.rate_hz
+        timeout_s = exposures.section.timeout_s + 1.0 / order.rate_hz
         heard_s, is_first, seen = time.monotonic(), True, 0
         try:
             while True:
@@ -177,11 +177,11 @@ class PairSource:
                     continue
                 if frame is None:
                     is_over = laser.state not in EMITS
-                    if is_over and (seen >= 2 * chunk.triggers or time.monotonic() - heard_s > patience_s):
+                    if is_over and (seen >= 2 * chunk.triggers or time.monotonic() - heard_s > timeout_s):
                         break
                     heard_s = heard_s if seen or is_over else time.monotonic()  # the first light may be far
-                    if not is_over and time.monotonic() - heard_s > patience_s:
-                        raise CameraTimeout(f"no frame within {patience_s:.1f} s; look at the camera's trigger")
+                    if not is_over and time.monotonic() - heard_s > timeout_s:
+                        raise CameraTimeout(f"no frame within {timeout_s:.1f} s; look at the camera's trigger")
                     yield None
                     continue
                 heard_s = time.monotonic()

@@ -1,6 +1,6 @@
 """Which trigger a frame belongs to: told by the camera's clock, never by the order of arrival.
 
-A frame that is later than our patience arrives in somebody else's place.  Taken for the answer to the next trigger
+A frame that is later than our timeout arrives in somebody else's place.  Taken for the answer to the next trigger
 it would show the stop before, and so would every frame after it.  So a frame is taken only if it was exposed
 between its trigger and its arrival, and everything else is rejected, counted, and waited past.
 
@@ -11,15 +11,15 @@ known but that they tick alike (DRIFT), and a stamp may be rounded (COARSE_NS, F
 **Offset.**  A camera whose clock cannot be read: a frame that was taken says that its exposure lay between its
 trigger and its arrival, so host minus camera lies in the interval [trigger - stamp, arrival - stamp].  The
 intervals of all frames that were taken must have a point in common (each widened by DRIFT since).  A frame is
-stale if its exposure, at the latest, was before its trigger; or, at the earliest, more than half our patience
+stale if its exposure, at the latest, was before its trigger; or, at the earliest, more than half our timeout
 before it.  The first finds frames older than the quickest frame took to arrive; the second those that were left
-behind by a timeout, however slow frames are, for such a one is older than the whole of our patience.
+behind by a timeout, however slow frames are, for such a one is older than the whole of our timeout.
 
 **ClockCalibration.**  What is left to be settled: a first frame whose stamp contradicts the latch (another clock,
 other units, or really stale), a first frame after a timeout, a stamp that contradicts those before it.  A few
 triggers with unequal pauses tell (see clock_calibration).  It costs nothing while nothing is odd.  If it shows
 that the first frame was exposed before its trigger, that is a doubt; but of frames that have agreed with each
-other for a few times our patience it is believed that the camera's clock was set anew.  What no offset can show is
+other for a few times our timeout it is believed that the camera's clock was set anew.  What no offset can show is
 a session whose every frame is late by the same time, the first one's trigger having been an earlier process's; a
 latch shows it.
 
@@ -35,7 +35,7 @@ from enum import Enum
 from daq.cameras.frame import FrameMeta
 from daq.runner.clock_calibration import DRIFT, ClockCalibration, Shot
 
-CONFIRMED = 3.0  # times our patience; over that even stamps in another unit would have contradicted each other
+CONFIRMED = 3.0  # times our timeout; over that even stamps in another unit would have contradicted each other
 TRIALS = 3  # after which a clock is none that has not agreed with us for a while
 AGREED_NS = 60_000_000_000
 UNCONFIRMED = "nothing has confirmed that the first frame was exposed for its trigger"
@@ -74,12 +74,12 @@ class TriggerMatch:
 
     Parameters
     ----------
-    patience_ns : float
+    timeout_ns : float
         How long a frame is waited for.
     """
 
-    def __init__(self, patience_ns: float) -> None:
-        self._patience_ns = patience_ns
+    def __init__(self, timeout_ns: float) -> None:
+        self._timeout_ns = timeout_ns
         self._first: Shot | None = None
         self._shot: Shot | None = None
         self._before: Shot | None = None
@@ -218,7 +218,7 @@ class TriggerMatch:
 
         A clock that calls every frame stale for longer than we are patient is not the clock of the stamps.
         """
-        is_early = meta.received_ns - arm.before_ns < self._patience_ns
+        is_early = meta.received_ns - arm.before_ns < self._timeout_ns
         if not self._has_time(meta):
             return True
         if arm.clock_ns is not None and self._latch_is_the_stamps is not False:
@@ -324,7 +324,7 @@ class TriggerMatch:
 
     def _take(self, meta: FrameMeta, shot: Shot) -> None:
         self._first_taken, self._last_taken = self._first_taken or (meta, shot), meta
-        self._is_confirmed |= meta.received_ns - self._first_taken[0].received_ns > CONFIRMED * self._patience_ns
+        self._is_confirmed |= meta.received_ns - self._first_taken[0].received_ns > CONFIRMED * self._timeout_ns
         self._only_stale = 0
         if self._id_taken is not None:
             sequence, shots = self._id_taken
@@ -350,4 +350,4 @@ class TriggerMatch:
             return False
         stamp_ns, offset = meta.timestamp_ns * self._ns_per_unit, self._offset.until(meta.received_ns)
         is_surely = stamp_ns + offset.high_ns < moment_ns
-        return is_surely or stamp_ns + offset.low_ns < moment_ns - self._patience_ns / 2
+        return is_surely or stamp_ns + offset.low_ns < moment_ns - self._timeout_ns / 2

@@ -154,7 +154,7 @@ class ScriptedCamera:
         self.time.now_ns = end_ns
         return None
 
-    def probe(self, patience_s):
+    def probe(self, timeout_s):
         self._cost()
         if self._is_lost:
             raise CameraLost("no answer")
