@@ -34,7 +34,7 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 
 PICTURES = "rtpiv.analysis.pictures"
 DRAWS = {  # verb -> what it draws with, imported while it computes; kernels are called by whoever draws rays
-    "trace": (f"{PICTURES}.camera_view", f"{PICTURES}.plane", f"{PICTURES}.drawing", "cv2", "ground.compiler"),
+    "trace": (f"{PICTURES}.traced", f"{PICTURES}.drawing", "cv2", "ground.compiler"),
     "compare": (f"{PICTURES}.views",),
     "correct": (f"{PICTURES}.overview", "cv2"),
     "evaluate": ("rtpiv.analysis.report.pair", "rtpiv.analysis.report.page", "ground.compiler"),

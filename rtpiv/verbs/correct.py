@@ -231,9 +231,8 @@ def _draw(
     corrector: Corrector,
 ) -> None:
     """Draw a frame as acquired, computer-generated (as large as it is drawn: nobody sees more), corrected."""
-    from rtpiv.analysis.pictures.embedded import WIDEST_PX
-    from rtpiv.analysis.pictures.patterns import Particles, Target, shows_particles
-    from rtpiv.analysis.pictures.seen import seen
+    from rtpiv.analysis.pictures.patterns import Particles, Target, seen, shows_particles
+    from rtpiv.analysis.pictures.rasters import WIDEST_PX
     from rtpiv.analysis.through_glass import shown_small
 
     px_mm = scene.camera.position_mm[2] / scene.camera.focal_px

@@ -131,8 +131,8 @@ def _single_frame(
     page: Page, folder: RunFolder, scene: Scene, target_clear: Path | None, dewarp_order: int
 ) -> None:
     """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
+    from rtpiv.analysis.report.page import through_lead
     from rtpiv.analysis.report.pair import image_table, scene_chapter, slider_chapter
-    from rtpiv.analysis.report.through import through_lead
 
     view = first_view(folder)
     if view is None:

@@ -13,8 +13,8 @@ from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import MEANING, NodeStatus
 from ground.terminal import console, progress_if_long
 from rtpiv.analysis.pictures.apart import drawing
-from rtpiv.analysis.pictures.names import short
-from rtpiv.analysis.plane_share import BodyShare, PlaneShare, plane_share
+from rtpiv.analysis.pictures.saved import short
+from rtpiv.analysis.through_glass import BodyShare, PlaneShare, plane_share
 from rtpiv.analysis.views.arranged import little
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named
@@ -135,24 +135,23 @@ def _draw(
     view: FieldOfView | None,
 ) -> list[str]:
     """Draw all pictures; return their names."""
-    from rtpiv.analysis.pictures.patterns import MarkerBoard, square_for
-    from rtpiv.analysis.pictures.seen import WIDEST_PX, seen
-    from rtpiv.analysis.pictures.shown_plane import ShownPlane
+    from rtpiv.analysis.pictures.patterns import WIDEST_PX, MarkerBoard, seen, square_for
+    from rtpiv.analysis.pictures.rasters import ShownPlane
     from rtpiv.analysis.through_glass import shown_small
 
     names = ["plane.png", "camera_view.png", "scene.png"]
     with drawing() as draw:
         draw(f"{PICTURES}.drawing:draw_scene", out / "scene.png", scene)
-        draw(f"{PICTURES}.plane:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
+        draw(f"{PICTURES}.traced:draw_plane", out / "plane.png", scene, ShownPlane.of(correction_map), share, name)
         square_mm = square_for(share.size_mm[0])
         image = seen(shown_small(scene, WIDEST_PX), MarkerBoard(square_mm), watched=progress_if_long)
         view_of = image, scene.camera.sensor_px, square_mm, name
-        draw(f"{PICTURES}.camera_view:draw_camera_view", out / "camera_view.png", *view_of)
+        draw(f"{PICTURES}.traced:draw_camera_view", out / "camera_view.png", *view_of)
         if blur is not None:
-            draw(f"{PICTURES}.blur:draw_blur", out / "blur.png", correction_map.grid, blur)
+            draw(f"{PICTURES}.traced:draw_blur", out / "blur.png", correction_map.grid, blur)
             names.append("blur.png")
         if view is not None:
-            draw(f"{PICTURES}.curve:draw_curve", out / "radial_curve.png", scene, view, name)
+            draw(f"{PICTURES}.traced:draw_curve", out / "radial_curve.png", scene, view, name)
             names.append("radial_curve.png")
     return names
 

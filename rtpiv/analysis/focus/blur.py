@@ -1,4 +1,4 @@
-"""How wide the images of particles are in a part of a frame.
+"""How wide the images of particles are, in each part of a view.
 
 The autocorrelation of many small spots is that of one spot, however they overlap: for Gaussians of standard
 deviation s it falls with the lag l like  exp(-l^2 / (4 s^2)),  so
@@ -8,6 +8,11 @@ deviation s it falls with the lag l like  exp(-l^2 / (4 s^2)),  so
 from the ratio rho of the covariance at lag l to that at no lag.  Covariances are taken between two frames of one
 place, whose noise differs: only what both show counts.  Shapes that are not Gaussian change the scale of s and not
 where it is smallest.
+
+Parts are told apart by what the line of sight meets: beside all glass, and rings behind each stack of balls.  A
+pixel belongs behind those balls that its straight line of sight crosses; its radius is that of the ball nearest
+the camera, r = distance of the line from the centre / R.  Parts that are cut by a silhouette are left out, and a
+band around every ball as well: a wide pupil sees both sides of an edge.
 """
 
 from typing import NamedTuple
@@ -15,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+
+from tracer.scene.scene import Scene
 
 Float64 = NDArray[np.float64]
 
@@ -66,3 +73,35 @@ def _covariance(a: Float64, b: Float64, part: NDArray[np.bool_], rows: int, colu
     if count < FEWEST_PX:
         return float("nan")
     return float(np.sum(a[here] * b[there] * both) / count)
+
+
+RINGS = {"centre": (0.0, 0.2), "halfway": (0.35, 0.55), "rim": (0.6, 0.75)}
+BESIDE_FROM = 1.45  # radii
+
+
+def parts_of(scene: Scene) -> dict[str, NDArray[np.bool_]]:
+    """Masks (H, W) by name: ``beside``, and ``BALLS: centre``, ``halfway`` and ``rim`` for each stack of balls."""
+    camera = scene.camera
+    rows, columns = np.indices(camera.shape)
+    rays = camera.directions(np.stack((columns, rows), axis=-1))
+    balls = sorted(scene.spheres, key=lambda s: -s.centre_mm[2])
+    beside = np.ones(camera.shape, np.bool_)
+    radii = []
+    for ball in balls:
+        to = np.subtract(ball.centre_mm, camera.position_mm)
+        off = np.linalg.norm(np.cross(rays, to), axis=-1) / ball.radius_mm
+        radii.append(off)
+        beside &= off > BESIDE_FROM
+    parts = {"beside": beside}
+    crossed = np.zeros(camera.shape, np.int64)
+    for bit, off in enumerate(radii):
+        crossed |= (off < 1.0).astype(np.int64) << bit
+    for stack in np.unique(crossed):
+        members = [k for k in range(len(balls)) if stack >> k & 1]
+        if not members:
+            continue
+        name = "+".join(balls[k].name for k in members)
+        for ring, (low, high) in RINGS.items():
+            off = radii[members[0]]
+            parts[f"{name}: {ring}"] = (crossed == stack) & (off >= low) & (off < high)
+    return {name: part for name, part in parts.items() if np.count_nonzero(part) >= FEWEST_PX}

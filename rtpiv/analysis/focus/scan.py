@@ -28,8 +28,7 @@ from daq.runs.run_folder import RunFolder, frame_entries
 from daq.runs.run_views import load_kept
 from ground.config import load_yaml, read
 from ground.short_repr import short_repr
-from rtpiv.analysis.focus.blur import NO_SPOTS, Spots, spots_in
-from rtpiv.analysis.focus.parts import parts_of
+from rtpiv.analysis.focus.blur import NO_SPOTS, Spots, parts_of, spots_in
 from tracer.depth_of_field import depth_of_field_mm, f_number_for_depth
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from correction.maps.corrector import Corrector
 from correction.node_status import NodeStatus
 from piv.preprocessing.image_figures import ImageFigures, image_figures
-from rtpiv.analysis.pictures.embedded import embedded, grey, tinted
-from rtpiv.analysis.pictures.mask_colours import covered, mask_picture
+from rtpiv.analysis.pictures.rasters import covered, embedded, grey, mask_picture, tinted
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 from tracer.scene.scene import Scene
 

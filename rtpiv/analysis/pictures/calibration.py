@@ -12,8 +12,7 @@ from matplotlib.ticker import LogLocator
 from correction.fit.judge.result import FitStep
 from correction.fitted.map_sigma import MapSigma
 from rtpiv.analysis.calibration import Panel
-from rtpiv.analysis.pictures.canvas import Figure
-from rtpiv.analysis.pictures.plane_axes import NOTHING, colour_bar, draw_outlines, plane_panels
+from rtpiv.analysis.pictures.plane_axes import NOTHING, Figure, colour_bar, draw_outlines, plane_panels
 from rtpiv.analysis.pictures.saved import save_picture
 from tracer.scene.scene import Scene
 

@@ -8,10 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.patches import Circle, Patch, Polygon
 
-from rtpiv.analysis.pictures.canvas import Figure
-from rtpiv.analysis.pictures.names import short
-from rtpiv.analysis.pictures.plane_axes import INK, MOST_NAMES, SOFT, bare, outline_mm
-from rtpiv.analysis.pictures.saved import save_picture
+from rtpiv.analysis.pictures.plane_axes import INK, MOST_NAMES, SOFT, Figure, bare, outline_mm
+from rtpiv.analysis.pictures.saved import save_picture, short
 from rtpiv.analysis.pictures.section import (
     BESIDE,
     GLASS,

@@ -8,9 +8,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 
 from correction.node_status import NodeStatus
-from rtpiv.analysis.pictures.canvas import Figure
-from rtpiv.analysis.pictures.embedded import grey, reduced, tinted
-from rtpiv.analysis.pictures.mask_colours import covered, swatch
+from rtpiv.analysis.pictures.plane_axes import Figure
+from rtpiv.analysis.pictures.rasters import covered, grey, reduced, swatch, tinted
 from rtpiv.analysis.pictures.saved import save_picture
 
 

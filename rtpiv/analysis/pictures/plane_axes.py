@@ -1,18 +1,25 @@
-"""Axes of pictures on the plane: outlines of bodies, colour bars as tall as what they belong to, short names."""
+"""Figures, and their axes on the plane: outlines of bodies, colour bars as tall as what they belong to.
+
+All who draw take `Figure` from here; nothing else waits for matplotlib.
+"""
 
 from collections.abc import Iterable
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colorbar import Colorbar
+from matplotlib.figure import Figure as Figure
 from numpy.typing import NDArray
 
-from rtpiv.analysis.pictures.canvas import Figure
-from rtpiv.analysis.pictures.names import short
+from rtpiv.analysis.pictures.saved import short
 from tracer.bodies import Body
 from tracer.scene.scene import Scene
+
+matplotlib.rcParams["text.parse_math"] = False  # a $ in the name of a file or body begins no formula
+
 
 INK, SOFT, NOTHING = "#1d2433", "#5c667a", "#d9dee8"
 MOST_NAMES = 12

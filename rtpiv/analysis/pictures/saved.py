@@ -1,12 +1,21 @@
-"""Pictures on the disk: whole or not there, whatever the disk does in the middle."""
+"""What every picture needs at its end: names that it has room for, and a file that is whole or not there."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ground.whole_file import whole_file
 
+LONGEST_NAME = 18
+
+
+def short(name: str, longest: int = LONGEST_NAME) -> str:
+    """Return a name that fits a picture; the middle of a long one is left out."""
+    half = (longest - 1) // 2
+    return name if len(name) <= longest else f"{name[:half]}\N{HORIZONTAL ELLIPSIS}{name[-half:]}"
+
+
 if TYPE_CHECKING:
-    from rtpiv.analysis.pictures.canvas import Figure
+    from rtpiv.analysis.pictures.plane_axes import Figure
 
 PNG_LEVEL = 4  # of zlib: a third of the time of 6 for a few per cent more bytes
 

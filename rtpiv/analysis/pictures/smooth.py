@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 
 from correction.fit.judge.result import SceneFit
 from correction.fitted.fit_file import StoredVerdict
-from rtpiv.analysis.pictures.canvas import Figure
-from rtpiv.analysis.pictures.names import short
-from rtpiv.analysis.pictures.plane_axes import colour_bar, plane_panels
-from rtpiv.analysis.pictures.saved import save_picture
+from rtpiv.analysis.pictures.plane_axes import Figure, colour_bar, plane_panels
+from rtpiv.analysis.pictures.saved import save_picture, short
 
 Floats = NDArray[np.float64]
 

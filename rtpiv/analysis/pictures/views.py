@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LogNorm
 
-from rtpiv.analysis.pictures.canvas import Figure
+from rtpiv.analysis.pictures.plane_axes import Figure
 from rtpiv.analysis.pictures.saved import save_picture
 from rtpiv.analysis.views.figures import ViewFigures
 

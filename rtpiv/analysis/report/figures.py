@@ -15,11 +15,11 @@ from correction.evaluate.velocity_route import PlaneVectors
 from correction.grid import PlaneGrid
 from ground.plain_words import counted
 from piv.correlation.vector_field import VectorField
-from rtpiv.analysis.pictures.canvas import Figure
 from rtpiv.analysis.pictures.plane_axes import (
     INK,
     NOTHING,
     SOFT,
+    Figure,
     bare,
     bare_figure,
     colour_bar,

@@ -10,7 +10,7 @@ from rtpiv.analysis.focus.scan import FocusScan
 from rtpiv.analysis.report.page import Page
 
 if TYPE_CHECKING:
-    from rtpiv.analysis.pictures.canvas import Figure
+    from rtpiv.analysis.pictures.plane_axes import Figure
 
 HEAD = ("part", "sharp at [mm]", "sigma [mm]", "spot there [px]")
 
@@ -60,7 +60,7 @@ def write_focus_page(path: Path, name: str, scan: FocusScan) -> None:
 
 
 def _figure(scan: FocusScan) -> "Figure":
-    from rtpiv.analysis.pictures.canvas import Figure
+    from rtpiv.analysis.pictures.plane_axes import Figure
 
     figure = Figure(figsize=(7.2, 4.2), layout="constrained")
     axes = figure.add_subplot()

@@ -1,4 +1,7 @@
-"""The page of a mean flow: the field, how sure it is, its fluctuations, and every pair that is not in it."""
+"""The page of a mean flow: the field, how sure it is, its fluctuations, and every pair that is not in it.
+
+One chapter asks the particles of the run that are seen twice whether the spheres stand where they were calibrated.
+"""
 
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -7,28 +10,31 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.errors import SheetError
 from correction.evaluate.regions import Region, Regions
+from correction.self_check.moved_sphere import FALSE_ALARMS, SelfCheck, check_spheres
 from daq.runs.run_folder import RunFolder
 from daq.runs.run_views import is_run
+from piv.errors import PairError
 from rtpiv.analysis.digits import two_digits, with_sigma
+from rtpiv.analysis.light_sheet import FlowFrames, flow_frames, read_pairs
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import corrector_of_mean, flow_chapters, regions_of_mean
-from rtpiv.analysis.report.page import Link, Page
+from rtpiv.analysis.report.page import Link, Page, through_lead
 from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
 from rtpiv.analysis.report.run import books_chapter
-from rtpiv.analysis.report.self_check import self_check_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
-from rtpiv.analysis.report.through import through_lead
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.image_field import image_field
 from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import SeriesBooks
 from rtpiv.analysis.series.series_folder import SeriesFolder
-from rtpiv.analysis.series.series_input import SeriesInput
+from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput
 from rtpiv.analysis.series.series_mean import grid_of_series, scene_of, standing_of, windows_of
 from rtpiv.analysis.series.tasks import FIT_FILE
 from rtpiv.analysis.through_glass import through_glass
+from tracer.scene.scene_file import load_scene
 
 SHOWN_PAIRS = 60
 
@@ -192,3 +198,59 @@ def left_out_chapter(page: Page, mean: MeanFlow) -> None:
         unseen = len(mean.left_out) - SHOWN_PAIRS
         more = f"; {unseen} more are in mean.nc" if unseen > 0 else ""
         page.table(("pair", "why"), mean.left_out[:SHOWN_PAIRS], f"Pairs that are left out{more}")
+
+
+ENOUGH_PAIRS = 50  # evenly from those given
+
+
+def self_check_of(given: FlowFrames) -> SelfCheck:
+    """Ask the particles of some pairs.
+
+    Raises
+    ------
+    SheetError, SceneError
+        There are too few pairs, or the sheet runs through a body.
+    FrameError, RunDamaged
+        A frame cannot be read.
+    """
+    every = len(given.pairs)
+    chosen = np.unique(np.linspace(0, every - 1, min(every, ENOUGH_PAIRS)).round().astype(int))
+    pairs = [given.pairs[number] for number in chosen]
+    return check_spheres(given.scene, lambda: read_pairs(given, pairs, "looking for spheres that have moved"))
+
+
+HEAD = ("sphere", "move x, y, z [um]", "sigma [um]", "by chance", "explains")
+
+
+def self_check_chapter(page: Page, series: SeriesInput) -> None:
+    """Add the chapter, where a run shows particles behind glass in enough pairs."""
+    try:
+        found = self_check_of(flow_frames([series.run], load_scene(series.out / SCENE_FILE)))
+    except (PairError, SheetError):
+        return
+    show_self_check(page, found)
+
+
+def show_self_check(page: Page, found: SelfCheck) -> None:
+    """Show what was found."""
+    page.heading("Do the spheres stand where they were calibrated?")
+    if found.moved:
+        page.warning(found.sentence)
+    else:
+        page.text(found.sentence + ".")
+    rows = [
+        (
+            one.name,
+            ", ".join(f"{1e3 * mm:+.0f}" for mm in one.move_mm) if one.is_told else "not determined",
+            ", ".join(f"{1e3 * mm:.0f}" for mm in one.sigma_mm),
+            f"{one.probability:.1g}",
+            f"{one.explains:.0f}",
+        )
+        for one in found.moves
+    ]
+    if rows:
+        said = (
+            "Each sphere by itself as the one that moved; the one that explains most of what is apart is named."
+            f" Spheres that stand still raise an alarm in fewer than {FALSE_ALARMS:g} of all checks"
+        )
+        page.table(HEAD, rows, said)

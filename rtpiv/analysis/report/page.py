@@ -4,6 +4,8 @@ No script or style comes from anywhere else, and everything is embedded, so the 
 the same in ten years; only links lead to files beside it.  Every text that came from a file or a name is escaped.
 Figures are also written beside the page as they stand in it.  Who wants all of them as SVG for papers and PNG for
 slides says so: drawing them twice takes longer than measuring what they show.
+
+Every page begins with how much of what the balls hide is seen through them, and what would show more.
 """
 
 import base64
@@ -18,9 +20,12 @@ from urllib.parse import quote
 
 from ground.whole_file import whole_file
 from rtpiv.analysis.pictures.saved import lay_out, write_png
+from rtpiv.analysis.through_glass import ThroughGlass, percent
+from rtpiv.analysis.views.arranged import little
+from tracer.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from rtpiv.analysis.pictures.canvas import Figure
+    from rtpiv.analysis.pictures.plane_axes import Figure
 
 PNG_DPI = 170
 
@@ -149,7 +154,7 @@ class Page:
         Parameters
         ----------
         layers : sequence of (name, data address)
-            Two or more, see `rtpiv.analysis.pictures.embedded`; neighbours in the order in which they are
+            Two or more, see `rtpiv.analysis.pictures.rasters`; neighbours in the order in which they are
             compared.
         caption : str
             Said below.
@@ -221,3 +226,29 @@ def _drawn(figure: "Figure", kind: str) -> bytes:
         lay_out(figure, PNG_DPI)
         figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata={"Date": None})
     return buffer.getvalue()
+
+
+def through_lead(page: Page, through: ThroughGlass | None, scene: Scene, recovered: float) -> None:
+    """Begin a page.
+
+    Parameters
+    ----------
+    page : Page
+        Grows.
+    through : ThroughGlass or None
+        The share; without balls before the plane there is nothing to say.
+    scene : Scene
+        What is asked for what would show more.
+    recovered : float
+        Share of the whole corrected frame that is recovered.
+    """
+    if through is None:
+        return
+    rows = [
+        (f"hidden by {through.what}", f"{through.hidden_mm2:.4g} mm\u00b2"),
+        ("recovered of it", f"{through.recovered_mm2:.4g} mm\u00b2"),
+        ("recovered of the whole plane", percent(recovered)),
+    ]
+    page.lead(percent(through.share), f"{through.name} is seen through glass", ("area of the plane", ""), rows)
+    if advice := little(scene, through.share):
+        page.warning(advice)

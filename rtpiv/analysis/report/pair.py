@@ -7,9 +7,9 @@ from correction.evaluate.shift import shift_errors
 from daq.runs.run_views import where_lit
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pictures.before_after import BeforeAfter
-from rtpiv.analysis.pictures.blur import CAPTION as BLUR_CAPTION
-from rtpiv.analysis.pictures.blur import blur_figure, blur_of
 from rtpiv.analysis.pictures.drawing import CAPTION, scene_figure
+from rtpiv.analysis.pictures.traced import CAPTION as BLUR_CAPTION
+from rtpiv.analysis.pictures.traced import blur_figure, blur_of
 from rtpiv.analysis.report.figures import (
     colour_limit,
     error_histogram,
@@ -18,7 +18,7 @@ from rtpiv.analysis.report.figures import (
     track_figure,
     vector_figure,
 )
-from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.tables import (
     BUDGET_HEAD,
     CLAIM_HEAD,
@@ -28,8 +28,10 @@ from rtpiv.analysis.report.tables import (
     SHIFT_HEAD,
     SIGMA_HEAD,
     TRACK_HEAD,
+    Total,
     budget_rows,
     claim_rows,
+    coverage_of,
     image_rows,
     lead_of,
     mask_swatches,
@@ -38,10 +40,9 @@ from rtpiv.analysis.report.tables import (
     route_rows,
     shift_rows,
     sigma_rows,
+    totals_of,
     track_rows,
 )
-from rtpiv.analysis.report.through import through_lead
-from rtpiv.analysis.report.total import Total, coverage_of, totals_of
 from tracer.scene.scene import Scene
 
 

@@ -7,7 +7,7 @@ from daq.runs.frame_accounting import FrameAccounting, chunk_sentences
 from daq.runs.run_folder import RunFolder
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.report.page import Link, Page
-from rtpiv.analysis.report.total import DIRECT, GLASS, totals_of
+from rtpiv.analysis.report.tables import DIRECT, GLASS, totals_of
 
 PAIRS_HEAD = (
     "pair",

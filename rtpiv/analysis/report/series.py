@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from rtpiv.analysis.report.figures import vector_figure
-from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
 from rtpiv.analysis.report.tables import mask_swatches
-from rtpiv.analysis.report.through import through_lead
 from rtpiv.analysis.series.light_file import make_light
 from rtpiv.analysis.series.preview import Preview, preview
 from rtpiv.analysis.series.run_series import SeriesBooks

@@ -11,7 +11,7 @@ from piv.correlation.pair import evaluate_pair
 from piv.correlation.vector_field import VectorField
 from piv.preprocessing.preparation import CORRECTED, RAW, Preparation
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
-from rtpiv.analysis.pictures.embedded import embedded, grey
+from rtpiv.analysis.pictures.rasters import embedded, grey
 from rtpiv.analysis.series.chunk import correction_of
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.series_plan import ChunkJob

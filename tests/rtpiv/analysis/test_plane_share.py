@@ -7,7 +7,7 @@ import pytest
 
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
-from rtpiv.analysis.plane_share import plane_share
+from rtpiv.analysis.through_glass import plane_share
 from tracer.bodies import Rod, Sphere
 from tracer.camera import Camera, look_at
 from tracer.errors import StaleMap

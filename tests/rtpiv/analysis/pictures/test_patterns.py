@@ -5,8 +5,7 @@ import pytest
 
 from correction.target import Chessboard
 from rtpiv.analysis.pictures.kernels.patterns import add_markers, add_particles, add_target
-from rtpiv.analysis.pictures.patterns import MarkerBoard, Particles, Target, shows_particles, square_for
-from rtpiv.analysis.pictures.seen import seen
+from rtpiv.analysis.pictures.patterns import MarkerBoard, Particles, Target, seen, shows_particles, square_for
 from rtpiv.analysis.through_glass import shown_small
 from tests.rtpiv.analysis.test_plane_share import GLASS, scene_of
 from tracer.bodies import Sphere

@@ -7,7 +7,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import AxesImage
 from PIL import Image
 
-from rtpiv.analysis.pictures.canvas import Figure
+from rtpiv.analysis.pictures.plane_axes import Figure
 from rtpiv.analysis.pictures.saved import lay_out, save_picture
 
 

@@ -5,8 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from rtpiv.analysis.pictures.drawing import scene_figure
-from rtpiv.analysis.pictures.names import short
 from rtpiv.analysis.pictures.plane_axes import colour_bar, outline_mm
+from rtpiv.analysis.pictures.saved import short
 from rtpiv.analysis.pictures.section import BESIDE, CENTRAL, GLASS, STOPPED, fan, is_central, sections_of
 from tests.rtpiv.analysis.test_plane_share import GLASS as CROWN
 from tests.rtpiv.analysis.test_plane_share import cone_area_mm2, scene_of

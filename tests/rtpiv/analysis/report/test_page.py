@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from rtpiv.analysis.pictures.embedded import embedded, grey, tinted
+from rtpiv.analysis.pictures.rasters import embedded, grey, tinted
 from rtpiv.analysis.report.page import Link, Page
 from tests.rtpiv.analysis.report.browser import browse, measured
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from correction.self_check.moved_sphere import judged
+from rtpiv.analysis.report.mean import show_self_check
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.report.self_check import show_self_check
 from tests.correction.self_check.test_moved_sphere import NAMES, PAIRS, particles
 from tracer.light_sheet import LightSheet
 

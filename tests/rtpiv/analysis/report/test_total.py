@@ -7,8 +7,7 @@ import pytest
 
 from correction.evaluate.regions import Region, Regions
 from correction.evaluate.shift import evaluate_shift
-from rtpiv.analysis.report.tables import lead_of
-from rtpiv.analysis.report.total import coverage_of, totals_of
+from rtpiv.analysis.report.tables import coverage_of, lead_of, totals_of
 from tests.correction.evaluate.vectors import uniform_field
 
 SHIFT_PX = (4.0, -3.0)
