@@ -85,7 +85,6 @@ class Role(StrEnum):
 
 LAMPS = (Role.LAMP_1, Role.LAMP_2)
 Q_SWITCHES = (Role.Q_SWITCH_1, Role.Q_SWITCH_2)  # a modulated diode laser has only the first, with two pulses
-LIGHT_ORDER = (*Q_SWITCHES, *LAMPS)  # the order in which they go off
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,10 +94,10 @@ class LightStory(laser_fuzz.Story):
         return self.light._conditions(lambda: is_armed, True)
 
     def arm(self):
-        word = self.laser.challenge if self.rng.random() < 0.95 else "word"
+        code = self.laser.challenge if self.rng.random() < 0.95 else "code"
         conditions = self.conditions()
         self.sometimes_nudge()
-        self.laser.arm(conditions, word)
+        self.laser.arm(conditions, code)
 
     def fire(self):
         super().fire()
@@ -111,7 +111,7 @@ class LightStory(laser_fuzz.Story):
         pairs = self.rng.choice((3, 20, 50))
         if self.laser.state is LaserState.READY:
             self.asked_for(pairs)
-        self.light._word = self.laser.challenge
+        self.light._code = self.laser.challenge
         self.sometimes_nudge()
         self.supervisor = self.light.fire(self.laser, pairs, lambda: True)
         self.watch()
