@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from daq.plans.steps import Step
 
 CAMERAS = "cameras"
+IDLE = frozenset({"session", "camera", "counts", "end"})  # lines of a session that came to nothing
 PACKAGES = ("rtpiv", "numpy", "numba", "scipy", "opencv-contrib-python-headless", "tifffile", "harvesters")
 
 
@@ -90,9 +91,10 @@ class RunFolder:
         return cls(path)
 
     def remove_if_empty(self) -> bool:
-        """Remove a run that was begun and has neither a line in its journal nor a frame; return whether it was."""
-        has_lines = self.journal_path.is_file() and self.journal_path.stat().st_size > 0
-        if has_lines or any((self.path / "frames").iterdir()):
+        """Remove a run of which nothing was taken: no frame asked for, no light; return whether it was."""
+        lines = self.entries()
+        happened = any(line["kind"] not in IDLE or line.get("books", {}).get("triggered") for line in lines)
+        if happened or any((self.path / "frames").iterdir()):
             return False
         shutil.rmtree(self.path)
         return True

@@ -36,6 +36,7 @@ from rtpiv.options.numbers import Count, DewarpOrder
 from rtpiv.verbs.operator import operator_of, require_person
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named, path_of
+from stages.errors import PortUnavailable
 from stages.identities import confusable
 
 if TYPE_CHECKING:
@@ -204,10 +205,12 @@ def run_and_report(
         said = f"the run is in {folder.path}; what it holds is in doubt, so it cannot be resumed"
         error_console().print(said, soft_wrap=True, highlight=False)
         raise
-    except BaseException:
-        if (
-            is_new and folder.remove_if_empty()
-        ):  # nothing came of it: the bench could not be opened, or an axis not be homed
+    except BaseException as error:
+        if is_new and folder.remove_if_empty():  # the bench could not be opened, or an axis was not homed
+            said = "nothing was taken, so this run is not kept"
+            if isinstance(error, PortUnavailable) and not request.simulate:
+                said += "; without hardware: --simulate"
+            error_console().print(said, soft_wrap=True, highlight=False)
             raise
         homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
         said = f"the run is in {folder.path}; go on with: rtpiv resume {shlex.quote(str(folder.path))}{homing}"

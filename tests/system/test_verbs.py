@@ -65,9 +65,25 @@ def test_what_is_not_there_is_a_device_error(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "/dev/ttyUSB0" in said
     assert "rtpiv resume" not in said  # there is nothing to go on with
+    assert "nothing was taken, so this run is not kept; without hardware: --simulate" in said
     assert not list((tmp_path / "runs").iterdir())
     assert main(["resume", str(tmp_path / "nowhere")]) == USAGE
     assert "is no run folder" in capsys.readouterr().err
+
+
+def test_a_run_whose_axes_are_not_homed_leaves_no_folder(tmp_path, capsys):
+    """Nor a hint to resume it: nothing was taken."""
+    write_frames(tmp_path / "frames_in", 2)
+    camera = FILES_CAMERA.replace("frames_in", str(tmp_path / "frames_in"))
+    write_bench(tmp_path, camera=camera)
+    (tmp_path / "plan.yaml").write_text(PLAN.replace("20.0", "1.0"))
+    arguments = ["acquire", str(tmp_path / "plan.yaml"), *bench_options(tmp_path), "-o", str(tmp_path / "runs")]
+    assert main([*arguments, "--no-correct"]) == USAGE
+    said = capsys.readouterr().err
+    assert "home them (--home" in said
+    assert "nothing was taken, so this run is not kept" in said
+    assert "resume" not in said
+    assert not list((tmp_path / "runs").iterdir())
 
 
 def test_doctor_looks_and_opens_nothing(tmp_path, capsys):
