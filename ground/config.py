@@ -16,6 +16,7 @@ Nothing is ever replaced by a default because it was wrong, and what is wrong is
 import math
 import re
 from collections import defaultdict
+from collections.abc import Container
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -40,6 +41,7 @@ _DECIMAL = re.compile(r"[-+]?(\d+\.\d*|\.\d+|\d+(?=[eE]))([eE][-+]?\d+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.?(inf|nan|infinity)", re.IGNORECASE)
 _YES_NO = re.compile(r"(yes|no|on|off|y|n)", re.IGNORECASE)
 
+KINDS = {"experiment": "plan", "stages": "bench", "bodies": "scene"}  # by a key that only files of a kind have
 Place = tuple[str | int, ...]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3), exactly(3)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2), exactly(2)]
@@ -293,8 +295,9 @@ def validate(document: Document, model: type[Model]) -> Model:
     Raises
     ------
     ConfigError
-        Everything that does not fit, with the lines.
+        Everything that does not fit, with the lines; of a file of another kind only that.
     """
+    require_kind(document, model.model_fields)
     problems, found = list(document.doubtful.values()), None
     try:
         found = model.model_validate(document.tree)
@@ -310,6 +313,17 @@ def validate(document: Document, model: type[Model]) -> Model:
     if found is None or problems:
         raise ConfigError(document.path, problems)
     return found
+
+
+def require_kind(document: Document, keys: Container[str]) -> None:
+    """Refuse a bench where a scene is wanted, and so on, by one sentence; `keys` are those of the kind wanted."""
+    tree = document.tree if isinstance(document.tree, dict) else {}
+    wanted, given = ([KINDS[key] for key in KINDS if key in some] for some in (keys, tree))
+    if wanted and given and wanted[0] not in given:
+        named = [tree.get(kind) for kind in wanted]  # a bench names its scene
+        cure = f", and {named[0]} beside it is one" if isinstance(named[0], str) else ""
+        text = f"this is a {given[0]} file; a {wanted[0]} file is wanted here{cure}"
+        raise ConfigError(document.path, [Problem(0, text)])
 
 
 def read(path: Path | str, model: type[Model]) -> Model:

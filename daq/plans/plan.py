@@ -14,7 +14,7 @@ from daq.bench.bench_table import CAMERA, DIRECTIONS, GLASS, TARGET, Bench
 from daq.errors import PlanError
 from daq.plans.plan_table import PlanTable, Pose
 from daq.plans.steps import CLEAR, Step, steps_hash
-from ground.config import Document, open_document, validate
+from ground.config import Document, open_document, require_kind, validate
 from ground.errors import ConfigError, Problem
 from ground.plain_words import near
 from ground.usual import unusual
@@ -82,6 +82,7 @@ def read_plan(path: Path | str) -> tuple[Document, PlanTable]:
         The file is wrong, with line.
     """
     document = open_document(path)
+    require_kind(document, ["experiment"])
     name = document.tree.get("experiment") if isinstance(document.tree, dict) else None
     if not isinstance(name, str) or name not in EXPERIMENTS:
         hint = near(str(name), list(EXPERIMENTS))

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from daq.bench.bench_file import load_bench
+from daq.plans.plan import read_plan
 from ground.errors import ConfigError
 from tracer.scene.scene_file import load_scene
 
@@ -31,3 +33,30 @@ def test_the_cure_is_said(tmp_path: Path, old: str, new: str, words: str) -> Non
     with pytest.raises(ConfigError) as caught:
         load_scene(path)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("load", "given", "words"),
+    [
+        (
+            load_scene,
+            "bench",
+            "this is a bench file; a scene file is wanted here, and scene.yaml beside it is one",
+        ),
+        (load_scene, "plan", "this is a plan file; a scene file is wanted here"),
+        (load_bench, "scene", "this is a scene file; a bench file is wanted here"),
+        (load_bench, "plan", "this is a plan file; a bench file is wanted here"),
+        (read_plan, "scene", "this is a scene file; a plan file is wanted here"),
+        (read_plan, "bench", "this is a bench file; a plan file is wanted here"),
+    ],
+)
+def test_a_file_of_another_kind_is_told_as_such(tmp_path, load, given, words):
+    """And nothing of the dozen keys that it has not."""
+    text = {"bench": "name: lab\nscene: scene.yaml\nstages: {}\n", "plan": "experiment: shift\n", "scene": SCENE}
+    path = tmp_path / f"{given}.yaml"
+    path.write_text(text[given])
+    if given == "bench":
+        (tmp_path / "scene.yaml").write_text(SCENE)
+    with pytest.raises(ConfigError) as caught:
+        load(path)
+    assert str(caught.value) == f"{path}: {words}"

@@ -38,7 +38,7 @@ from typing import Any, TypeVar
 
 import yaml
 
-from ground.config import Document, Place, open_document, validate
+from ground.config import Document, Place, open_document, require_kind, validate
 from ground.errors import ConfigError, Problem
 from tracer.bodies import Body
 from tracer.errors import SceneError
@@ -198,6 +198,7 @@ def load_scene(path: Path | str) -> Scene:
         Everything wrong with it, with file and line.
     """
     document = open_document(path)
+    require_kind(document, SceneTable.model_fields)
     try:
         table = validate(document, SceneTable)
     except ConfigError as error:
