@@ -17,7 +17,7 @@ blur_px: 0.5                  # of lens and pixel
 uneven_light: 0.03            # brighter to the right and darker to the left by this share
 glass_off_mm: [1.2, -0.8, 0.5]    # how the glass was put up, beside its place in the scene file
 flow: {field: jet}            # what flow runs see; see sim.flow.table
-faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.faults
+faults: {lost_at: 7, back_after_s: 0.5}     # optional, of the camera; see sim.camera.config
 cameras: {behind: {aperture: {...}, faults: {...}, clock_ppm: 20.0}}    # optional, of further cameras
 """
 
@@ -28,7 +28,7 @@ from pydantic import Field
 
 from daq.bench.bench_table import Bench
 from ground.config import Document, Table, validate
-from sim.camera.faults import FaultPlan
+from sim.camera.config import FaultPlan
 from sim.flow.table import FlowTable
 from sim.frame_truth import WIDTH_PX, height_px
 from sim.renderer.render import Aperture

@@ -18,13 +18,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.camera.chunks import tail, tail_bytes
 from sim.camera.config import CameraConfig
-from sim.camera.darkroom import Darkroom, Picture
-from sim.camera.exposure import Exposure, Shutter
+from sim.camera.exposure import RESET_LINE, Exposure, Lines, Shutter
 from sim.camera.features import CHUNK_FEATURES, CHUNKS
-from sim.camera.lines import RESET_LINE, Lines
 from sim.camera.packing import payload_bytes
+from sim.camera.payload import Picture, SensorReadout, tail, tail_bytes
 from sim.camera.registers import RegisterMap, Value, WriteProtected
 from sim.camera.source import FrameSource, PatternSource, image_of, load_source
 from sim.camera.wires import listen
@@ -108,7 +106,7 @@ class SimCamera:
         self._random = random.Random(config.faults.seed)
         self._lines = Lines()
         self._chunks_on: set[str] = set()
-        self._darkroom = Darkroom(self.registers, config.bits, config.delivers)
+        self._readout = SensorReadout(self.registers, config.bits, config.delivers)
         self.registers.on_write = self._written
         self.registers.before_read = self._refresh
         self._power_up_settings()
@@ -399,7 +397,7 @@ class SimCamera:
             frame_id,
             pending.trigger_index,
             self._on_own_clock_ns(start_ns) + self.config.stamp_offset_ns,
-            self._darkroom.develop(sensor),
+            self._readout.develop(sensor),
             number in faults.incomplete,
             self._chunk_values(pending.exposures[0], pending.of_trigger),
         )

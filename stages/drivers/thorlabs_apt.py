@@ -33,8 +33,7 @@ from zlib import crc32
 
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.controller import Channel
-from stages.drivers.apt_families import FAMILIES, Family
-from stages.drivers.apt_questions import AptQuestions, ident_of, place_of
+from stages.drivers.apt_questions import FAMILIES, AptQuestions, Family, ident_of, place_of
 from stages.errors import (
     AxisStalled,
     CommandRejected,

@@ -1,7 +1,7 @@
 """Plays a sequence on a bench; whoever judges is the witness, who asks the carriages.
 
 What programs may raise is `StageError`; anything else that they raise is a finding too ("crash"). A stop of
-another thread falls where the real thread could have got in (`sim.emulators.hooks`). A person's stop at a box
+another thread falls where the real thread could have got in (`sim.emulators.line`). A person's stop at a box
 counts as a stop from the moment at which it truly ends a motion short of its target: where it ends nothing,
 nobody can know of it. A killed program sends nothing more; what moves goes on to its end, and the next program
 begins.

@@ -11,7 +11,7 @@ from sim.emulators.line import Line
 from sim.emulators.protocol_sim import LINES
 from sim.mechanics.clock import VirtualClock
 from stages.controller import Channel
-from stages.drivers.apt_families import FAMILIES
+from stages.drivers.apt_questions import FAMILIES
 from stages.drivers.thorlabs_apt import AptController
 from stages.errors import (
     AxisStalled,

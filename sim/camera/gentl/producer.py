@@ -1,10 +1,12 @@
-"""The library: what becomes of a call from C, and the line that puts methods behind the library's symbols.
+"""The library: what becomes of a call from C, and the functions that lead to a device.
 
-The functions themselves are methods of `PortCalls`, `FindCalls` and `StreamCalls`, named as in the standard.
+The functions are methods of `PortCalls` (GC: registers and descriptions of every module), `FindCalls` (TL and IF:
+from the library to a device) and `StreamCalls` (a file of its own), named as in the standard.
 
-A method takes the C arguments as integers, writes results into the caller's memory and raises GenTLError for
-anything but success; `Producer.callback` turns its code into the return value.  Nothing that a client passes in is
-trusted further than C allows: handles are looked up, indices and sizes checked, null pointers refused.
+A method takes the C arguments as integers, writes results into the caller's memory and raises GenTLError, with
+the standard's code, for anything but success; `Producer.callback` turns the code into the return value.  Nothing
+that a client passes in is trusted further than C allows: handles are looked up, indices and sizes checked, null
+pointers refused.
 """
 
 import ctypes
@@ -15,14 +17,195 @@ from collections.abc import Callable
 
 from sim.camera.config import CameraConfig
 from sim.camera.device import CameraGone
+from sim.camera.features import XML_BASE
 from sim.camera.gentl import memory
-from sim.camera.gentl.abi import SIGNATURES, GenTLError, Status
+from sim.camera.gentl.abi import SIGNATURES, GenTLError, Kind, Status
 from sim.camera.gentl.elf import TABLE
-from sim.camera.gentl.find_calls import FindCalls
-from sim.camera.gentl.modules import Device, Handles, Interface, System
-from sim.camera.gentl.port_calls import PortCalls
+from sim.camera.gentl.modules import CameraPort, Device, Handles, Interface, Port, StreamModule, System
 from sim.camera.gentl.stream_calls import StreamCalls
 from sim.camera.registers import BadAddress, BadValue, WriteProtected
+
+MAX_READ_BYTES = 1 << 24
+
+
+class PortCalls:
+    """Part of `sim.camera.gentl.producer.Producer`."""
+
+    handles: Handles
+
+    def _port(self, handle: int) -> Port:
+        module: object = self.handles.get(handle, System, Interface, Device, StreamModule, CameraPort)
+        if isinstance(module, CameraPort):
+            return module
+        assert isinstance(module, System | Interface | Device | StreamModule)
+        return module.port
+
+    def GCReadPort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        length = memory.read_size(size)
+        if length > MAX_READ_BYTES:
+            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
+        memory.put(self._port(handle).read(address, length), buffer)
+
+    def GCWritePort(self, handle: int, address: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        length = memory.read_size(size)
+        if length > MAX_READ_BYTES or not buffer:
+            raise GenTLError(Status.INVALID_PARAMETER, f"{length} bytes at once")
+        self._port(handle).write(address, ctypes.string_at(buffer, length))
+
+    def GCReadPortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
+        self._stacked(handle, entries, number, self.GCReadPort)
+
+    def GCWritePortStacked(self, handle: int, entries: int, number: int) -> None:  # noqa: D102, N802
+        self._stacked(handle, entries, number, self.GCWritePort)
+
+    def _stacked(self, handle: int, entries: int, number: int, one: Callable[[int, int, int, int], None]) -> None:
+        wanted = memory.read_size(number)
+        memory.write_size(number, 0)
+        for index in range(wanted):
+            address, buffer, _ = (ctypes.c_uint64 * 3).from_address(entries + 24 * index)
+            one(handle, address, buffer, entries + 24 * index + 16)
+            memory.write_size(number, index + 1)
+
+    def _url(self, handle: int) -> str:
+        port = self._port(handle)
+        return f"local:rtpiv_{port.port_name}.xml;{XML_BASE:X};{len(port.xml):X}"
+
+    def GCGetPortURL(self, handle: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        memory.give_text(self._url(handle), buffer, size)
+
+    def GCGetNumPortURLs(self, handle: int, number: int) -> None:  # noqa: D102, N802
+        self._port(handle)
+        memory.write_u32(number, 1)
+
+    def GCGetPortURLInfo(  # noqa: D102, N802
+        self, handle: int, index: int, command: int, kind: int, buffer: int, size: int
+    ) -> None:
+        port = self._port(handle)
+        if index != 0:
+            raise GenTLError(Status.INVALID_INDEX, f"URL {index}")
+        answers: dict[int, tuple[Kind, int | str]] = {
+            0: (Kind.STRING, self._url(handle)),
+            1: (Kind.INT32, 1),
+            2: (Kind.INT32, 1),
+            3: (Kind.INT32, 1),
+            4: (Kind.INT32, 0),
+            5: (Kind.INT32, 0),
+            7: (Kind.UINT64, XML_BASE),
+            8: (Kind.UINT64, len(port.xml)),
+            9: (Kind.INT32, 0),
+            10: (Kind.STRING, f"rtpiv_{port.port_name}.xml"),
+        }
+        if command not in answers:
+            raise GenTLError(Status.NOT_AVAILABLE, f"URL info {command}")
+        memory.give_answer(answers[command], kind, buffer, size)
+
+    def GCGetPortInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        port = self._port(handle)
+        texts = {0: port.port_name, 1: "rtpiv", 2: port.port_name, 3: "Custom", 4: port.port_name, 11: "1.0"}
+        texts[12] = port.port_name
+        flags = {5: 0, 6: 1, 7: 1, 8: int(port.port_name == "Device"), 9: 0, 10: 0}
+        if command in texts:
+            memory.give_answer((Kind.STRING, texts[command]), kind, buffer, size)
+        elif command in flags:
+            memory.give_answer((Kind.BOOL8, flags[command]), kind, buffer, size)
+        else:
+            raise GenTLError(Status.NOT_AVAILABLE, f"port info {command}")
+
+
+class FindCalls:
+    """Part of `sim.camera.gentl.producer.Producer`."""
+
+    handles: Handles
+    system: System
+
+    def TLOpen(self, result: int) -> None:  # noqa: D102, N802
+        if self.system.is_open:
+            raise GenTLError(Status.RESOURCE_IN_USE, "the system is open already")
+        memory.write_size(result, self.handles.add(self.system))
+        self.system.is_open = True
+
+    def TLClose(self, handle: int) -> None:  # noqa: D102, N802
+        self.handles.get(handle, System).is_open = False
+        self.handles.drop(handle)
+
+    def TLGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        memory.give_answer(self.handles.get(handle, System).answer(command), kind, buffer, size)
+
+    def TLGetNumInterfaces(self, handle: int, number: int) -> None:  # noqa: D102, N802
+        self.handles.get(handle, System)
+        memory.write_u32(number, 1)
+
+    def TLGetInterfaceID(self, handle: int, index: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        self.handles.get(handle, System)
+        if index != 0:
+            raise GenTLError(Status.INVALID_INDEX, f"interface {index}")
+        memory.give_text(str(self.system.interface.answer(0)[1]), buffer, size)
+
+    def TLGetInterfaceInfo(  # noqa: D102, N802
+        self, handle: int, name: int, command: int, kind: int, buffer: int, size: int
+    ) -> None:
+        memory.give_answer(self._interface(handle, name).answer(command), kind, buffer, size)
+
+    def TLOpenInterface(self, handle: int, name: int, result: int) -> None:  # noqa: D102, N802
+        interface = self._interface(handle, name)
+        if interface.is_open:
+            raise GenTLError(Status.RESOURCE_IN_USE, "the interface is open already")
+        memory.write_size(result, self.handles.add(interface))
+        interface.is_open = True
+
+    def TLUpdateInterfaceList(self, handle: int, changed: int, timeout_ms: int) -> None:  # noqa: D102, N802
+        self.handles.get(handle, System)
+        memory.write_bool(changed, False)
+
+    def _interface(self, handle: int, name: int) -> Interface:
+        interface = self.handles.get(handle, System).interface
+        if memory.read_text(name) != interface.answer(0)[1]:
+            raise GenTLError(Status.INVALID_ID, memory.read_text(name))
+        return interface
+
+    def IFClose(self, handle: int) -> None:  # noqa: D102, N802
+        self.handles.get(handle, Interface).is_open = False
+        self.handles.drop(handle)
+
+    def IFGetInfo(self, handle: int, command: int, kind: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        memory.give_answer(self.handles.get(handle, Interface).answer(command), kind, buffer, size)
+
+    def IFGetNumDevices(self, handle: int, number: int) -> None:  # noqa: D102, N802
+        memory.write_u32(number, len(self.handles.get(handle, Interface).devices))
+
+    def IFGetDeviceID(self, handle: int, index: int, buffer: int, size: int) -> None:  # noqa: D102, N802
+        names = list(self.handles.get(handle, Interface).devices)
+        if not 0 <= index < len(names):
+            raise GenTLError(Status.INVALID_INDEX, f"device {index}")
+        memory.give_text(names[index], buffer, size)
+
+    def IFUpdateDeviceList(self, handle: int, changed: int, timeout_ms: int) -> None:  # noqa: D102, N802
+        self.handles.get(handle, Interface)
+        memory.write_bool(changed, False)
+
+    def IFGetDeviceInfo(  # noqa: D102, N802
+        self, handle: int, name: int, command: int, kind: int, buffer: int, size: int
+    ) -> None:
+        memory.give_answer(self._device(handle, name).answer(command), kind, buffer, size)
+
+    def IFOpenDevice(self, handle: int, name: int, flags: int, result: int) -> None:  # noqa: D102, N802
+        device = self._device(handle, name)
+        camera = device.open()
+        device.handle = self.handles.add(device)
+        device.remote_handle = self.handles.add(CameraPort(camera))
+        memory.write_size(result, device.handle)
+
+    def IFGetParentTL(self, handle: int, result: int) -> None:  # noqa: D102, N802
+        self.handles.get(handle, Interface)
+        raise GenTLError(Status.NOT_IMPLEMENTED, "parents are not handed out")
+
+    def _device(self, handle: int, name: int) -> Device:
+        wanted = memory.read_text(name)
+        found = self.handles.get(handle, Interface).devices.get(wanted)
+        if found is None:
+            raise GenTLError(Status.INVALID_ID, wanted)
+        return found
+
 
 log = logging.getLogger(__name__)
 _attached: dict[str, object] = {}  # callbacks must outlive every caller

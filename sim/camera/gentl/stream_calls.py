@@ -8,11 +8,11 @@ import ctypes
 import struct
 from contextlib import suppress
 
-from sim.camera.chunks import places
 from sim.camera.gentl import memory
 from sim.camera.gentl.abi import EVENT_NEW_BUFFER, GenTLError, Kind, Status
 from sim.camera.gentl.modules import Device, Event, Handles, StreamModule
 from sim.camera.gentl.stream import Buffer, Stream
+from sim.camera.payload import places
 
 
 class StreamCalls:

@@ -5,6 +5,12 @@ of the device model), and a controlling client that falls silent for longer than
 control, and its stream stops.
 
 Loopback only: the device binds to 127.x.y.z, answers whoever asks and sends streams nowhere else.
+
+It does not flood a plain UDP socket.  A real camera is slowed by its cable; a simulated one on the loopback is
+not, and the kernel's default receive buffer (212 kB) is smaller than a frame.  On Linux the fill of the
+receiver's queue can be read, so the camera waits while it is full.  A client that reads through a packet socket
+never empties the queue of its UDP socket; if the queue does not shrink for a while, pacing gives up for this
+stream.
 """
 
 import ipaddress
@@ -15,15 +21,60 @@ import struct
 import threading
 import time
 from collections import deque
+from pathlib import Path
 
 from sim.camera.config import CameraConfig
 from sim.camera.device import MODEL, VENDOR, CameraGone, SimCamera, SimFrame
 from sim.camera.features import XML_BASE
-from sim.camera.gige import gvcp, gvsp
-from sim.camera.gige.gvcp import Command, Request, Status
-from sim.camera.gige.pacing import Pacer
+from sim.camera.gige import wire
+from sim.camera.gige.wire import Command, Request, Status
 from sim.camera.registers import BadAddress, BadValue, WriteProtected
 from sim.camera.source import FrameSource
+
+TABLE = Path("/proc/net/udp")
+FULL_BYTES = 50_000
+PATIENCE_S = 0.05
+NAP_S = 0.0002
+
+
+class Pacer:
+    """Waits for one receiver.
+
+    Parameters
+    ----------
+    port : int
+        UDP port of the receiver on this machine.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._mark = f":{port:04X} "
+        self.is_useful = TABLE.exists()
+
+    def wait(self) -> None:
+        """Return when the receiver's queue has room, or when waiting turned out to be in vain."""
+        if not self.is_useful:
+            return
+        deadline = time.monotonic() + PATIENCE_S
+        lowest = self._queued()
+        while lowest is not None and (now := self._queued()) is not None and now > FULL_BYTES:
+            if now < lowest:
+                lowest, deadline = now, time.monotonic() + PATIENCE_S
+            if time.monotonic() > deadline:
+                self.is_useful = False
+                return
+            time.sleep(NAP_S)
+
+    def _queued(self) -> int | None:
+        try:
+            lines = TABLE.read_text().splitlines()
+        except OSError:
+            return None
+        for line in lines[1:]:
+            fields = line.split()
+            if len(fields) > 4 and (fields[1] + " ").endswith(self._mark):
+                return int(fields[4].split(":")[1], 16)
+        return None
+
 
 CCP, HEARTBEAT_MS, TIMESTAMP_CONTROL = 0x0A00, 0x0938, 0x0944
 STREAM_PORT, STREAM_SIZE, STREAM_ADDRESS, STREAM_SOURCE_PORT = 0x0D00, 0x0D04, 0x0D18, 0x0D1C
@@ -71,14 +122,14 @@ class GigeDevice:
         self._owner: Address | None = None
         self._heard_s = 0.0
         self._last_write: tuple[Address, int, bytes] | None = None
-        self._blocks: deque[gvsp.Block] = deque(maxlen=RESEND_BLOCKS)
+        self._blocks: deque[wire.Block] = deque(maxlen=RESEND_BLOCKS)
         self._pacer: Pacer | None = None
         self._is_off = False
         self._write_bootstrap()
         self._control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._control.bind((address, gvcp.PORT))
+            self._control.bind((address, wire.PORT))
             self._stream.bind((address, 0))
         except OSError:
             self._control.close()
@@ -154,7 +205,7 @@ class GigeDevice:
             is_silent = time.monotonic() - self._heard_s > self._get(HEARTBEAT_MS) / 1e3
             if self._owner is not None and is_silent and sender != self._owner:
                 self._forget_client()
-            request = gvcp.parse(datagram)
+            request = wire.parse(datagram)
             if request is None or self.camera.is_lost:
                 continue
             answer = self._answer(request, sender)
@@ -194,7 +245,7 @@ class GigeDevice:
             status, payload = Status.INVALID_PARAMETER, b""
         except CameraGone:
             return None
-        answer = gvcp.acknowledge(request, status, payload)
+        answer = wire.acknowledge(request, status, payload)
         if is_write:
             self._last_write = (sender, request.number, answer)
         return answer
@@ -204,21 +255,21 @@ class GigeDevice:
         if request.command == Command.DISCOVERY:
             return Status.SUCCESS, bytes(self.camera.registers.bootstrap[:0xF8])
         if request.command == Command.READ_REGISTER:
-            addresses = gvcp.read_addresses(request.payload)
+            addresses = wire.read_addresses(request.payload)
             if addresses is None:
                 return bad
             return Status.SUCCESS, b"".join(self._read(address, 4) for address in addresses)
         if request.command == Command.READ_MEMORY:
-            block = gvcp.read_block(request.payload)
+            block = wire.read_block(request.payload)
             if block is None:
                 return bad
             if block[0] % 4 or block[1] % 4:
                 return Status.BAD_ALIGNMENT, b""
             return Status.SUCCESS, request.payload[:4] + self._read(*block)
         if request.command == Command.WRITE_REGISTER:
-            return self._write_all(gvcp.write_pairs(request.payload), sender)
+            return self._write_all(wire.write_pairs(request.payload), sender)
         if request.command == Command.WRITE_MEMORY:
-            written = gvcp.write_block(request.payload)
+            written = wire.write_block(request.payload)
             return self._write_all(None if written is None else (written,), sender)
         return Status.NOT_IMPLEMENTED, b""
 
@@ -277,14 +328,14 @@ class GigeDevice:
         target = self._target()
         if target is not None:
             size = self.camera.registers.integer("GevSCPSPacketSize")
-            self._try_send([gvsp.test_packet(size)], target)
+            self._try_send([wire.test_packet(size)], target)
 
     def _send_frame(self, frame: SimFrame) -> None:
         target = self._target()
         if target is None:
             return
         size = self.camera.registers.integer("GevSCPSPacketSize")
-        block = gvsp.Block(frame, size - gvsp.OVERHEAD_BYTES)
+        block = wire.Block(frame, size - wire.OVERHEAD_BYTES)
         self._blocks.append(block)
         pacer = self._pacer
         for number in range(block.last_packet + 1):
@@ -296,13 +347,13 @@ class GigeDevice:
 
     def _resend(self, payload: bytes, sender: Address) -> None:
         target = self._target()
-        wanted = gvcp.resend_request(payload)
+        wanted = wire.resend_request(payload)
         if wanted is None or target is None or self._owner is None or sender[0] != self._owner[0]:
             return  # clients ask from their stream's socket, so only the host can be compared
         block = next((entry for entry in self._blocks if entry.id == wanted.block_id), None)
         for number in range(wanted.first, min(wanted.last, wanted.first + MAX_RESEND_PACKETS) + 1):
             if block is None or number > block.last_packet or block.is_unsent(number):
-                self._try_send([gvsp.unavailable(wanted.block_id, number)], target)
+                self._try_send([wire.unavailable(wanted.block_id, number)], target)
                 return
             self.resent_packets += 1
             self._try_send(list(block.packet(number)), target)
@@ -318,5 +369,5 @@ def _broadcast_socket() -> socket.socket:
     """Receive what is sent to 255.255.255.255; the port may be shared with other devices of this machine."""
     receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     receiver.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    receiver.bind(("255.255.255.255", gvcp.PORT))
+    receiver.bind(("255.255.255.255", wire.PORT))
     return receiver

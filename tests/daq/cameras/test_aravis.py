@@ -13,8 +13,7 @@ import pytest
 from daq.cameras.aravis import AravisCamera
 from daq.cameras.gvcp_probe import read_register
 from daq.errors import CameraLost, CameraSetupError, SettingRefused
-from sim.camera.config import CameraConfig
-from sim.camera.faults import FaultPlan
+from sim.camera.config import CameraConfig, FaultPlan
 from sim.camera.gige import GigeDevice
 from sim.camera.source import PatternSource
 from tests.daq.cameras.rigs import loopback_address, need_aravis

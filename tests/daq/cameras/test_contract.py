@@ -17,8 +17,7 @@ from daq.errors import (
     SettingRefused,
     SettingsChanged,
 )
-from sim.camera.config import CameraConfig
-from sim.camera.faults import FaultPlan
+from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}

@@ -13,8 +13,7 @@ import pytest
 from daq.bench.pairs_section import PairsSection
 from daq.errors import FrameIncomplete, SettingRefused
 from daq.runner.pair_finder import PairFinder
-from sim.camera.config import CameraConfig
-from sim.camera.faults import FaultPlan
+from sim.camera.config import CameraConfig, FaultPlan
 from sim.camera.wires import Wires
 from tests.daq.cameras.rigs import RIGS
 

@@ -13,8 +13,7 @@ from daq.runner.runner import Runner
 from daq.runner.session import Request, begin
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_folder import frame_entries
-from sim.camera.config import CameraConfig
-from sim.camera.faults import FaultPlan
+from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load
 

@@ -16,8 +16,7 @@ from daq.runner.session import Request, begin, reopen
 from daq.runs.raw_frame import read_raw
 from daq.runs.run_check import check_run
 from daq.runs.run_folder import frame_entries
-from sim.camera.config import CameraConfig
-from sim.camera.faults import FaultPlan
+from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, files_bench, load, write_frames
 

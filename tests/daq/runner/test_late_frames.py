@@ -8,8 +8,7 @@ import pytest
 from daq.bench.bench_table import CameraSection
 from daq.cameras import camera as waiting
 from daq.runner.camera_session import CameraSession
-from sim.camera.config import CameraConfig
-from sim.camera.faults import FaultPlan
+from sim.camera.config import CameraConfig, FaultPlan
 from tests.daq.cameras.rigs import RIGS
 
 SOFTWARE = {"TriggerSelector": "FrameStart", "TriggerMode": "On", "TriggerSource": "Software"}

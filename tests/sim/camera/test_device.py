@@ -7,9 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from sim.camera.config import CameraConfig
+from sim.camera.config import CameraConfig, FaultPlan
 from sim.camera.device import CameraGone, SimCamera
-from sim.camera.faults import FaultPlan
 from sim.camera.registers import WriteProtected
 from sim.camera.remote import FrameServer, RemoteSource
 from sim.camera.source import PatternSource, RingSource, load_source

@@ -2,7 +2,7 @@
 
 import time
 
-from sim.camera.lines import RESET_LINE, Lines
+from sim.camera.exposure import RESET_LINE, Lines
 from sim.camera.wires import Wires, listen
 
 

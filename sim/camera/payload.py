@@ -1,10 +1,22 @@
-"""From the sensor's grey values to the payload a client gets: crop, gain, bits, packing, as the registers say."""
+"""What a client gets of a frame: the sensor's grey values read out, and the data that comes with them.
 
+Readout goes by what the registers say: crop, gain, bits, packing.  Data that comes with a frame is laid out as in
+GigE Vision: every piece is followed by its id and its length.
+
+    image | id, length | first chunk | id, length | ... | last chunk | id, length
+
+Source: AIA, GigE Vision specification 1.2, chapter 24.4 (chunk data payload); numbers are big-endian, here
+of 8 bytes.
+"""
+
+import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.camera.features import CHUNK_BYTES, CHUNK_ID_BASE, CHUNKS, FLOAT_CHUNKS, IMAGE_CHUNK_ID
 from sim.camera.packing import FORMATS, pack, to_format_bits
 from sim.camera.registers import RegisterMap
 
@@ -23,7 +35,7 @@ class Picture:
     payload: NDArray[np.uint8]
 
 
-class Darkroom:
+class SensorReadout:
     """Develops sensor images; those that come again, from a ring of frames, only once.
 
     Parameters
@@ -81,3 +93,42 @@ def _binned(sensor: NDArray[np.uint16], down: int, across: int) -> NDArray[np.ui
         for column in range(across):
             total += sensor[row : rows * down : down, column : columns * across : across]
     return (total // (down * across)).astype(np.uint16)
+
+
+TAG_BYTES = 8
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlace:
+    """Where a chunk lies in its buffer."""
+
+    id: int
+    offset: int
+    length: int
+
+
+def tail_bytes(count: int) -> int:
+    """Bytes behind the image if so many chunks are sent."""
+    return TAG_BYTES + count * (CHUNK_BYTES + TAG_BYTES) if count else 0
+
+
+def tail(image_bytes: int, chunks: Mapping[str, float]) -> bytes:
+    """Return what follows the image; nothing if there are no chunks."""
+    if not chunks:
+        return b""
+    parts = [struct.pack(">II", IMAGE_CHUNK_ID, image_bytes)]
+    for name, value in chunks.items():
+        kind = "d" if name in FLOAT_CHUNKS else "Q"
+        parts.append(struct.pack(f">{kind}II", value, CHUNK_ID_BASE + CHUNKS.index(name), CHUNK_BYTES))
+    return b"".join(parts)
+
+
+def places(image_bytes: int, chunks: Mapping[str, float]) -> list[ChunkPlace]:
+    """Where the image and every chunk lie; empty if there are no chunks."""
+    if not chunks:
+        return []
+    found, offset = [ChunkPlace(IMAGE_CHUNK_ID, 0, image_bytes)], image_bytes + TAG_BYTES
+    for name in chunks:
+        found.append(ChunkPlace(CHUNK_ID_BASE + CHUNKS.index(name), offset, CHUNK_BYTES))
+        offset += CHUNK_BYTES + TAG_BYTES
+    return found
