@@ -6,6 +6,8 @@ clear its screen, rename its window, or answer.  All that is said goes through `
 
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, TypeVar
 
 from rich.console import Console
@@ -23,6 +25,7 @@ from ground.printable import printable as printable  # who prints without a cons
 
 Item = TypeVar("Item")
 LONG_S = 1.0
+_silent: ContextVar[bool] = ContextVar("silent", default=False)
 LEAST_WIDTH = 110  # of tables in a log or a pipe, where no terminal says how wide it is
 
 
@@ -30,11 +33,21 @@ class _Screen(Console):
     """Prints text as it is: neither markup nor commands to the terminal."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401
-        super().__init__(markup=False, emoji=False, **options)
+        super().__init__(markup=False, emoji=False, quiet=_silent.get(), **options)
 
     def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401
         """Every text and cell comes through here."""
         return super().render_str(printable(text), **options)
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """Let consoles that are made in the meantime print nothing: a program asks, and no person reads."""
+    before = _silent.set(True)
+    try:
+        yield
+    finally:
+        _silent.reset(before)
 
 
 def console() -> Console:

@@ -10,9 +10,11 @@
     report       a run as one page
 
 `CorrectionRecipe` and `LiveFrames` are values that `correct` and `acquire` take.
-Files may be named as text or as `Path`.  `docs/python.md` goes through them.  ERRORS holds the root of all that
-they raise on purpose, `ground.errors.RtpivError`: ``except rtpiv.ERRORS``.  What else there is lies in packages of
-their own; each is imported when it is first used.
+Values come in and values go out: nothing is printed but by `acquire` and `report`, and `trace`, `calibrate`,
+`evaluate` and `mean` write only into a folder that is named (`out`).  Files may be named as text or as `Path`.
+`docs/python.md` goes through them.  ERRORS holds the root of all that they raise on purpose,
+`ground.errors.RtpivError`: ``except rtpiv.ERRORS``.  What else there is lies in packages of their own; each is
+imported when it is first used.
 """
 
 import sys
@@ -51,6 +53,7 @@ _HOMES = {
     "CorrectionRecipe": "rtpiv.verbs.correct",
     "LiveFrames": "rtpiv.verbs.acquire",
 }
+_VALUES = ("trace", "calibrate", "evaluate", "mean")  # print nothing, and write only where `out` says
 __all__ = [*_HOMES, "ERRORS"]
 
 
@@ -61,6 +64,10 @@ def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever is asked for
         found = import_module("importlib.metadata").version("rtpiv")
     elif name in _HOMES:
         found = getattr(import_module(_HOMES[name]), name)
+        if name in _VALUES:
+            found = import_module("rtpiv.face").value_of(found)
+        elif name == "correct":
+            found = import_module("rtpiv.face").quiet(found)
     else:
         raise AttributeError(f"rtpiv has no {name!r}; it has {', '.join(__all__)}")
     globals()[name] = found

@@ -1,12 +1,14 @@
 """`rtpiv evaluate`: vectors of pairs seen through glass, with their errors, uncertainty and a page to look at."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Unpack
 
 from rich.console import Console
 
-from correction.fitted.prepared import PreparedCorrection, PreparedCorrections
+from correction.fitted.prepared import PreparedCorrections
 from correction.fitted.sigma_limit import SigmaLimit
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
@@ -14,14 +16,20 @@ from daq.runs.pairs import pairs_of
 from daq.runs.run_views import is_run, where_lit
 from ground.terminal import console
 from piv.errors import PairError, SeriesError
-from rtpiv.analysis.pairs.evaluation import Evaluation, Route, Task, evaluate_task
+from piv.preprocessing.preparation import Preparation
+from rtpiv.analysis.evaluated import Evaluated
+from rtpiv.analysis.pairs.evaluation import Evaluation, PairMethod, Route, Task, evaluate_task
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
-from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.pictures.apart import Draw, drawing
 from rtpiv.analysis.report.pair_folder import write_pair
+from rtpiv.analysis.series.light_file import make_light
+from rtpiv.analysis.series.preview import evaluated_closely
 from rtpiv.analysis.series.run_series import SeriesBooks, run_series
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, series_input
-from rtpiv.analysis.series.series_pairs import is_series
+from rtpiv.analysis.series.series_mean import sigma_of
+from rtpiv.analysis.series.series_pairs import is_one_series
+from rtpiv.analysis.series.series_plan import jobs_of
 from rtpiv.analysis.series.tasks import Tasks, tasks_of
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.output import folder_for
@@ -52,12 +60,13 @@ def evaluate(
     sigma_limit_px: Positive | None = None,
     pictures: bool = True,
     **options: Unpack[PivOptions],
-) -> list[Evaluation] | SeriesBooks:
-    """Correct pairs of frames and measure their displacements: a page for each, or the series of a flow run.
+) -> Evaluated:
+    """Correct pairs of frames and measure their displacements, with a page to look at.
 
-    A flow run, or a stream of more than ten pairs, becomes a series (`rtpiv.analysis.series`): files of chunks in
-    m/s and one page.  The same call goes on where an earlier one stopped.  What only concerns single pairs
-    (shift_mm, route, vtk, tracking) is refused for a series, workers for single pairs.
+    Pairs that are a time apart, one or many, become a series (`rtpiv.analysis.series`): files of chunks and one
+    page; the same call goes on where an earlier one stopped.  Two frames, and pairs that a stage moved by a
+    measured way, are each evaluated with their errors; so is every pair of a series where that is asked for
+    (shift_mm, route, vtk, tracking), into a folder named after it.
 
     Parameters
     ----------
@@ -65,9 +74,10 @@ def evaluate(
         Frame A and frame B as acquired; or the folder of a run whose frames form pairs: a shift run, a stream, or
         a flow run; or frames of others in pairs, see `daq.frames.source`.
     out : path, optional
-        Folder, default ``evaluation`` (or ``evaluation-2`` ... where that has other results): ``vectors.nc``,
-        ``evaluation.json``, ``report.html`` with its figures, and on request ``vectors.vtk``,
-        ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.
+        Folder, on the command line by default ``evaluation`` (or ``evaluation-2`` ... where that has other
+        results): ``vectors.nc``, ``evaluation.json``, ``report.html`` with its figures, and on request
+        ``vectors.vtk``, ``vectors_velocity.nc`` and ``tracks.nc``; for a run one such folder a pair.  Of a series
+        ``chunks`` with the vectors and one ``report.html``.
     scene : path, optional
         scene.yaml, best a fitted one: with the fit's ``fit.npz`` beside it vectors carry the map's uncertainty.
         A run without it is evaluated with the scene that its frames were corrected with.
@@ -89,7 +99,7 @@ def evaluate(
         Time between the frames of a pair, for frames of others and a run that does not know it: velocities in
         place of displacements.
     workers : int, optional
-        Processes that evaluate a series; default one a core.
+        Processes at most, where there is work for several; default one a core.
     tracking : bool
         Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
     sigma_limit_px : float, optional
@@ -101,8 +111,8 @@ def evaluate(
 
     Returns
     -------
-    list of Evaluation, or SeriesBooks
-        One a pair; or what became of the pairs of a series.
+    Evaluated
+        Vectors of all pairs, those that have none and why, and what is known of single pairs.
 
     Raises
     ------
@@ -115,49 +125,96 @@ def evaluate(
     paths = paths_of(paths)
     scene, target_clear = path_of(scene), path_of(target_clear)
     choice = piv_choice(**options)
-    run = paths[0] if len(paths) == 1 and (is_run(paths[0]) or is_source(paths[0])) else None
-    if run is not None and (not is_run(run) or is_series(run, pairs_of(run))):
-        if shift_mm is not None or route != "image" or vtk or tracking:
-            raise PairError(
-                "--shift-mm, --route, --tracking and --vtk are for single pairs, and this run is a series; leave"
-                " them out"
-            )
-        name = run.resolve().name
-        out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, name))
-        dewarping = (target_clear, dewarp_order, square_mm, disc_mm)
-        series = series_input(run, out, choice, scene, *dewarping, dt_us, sigma_limit_px)
-        return _series(name, out, series, workers, figures, pictures)
-    if workers is not None:
-        raise PairError("--workers belongs to a series of many pairs, and this is none; leave it out")
     if target_clear is not None and (route != "image" or tracking):
         raise PairError(
             f"{'the velocity route' if route != 'image' else 'tracking'} traces raw pixels; give the camera's lens"
             " terms in the scene, no dewarp"
         )
+    run = paths[0] if len(paths) == 1 and (is_run(paths[0]) or is_source(paths[0])) else None
+    preparation = choice.preparation or Preparation()
+    how = PairMethod("", stage_sigma_um, route, choice.settings, preparation, tracking, pictures)
+    screen = console()
+    if run is not None and (not is_run(run) or is_one_series(pairs_of(run))):
+        name = run.resolve().name
+        out = folder_for(out, USUAL, lambda folder: holds_series_of(folder, name))
+        dewarping = (target_clear, dewarp_order, square_mm, disc_mm)
+        series = series_input(run, out, choice, scene, *dewarping, dt_us, sigma_limit_px, timed=False)
+        books = run_series(name, out, series.given, series.method, workers)
+        show_series(screen, books)
+        screen.print(where_lit(load_scene(out / SCENE_FILE)))
+        details: list[Evaluation] = []
+        failed: dict[str, str] = {}
+        if how.asks_more or vtk or shift_mm is not None:
+            how = replace(how, sigma=sigma_of(out))
+            with drawing() as draw:
+                tasks = _closely(series, books, how, shift_mm)
+                details, failed = _each(screen, tasks, lambda found: _kept(screen, draw, found, vtk, figures))
+        _show_page(screen, series, books, figures, pictures)
+        return Evaluated(books.pairs, {**books.failed, **failed}, tuple(details), books.folder, books.kept)
     out = folder_for(out, USUAL)
     given = tasks_of(paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, dt_us)
+    limit = _limit(given, sigma_limit_px)
+    if given.alone:
+        screen.print(f"{given.alone} frames lost their partner and are in no pair")
+    if isinstance(given.sigma, str):
+        screen.print(f"no uncertainty of the map: {given.sigma}")
+    for note in dict.fromkeys(task.note for task in given.tasks if task.note):
+        screen.print(note)
+    corrections, how = PreparedCorrections(), replace(how, sigma=given.sigma)
 
-    def measured(task: Task, prepared: PreparedCorrection) -> Evaluation:
-        evaluation = evaluate_task(
-            task,
-            prepared,
-            given.sigma,
-            stage_sigma_um,
-            route,
-            choice.settings,
-            choice.preparation,
-            tracking,
-            pictures,
-        )
-        write_pair(evaluation, vtk)
-        show_evaluation(screen, evaluation, page=pictures)
-        if pictures:
-            draw("rtpiv.analysis.report.pair_folder:write_pair_page", evaluation, figures)
-        return evaluation
+    def measured(task: Task) -> Evaluation:
+        prepared = corrections.of(task.scene, given.dewarp, limit=limit if task.scene.bodies else None)
+        return evaluate_task(task, prepared, how)
 
-    screen = console()
     with drawing() as draw:
-        return _each(screen, given, _limit(given, sigma_limit_px), measured)
+        jobs = [(task.name, partial(measured, task)) for task in given.tasks]
+        details, failed = _each(screen, jobs, lambda found: _kept(screen, draw, found, vtk, figures))
+    return Evaluated(len(given.tasks), failed, tuple(details))
+
+
+Job = tuple[str, Callable[[], Evaluation]]  # name of a pair, and what evaluates it
+
+
+def _closely(
+    given: SeriesInput, books: SeriesBooks, how: PairMethod, shift_mm: tuple[float, float] | None
+) -> list[Job]:
+    """What evaluates every pair of a series that has vectors as a pair alone is."""
+    pairs, method = given.given.pairs, given.method
+    shape = method.scene.camera.shape
+    light = make_light(given.out, method.preparation.background, pairs, given.given.unseeded, shape)
+    jobs = [(job.pairs[0].tag, job) for job in jobs_of(given.out, pairs, method, light, 1)]
+    return [(tag, partial(evaluated_closely, job, how, shift_mm)) for tag, job in jobs if tag not in books.failed]
+
+
+def _kept(screen: Console, draw: Draw, evaluation: Evaluation, vtk: bool, figures: bool) -> None:
+    """Write the folder of a pair, say how well it was measured, and draw its page if it has pictures."""
+    write_pair(evaluation, vtk)
+    show_evaluation(screen, evaluation, page=evaluation.seen is not None)
+    if evaluation.seen is not None:
+        draw("rtpiv.analysis.report.pair_folder:write_pair_page", evaluation, figures)
+
+
+def _each(
+    screen: Console, jobs: Sequence[Job], keep: Callable[[Evaluation], None]
+) -> tuple[list[Evaluation], dict[str, str]]:
+    """Evaluate one pair after the other; one of several that cannot be is named and left out."""
+    found: list[Evaluation] = []
+    failed: dict[str, str] = {}
+    last: PairError | None = None
+    for name, measured in jobs:
+        try:
+            evaluation = measured()
+        except PairError as error:
+            if len(jobs) == 1:
+                raise
+            last, failed[name] = error, str(error)
+            screen.print(f"{name} is left out: {error}", style="bold red")
+            continue
+        keep(evaluation)
+        found.append(evaluation)
+    if last is not None and not found:
+        raise last
+    return found, failed
 
 
 def holds_series_of(folder: Path, name: str) -> bool:
@@ -168,21 +225,15 @@ def holds_series_of(folder: Path, name: str) -> bool:
         return False
 
 
-def _series(
-    name: str, out: Path, given: SeriesInput, workers: int | None, figures: bool, pictures: bool
-) -> SeriesBooks:
-    """Evaluate a series and write its page."""
-    books = run_series(name, out, given.given, given.method, workers)
-    screen = console()
-    show_series(screen, books)
-    screen.print(where_lit(load_scene(out / SCENE_FILE)))
+def _show_page(screen: Console, given: SeriesInput, books: SeriesBooks, figures: bool, pictures: bool) -> None:
+    """Write the page of a series, and say where it is and what comes next."""
+    out = given.out
     if pictures:
         from rtpiv.analysis.report.series import write_series_page
 
         write_series_page(out / "report.html", given, books, figures)
     look = f"look at {out / 'report.html'}; " if pictures else ""
-    screen.print(f"{look}average with: rtpiv mean {out}")
-    return books
+    screen.print(f"{look}average with: rtpiv mean {out}" if given.given.timed else look.removesuffix("; "))
 
 
 def _limit(given: Tasks, limit_px: float | None) -> SigmaLimit | None:
@@ -192,33 +243,3 @@ def _limit(given: Tasks, limit_px: float | None) -> SigmaLimit | None:
     if isinstance(given.sigma, str):
         raise PairError(f"--sigma-limit needs the uncertainty of the scene: {given.sigma}")
     return SigmaLimit(given.sigma, limit_px)
-
-
-def _each(
-    screen: Console,
-    given: Tasks,
-    limit: SigmaLimit | None,
-    measured: Callable[[Task, PreparedCorrection], Evaluation],
-) -> list[Evaluation]:
-    """Evaluate one pair after the other; one of several that cannot be is named and left out."""
-    if given.alone:
-        screen.print(f"{given.alone} frames lost their partner and are in no pair")
-    if isinstance(given.sigma, str):
-        screen.print(f"no uncertainty of the map: {given.sigma}")
-    for note in dict.fromkeys(task.note for task in given.tasks if task.note):
-        screen.print(note)
-    corrections, found, failed = PreparedCorrections(), [], None
-    for task in given.tasks:
-        prepared = corrections.of(task.scene, given.dewarp, limit=limit if task.scene.bodies else None)
-        try:
-            evaluation = measured(task, prepared)
-        except PairError as error:
-            if len(given.tasks) == 1:
-                raise
-            failed = error
-            screen.print(f"{task.name} is left out: {error}", style="bold red")
-            continue
-        found.append(evaluation)
-    if failed is not None and not found:
-        raise failed
-    return found

@@ -1,6 +1,7 @@
 """`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, Unpack
 
 from daq.errors import RunUnsuitable
@@ -16,7 +17,7 @@ from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE
 from rtpiv.analysis.series.series_input import series_input
-from rtpiv.analysis.series.series_mean import mean_of_series, standing_of
+from rtpiv.analysis.series.series_mean import mean_of_series, standing_of, write_mean_of_series
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.output import folder_for, require_folder
@@ -36,6 +37,7 @@ def mean(
     workers: Count | None = None,
     ensemble: Literal[8, 16, 32] | None = None,
     sigma_limit_px: Positive | None = None,
+    files: bool = True,
     **options: Unpack[PivOptions],
 ) -> MeanFlow:
     """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.
@@ -47,13 +49,15 @@ def mean(
         pairs (`daq.frames.source`), evaluated where that has not
         been done with these settings; or the folder of a series that `evaluate` has made.
     out : path, optional
-        Folder of the series, default ``series`` in the run or, of frames of others, ``evaluation``: ``mean.nc``
-        and ``mean.html``, beside what `evaluate` writes there.
+        Folder of the series, on the command line by default ``series`` in the run or, of frames of others,
+        ``evaluation``: ``mean.nc`` and ``mean.html``, beside what `evaluate` writes there.
     scene, target_clear, dewarp_order, figures, dt_us, workers, sigma_limit_px
         As for `evaluate`; of a run only.
     ensemble : {8, 16, 32}, optional
         Also by ensemble correlation with windows of this side [px], into ``mean_ensemble.nc``: for rims, walls and
         thin seeding, where single pairs fail; of a run only.
+    files : bool
+        Write ``mean.nc``, ``mean.html`` and ``mean_ensemble.nc``.
     **options
         How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`; of a run only.
 
@@ -89,7 +93,7 @@ def mean(
     elif (path / FILE).is_file():
         folder = path
         if (
-            out is not None
+            (out is not None and files)
             or scene is not None
             or target_clear is not None
             or dt_us is not None
@@ -101,15 +105,21 @@ def mean(
     else:
         raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
     found = mean_of_series(folder)
+    if files:
+        write_mean_of_series(folder, found)
     by_ensemble = None
     if series is not None and ensemble is not None:
         given = series[0]
         by_ensemble = ensemble_flow(given, found, ensemble, workers)
         said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
-        write_statistics(folder / "mean_ensemble.nc", ensemble_vectors(by_ensemble, said))
-    from rtpiv.analysis.report.mean import write_mean_page
+        vectors = ensemble_vectors(by_ensemble, said)
+        found = replace(found, by_ensemble=vectors)
+        if files:
+            write_statistics(folder / "mean_ensemble.nc", vectors)
+    if files:
+        from rtpiv.analysis.report.mean import write_mean_page
 
-    write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
+        write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
     screen.print(where_lit(standing_of(folder)))
-    show_mean(screen, found, folder / "mean.html")
+    show_mean(screen, found, folder / "mean.html" if files else None)
     return found

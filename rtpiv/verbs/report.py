@@ -20,7 +20,7 @@ from rtpiv.analysis.pairs.evaluation import Evaluation, Route
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.pictures.before_after import before_after
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.series.series_pairs import is_series
+from rtpiv.analysis.series.series_pairs import is_flow
 from rtpiv.analysis.series.tasks import FIT_FILE
 from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import evaluate
@@ -94,8 +94,7 @@ def report(
         chosen = route if target_clear is None else "image"
         found = evaluate(
             [run], out, scene, target_clear, dewarp_order, stage_sigma_um=stage_sigma_um, route=chosen, **options
-        )
-        assert isinstance(found, list)  # a flow has left above
+        ).details
         shown = _most_telling(found)
         pair_summary(page, shown)
         pairs_chapter(page, found)
@@ -117,12 +116,12 @@ def report(
 def _is_flow(run: Path) -> bool:
     """Whether a run is a series of pairs; one that has none, or not yet, is shown by its frames."""
     try:
-        return is_series(run, pairs_of(run))
+        return is_flow(pairs_of(run))
     except (PairError, RunUnsuitable):
         return False
 
 
-def _most_telling(found: list[Evaluation]) -> Evaluation:
+def _most_telling(found: Sequence[Evaluation]) -> Evaluation:
     """Return the first pair through the glass whose shift is known, else what comes nearest to that."""
     return max(found, key=lambda e: (bool(e.task.scene.bodies), e.shift is not None))
 

@@ -138,7 +138,7 @@ def show_focus(screen: Console, rows: "Sequence[Row]", said: str, page: Path) ->
     screen.print(f"look at {page}")
 
 
-def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
+def show_mean(screen: Console, mean: "MeanFlow", page: Path | None) -> None:
     """Say how well a mean flow is known."""
     seen = mean.count > 0
     if mean.doubt:
@@ -173,7 +173,8 @@ def show_mean(screen: Console, mean: "MeanFlow", page: Path) -> None:
         screen.print("the series is too short for its slowest motion: sigma is a lower limit", style="bold red")
     if mean.gaps:
         screen.print(mean.gaps)
-    screen.print(f"look at {page}")
+    if page is not None:
+        screen.print(f"look at {page}")
 
 
 def show_calibration(screen: Console, found: "Calibration") -> None:

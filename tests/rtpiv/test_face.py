@@ -93,3 +93,36 @@ def test_errors_survive_a_process():
 
     error = pickle.loads(pickle.dumps(PairError("no pair", place="a.tif", cure="give another")))
     assert (str(error), error.place, error.cure) == ("a.tif: no pair; give another", "a.tif", "give another")
+
+
+def test_values_go_out_and_nothing_is_printed_or_written(tmp_path, monkeypatch, capfd):
+    from tests.rtpiv.analysis.series.small_series import SCENE, flow_run
+
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    run = flow_run(tmp_path, 2)
+    before = sorted(run.rglob("*"))
+    windows = {"first_window_px": 32, "final_window_px": 16, "workers": 1}
+    found = rtpiv.evaluate(run, **windows)
+    assert (found.pairs, found.failed) == (2, {})
+    assert found.vectors.fields["u"].shape[0] == 2
+    assert found.vectors.units["u"] == "m s-1"
+    mean = rtpiv.mean(run, **windows)
+    assert mean.used == 2
+    assert "m/s" in mean._repr_html_()
+    assert "u [m s-1]" in found._repr_html_()
+    (work / "scene.yaml").write_text(SCENE)
+    frames = sorted((run / "frames").iterdir())[:2]
+    (pair,) = rtpiv.evaluate(frames, scene="scene.yaml", final_window_px=16).details
+    assert pair.vectors.units["u"] == "mm"
+    rtpiv.trace("scene.yaml")
+    assert sorted(run.rglob("*")) == before
+    assert [path.name for path in work.iterdir()] == ["scene.yaml"]
+    assert capfd.readouterr() == ("", "")
+    assert rtpiv.evaluate(run, work / "kept", **windows).kept == 0
+    assert (work / "kept" / "chunks" / "00000.nc").is_file()
+    assert rtpiv.evaluate(run, work / "kept", **windows).kept == 2
+    kept = rtpiv.mean(work / "kept")
+    assert not (work / "kept" / "mean.nc").exists()
+    assert kept.mean_m_s.tobytes() == mean.mean_m_s.tobytes()

@@ -32,7 +32,7 @@ from rtpiv.analysis.campaign.status import campaign_status
 from rtpiv.analysis.series.marker import marker_of
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
-from rtpiv.analysis.series.series_mean import mean_of_series
+from rtpiv.analysis.series.series_mean import mean_of_series, write_mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 
 STATISTICS, INDEX = "campaign.nc", "index.csv"
@@ -76,6 +76,8 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
         raise Unfinished(f"{folder.path}: {said_missing(missing)}; give: rtpiv campaign run -o {folder.path}")
     names = [state.name for state in states]
     means = [mean_of_series(folder.series(name).path) for name in names]
+    for name, mean in zip(names, means, strict=True):
+        write_mean_of_series(folder.series(name).path, mean)
     write_index(folder)
     merged = merged_means(names, means)
     scenes = [folder.series(name).about["content"]["correction"] for name in names]

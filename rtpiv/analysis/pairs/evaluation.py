@@ -1,6 +1,9 @@
 """One pair from frames to figures: correct, correlate, carry the map's uncertainty along, compare with truth."""
 
 from dataclasses import dataclass
+from dataclasses import field as made_by
+from html import escape
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,8 +25,11 @@ from ground.short_repr import short_repr
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
+from piv.correlation.windows import window_grid
 from piv.errors import FrameError, PairError
+from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import Preparation
+from rtpiv.analysis.pairs.pair_vectors import PairResult, quality_of, vectors_of_pairs
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from tracer.scene.scene import Scene
 
@@ -124,31 +130,36 @@ class Evaluation:
     tracks: Tracked | None
     no_tracks: str
 
+    @property
+    def about(self) -> dict[str, str]:
+        """Where it comes from."""
+        frames = ", ".join(path.name for path in self.task.frames)
+        return {"scene_hash": self.task.scene.content_hash(), "frames": frames, "rtpiv_version": version("rtpiv")}
+
+    @property
+    def vectors(self) -> Vectors:
+        """The pair as a series of one, with all that is known of its quality."""
+        task, field, settings = self.task, self.field, self.settings
+        windows = window_grid(self.grid.shape, settings.windows_px[-1], settings.overlap)
+        more = quality_of(field, self.grid, self.map_sigma, self.by_velocity, task.dt_s)
+        return vectors_of_pairs([PairResult(task.name, field, task.dt_s)], windows, self.grid, self.about, more)
+
+    def _repr_html_(self) -> str:
+        """Show a notebook its name, and its vectors."""
+        return f"<p>{escape(str(self))}</p>{self.vectors._repr_html_()}"
+
     def __str__(self) -> str:
         """Its name, and how many vectors are what."""
         counts = ", ".join(f"{count} {name}" for name, count in self.field.counts.items())
         return f"{self.task.name}: {counts}"
 
 
-def evaluate_task(
-    task: Task,
-    prepared: PreparedCorrection,
-    sigma: SceneSigma | str,
-    stage_sigma_um: float,
-    route: Route,
-    settings: PivSettings | None = None,
-    preparation: Preparation | None = None,
-    tracking: bool = False,
-    pictures: bool = True,
-) -> Evaluation:
-    """Evaluate one pair.
+@dataclass(frozen=True)
+class PairMethod:
+    """How a pair is evaluated, and what is asked of it beyond its vectors.
 
     Parameters
     ----------
-    task : Task
-        The pair.
-    prepared : PreparedCorrection
-        Of the task's scene.
     sigma : SceneSigma or str
         Uncertainty of the fitted scene, or why there is none.
     stage_sigma_um : float
@@ -163,19 +174,58 @@ def evaluate_task(
         Also follow single particles from raw frame to raw frame.
     pictures : bool
         Also make what only a page shows: `Evaluation.seen`.
+    """
+
+    sigma: SceneSigma | str
+    stage_sigma_um: float = 10.0
+    route: Route = "image"
+    settings: PivSettings = made_by(default_factory=PivSettings)
+    preparation: Preparation = made_by(default_factory=Preparation)
+    tracking: bool = False
+    pictures: bool = True
+
+    @property
+    def asks_more(self) -> bool:
+        """Whether it asks for more than the vectors of corrected frames."""
+        return self.route != "image" or self.tracking
+
+
+def evaluate_task(
+    task: Task,
+    prepared: PreparedCorrection,
+    how: PairMethod,
+    clean: tuple[NDArray[Any], NDArray[Any]] | None = None,
+) -> Evaluation:
+    """Evaluate one pair.
+
+    Parameters
+    ----------
+    task : Task
+        The pair.
+    prepared : PreparedCorrection
+        Of the task's scene.
+    how : PairMethod
+        How.
+    clean : (ndarray, ndarray), optional
+        Its raw frames without their background, as a series has them; they are read if not given.
+
+    Returns
+    -------
+    Evaluation
+        Vectors, figures and small pictures.
 
     Raises
     ------
     PairError, FrameError, RunDamaged
         The frames cannot be read, or are no pair.
     """
-    settings, preparation = settings or PivSettings(), preparation or Preparation()
-    if preparation.background is not None:
+    settings, preparation, sigma = how.settings, how.preparation, how.sigma
+    if preparation.background is not None and clean is None:
         raise PairError(
             f"{preparation.background} needs a series of pairs, and here are single ones; leave it out of prepare"
         )
     scene = task.scene
-    frame_a, frame_b = (read_acquired(path, scene.camera.shape) for path in task.frames)
+    frame_a, frame_b = clean or (read_acquired(path, scene.camera.shape) for path in task.frames)
     corrector = prepared.corrector
     grid = corrector.map.grid
     corrected_a, corrected_b = (
@@ -188,23 +238,23 @@ def evaluate_task(
     if task.shift_mm is not None:
         truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
     tracks, no_tracks = None, ""
-    if tracking:
+    if how.tracking:
         try:
             found = track_through_glass(frame_a, frame_b, scene, prepared.ray_map, field, grid)
             tracks = Tracked(found, radius_of(found, corrector.map, scene))
         except PairError as error:
             no_tracks = str(error)
     traced = routes = by_velocity = None
-    if route != "image":
+    if how.route != "image":
         traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map, raw_settings(settings, frame_a.shape))
         routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
-        if route == "best":
+        if how.route == "best":
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)
-    stage_px = stage_sigma_um * 1e-3 * grid.px_per_mm
+    stage_px = how.stage_sigma_um * 1e-3 * grid.px_per_mm
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)
-    seen = before_after(frame_a, corrected_a, corrector, scene) if pictures else None
+    seen = before_after(frame_a, corrected_a, corrector, scene) if how.pictures else None
     return Evaluation(
         task, grid, seen, field, regions, result, unsure, why, traced, routes, by_velocity, settings, tracks,
         no_tracks,

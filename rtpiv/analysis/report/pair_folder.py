@@ -1,16 +1,14 @@
 """The folder of an evaluated pair: vectors and figures as JSON, then a page, which alone needs matplotlib."""
 
 from dataclasses import asdict
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from daq.atomic_write import write_json
-from piv.correlation.windows import window_grid
-from piv.files.vector_file import Vectors, write_list, write_vectors, write_vtk
-from rtpiv.analysis.pair_vectors import PairResult, columns_of, quality_of, vectors_of_pairs
+from piv.files.vector_file import write_list, write_vectors, write_vtk
 from rtpiv.analysis.pairs.evaluation import Evaluation
+from rtpiv.analysis.pairs.pair_vectors import columns_of
 from rtpiv.analysis.report.tables import (
     CLAIM_HEAD,
     ROUTE_HEAD,
@@ -25,9 +23,9 @@ from rtpiv.analysis.report.tables import (
 def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
     """Write all files of the folder of a pair but its page."""
     task, field = evaluation.task, evaluation.field
-    out, about = task.out, _about(evaluation)
+    out, about = task.out, evaluation.about
     out.mkdir(parents=True, exist_ok=True)
-    vectors, timed = vectors_of(evaluation), {**about, "delta_t": np.float64(task.dt_s or 0.0)}
+    vectors, timed = evaluation.vectors, {**about, "delta_t": np.float64(task.dt_s or 0.0)}
     write_vectors(out / "vectors.nc", vectors)
     if evaluation.traced is not None:
         write_list(out / "vectors_velocity.nc", *columns_of(evaluation.traced, task.dt_s), timed)
@@ -58,20 +56,12 @@ def write_pair(evaluation: Evaluation, vtk: bool = False) -> None:
     write_json(out / "evaluation.json", summary)
 
 
-def vectors_of(evaluation: Evaluation) -> Vectors:
-    """Vectors of a pair as a series of one."""
-    task, field, grid, settings = evaluation.task, evaluation.field, evaluation.grid, evaluation.settings
-    windows = window_grid(grid.shape, settings.windows_px[-1], settings.overlap)
-    more = quality_of(field, grid, evaluation.map_sigma, evaluation.by_velocity, task.dt_s)
-    return vectors_of_pairs([PairResult(task.name, field, task.dt_s)], windows, grid, _about(evaluation), more)
-
-
 def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     """Write the page of a pair, with the figures on request also as files; it names what is there."""
     from rtpiv.analysis.report.page import Link, Page
     from rtpiv.analysis.report.pair import pair_chapters, pair_summary
 
-    task, out, about = evaluation.task, evaluation.task.out, _about(evaluation)
+    task, out, about = evaluation.task, evaluation.task.out, evaluation.about
     page = Page("PIV through glass: " + task.name, about["frames"], twice=figures)
     pair_summary(page, evaluation)
     pair_chapters(page, evaluation)
@@ -81,13 +71,3 @@ def write_pair_page(evaluation: Evaluation, figures: bool = False) -> None:
     page.heading("Provenance")
     page.facts([*about.items(), ("bodies", ", ".join(body.name for body in task.scene.bodies) or "none")])
     page.write(out / "report.html")
-
-
-def _about(evaluation: Evaluation) -> dict[str, str]:
-    """Where a pair comes from."""
-    frames = ", ".join(path.name for path in evaluation.task.frames)
-    return {
-        "scene_hash": evaluation.task.scene.content_hash(),
-        "frames": frames,
-        "rtpiv_version": version("rtpiv"),
-    }

@@ -1,5 +1,7 @@
 """The chapters of a run: the pairs side by side, the target, what became of every frame, provenance."""
 
+from collections.abc import Sequence
+
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.displacement import read_displacements
 from daq.runs.done_file import read_done
@@ -21,7 +23,7 @@ SHOWN_PAIRS = 60
 SHOWN_STEPS = 60
 
 
-def pairs_chapter(page: Page, found: list[Evaluation]) -> None:
+def pairs_chapter(page: Page, found: Sequence[Evaluation]) -> None:
     """Every pair of a run in one line; the pages of the single pairs lie in folders of their names."""
     page.heading("Pairs of this run")
     rows: list[tuple[str | Link, ...]] = []

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rtpiv.analysis.pairs.pair_vectors import per_px
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
@@ -52,20 +53,21 @@ def series_lead(shown: Preview) -> tuple[str, str, Sequence[str], list[tuple[str
     field = shown.field
     both = [np.median(sigma[field.valid]) if field.valid.any() else np.nan
             for sigma in (field.sigma_u_px, field.sigma_v_px)]  # fmt: skip
-    m_s_per_px = 1e-3 * shown.grid.pitch_mm / shown.dt_s
+    scale, unit = per_px(shown.grid.pitch_mm, shown.dt_s), "mm" if shown.dt_s is None else "m/s"
     said = (
         f"random standard uncertainty u, v of one vector: median of {int(field.valid.sum())} of pair {shown.tag}"
     )
-    rows = [("the same in m/s", *(f"{m_s_per_px * sigma:.4g}" for sigma in both))]
+    rows = [(f"the same in {unit}", *(f"{scale * sigma:.4g}" for sigma in both))]
     return "{:.4f}, {:.4f} px".format(*both), said, ("", "u", "v"), rows
 
 
 def series_tiles(given: SeriesInput, books: SeriesBooks, shown: Preview | None) -> list[tuple[str, str, str]]:
     """The figures that matter most: value, name, what it is measured against."""
     tiles = [(f"{books.pairs - len(books.failed)}", "pairs with vectors", f"of {books.pairs} pairs")]
-    times_us = 1e6 * np.array([pair.dt_s for pair in given.given.pairs])
-    spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
-    tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
+    if given.given.timed:
+        times_us = 1e6 * np.array([pair.dt_s for pair in given.given.pairs], np.float64)
+        spread = f"{times_us.min():.4g} to {times_us.max():.4g} us"
+        tiles.append((f"{np.median(times_us):.4g} us", "between the frames of a pair", spread))
     if shown is not None:
         counts = shown.field.counts
         asked = shown.field.flags.size - counts["masked"]
@@ -105,17 +107,18 @@ def pair_chapter(page: Page, given: SeriesInput, shown: Preview) -> None:
     page.heading("One pair")
     if field.doubt:
         page.warning(field.doubt + ".")
-    m_s_per_px = 1e-3 * grid.pitch_mm / shown.dt_s
-    speed = np.hypot(field.u_px, field.v_px) * m_s_per_px
-    sigma = np.hypot(field.sigma_u_px, field.sigma_v_px) * m_s_per_px
+    what, unit = ("displacement", "mm") if shown.dt_s is None else ("speed", "m/s")
+    scale = per_px(grid.pitch_mm, shown.dt_s)
+    speed = np.hypot(field.u_px, field.v_px) * scale
+    sigma = np.hypot(field.sigma_u_px, field.sigma_v_px) * scale
     with page.row():
-        figure = vector_figure(field, grid, given.method.scene, speed, "speed [m/s]")
-        page.figure("pair", figure, f"Pair {shown.tag}: vectors, their speed in colour.", dense=True)
+        figure = vector_figure(field, grid, given.method.scene, speed, f"{what} [{unit}]")
+        page.figure("pair", figure, f"Pair {shown.tag}: vectors, their {what} in colour.", dense=True)
         if np.isfinite(sigma).any():
-            figure = vector_figure(field, grid, given.method.scene, sigma, "estimated sigma [m/s]")
+            figure = vector_figure(field, grid, given.method.scene, sigma, f"estimated sigma [{unit}]")
             page.figure("pair_sigma", figure, "The same before their own random uncertainty.", dense=True)
-    page.facts([("time between the frames", f"{shown.dt_s * 1e6:.3f} us"),
-                ("1 px of displacement is", f"{m_s_per_px:.6g} m/s")])  # fmt: skip
+    facts = [] if shown.dt_s is None else [("time between the frames", f"{shown.dt_s * 1e6:.3f} us")]
+    page.facts([*facts, ("1 px of displacement is", f"{scale:.6g} {unit}")])
     page.table(("vectors", "count"), [(name, str(count)) for name, count in field.counts.items()])
 
 

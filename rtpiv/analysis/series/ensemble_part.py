@@ -20,7 +20,7 @@ from piv.correlation.windows import WindowGrid
 from piv.errors import FrameError, PairError, SeriesError
 from piv.statistics.ensemble import EnsembleSums
 from piv.statistics.sweep import Sweep
-from rtpiv.analysis.pair_vectors import SeriesField
+from rtpiv.analysis.pairs.pair_vectors import SeriesField
 from rtpiv.analysis.series.chunk import correction_of, windows_of
 from rtpiv.analysis.series.clean_frames import clean_frames
 from rtpiv.analysis.series.mean_flow import left_out_because

@@ -105,7 +105,7 @@ def ensemble_flow(
     DiskError, RunInterrupted
         As `run_series`.
     """
-    dts = np.array([pair.dt_s for pair in given.given.pairs])
+    dts = np.array([pair.dt_s for pair in given.given.pairs], np.float64)
     if np.ptp(dts) > SAME_DT * dts.mean():
         raise SeriesError("ensemble correlation adds displacements of one dt, and this run has several")
     prepared = correction_of(given.out / "maps", given.method)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piv.statistics.moments import Moments
-from rtpiv.analysis.pair_vectors import ChunkContent
+from rtpiv.analysis.pairs.pair_vectors import ChunkContent
 from rtpiv.analysis.series.mean_flow import MeanFlow
 
 BINS = 40

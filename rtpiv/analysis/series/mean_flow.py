@@ -25,11 +25,12 @@ from numpy.typing import NDArray
 from ground.short_repr import short_repr
 from piv.correlation.vector_field import VectorFlag
 from piv.errors import SeriesError
+from piv.files.vector_file import Vectors
 from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
 from piv.statistics.merge_tree import MergeTree
 from piv.statistics.moments import Moments
 from piv.statistics.unresolved import Unresolved, measured_often, selection_sigma
-from rtpiv.analysis.pair_vectors import ChunkContent, SeriesField
+from rtpiv.analysis.pairs.pair_vectors import ChunkContent, SeriesField
 
 BELIEVED_SHARE = 0.5  # of the vectors of a usual pair; strangers have 0.3
 LEAST_OF_USUAL = 0.5  # of the share of measured vectors
@@ -79,6 +80,8 @@ class MeanFlow:
         Why these two are None.
     too_few : (ny, nx) bool or None
         Places without a mean because fewer than half of the pairs that looked at them have a vector there.
+    by_ensemble : Vectors, optional
+        The same by ensemble correlation, if that was asked for.
     """
 
     x_mm: Floats
@@ -99,6 +102,27 @@ class MeanFlow:
     map_sigma_position_mm: Floats | None = None
     no_map_sigma: str = ""
     too_few: NDArray[np.bool_] | None = None
+    by_ensemble: Vectors | None = None
+
+    def __str__(self) -> str:
+        """How many pairs it is of, and how many places have a mean."""
+        places = f"{int((self.count > 0).sum())} of {self.count.size} places"
+        return f"mean of {self.used} pairs, {len(self.left_out)} left out: {places}"
+
+    def _repr_html_(self) -> str:
+        """Show a notebook the medians of the mean, of its uncertainty and of the stresses."""
+        known = self.count > 0
+        rows = [
+            (name, *(f"{np.nanmedian(part[..., k][known]):.4g}" if known.any() else "-" for k in (0, 1)))
+            for name, part in (
+                ("mean [m/s]", self.mean_m_s),
+                ("its random sigma [m/s]", self.sigma_m_s),
+                ("all that is known of its sigma [m/s]", self.total_sigma_m_s),
+                ("fluctuation, without noise [m2/s2]", self.stresses_m2_s2),
+            )
+        ]
+        cells = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+        return f"<p>{self}</p><table><tr><th>median</th><th>u</th><th>v</th></tr>{cells}</table>"
 
     @property
     def doubt(self) -> str:
@@ -274,4 +298,9 @@ def _usual(chunks: Iterable[ChunkContent]) -> tuple[float, float, float, int]:
         unsure += [field.dt_sigma_s / field.dt_s for field in fields]
     if not shares or not max(shares) > 0.0:
         raise SeriesError("no pair of this series has a vector; look at the reasons that its evaluation gave")
+    if np.isnan(times).any():
+        raise SeriesError(
+            "the time between the frames of these pairs is not known, so they have no velocity; evaluate them with"
+            " --dt-us"
+        )
     return float(np.median(shares)), float(np.mean(times)), float(np.sqrt(np.mean(np.square(unsure)))), pairs

@@ -1,4 +1,4 @@
-"""One pair of a series looked at: its frame A after every step, and its vectors."""
+"""One pair of a series looked at: its frame A after every step, and all that can be asked of a pair alone."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from correction.grid import PlaneGrid
 from piv.correlation.pair import evaluate_pair
 from piv.correlation.vector_field import VectorField
+from piv.errors import PairError
 from piv.preprocessing.preparation import CORRECTED, RAW, Preparation
+from rtpiv.analysis.pairs.evaluation import Evaluation, PairMethod, Task, evaluate_task
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
 from rtpiv.analysis.pictures.rasters import embedded, grey
 from rtpiv.analysis.series.chunk import correction_of
@@ -27,8 +29,8 @@ class Preview:
     ----------
     tag : str
         Names it.
-    dt_s : float
-        Time between its frames.
+    dt_s : float or None
+        Time between its frames, if it is known.
     seen : BeforeAfter
         Frame A as acquired, after each step, and the mask.
     steps : tuple of (str, str)
@@ -40,7 +42,7 @@ class Preview:
     """
 
     tag: str
-    dt_s: float
+    dt_s: float | None
     seen: BeforeAfter
     steps: tuple[tuple[str, str], ...]
     field: VectorField
@@ -77,6 +79,24 @@ def preview(job: ChunkJob) -> Preview | None:
     steps = tuple((name, named[name]) for name in method.preparation.steps)
     mask = [layer for layer in seen.layers if layer[0] == "mask"]
     return Preview(pair.tag, pair.dt_s, replace(seen, layers=(*layers, *mask)), steps, field, corrector.map.grid)
+
+
+def evaluated_closely(job: ChunkJob, how: PairMethod, shift_mm: tuple[float, float] | None = None) -> Evaluation:
+    """Evaluate the one pair of a job, which has vectors, as a pair alone is: routes, tracks, errors.
+
+    Its frames are those of the series, without their background.
+
+    Raises
+    ------
+    PairError
+        The frames cannot give what was asked.
+    """
+    (pair,), (a,), (b,) = job.pairs, clean_frames(job, 0), clean_frames(job, 1)
+    if isinstance(a, str) or isinstance(b, str):
+        raise PairError(a if isinstance(a, str) else str(b))
+    task = Task(pair.tag, pair.frames, job.method.scene, job.folder / pair.tag, shift_mm, dt_s=pair.dt_s)
+    how = replace(how, settings=job.method.settings, preparation=job.method.preparation)
+    return evaluate_task(task, correction_of(job.maps, job.method), how, (a, b))
 
 
 def _limits(frame: NDArray[Any]) -> tuple[float, float]:

@@ -24,7 +24,8 @@ from daq.errors import DiskError, RunUnsuitable
 from daq.runs.records import MOST_BYTES, STRICT, Count, Sha, Tag, Text, Way
 from ground.plain_file import read_plain
 from piv.errors import SeriesError
-from rtpiv.analysis.pair_vectors import ChunkContent, read_chunk
+from piv.files.vector_file import Vectors, read_vectors
+from rtpiv.analysis.pairs.pair_vectors import ChunkContent, read_chunk
 from rtpiv.analysis.series.marker import Marker, marker_of, sound_content
 from rtpiv.analysis.series.series_plan import chunk_path
 
@@ -185,6 +186,10 @@ class SeriesFolder:
             It is missing, was made otherwise, or is not what was written.
         """
         return read_chunk(self._sound(number, key)[1])
+
+    def vectors(self, number: int, key: str) -> Vectors:
+        """The same as one dataset; SeriesError as `chunk`."""
+        return read_vectors(self._sound(number, key)[1])
 
     def _sound(self, number: int, key: str) -> tuple[Marker, bytes]:
         found = sound_content(chunk_path(self.path, number), key)

@@ -54,6 +54,7 @@ def series_input(
     disc_mm: float | None = None,
     dt_us: float | None = None,
     sigma_limit_px: float | None = None,
+    timed: bool = True,
 ) -> SeriesInput:
     """Collect what the series of a run needs.
 
@@ -67,6 +68,8 @@ def series_input(
         How pairs are evaluated; unless it says otherwise, a sliding minimum is taken off.
     scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us, sigma_limit_px
         As for the verb `evaluate`.
+    timed : bool
+        Refuse pairs whose frames are an unknown time apart; else these have displacements in mm.
 
     Raises
     ------
@@ -80,18 +83,18 @@ def series_input(
     foreign = not is_run(run) and is_source(run)
     if foreign and scene is None:
         raise PairError(f"{run}: what its camera looked through is not known; give --scene")
-    given = None if foreign else pairs_of_series(run, pairs_of(run), dt_us)
+    given = None if foreign else pairs_of_series(run, pairs_of(run), dt_us, timed)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
     scene = scene or scene_file(run, out)
     fitted = load_scene(scene)
-    given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us)
+    given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us, timed)
     board = board_of([run, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
     dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
     keep_scene(scene, out)
-    usual = Preparation((SLIDING_MINIMUM,) if len(given.pairs) > 1 else ())
+    usual = Preparation((SLIDING_MINIMUM,) if given.usual_background else ())
     standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.bare()
     through = standing.in_light_sheet()
     limit = None

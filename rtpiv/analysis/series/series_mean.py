@@ -5,6 +5,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from correction.fitted.prepared import prepare
+from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
 from piv.correlation.windows import WindowGrid, window_grid
@@ -20,7 +21,7 @@ from tracer.scene.scene_file import load_scene
 
 
 def mean_of_series(folder: Path) -> MeanFlow:
-    """Average a series and write its mean.nc.
+    """Average a series; nothing is written but the maps that it needs.
 
     Parameters
     ----------
@@ -38,19 +39,31 @@ def mean_of_series(folder: Path) -> MeanFlow:
     DiskError
         The file cannot be written.
     """
-    about = SeriesFolder(folder).about
     mean = mean_flow(Chunks.of(folder))
-    through = scene_of(folder)
-    fitted = load_scene(folder / SCENE_FILE)
-    sigma = scene_sigma_beside(folder / SCENE_FILE, fitted, about["dewarped"], in_light_sheet=False)
+    through, sigma = scene_of(folder), sigma_of(folder)
     if isinstance(sigma, str):
         mean = replace(mean, no_map_sigma=sigma)
     else:
         prepared = prepare(through, maps=folder / "maps", grid=grid_of_series(folder))
-        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma.in_light_sheet(standing_of(folder)))
-    said = {"run": about["run"], "scene_hash": through.content_hash(), "rtpiv_version": version("rtpiv")}
-    write_statistics(folder / MEAN, mean_vectors(mean, said))
+        mean = with_map_sigma(mean, prepared, windows_of(folder), sigma)
     return mean
+
+
+def write_mean_of_series(folder: Path, mean: MeanFlow) -> None:
+    """Write the mean.nc of a series into its folder; DiskError if that fails."""
+    said = {
+        "run": SeriesFolder(folder).about["run"],
+        "scene_hash": scene_of(folder).content_hash(),
+        "rtpiv_version": version("rtpiv"),
+    }
+    write_statistics(folder / MEAN, mean_vectors(mean, said))
+
+
+def sigma_of(folder: Path) -> SceneSigma | str:
+    """What the fit of its scene is unsure of, for particles in its light sheet; or why that is not known."""
+    fitted, dewarped = load_scene(folder / SCENE_FILE), SeriesFolder(folder).about["dewarped"]
+    sigma = scene_sigma_beside(folder / SCENE_FILE, fitted, dewarped, in_light_sheet=False)
+    return sigma if isinstance(sigma, str) else sigma.in_light_sheet(standing_of(folder))
 
 
 def scene_of(folder: Path) -> Scene:

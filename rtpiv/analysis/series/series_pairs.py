@@ -12,7 +12,7 @@ from daq.runs.run_folder import RunFolder
 from piv.errors import PairError
 from rtpiv.analysis.series.series_plan import SeriesPair
 
-FEW_PAIRS = 10  # of a stream, each of which gets a page of its own
+FEW_PAIRS = 10  # of a stream: a background found in so few holds light of particles, so none is taken off unasked
 READ_BACK = 1e-6  # relative; of an exposure that nobody has changed
 
 
@@ -32,6 +32,8 @@ class PairsOfSeries:
         Taken through the glass.
     glass_place_mm : (float, float, float)
         By how much that stood off its place in the scene file.
+    usual_background : bool
+        Whether a background is taken off unless the person says otherwise.
     """
 
     pairs: tuple[SeriesPair, ...]
@@ -39,16 +41,30 @@ class PairsOfSeries:
     alone: int
     glass: bool
     glass_place_mm: Vector = (0.0, 0.0, 0.0)
+    usual_background: bool = True
+
+    @property
+    def timed(self) -> bool:
+        """Whether the time between the frames is known, so that vectors are velocities."""
+        return all(pair.dt_s is not None for pair in self.pairs)
 
 
-def is_series(run: Path, found: RunPairs) -> bool:
-    """Whether a run is a flow run, or a stream with more pairs than anybody reads pages."""
-    if any(pair.measured_mm is not None for pair in found.pairs):
-        return False
-    return any("dt_us" in step for step in RunFolder(run).about["steps"]) or len(found.pairs) > FEW_PAIRS
+def is_moved(found: RunPairs) -> bool:
+    """Whether a stage moved what the pairs show, by a measured way; if not, they are a time apart."""
+    return any(pair.measured_mm is not None for pair in found.pairs)
 
 
-def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> PairsOfSeries:
+def is_one_series(found: RunPairs) -> bool:
+    """Whether pairs are a time apart and of one view, so that they are evaluated together, one as many."""
+    return not is_moved(found) and len({pair.glass for pair in found.pairs}) == 1
+
+
+def is_flow(found: RunPairs) -> bool:
+    """Whether pairs are a known time apart, so that they have velocities, one as many."""
+    return not is_moved(found) and all(pair.dt_s is not None for pair in found.pairs)
+
+
+def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None, timed: bool = True) -> PairsOfSeries:
     """Collect the pairs of a series.
 
     Parameters
@@ -59,12 +75,14 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> P
         Its pairs.
     dt_us : float, optional
         Time between the frames of a pair, for a run that does not know it.
+    timed : bool
+        Refuse pairs of which it stays unknown; else these have displacements.
 
     Raises
     ------
     PairError
-        The time between the frames is not known, or contradicts the run's; views or exposures are mixed; or there
-        is no pair with seeding.
+        The time between the frames is not known though it must be, or contradicts the run's; views or exposures
+        are mixed; or there is no pair with seeding.
     """
     entries = {folder_name(entry): entry for entry in found.lines.values()}
     seeded = [pair for pair in found.pairs if not pair.is_background]
@@ -76,12 +94,15 @@ def pairs_of_series(run: Path, found: RunPairs, dt_us: float | None = None) -> P
             f"{run}: has pairs through the glass and without it; a series is of one view, take two runs"
         )
     _same_exposure(run, found.pairs, entries)
-    made = {pair.tag: _series_pair(run, pair, entries, dt_us) for pair in found.pairs}
+    made = {pair.tag: _series_pair(run, pair, entries, dt_us, timed) for pair in found.pairs}
     pairs = tuple(made[pair.tag] for pair in seeded)
     unseeded = tuple(made[pair.tag] for pair in found.pairs if pair.is_background)
     glass = views.pop()
     frames = [pair.frames[0] for pair in found.pairs] if glass else []
-    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, glass_place_mm(run, frames, found.lines))
+    lit_by_pulses = any("dt_us" in step for step in RunFolder(run).about["steps"])
+    background = len(pairs) > (1 if lit_by_pulses else FEW_PAIRS)
+    place_mm = glass_place_mm(run, frames, found.lines)
+    return PairsOfSeries(pairs, unseeded, len(found.alone), glass, place_mm, background)
 
 
 def folder_name(entry: Entry) -> str:
@@ -100,9 +121,11 @@ def dt_of(run: Path, pair: FramePair, dt_us: float | None) -> float | None:
     return pair.dt_s if pair.dt_s is not None else given_s
 
 
-def _series_pair(run: Path, pair: FramePair, entries: dict[str, Entry], dt_us: float | None) -> SeriesPair:
+def _series_pair(
+    run: Path, pair: FramePair, entries: dict[str, Entry], dt_us: float | None, timed: bool
+) -> SeriesPair:
     dt_s = dt_of(run, pair, dt_us)
-    if dt_s is None:
+    if dt_s is None and timed:
         raise PairError(
             f"{run}: the time between the frames of {pair.tag} is not known, as the camera has no clock; "
             "say it with --dt-us"

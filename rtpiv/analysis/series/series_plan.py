@@ -44,8 +44,8 @@ class SeriesPair:
         Frame A and frame B as acquired.
     crc32 : (str, str)
         Checksums of their pixels, from the run's journal.
-    dt_s : float
-        Time between them.
+    dt_s : float or None
+        Time between them; None if it is not known.
     dt_sigma_s : float or None
         Its standard deviation, if somebody measured it.
     time_s : float or None
@@ -55,7 +55,7 @@ class SeriesPair:
     tag: str
     frames: tuple[Path, Path]
     crc32: tuple[str, str]
-    dt_s: float
+    dt_s: float | None
     dt_sigma_s: float | None = None
     time_s: float | None = None
 

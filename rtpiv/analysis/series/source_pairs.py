@@ -22,7 +22,9 @@ MOST_BYTES = 1_000_000_000
 Known = dict[str, tuple[int, int, str]]  # by name of the frame: bytes and time of its file, checksum
 
 
-def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float | None) -> PairsOfSeries:
+def pairs_of_source(
+    path: Path, out: Path, shape: tuple[int, int], dt_us: float | None, timed: bool = True
+) -> PairsOfSeries:
     """Collect the pairs of a source.
 
     Parameters
@@ -35,17 +37,19 @@ def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float 
         Rows and columns of its frames.
     dt_us : float or None
         Time between the frames of a pair.
+    timed : bool
+        Refuse pairs of which it is not known; else these have displacements.
 
     Raises
     ------
     PairError
-        Nobody says the time, or there is no pair.
+        The time is not known though it must be, or there is no pair.
     FrameError
         The source cannot be read.
     DiskError
         The list of checksums cannot be written.
     """
-    if dt_us is None:
+    if dt_us is None and timed:
         raise PairError(f"{path}: the time between the frames of a pair is not known; say it with --dt-us")
     source = source_of(path)
     known, now = _known(out / FILE), Known()
@@ -56,10 +60,12 @@ def pairs_of_source(path: Path, out: Path, shape: tuple[int, int], dt_us: float 
             now[str(frame)] = _fresh(source, frame, known, shape)
         first, second = frames
         sums = now[str(first)][2], now[str(second)][2]
-        pairs.append(SeriesPair(f"frames_{2 * number:06d}", (first, second), sums, 1e-6 * dt_us))
+        pairs.append(
+            SeriesPair(f"frames_{2 * number:06d}", (first, second), sums, None if dt_us is None else 1e-6 * dt_us)
+        )
     if now != known:
         write_text(out / FILE, "".join(json.dumps([name, *facts]) + "\n" for name, facts in now.items()))
-    return PairsOfSeries(tuple(pairs), (), source.alone(), glass=True)
+    return PairsOfSeries(tuple(pairs), (), source.alone(), glass=True, usual_background=len(pairs) > 1)
 
 
 def _fresh(source: FrameSource, frame: Path, known: Known, shape: tuple[int, int]) -> tuple[int, int, str]:

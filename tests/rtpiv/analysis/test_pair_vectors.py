@@ -12,7 +12,7 @@ from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid
 from piv.errors import VectorFileError
 from piv.files.vector_file import read_vectors, vectors_netcdf, write_list, write_vectors, write_vtk
-from rtpiv.analysis.pair_vectors import PairResult, columns_of, quality_of, read_chunk, vectors_of_pairs
+from rtpiv.analysis.pairs.pair_vectors import PairResult, columns_of, quality_of, read_chunk, vectors_of_pairs
 
 GRID = PlaneGrid((-10.0, 5.0), 0.1, (100, 120))
 WINDOWS = WindowGrid(np.array([0, 16, 32]), np.array([0, 16, 32, 48]), 32, 16)

@@ -33,7 +33,7 @@ def test_shift_in_beds(name: str, least: int, tmp_path: Path) -> None:
     pair = [tmp_path / "a.tif", tmp_path / "b.tif"]
     for seed, (file, pattern) in enumerate(zip(pair, (sheet, sheet.displaced((step, step))), strict=True)):
         tifffile.imwrite(file, render(scene, pattern, Sensor(), samples=4, seed=50 + seed))
-    (found,) = evaluate(pair, tmp_path / "out", path, shift_mm=(step, step), pictures=False)
+    (found,) = evaluate(pair, tmp_path / "out", path, shift_mm=(step, step), pictures=False).details
     assert found.shift is not None
     middle = found.shift.regions["behind glass, r < 0.75 R"]
     assert middle.count > least

@@ -33,7 +33,7 @@ def test_shift_behind_the_glass_with_the_true_scene(name, tmp_path):
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
     (found,) = evaluate(
         pair, tmp_path / "out", tmp_path / "scene.yaml", shift_mm=frames.shift_mm, vtk=True, figures=True
-    )
+    ).details
     check(found, name)
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"vectors.nc", "vectors.vtk", "evaluation.json", "report.html", "vectors.svg", "vectors.png"} <= names
@@ -55,7 +55,9 @@ def test_shift_behind_the_glass_with_the_fitted_scene(name, tmp_path):
     scene, fit = ROOT / "examples" / f"{NOMINAL[name]}.yaml", tmp_path / "fit"
     assert main(["calibrate", str(tmp_path / "target"), "--scene", str(scene), "-o", str(fit)]) == DONE
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
-    (found,) = evaluate(pair, tmp_path / "out", fit / "scene.yaml", shift_mm=frames.shift_mm, route="compare")
+    (found,) = evaluate(
+        pair, tmp_path / "out", fit / "scene.yaml", shift_mm=frames.shift_mm, route="compare"
+    ).details
     check(found, name)
     assert found.routes is not None
     better = [better for *_, better in found.routes.rows()]

@@ -65,7 +65,7 @@ def test_tracks_are_a_file_a_table_and_a_chapter(pair, tmp_path, capsys):
 
 def test_without_a_known_shift_there_are_no_errors_and_with_a_time_there_are_velocities(pair, tmp_path):
     paths = [pair / "a.tif", pair / "b.tif"]
-    (found,) = evaluate(paths, tmp_path / "tracks", pair / "scene.yaml", tracking=True)
+    (found,) = evaluate(paths, tmp_path / "tracks", pair / "scene.yaml", tracking=True).details
     assert found.tracks is not None
     row = json.loads((tmp_path / "tracks" / "evaluation.json").read_text())["tracks"][0]
     assert row["rms_error_px"] is None

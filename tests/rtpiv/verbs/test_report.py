@@ -104,7 +104,7 @@ def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
 
 def test_a_map_is_made_once_however_many_pairs_are_seen_through_it(shift_run, tmp_path, mocker):
     traced = mocker.spy(prepared, "build_ray_map")
-    found = evaluate([shift_run], tmp_path)
+    found = evaluate([shift_run], tmp_path).details
     assert [one.task.name for one in found] == ["clear_b", "glass_b", "deep_b"]
     assert [bool(call.args[0].bodies) for call in traced.call_args_list] == [False, True]
 
@@ -177,7 +177,7 @@ def test_a_pair_that_is_none_is_named_and_left_out(shift_run, tmp_path, mocker, 
         return whole(task, *rest)
 
     mocker.patch("rtpiv.verbs.evaluate.evaluate_task", first_fails)
-    found = evaluate([shift_run], tmp_path)
+    found = evaluate([shift_run], tmp_path).details
     assert [one.task.name for one in found] == names[1:]
     assert f"{names[0]} is left out: frame B is constant" in capsys.readouterr().out.replace("\n", " ")
     mocker.patch("rtpiv.verbs.evaluate.evaluate_task", side_effect=PairError("no texture"))

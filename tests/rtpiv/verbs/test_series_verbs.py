@@ -1,11 +1,15 @@
 """A flow run by one command: vectors, mean and pages; mistakes are one sentence with its exit code."""
 
+import json
+
 import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
+from piv.files.vector_file import read_vectors
+from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.command_line.cli import DONE, USAGE, main
-from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, flow_run
+from tests.rtpiv.analysis.series.small_series import DT_US, PX_PER_MM, SCENE, content_of, flow_run
 
 PAIRS = 6
 WINDOWS = ("--first-window", "32", "--final-window", "16", "--workers", "1")
@@ -85,16 +89,30 @@ def test_what_cannot_be_meant_is_one_sentence(run, tmp_path, capsys, words, said
         assert len(error.strip().splitlines()) == 1
 
 
-def test_options_of_single_pairs_and_of_series_are_not_mixed(run, tmp_path, capsys):
+def test_every_pair_of_a_series_can_be_asked_for_more(run, tmp_path):
+    """Errors against a known shift, tracks and VTK, of a series as of two frames; its vectors stay the same."""
+    words = [str(run), *WINDOWS, "--workers", "1", "--no-pictures"]
+    assert main(["evaluate", *words, "-o", str(tmp_path / "plain")]) == DONE
+    shift_mm = ("2.5", "1.25")  # 2 px right, 1 px up
+    more = ("--shift-mm", *shift_mm, "--tracking", "--vtk", "--route", "compare")
+    assert main(["evaluate", *words, "-o", str(tmp_path / "out"), *more]) == DONE
+    assert content_of(tmp_path / "out") == content_of(tmp_path / "plain")
+    folders = sorted(path for path in (tmp_path / "out").glob("flow_*"))
+    assert len(folders) == PAIRS
+    for place, folder in enumerate(folders):
+        assert {"vectors.nc", "vectors.vtk", "evaluation.json", "tracks.nc"} <= {p.name for p in folder.iterdir()}
+        said = json.loads((folder / "evaluation.json").read_text())
+        assert max(map(abs, said["shift"]["regions"]["seen directly"]["bias_px"])) < 0.1
+        one, all_of_them = read_vectors(folder / "vectors.nc"), read_vectors(chunk_path(tmp_path / "out", 0))
+        for name in ("u", "v", "sigma_u", "flag"):
+            assert one.fields[name][0].tobytes() == all_of_them.fields[name][place].tobytes()
+
+
+def test_what_a_pair_cannot_have_is_one_sentence(run, tmp_path, capsys):
     out = ("-o", str(tmp_path / "out"))
-    for option in (("--shift-mm", "1", "0"), ("--tracking",)):
-        assert main(["evaluate", str(run), *out, *option]) == USAGE
-        assert "are for single pairs" in capsys.readouterr().err
     frames = [str(path) for path in sorted((run / "frames").iterdir())[:2]]
     (tmp_path / "scene.yaml").write_text(SCENE)
     scene = ("--scene", str(tmp_path / "scene.yaml"))
-    assert main(["evaluate", *frames, *scene, *out, "--workers", "2"]) == USAGE
-    assert "belongs to a series" in capsys.readouterr().err
     assert main(["evaluate", *frames, *scene, *out, "--prepare", "sliding-minimum"]) == USAGE
     assert "needs a series of pairs" in capsys.readouterr().err
     assert main(["mean", str(run), *WINDOWS]) == DONE

@@ -7,7 +7,7 @@ import pytest
 
 from correction.evaluate.regions import Region, Regions
 from piv.correlation.vector_field import VectorFlag
-from rtpiv.analysis.pair_vectors import ChunkContent, SeriesField
+from rtpiv.analysis.pairs.pair_vectors import ChunkContent, SeriesField
 from rtpiv.analysis.report.flow import checks_of, rim_chapter
 from rtpiv.analysis.report.mean import mean_lead
 from rtpiv.analysis.report.page import Page

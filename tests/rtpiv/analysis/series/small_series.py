@@ -79,9 +79,9 @@ def flow_run(
     return folder.path
 
 
-def given_of(run, dt_us=None):
+def given_of(run, dt_us=None, timed=True):
     """Pairs of a run as a series."""
-    return pairs_of_series(run, pairs_of(run), dt_us)
+    return pairs_of_series(run, pairs_of(run), dt_us, timed)
 
 
 def method_of(folder, *steps, settings=SETTINGS):

@@ -17,6 +17,7 @@ from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
 from piv.errors import PairError, SeriesError
+from rtpiv.analysis.evaluated import Evaluated
 from rtpiv.analysis.series import clean_frames as clean
 from rtpiv.analysis.series.chunk import evaluate_chunk
 from rtpiv.analysis.series.marker import marker_path
@@ -24,7 +25,7 @@ from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import mean_flow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder
-from rtpiv.analysis.series.series_pairs import is_series
+from rtpiv.analysis.series.series_pairs import is_flow, is_one_series
 from rtpiv.analysis.series.series_plan import chunk_path, jobs_of
 from tests.rtpiv.analysis.series.small_series import (
     DT_US,
@@ -390,7 +391,9 @@ def test_pairs_of_different_exposure_are_refused_by_name(tmp_path):
 
 def test_a_stream_whose_camera_has_no_clock_needs_to_be_told_the_time(tmp_path):
     run = flow_run(tmp_path, 11, stream=True, timestamp_ns=lambda _: 0)
-    assert is_series(run, pairs_of(run))
+    assert is_one_series(pairs_of(run))
+    assert not is_flow(pairs_of(run))
+    assert not given_of(run, timed=False).timed
     with pytest.raises(PairError, match="say it with --dt-us"):
         given_of(run)
     given = given_of(run, DT_US)
@@ -401,9 +404,22 @@ def test_a_stream_whose_camera_has_no_clock_needs_to_be_told_the_time(tmp_path):
         assert file.variables["t"][:].tolist() == list(range(11))
 
 
-def test_few_pairs_of_a_stream_get_pages_of_their_own(tmp_path):
-    run = flow_run(tmp_path, 10, stream=True)
-    assert not is_series(run, pairs_of(run))
+@pytest.mark.parametrize("count", [1, 10, 11])
+def test_a_stream_is_a_series_of_one_as_of_many(tmp_path, count):
+    """No background is taken off few pairs of a stream unasked: what stands still in so few may be particles."""
+    run = flow_run(tmp_path, count, stream=True)
+    assert is_one_series(pairs_of(run))
+    assert given_of(run).usual_background == (count == 11)
+
+
+def test_pairs_of_an_unknown_time_have_displacements_and_no_mean(tmp_path):
+    run = flow_run(tmp_path, 2, stream=True, timestamp_ns=lambda _: 0)
+    found = run_series("stream", tmp_path / "out", given_of(run, timed=False), method_of(tmp_path), 1)
+    vectors = Evaluated(2, series=found.folder).vectors
+    assert (vectors.kind, vectors.units["u"]) == ("displacement", "mm")
+    assert np.nanmedian(vectors.fields["u"]) == pytest.approx(2.0 / PX_PER_MM, rel=0.02)
+    with pytest.raises(SeriesError, match="is not known, so they have no velocity"):
+        mean_flow(Chunks.of(tmp_path / "out"))
 
 
 def test_runs_that_are_no_series_are_one_sentence(tmp_path):

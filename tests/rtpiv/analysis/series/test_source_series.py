@@ -58,8 +58,6 @@ def test_two_frames_with_a_time_have_velocities(recorded, tmp_path, capsys):
             found[name] = np.array(file.variables["u"][:]), file.variables["u"].units
     assert (found["moved"][1], found["timed"][1]) == (b"mm", b"m s-1")
     np.testing.assert_allclose(found["timed"][0], 1e-3 * found["moved"][0] / 50e-6, rtol=1e-6)
-    assert main([*words, "--workers", "2", "-o", str(tmp_path / "no")]) == USAGE
-    assert "--workers belongs to a series" in capsys.readouterr().err
 
 
 def test_a_folder_is_evaluated_and_a_pattern_averaged(recorded, tmp_path, monkeypatch, capsys):
@@ -108,5 +106,11 @@ def test_what_nobody_says_is_asked_for(recorded, tmp_path, capsys):
     for verb in (["evaluate"], ["campaign", "plan"]):
         assert main([*verb, frames, *out, "--dt-us", "50"]) == USAGE
         assert "give --scene" in capsys.readouterr().err
-        assert main([*verb, frames, *scene, *out]) == USAGE
-        assert "say it with --dt-us" in capsys.readouterr().err
+    assert main(["campaign", "plan", frames, *scene, *out]) == USAGE
+    assert "say it with --dt-us" in capsys.readouterr().err
+    assert main(["evaluate", frames, *scene, *out, *WINDOWS, "--workers", "1", "--no-pictures"]) == DONE
+    with netcdf_file(chunk_path(tmp_path / "out", 0), mmap=False) as file:
+        assert file.variables["u"].units == b"mm"
+    capsys.readouterr()
+    assert main(["mean", str(tmp_path / "out")]) == USAGE
+    assert "evaluate them with --dt-us" in capsys.readouterr().err

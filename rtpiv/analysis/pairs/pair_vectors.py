@@ -24,7 +24,7 @@ t is in s since the first pair of the run, or counts pairs, for a camera without
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from correction.fitted.vector_map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid
+from piv.errors import SeriesError
 from piv.files.vector_file import LENGTH, SPEED, Vectors, read_vectors
 
 PER_TIME = ("u", "v", "sigma_u", "sigma_v", "resolution", "map_sigma_u", "map_sigma_v")  # in m/s, or in mm
@@ -207,7 +208,7 @@ def quality_of(
     found: dict[str, NDArray[Any]] = {"peak_ratio": field.peak_ratio, "valid_fraction": field.valid_fraction}
     if map_sigma is not None:
         for number, (along, place) in enumerate((("u", "x"), ("v", "y"))):
-            found[f"map_sigma_{along}"] = map_sigma.displacement_px[..., number] * _per_px(grid.pitch_mm, dt_s)
+            found[f"map_sigma_{along}"] = map_sigma.displacement_px[..., number] * per_px(grid.pitch_mm, dt_s)
             found[f"map_sigma_{place}"] = map_sigma.position_px[..., number] * grid.pitch_mm
     if by_velocity is not None:
         found["route"] = by_velocity.astype(np.int8)
@@ -216,13 +217,44 @@ def quality_of(
 
 def columns_of(traced: PlaneVectors, dt_s: float | None) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     """Columns of vectors that lie on no grid, x, y, u, v, their sigma and branch, and the units of these."""
-    per_mm = _per_px(1.0, dt_s)
+    per_mm = per_px(1.0, dt_s)
     columns: dict[str, NDArray[Any]] = {"x": traced.place_mm[:, 0], "y": traced.place_mm[:, 1]}
     for number, name in enumerate("uv"):
         columns[name] = (traced.shift_mm[:, number] * per_mm).astype(np.float32)
         columns[f"sigma_{name}"] = (traced.sigma_mm[:, number] * per_mm).astype(np.float32)
     columns["branch"] = traced.branch.astype(np.int32)
     return columns, UNITS | dict.fromkeys(PER_TIME, LENGTH if dt_s is None else SPEED)
+
+
+def joined_vectors(parts: Sequence[Vectors]) -> Vectors:
+    """Vectors of pairs one after the other, with the fields that all of them have.
+
+    Raises
+    ------
+    SeriesError
+        They lie on different grids.
+    """
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    for part in parts:
+        if not (np.array_equal(part.x_mm, first.x_mm) and np.array_equal(part.y_mm, first.y_mm)):
+            raise SeriesError("these pairs lie on different grids; look at them one by one")
+    names = [name for name in first.fields if all(name in part.fields for part in parts)]
+    lists = {
+        name: json.dumps([one for part in parts for one in json.loads(part.attributes[name])])
+        for name in ("pairs", "failures")
+    }
+    times = np.concatenate([part.times for part in parts])
+    if first.time_unit != "s" and len(np.unique(times)) < len(times):  # each counts from its own first pair
+        times = np.arange(len(times), dtype=np.float64)
+    return replace(
+        first,
+        times=times,
+        fields={name: np.concatenate([part.fields[name] for part in parts]) for name in names},
+        by_time={name: np.concatenate([part.by_time[name] for part in parts]) for name in first.by_time},
+        attributes={**first.attributes, **lists},
+    )
 
 
 def read_chunk(content: bytes) -> ChunkContent:
@@ -264,7 +296,7 @@ def _numbers(results: Sequence[PairResult]) -> list[int]:
     return [int(end) // 2 for end in ends] if all(end.isdecimal() for end in ends) else list(range(len(ends)))
 
 
-def _per_px(pitch_mm: float, dt_s: float | None) -> float:
+def per_px(pitch_mm: float, dt_s: float | None) -> float:
     """Velocity [m/s] of 1 px, or its length [mm] where the time is not known."""
     return pitch_mm if dt_s is None else 1e-3 * pitch_mm / dt_s
 
@@ -285,17 +317,17 @@ def _by_pair(results: Sequence[PairResult]) -> dict[str, NDArray[Any]]:
 
 def _by_place(result: PairResult, shape: tuple[int, int], pitch_mm: float, timed: bool) -> dict[str, NDArray[Any]]:
     """Fields (ny, nx) of a pair, rows from the lowest y up."""
-    field, per_px = result.found, _per_px(pitch_mm, result.dt_s if timed else None)
+    field, scale = result.found, per_px(pitch_mm, result.dt_s if timed else None)
     nothing = np.full(shape, np.nan)
     if isinstance(field, str):
         masked, nobody = np.full(shape, VectorFlag.MASKED, np.int8), np.zeros(shape, np.int8)
         return dict.fromkeys(MEASURED, nothing) | {"chc": nobody, "flag": masked}
     values = {
-        "u": field.u_px * per_px,
-        "v": -field.v_px * per_px,
-        "sigma_u": field.sigma_u_px * per_px,
-        "sigma_v": field.sigma_v_px * per_px,
-        "resolution": nothing if field.resolution_px is None else field.resolution_px * per_px,
+        "u": field.u_px * scale,
+        "v": -field.v_px * scale,
+        "sigma_u": field.sigma_u_px * scale,
+        "sigma_v": field.sigma_v_px * scale,
+        "resolution": nothing if field.resolution_px is None else field.resolution_px * scale,
         "displacement_x": field.u_px,
         "displacement_y": -field.v_px,
         "correlation": field.correlation,

@@ -1,0 +1,50 @@
+"""What functions at the top of rtpiv do otherwise than the verbs of the command line that they are.
+
+Saving and printing belong to the command line.  From Python values come in and values go out: nothing is printed,
+and without a folder (`out`) nothing is left on the disk either; what the work itself writes on its way, such as
+chunks of a series that its processes share, lies in a folder of the system for as long as the call lasts.
+"""
+
+from collections.abc import Callable
+from functools import wraps
+from inspect import signature
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import ParamSpec, TypeVar
+
+from ground.terminal import silence
+
+P = ParamSpec("P")
+R = TypeVar("R")
+FOR_PEOPLE = ("pictures", "files")  # parameters of verbs that say whether pages and the like are written
+
+
+def quiet(verb: Callable[P, R]) -> Callable[P, R]:
+    """The same function, that prints nothing."""
+
+    @wraps(verb)
+    def called(*args: P.args, **named: P.kwargs) -> R:
+        with silence():
+            return verb(*args, **named)
+
+    return called
+
+
+def value_of(verb: Callable[P, R]) -> Callable[P, R]:
+    """The same function, that prints nothing and writes only into a folder that is named."""
+    takes = signature(verb)
+
+    @wraps(verb)
+    def called(*args: P.args, **named: P.kwargs) -> R:
+        given = takes.bind(*args, **named)
+        with silence():
+            if given.arguments.get("out") is not None:
+                return verb(*args, **named)
+            with TemporaryDirectory(prefix="rtpiv-", ignore_cleanup_errors=True) as folder:
+                given.arguments["out"] = Path(folder) / "out"
+                given.arguments |= dict.fromkeys((name for name in FOR_PEOPLE if name in takes.parameters), False)
+                found = verb(*given.args, **given.kwargs)
+                _ = getattr(found, "vectors", None)  # read as long as the files are there
+                return found
+
+    return called
