@@ -2,8 +2,8 @@
 
 The plane is z = 0, the camera far above it.
 
-    row        one behind the other, on the camera's axis
-    side       beside each other, along x
+    behind     one behind the other, on the camera's axis (also called row)
+    beside     beside each other, along x (also called side)
     triangle   three beside each other, parallel to the plane, the camera's axis in the hole between them
     pyramid    four (three and one) or five (four and one) balls, the tip towards the camera
     sc         a bed, simple cubic: n balls along each side, n^3 in all
@@ -16,8 +16,9 @@ from collections.abc import Sequence
 from typing import Literal, get_args
 
 Vector = tuple[float, float, float]
-Arrangement = Literal["row", "side", "triangle", "pyramid", "sc", "bcc", "hcp"]
-ARRANGEMENTS: tuple[str, ...] = get_args(Arrangement)
+Arrangement = Literal["behind", "beside", "triangle", "pyramid", "sc", "bcc", "hcp", "row", "side"]
+ALIASES = {"row": "behind", "side": "beside"}
+ARRANGEMENTS = tuple(name for name in get_args(Arrangement) if name not in ALIASES)
 BEDS = {"sc": (8, 27, 64), "bcc": (9, 35, 91), "hcp": (10, 17)}  # numbers of balls
 AIR_MM = 0.01  # between balls: what is rounded must not overlap
 ROD_LENGTH_MM = 60.0
@@ -30,11 +31,12 @@ def most_balls(arrangement: str) -> Sequence[int]:
 
 
 def usual(balls: int | None, arrangement: str | None) -> tuple[int, str]:
-    """Return number and arrangement where only one of them, or none, was said; two in a row show most."""
+    """Return number and arrangement where only one of them, or none, was said; two behind each other show most."""
     if arrangement is None:
-        return balls or 2, {3: "triangle", 4: "pyramid", 5: "pyramid"}.get(balls or 2, "row")
+        return balls or 2, {3: "triangle", 4: "pyramid", 5: "pyramid"}.get(balls or 2, "behind")
+    arrangement = ALIASES.get(arrangement, arrangement)
     counts = most_balls(arrangement)
-    few = {"pyramid": 5, "row": 2, "side": 2}.get(arrangement, counts[0])
+    few = {"pyramid": 5, "behind": 2, "beside": 2}.get(arrangement, counts[0])
     return (balls if balls is not None else few), arrangement
 
 
@@ -46,9 +48,9 @@ def centres_mm(
     low = gap_mm + ball_mm / 2.0
     sizes = sizes_mm or [ball_mm] * balls
     along = [sum(sizes[:index]) + sizes[index] / 2.0 + AIR_MM * index for index in range(balls)]
-    if arrangement == "row":
+    if arrangement == "behind":
         found = [(0.0, 0.0, gap_mm + z) for z in along]
-    elif arrangement == "side":
+    elif arrangement == "beside":
         middle = (sum(sizes) + AIR_MM * (balls - 1)) / 2.0
         found = [(x - middle, 0.0, gap_mm + size / 2.0) for x, size in zip(along, sizes, strict=True)]
     elif arrangement in BEDS:

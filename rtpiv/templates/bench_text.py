@@ -55,7 +55,7 @@ def bench_text(lab: Lab, room: Room, laser: bool = False) -> str:
     touching = [] if lab.gap_mm >= CLEARANCE_MM else list(ball_names(lab))
     named = textwrap.fill(", ".join(touching), 100, subsequent_indent=" " * 12)
     contact = f"\n  contact: [{named}]   # may touch the board" if touching else ""
-    disc = 0.4 * lab.square_mm
+    disc = 0.4 * lab.board_mm
     return f"""\
 # yaml-language-server: $schema=schemas/bench.schema.json
 # The bench of {lab.name}, {what}: what stands where, and who moves it. Lengths in mm.
@@ -80,7 +80,7 @@ keep_out:
   camera_radius_mm: {CAMERA_RADIUS_MM}           # the camera as a cylinder
   camera_ahead_mm: {room.lens_ahead_mm:g}            # from the pinhole to the front of the lens
   camera_behind_mm: 120.0{contact}
-target: {{square_mm: {lab.square_mm:g}, disc_mm: {disc:g}}}   # the chessboard; its three discs: diameter
+target: {{square_mm: {lab.board_mm:g}, disc_mm: {disc:g}}}   # the chessboard; its three discs: diameter
 camera:
   backend: harvesters              # any GenICam camera; or aravis
   options: {{cti: /opt/vendor/producer.cti}}

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq.errors import RunUsageError
 from rtpiv.templates.arrangement import (
+    ALIASES,
     ARRANGEMENTS,
     Vector,
     centres_mm,
@@ -28,7 +29,7 @@ DENSEST = 4.0  # index
 LEAST_SQUARE_PX = 20.0  # of the board, seen directly; behind glass it may be half
 LENSES_MM = (12.0, 16.0, 25.0, 35.0, 50.0, 60.0, 85.0, 105.0, 135.0, 180.0)
 AROUND = 1.05  # of what the balls hide
-LINES = ("row", "side")  # whose balls may differ
+LINES = ("behind", "beside")  # whose balls may differ
 MOST_DEG = 45.0  # of a camera that looks from the side
 SQUARES_MM = (0.5, 1.0, 1.5, 2.5, 4.0, 5.0, 10.0, 20.0)
 
@@ -50,7 +51,7 @@ class Lab:
     distance_mm : float
         From the lens (its pinhole) to the investigation plane.
     arrangement : str
-        One of `ARRANGEMENTS`.
+        One of `ARRANGEMENTS`, or of `ALIASES`.
     balls : int
         How many.
     ball_mm : float
@@ -64,10 +65,13 @@ class Lab:
     wavelength_nm : float
         Of the light.
     sizes_mm, glasses : tuple
-        Diameter and glass of each ball of a row or side, where they differ, from the plane on or from the left;
+        Diameter and glass of each ball behind or beside each other, where they differ, from the plane on or from
+        the left;
         `ball_mm` is then the largest, `glass` the first.
     turn_deg : float
         By which the camera looks at the plane from the side, about the y axis.
+    square_mm : float
+        Square of the board; 0 for the smallest usual one that this camera resolves well.
 
     Raises
     ------
@@ -80,7 +84,7 @@ class Lab:
     pixel_pitch_um: float = 4.8
     lens_mm: float = 35.0
     distance_mm: float = 500.0
-    arrangement: str = "row"
+    arrangement: str = "behind"
     balls: int = 2
     ball_mm: float = 40.0
     gap_mm: float = 30.0
@@ -90,8 +94,10 @@ class Lab:
     sizes_mm: tuple[float, ...] = ()
     glasses: tuple[str, ...] = ()
     turn_deg: float = 0.0
+    square_mm: float = 0.0
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "arrangement", ALIASES.get(self.arrangement, self.arrangement))
         if problems := list(self._problems()):
             raise RunUsageError("; ".join(problems))
 
@@ -102,7 +108,7 @@ class Lab:
         except ValidationError:
             said.append(f"name {self.name!r}: letters, digits and underscores, first a letter, 32 at most")
         lengths = ("pixel_pitch_um", "lens_mm", "distance_mm", "ball_mm", "wavelength_nm")
-        for key in (*lengths, "gap_mm", "support_mm"):
+        for key in (*lengths, "gap_mm", "support_mm", "square_mm"):
             value = getattr(self, key)
             if not math.isfinite(value) or value < 0.0 or (value == 0.0 and key in lengths):
                 said.append(f"{key}: should be a positive number, not {value:g}")
@@ -118,7 +124,9 @@ class Lab:
                 said.append(f"glass {glass!r} is not known; known are {known_media()}, or its index, 1 to 4")
         for what, given in (("ball_mm", self.sizes_mm), ("glass", self.glasses)):
             if given and (self.arrangement not in LINES or len(given) != self.balls):
-                said.append(f"{what}: several are for the balls of a row or side, one for each, not {len(given)}")
+                said.append(
+                    f"{what}: several are for balls behind or beside each other, one for each, not {len(given)}"
+                )
         if self.sizes_mm and not all(0.0 < size <= self.ball_mm for size in self.sizes_mm):
             said.append("ball_mm: every size should be a positive number")
         if not abs(self.turn_deg) <= MOST_DEG:
@@ -188,9 +196,11 @@ class Lab:
         return width / self.px_per_mm, height / self.px_per_mm
 
     @property
-    def square_mm(self) -> float:
-        """Square of a board that this camera resolves well."""
-        return next((side for side in SQUARES_MM if side * self.px_per_mm >= LEAST_SQUARE_PX), SQUARES_MM[-1])
+    def board_mm(self) -> float:
+        """Square of the board: the lab's, or one that this camera resolves well."""
+        return self.square_mm or next(
+            (side for side in SQUARES_MM if side * self.px_per_mm >= LEAST_SQUARE_PX), SQUARES_MM[-1]
+        )
 
 
 def medium_of_glass(glass: str) -> Medium:

@@ -4,7 +4,7 @@ from rtpiv.templates.lab import Lab, medium_of_glass
 from tracer.media import ConstantMedium, known_media
 
 NAMES = {
-    ("row", 1): ("ball",),
+    ("behind", 1): ("ball",),
     ("triangle", 3): ("top", "left", "right"),
     ("pyramid", 4): ("top", "left", "right", "tip"),
     ("pyramid", 5): ("southwest", "southeast", "northeast", "northwest", "tip"),

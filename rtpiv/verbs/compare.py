@@ -130,7 +130,7 @@ def _table(best: Sequence[ViewFigures], error_px: float, f_number: float, count:
         table.add_column(name, justify="left" if name == "balls" else "right", no_wrap=True)
     for number, view in enumerate(best[:SHOWN], start=1):
         lab = view.lab
-        shape = "" if lab.arrangement == "row" else f" {lab.arrangement}"
+        shape = "" if lab.arrangement == "behind" else f" {lab.arrangement}"
         gap = f" +{lab.gap_mm:g}" if lab.gap_mm else ""
         table.add_row(
             str(number),

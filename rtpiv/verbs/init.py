@@ -28,6 +28,7 @@ from rtpiv.verbs.schema import write_schemas
 
 FLOW_PX, FLOW_MM_S = 8.0, 1300.0  # between two pulses; of the simulated jet, at its exit
 SHOWN = 8  # other arrangements
+SAID = {"behind": ", one behind the other", "beside": " beside each other"}
 FILES = ("scene.yaml", "bench.yaml", "plan-target.yaml", "plan-shift.yaml", "bench-flow.yaml", "plan-flow.yaml")
 Words = dict[str, Any]
 
@@ -39,6 +40,7 @@ class Question:
     key: str
     text: str
     read: Callable[[str], Any]
+    usual: str = ""  # name of what is taken else, where that is no field
 
 
 def _sensor(text: str) -> tuple[int, int]:
@@ -57,6 +59,7 @@ QUESTIONS = (
     Question("gap_mm", "gap between the lowest ball and the plane in mm", float),
     Question("support_mm", "rods that hold them from below: diameter in mm, 0 for none", float),
     Question("lens_mm", "lens: focal length in mm", float),
+    Question("square_mm", "board: side of its squares in mm, as measured", float, "board_mm"),
     Question("wavelength_nm", "light: wavelength in nm", float),
 )
 
@@ -79,17 +82,19 @@ class GivenLab:
         From the lens to the plane (default 500).
     arrangement : str, optional
         How the balls stand: one behind the other, beside each other, ...; sc, bcc, hcp: packed beds (default:
-        row; triangle of 3, pyramid of 4 or 5).
+        behind; triangle of 3, pyramid of 4 or 5).
     balls : int, optional
         How many (default 2).
     ball_mm : float or sequence of float, optional
-        Diameter of a ball, or of each in a row or side (default 40).
+        Diameter of a ball, or of each behind or beside each other (default 40).
     glass : str or sequence of str, optional
-        Of the balls, or of each in a row or side: acrylic, BK7, borosilicate ... (default acrylic).
+        Of the balls, or of each behind or beside each other: acrylic, BK7, borosilicate ... (default acrylic).
     gap_mm : float, optional
         From the plane to the lowest ball (default: where they show most).
     support_mm : float, optional
         Diameter of steel rods that hold them (default 0).
+    square_mm : float, optional
+        Side of the board's squares (default: the smallest usual one that this camera resolves well).
     wavelength_nm : float, optional
         Of the light (default 532).
     turn_deg : float, optional
@@ -107,6 +112,7 @@ class GivenLab:
     glass: str | Sequence[str] | None = None
     gap_mm: float | None = None
     support_mm: float | None = None
+    square_mm: Positive | None = None
     wavelength_nm: Positive | None = None
     turn_deg: float | None = None
 
@@ -187,7 +193,7 @@ def _lab(given: Words, placed: bool = False) -> Lab:
     """What was said, and the usual for the rest; if `placed`, balls without a gap stand where they show most."""
     several = given.get("sizes_mm") or given.get("glasses") or ()
     count, shape = usual(
-        given.get("balls", len(several) or None), given.get("arrangement", "row" if several else None)
+        given.get("balls", len(several) or None), given.get("arrangement", "behind" if several else None)
     )
     lab = Lab(**(given | {"balls": count, "arrangement": shape}))
     if placed and "gap_mm" not in given:
@@ -231,7 +237,7 @@ def _answers(given: Words) -> Words:
         known = _lab(answers, placed=question.key == "gap_mm")
         if question.key == "balls" and len(most_balls(known.arrangement)) == 1:
             continue
-        usually = getattr(known, question.key)
+        usually = getattr(known, question.usual or question.key)
         shown = " x ".join(map(str, usually)) if isinstance(usually, tuple) else f"{usually}"
         while question.key not in answers:
             said = _line(f"{question.text} [{shown}]: ")
@@ -263,9 +269,14 @@ def _print(lab: Lab, folder: Path, lens: bool) -> None:
     width, height = lab.field_mm
     span = " x ".join(f"{side:.0f}" for side in lab.span_mm)
     sizes, glasses = (", ".join(dict.fromkeys(each)) for each in ([f"{d:g}" for d in lab.each_mm], lab.each_glass))
-    balls = f"{counted(lab.balls, 'ball')} of {sizes} mm {glasses} ({lab.arrangement})"
+    stand = SAID.get(lab.arrangement, f" ({lab.arrangement})")
+    balls = f"{counted(lab.balls, 'ball')} of {sizes} mm {glasses}{stand if lab.balls > 1 else ''}"
     field = f"{width:.0f} x {height:.0f} mm of the plane, {lab.px_per_mm:.1f} px/mm"
     screen.print(f"{balls}, {span} mm; a lens of {lab.lens_mm:g} mm sees {field}", soft_wrap=True)
+    board = f"board: squares of {lab.board_mm:g} mm, {lab.board_mm * lab.px_per_mm:.0f} px"
+    screen.print(
+        f"{board} (square_mm of target in bench.yaml and bench-flow.yaml, or --square-mm)", soft_wrap=True
+    )
     found = coarse_map(scene)
     if (shown := through_glass(scene, found.grid, found.recovered)) is not None:
         screen.print(shown.sentence, style="bold")

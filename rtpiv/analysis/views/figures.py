@@ -155,7 +155,7 @@ def with_sigma(view: ViewFigures) -> ViewFigures:
     found = coarse_map(scene)
     pixel = _Seen.of(scene, found, lab, 1.0).pixel
     times = scene.camera.sensor_px[0] // found.sensor_px[0]
-    known = expected_sigma(scene, lab.square_mm, bare_heights_mm(room), GLASS_HEIGHTS_MM, times)
+    known = expected_sigma(scene, lab.board_mm, bare_heights_mm(room), GLASS_HEIGHTS_MM, times)
     step = doubt_of(scene, None).step  # none of glass that is a number
     unsaid = known.with_draw(step) if step.size else known
 

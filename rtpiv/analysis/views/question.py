@@ -27,7 +27,7 @@ class ViewQuestion:
     counts : sequence of int
         Numbers of balls.
     arrangements : sequence of str
-        How they stand: row, side, triangle, pyramid ...
+        How they stand: behind, beside, triangle, pyramid ...
     glasses : sequence of str
         Of what: acrylic, borosilicate, BK7 ..., or an index.
     gaps_mm : sequence of float
@@ -49,7 +49,7 @@ class ViewQuestion:
     distances_mm: Sequence[Positive]
     balls_mm: Sequence[Positive]
     counts: Sequence[Count] = (1, 2, 3)
-    arrangements: Sequence[str] = ("row",)
+    arrangements: Sequence[str] = ("behind",)
     glasses: Sequence[str] = ("BK7",)
     gaps_mm: Sequence[Length] = (0.0,)
     sensor_px: tuple[Count, Count] = (2016, 2016)

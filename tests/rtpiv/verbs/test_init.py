@@ -17,7 +17,9 @@ from correction.maps.correction_map import build_correction_map
 from ground.config import load_yaml
 from rtpiv.analysis.through_glass import coarse_map, percent, through_glass
 from rtpiv.command_line.cli import DONE, USAGE, main
-from rtpiv.templates.arrangement import centres_mm, rods_mm
+from rtpiv.templates.arrangement import centres_mm, rods_mm, usual
+from rtpiv.templates.bench_room import room_of
+from rtpiv.templates.bench_text import bench_text
 from rtpiv.templates.lab import LENSES_MM, Lab
 from rtpiv.templates.lab_scene import scene_of
 from rtpiv.verbs.acquire import acquire
@@ -99,8 +101,8 @@ def test_files_are_what_the_schemas_beside_them_say(lab, tmp_path):
     ("arrangement", "balls"),
     [
         *(
-            ("row", 3),
-            ("side", 4),
+            ("behind", 3),
+            ("beside", 4),
             ("triangle", 3),
             ("pyramid", 4),
             ("pyramid", 5),
@@ -132,8 +134,8 @@ def test_balls_touch_and_do_not_overlap(arrangement, balls):
         (["--name", "my lab"], "letters, digits and underscores"),
         (["--gap-mm", "-3"], "gap_mm: should be a positive number"),
         (["--wavelength-nm", "0.532"], "300 to 2000"),
-        (["--ball-mm", "40", "30", "--balls", "3"], "ball_mm: several are for the balls of a row or side"),
-        (["--glass", "BK7", "acrylic", "--arrangement", "sc"], "glass: several are for the balls of a row"),
+        (["--ball-mm", "40", "30", "--balls", "3"], "ball_mm: several are for balls behind or beside"),
+        (["--glass", "BK7", "acrylic", "--arrangement", "sc"], "glass: several are for balls behind or beside"),
         (["--turn-deg", "80"], "turn_deg: should be -45 to 45, not 80"),
         (
             ["--balls", "7", "--glass", "marble", "--arrangement", "triangle"],
@@ -164,14 +166,16 @@ def test_by_questions_at_a_terminal(tmp_path):
     command = [sys.executable, "-m", "rtpiv", "init", str(tmp_path / "lab"), "--sensor-px", "640", "480"]
     asked = subprocess.Popen(command, stdin=there, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     os.close(there)
-    lines = ["5.5", "600", "triangel", "triangle", "thirty", "30", "Plexiglas", "", "6", "", ""]
+    lines = ["5.5", "600", "triangel", "triangle", "thirty", "30", "Plexiglas", "", "6", "", "3", ""]
     os.write(here, ("\n".join(lines) + "\n").encode())
     said, _ = asked.communicate(timeout=120)
     os.close(here)
     assert asked.returncode == DONE, said
     assert "width and height" not in said
-    assert "arrangement 'triangel': there are row, side, triangle, pyramid, sc, bcc, hcp" in said
+    assert "arrangement 'triangel': there are behind, beside, triangle, pyramid, sc, bcc, hcp" in said
     assert "'thirty' cannot be read" in said
+    assert "board: squares of 3 mm" in said
+    assert "target: {square_mm: 3, disc_mm: 1.2}" in (tmp_path / "lab" / "bench.yaml").read_text()
     scene = load_scene(tmp_path / "lab" / "scene.yaml")
     assert [ball.radius_mm for ball in scene.spheres] == [15.0] * 3
     assert len(scene.bodies) == 5
@@ -193,6 +197,19 @@ def test_the_end_of_the_answers_writes_nothing(tmp_path):
 def test_every_question_has_a_usual_answer():
     only_options = {"name", "sizes_mm", "glasses", "turn_deg"}
     assert {question.key for question in QUESTIONS} == set(vars(Lab())) - only_options
+
+
+def test_the_board_is_the_one_that_the_lab_has():
+    lab = Lab(square_mm=3.0)
+    assert "target: {square_mm: 3, disc_mm: 1.2}" in bench_text(lab, room_of(lab))
+    assert Lab().board_mm == 1.5
+    assert GivenLab(square_mm=3.0).words == {"square_mm": 3.0}
+
+
+def test_row_and_side_are_other_names_of_behind_and_beside():
+    for old, new in (("row", "behind"), ("side", "beside")):
+        assert Lab(arrangement=old) == Lab(arrangement=new)
+        assert usual(None, old) == (2, new)
 
 
 def test_the_usual_lens_is_the_longest_that_sees_what_the_balls_hide():
@@ -219,7 +236,7 @@ def test_by_itself_it_lays_out_what_shows_most_of_what_the_balls_hide(tmp_path, 
     assert share > 0.9
     assert f"through glass: {percent(share)} of what the balls hide" in said
     rows = [line.split() for line in said.splitlines() if line.strip().endswith("%")]
-    assert ["1", "row"] in [row[:2] for row in rows]
+    assert ["1", "behind"] in [row[:2] for row in rows]
     assert ["3", "triangle"] in [row[:2] for row in rows]
 
 

@@ -112,7 +112,7 @@ def test_two_balls_in_a_row_come_first_and_what_cannot_be_is_said():
     labs, refused = asked.labs()
     found = candidates_of(labs, 22.0, 0.1, 1)
     first = found.best[0].lab
-    assert (first.balls, first.arrangement, first.distance_mm) == (2, "row", 500.0)
+    assert (first.balls, first.arrangement, first.distance_mm) == (2, "behind", 500.0)
     assert found.best[0].sigma_px < found.best[0].unsaid_px
     assert any("the lens begins" in reason or "inside" in reason for reason in [*refused, *found.refused])
     with pytest.raises(RunUsageError, match="more than 5000"):
