@@ -35,6 +35,7 @@ from rtpiv.analysis.report.tables import (
     image_rows,
     lead_of,
     mask_swatches,
+    offset_said,
     region_masks,
     response_rows,
     route_rows,
@@ -57,6 +58,8 @@ def pair_summary(page: Page, evaluation: Evaluation) -> None:
         page.warning(field.doubt + ".")
     if totals := totals_of(evaluation):
         page.lead(*lead_of(totals[0]))
+        if said := offset_said(evaluation):
+            page.text(said)
         page.tiles(_region_tiles(evaluation, totals[0]))
     with page.row():
         page.slider(seen.layers, "Frame A, as acquired and corrected. Drag to compare.")
@@ -72,7 +75,13 @@ def _region_tiles(evaluation: Evaluation, total: Total) -> list[tuple[str, str, 
     found = coverage_of(evaluation, where)
     if found is not None:
         inside = "{:.0f}, {:.0f} %".format(*(100 * share for share in found.within_1))
-        tiles.append((inside, "of their errors u, v within 1 sigma", f"68 % claimed: sigma is {found.claim}"))
+        tiles.append(
+            (
+                inside,
+                "of their errors u, v within 1 sigma, after removing the common offset",
+                f"68 % claimed: sigma is {found.claim}",
+            )
+        )
         tiles.append(("{:.2f}, {:.2f}".format(*found.ratio), "scatter u, v over sigma", "1 if sigma is right"))
     return tiles
 
@@ -136,8 +145,11 @@ def _vector_figure(page: Page, evaluation: Evaluation) -> None:
         colour, label = np.hypot(field.u_px, field.v_px), "displacement [px]"
         said = "Vectors, their length in colour; lines: outlines of the bodies on the plane."
     else:
-        colour, label = np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1), "true error [px]"
-        said = "Vectors; the background is their distance from the known shift."
+        colour, label = (
+            np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1),
+            "difference from the commanded shift [px]",
+        )
+        said = "Vectors; the background is their difference from the commanded shift."
     figure = vector_figure(
         field, evaluation.grid, evaluation.task.scene, colour, label, _limit(evaluation, colour)
     )

@@ -4,10 +4,10 @@ Where the true shift is known the total error of a region is the rms of its vect
 
     total^2 = bias^2 + scatter^2.
 
-The bias may be the stage's (it moved the sheet by something else than it reported) or the map's; how large either
-may be stands in the budget of the comparison, and is no part of the total.  Where no shift is known, the total is
-what vectors are unsure of: random sigma of the correlation and map sigma, in squares.  Beside it stands whether
-sigma keeps its claim.
+The page begins with the scatter, and says the bias, a common offset, below. It may be the stage's (it moved the
+sheet by something else than it reported) or the map's; how large either may be stands in the budget of the
+comparison, and is no part of the total. Where no shift is known, the total is what vectors are unsure of:
+random sigma of the correlation and map sigma, in squares. Beside it stands whether sigma keeps its claim.
 """
 
 from collections.abc import Mapping
@@ -73,9 +73,14 @@ class Total:
         return np.asarray((evaluation.regions.region == REGIONS[self.region]) & evaluation.field.valid)
 
     @property
+    def head_px(self) -> Pair:
+        """What a page begins with: the scatter of errors, where they are known, else the total uncertainty."""
+        return dict(self.parts)["scatter"] if self.is_error else self.total_px
+
+    @property
     def said(self) -> str:
-        """What the total is."""
-        what = "total error" if self.is_error else "total standard uncertainty"
+        """What that is."""
+        what = "scatter of the errors" if self.is_error else "total standard uncertainty"
         return f"{what} u, v of the {self.count} vectors {self.region}"
 
 
@@ -209,7 +214,11 @@ def claim_rows(evaluation: Evaluation) -> list[Row]:
     What the stage missed is the same for all vectors, and is taken off first.
     """
     rows: list[Row] = []
-    for name, where in region_masks(evaluation).items():
+    masks = region_masks(evaluation)
+    glass = (evaluation.regions.region == Region.GLASS) & evaluation.field.valid
+    if glass.any():  # the region that the page begins with, before its parts
+        masks = {GLASS: glass} | masks
+    for name, where in masks.items():
         found = coverage_of(evaluation, where)
         if found is not None:
             inside = (f"{100 * u:.0f}, {100 * v:.0f} %" for u, v in (found.within_1, found.within_2))
@@ -312,12 +321,48 @@ def _ratio(signal_to_noise: float) -> str:
 
 
 def lead_of(total: Total) -> tuple[str, str, Row, list[Row]]:
-    """The total with its parts, for the head of a page: value, what it is, head and rows of a small table."""
-    value = "{:.4f}, {:.4f} px".format(*total.total_px)
-    rows = [(name, *(f"{part:+.4f}" if name == "bias" else f"{part:.4f}" for part in pair))
-            for name, pair in total.parts]  # fmt: skip
+    """The scatter, for the head of a page: value, what it is, head and rows of a small table with the total."""
+    value = "{:.4f}, {:.4f} px".format(*total.head_px)
+    rows = []
+    for name, pair in total.parts:
+        known, form = ("common offset", "+.4f") if name == "bias" else (name, ".4f")
+        rows.append((known, *(format(part, form) for part in pair)))
     rows.append(("total, in squares", *(f"{part:.4f}" for part in total.total_px)))
     return value, total.said, ("[px]", "u", "v"), rows
+
+
+def offset_said(evaluation: Evaluation) -> str:
+    """Say whose the common offset of all errors is; "" without a known shift.
+
+    The stage moves everything alike: its offset is the same behind and beside the glass, to within what chance and
+    the fitted map leave of the two means, and no larger than twice the sigma of two of its positions.
+    """
+    result = evaluation.shift
+    if result is None:
+        return ""
+    first, *others = totals_of(evaluation)
+    offset = np.array(result.regions[first.region].bias_px)
+    allowed_px = 2.0 * float(np.sqrt(2.0)) * result.stage_px
+    said = f"Common offset {_norm(offset)} px"
+    if not others:
+        return f"{said}, of the stage or of the map (the stage is allowed {allowed_px:.2g} px)."
+    share = independent_share(evaluation.field.step_px, evaluation.field.window_px)
+    means = [
+        np.array(result.regions[total.region].std_px) / np.sqrt(max(1.0, share * total.count))
+        for total in (first, *others)
+    ]
+    moved = evaluation.map_sigma
+    by_map = 0.0 if moved is None else _rms_uv(moved.displacement_px[first.where(evaluation)])
+    apart = np.abs(offset - result.regions[others[0].region].bias_px)
+    if (apart > 3.0 * np.sqrt(np.square(means).sum(axis=0) + np.square(by_map))).any():
+        beside = _norm(np.array(result.regions[others[0].region].bias_px))
+        return f"{said}, and {beside} px beside the glass: the map or the scene is off by the difference."
+    whose = "that is the stage" if np.hypot(*offset) <= allowed_px else "too much for the stage"
+    return f"{said}, the same beside the glass: {whose} (allowed {allowed_px:.2g} px)."
+
+
+def _norm(offset: NDArray[np.float64]) -> str:
+    return f"{np.hypot(*offset):.3f}"
 
 
 def budget_rows(evaluation: Evaluation) -> list[Row]:

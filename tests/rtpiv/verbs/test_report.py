@@ -87,7 +87,7 @@ def test_a_shift_run_becomes_one_page_with_all_its_pairs(shift_run):
     head = text.partition("<h2>")[0]
     assert re.search(r"<b>\d+ %</b><span>of what the balls hide is seen through glass", head)
     assert re.search(
-        r"total error u, v of the (\d+) vectors behind glass.*<b>\1</b><span>valid vectors behind", head
+        r"scatter of the errors u, v of the (\d+) vectors behind glass.*<b>\1</b><span>valid vectors behind", head
     )
     assert "seen directly" not in head  # one region
     assert head.count('class="slider"') == 1

@@ -7,7 +7,7 @@ import pytest
 
 from correction.evaluate.regions import Region, Regions
 from correction.evaluate.shift import evaluate_shift
-from rtpiv.analysis.report.tables import coverage_of, lead_of, totals_of
+from rtpiv.analysis.report.tables import claim_rows, coverage_of, lead_of, offset_said, totals_of
 from tests.correction.evaluate.vectors import uniform_field
 
 SHIFT_PX = (4.0, -3.0)
@@ -39,8 +39,9 @@ def test_the_total_is_bias_and_scatter_of_what_lies_behind_glass():
         assert glass.total_px[axis] == pytest.approx(np.hypot(parts["bias"][axis], parts["scatter"][axis]))
     assert set(parts) == {"bias", "scatter"}  # the map's and the stage's sigma are no parts, and may be larger
     value, said, head, rows = lead_of(glass)
-    assert said == "total error u, v of the 400 vectors behind glass"
-    assert value.endswith(" px")
+    assert said == "scatter of the errors u, v of the 400 vectors behind glass"
+    assert value == "{:.4f}, {:.4f} px".format(*parts["scatter"])
+    assert rows[0][0] == "common offset"
     assert head == ("[px]", "u", "v")
     assert [row[0] for row in rows][-1] == "total, in squares"
     assert glass.where(evaluation()).sum() == 400 <= glass.nodes(evaluation())
@@ -87,3 +88,23 @@ def test_what_the_map_is_unsure_of_counts_for_the_coverage():
     assert found.ratio == pytest.approx((1.0, 1.0), rel=0.1)
     made.map_sigma = None
     assert coverage_of(made, np.ones((39, 39), bool)).claim == "too small"
+
+
+def test_an_offset_that_is_the_same_beside_the_glass_is_the_stage():
+    assert offset_said(evaluation()) == (
+        "Common offset 0.030 px, the same beside the glass: that is the stage (allowed 0.14 px)."
+    )
+    assert "too much for the stage" in offset_said(evaluation(bias=(0.3, 0.0)))
+    assert "of the stage or of the map" in offset_said(evaluation(glass=False))
+    assert offset_said(evaluation(known=False)) == ""
+    made = evaluation()
+    made.field.u_px[made.regions.region == Region.GLASS] += 0.05
+    made.shift = evaluate_shift(made.field, made.regions, SHIFT_PX, 0.05)
+    assert "beside the glass: the map or the scene is off" in offset_said(made)
+
+
+def test_tables_and_head_have_one_verdict_of_a_region():
+    made = evaluation(sigma=0.04)
+    claims = {row[0]: row[-1] for row in claim_rows(made)}
+    glass, _ = totals_of(made)
+    assert claims[glass.region] == coverage_of(made, glass.where(made)).claim == "too large"
