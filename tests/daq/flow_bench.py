@@ -35,7 +35,7 @@ DT_US = {"straddling": 19_700.0}
 
 
 class ToldLight(lit.LitFlow):
-    """LaserSession whose frames say what they show."""
+    """Light whose frames say what they show."""
 
     def exposed(self, camera, start_ns, end_ns, pairs=None):
         with self._lock:
