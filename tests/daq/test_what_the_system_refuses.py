@@ -36,7 +36,7 @@ WORDS = {
 def failing(verb, monkeypatch, error):
     """Let a verb be one that meets an error of the system somewhere inside."""
 
-    def fails(**options):
+    def fails(*words, **options):
         raise error
 
     __import__(f"rtpiv.verbs.{verb}")
