@@ -81,5 +81,5 @@ def check_views(bench: Bench, steps: Iterable[Step]) -> None:
             there, pose = arranged(bench, scene, step.targets_mm, table.glass_off_mm)
             tables_of(there, pose, table.pupil, sheet_mm(bench))
         except SceneError as error:
-            said = f"the simulated bench cannot show step {step.index} ({step.tag})"
+            said = f"the simulated bench cannot show step {step.index + 1} ({step.tag})"
             raise PlanError(f"{said}: {error}") from None

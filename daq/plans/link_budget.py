@@ -129,7 +129,7 @@ def require_link(bench: Bench, steps: Iterable[Step], told: Mapping[str, Setting
     """
     for step in steps:
         if said := link_excess(bench, step, told):
-            raise RunUsageError(f"step {step.index} ({step.tag}): {said}")
+            raise RunUsageError(f"step {step.index + 1} ({step.tag}): {said}")
 
 
 def _rate_hz(section: CameraSection, step: Step, settings: Mapping[str, Setting]) -> tuple[float, int]:

@@ -189,14 +189,16 @@ class Runner:
             self._require_still_there(frames, step, record)
         except StageError as error:
             if self.interrupts.wanted and not isinstance(error, DeviceLost):
-                raise RunInterrupted(f"stopped {place} step {step.index} ({step.tag}): {error}") from error
+                raise RunInterrupted(f"stopped {place} step {step.index + 1} ({step.tag}): {error}") from error
             raise
         except LaserStopped as error:
             if self.interrupts.wanted:
-                raise RunInterrupted(f"stopped at step {step.index} ({step.tag}): {error}") from error
+                raise RunInterrupted(f"stopped at step {step.index + 1} ({step.tag}): {error}") from error
             raise
         if gaps is None:
-            raise RunInterrupted(f"ended on request within step {step.index} ({step.tag}), which keeps its frames")
+            raise RunInterrupted(
+                f"ended on request within step {step.index + 1} ({step.tag}), which keeps its frames"
+            )
         record |= {"gaps": gaps} if gaps else {}
         for camera in self._first_last:
             camera.finish_step(step, record)

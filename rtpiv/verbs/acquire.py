@@ -33,7 +33,7 @@ from ground.plain_words import counted
 from ground.terminal import console, error_console
 from piv.resampling.sample import Method
 from rtpiv.options.numbers import Count, DewarpOrder
-from rtpiv.verbs.operator import operator_of, require_person
+from rtpiv.verbs.operator import ScriptOperator, operator_of, require_person
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named, path_of
 from stages.errors import PortUnavailable
@@ -44,6 +44,11 @@ if TYPE_CHECKING:
 
 SHOWN_STEPS = 40
 SHOWN_PAIRS = 12
+ENDS = "Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps"
+ENDS_IN_LIGHT = (
+    "Ctrl-C switches the laser off and ends within the step, whose pairs are kept; twice stops the axes now;"
+    " Ctrl-Z pauses between steps"
+)
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,7 @@ def acquire(
         first = said.violations[0]
         raise PlanError(
             f"{plan}: {len(said.violations)} of its moves or rates are not allowed; "
-            f"step {first.step} ({first.tag}): {first.text}"
+            f"step {first.step + 1} ({first.tag}): {first.text}"
         )
     if simulate:
         check_views(loaded, steps.steps)
@@ -154,7 +159,7 @@ def acquire(
     check_disk(out, said.raw_bytes + (said.corrected_bytes if frames.correct else 0))
     folder = begin(request, loaded, steps, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {steps.table.shows}")
-    screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
+    screen.print(ENDS_IN_LIGHT if any(step.pulses is not None for step in steps.steps) else ENDS)
     run_and_report(screen, Run(request, loaded, steps, folder), home, person, live=frames.live)
     return folder.path
 
@@ -214,6 +219,8 @@ def run_and_report(
             raise
         homing = " --home" if home or request.simulate else ""  # a simulated world forgets where it was
         said = f"the run is in {folder.path}; go on with: rtpiv resume {shlex.quote(str(folder.path))}{homing}"
+        if isinstance(person, ScriptOperator):
+            said += f" --operator {shlex.quote(person.name)}"
         error_console().print(said, soft_wrap=True, highlight=False)
         raise
     print_done(screen, folder, done)
@@ -261,7 +268,7 @@ def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, wi
         for step in plan.steps[:SHOWN_STEPS]:
             away = ", ".join(f"{n} {mm:+.3f}" for n, mm in step.positions_mm if mm != home[n])
             last = f"{step.first_frame}..{step.numbers[-1]}" if step.frames > 1 else str(step.first_frame)
-            table.add_row(str(step.index), last, step.tag, step.view, away or "-")
+            table.add_row(str(step.index + 1), last, step.tag, step.view, away or "-")
         screen.print(table)
         if len(plan.steps) > SHOWN_STEPS:
             screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
@@ -274,7 +281,7 @@ def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, wi
     if said.link:
         screen.print(said.link, soft_wrap=True, highlight=False)
     for violation in said.violations:
-        screen.print(f"not allowed: step {violation.step} ({violation.tag}): {violation.text}", style="bold")
+        screen.print(f"not allowed: step {violation.step + 1} ({violation.tag}): {violation.text}", style="bold")
 
 
 def print_done(screen: Console, folder: RunFolder, done: dict[str, Any]) -> None:

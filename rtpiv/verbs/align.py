@@ -14,7 +14,7 @@ from daq.plans.plan import load_plan
 from daq.runner.session import Request, Run, begin, check_disk
 from ground.plain_words import counted
 from ground.terminal import console, error_console
-from rtpiv.verbs.acquire import forecast_said, run_and_report
+from rtpiv.verbs.acquire import ENDS, forecast_said, run_and_report
 from rtpiv.verbs.operator import operator_of
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named
@@ -95,7 +95,7 @@ def _carried_out(screen: Console, request: Request, bench: Bench, out: Path, hom
     check_disk(out, raw_bytes)
     folder = begin(request, bench, plan, out)
     screen.print(f"run {folder.path}; the target's stage should hold: {plan.table.shows}")
-    screen.print("Ctrl-C finishes the step, twice stops the axes now, Ctrl-Z pauses between steps")
+    screen.print(ENDS)
     run_and_report(screen, Run(request, bench, plan, folder), home, operator_of(None, request.simulate))
     return folder.path
 

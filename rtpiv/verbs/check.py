@@ -216,7 +216,7 @@ def _plan_said(path: Path, bench: Bench) -> str:
     said, _ = forecast_from_home(bench, idle_stage(bench), plan.steps)
     if said.violations:
         lines = [
-            f"{path}: step {v.step} ({v.tag}) is not allowed on {bench.path.name}: {v.text}"
+            f"{path}: step {v.step + 1} ({v.tag}) is not allowed on {bench.path.name}: {v.text}"
             for v in said.violations
         ]
         raise PlanError("\n".join(lines))

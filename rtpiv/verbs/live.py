@@ -119,7 +119,10 @@ def _away(bench: Bench, hardware: OpenBench) -> str:
     true_mm = hardware.simulation.true_mm()
     away = [f"{name} by {true_mm[name] - mm:+.1f} mm" for name, mm in bench.home_mm.items()
             if abs(true_mm[name] - mm) > NEAR_MM]  # fmt: skip
-    return f"simulated axes stand off the place in the scene file: {', '.join(away)}" if away else ""
+    if not away:
+        return ""
+    cure = f"see a run corrected: rtpiv acquire PLAN --bench {bench.path} --simulate --home --live"
+    return f"simulated axes stand off the place in the scene file: {', '.join(away)}; {cure}"
 
 
 def _endless(exposures: CameraSession) -> Iterator[Frame]:

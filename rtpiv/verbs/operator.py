@@ -8,6 +8,7 @@ who reads the code and types it, at the bench, once a run.
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from daq.errors import RunUsageError
 from daq.plans.steps import Step
@@ -48,8 +49,11 @@ class TerminalOperator:
         return mm
 
 
+@dataclass(frozen=True)
 class ScriptOperator:
-    """A script that answers for a simulated laser."""
+    """A script that answers for a simulated laser; `name` is whose it is."""
+
+    name: str = ""
 
     def confirmation_code(self, challenge: str) -> str:
         """Say what is asked for."""
@@ -89,7 +93,7 @@ def operator_of(name: str | None, simulate: bool) -> Operator:
             "--operator answers for a simulated laser only; at a real one a person types the code that it shows"
         )
     if name is not None:
-        return ScriptOperator()
+        return ScriptOperator(name)
     return TerminalOperator() if sys.stdin is not None and sys.stdin.isatty() else NoOperator()
 
 

@@ -54,7 +54,7 @@ def test_dry_run_opens_nothing_and_shows_violations(tmp_path, capsys):
     assert not (tmp_path / "runs").exists()
     (tmp_path / "plan.yaml").write_text(PLAN.replace("20.0", "46.0"))
     assert main(arguments) == USAGE
-    assert "3 of its moves or rates are not allowed; step 1 (particles_glass_d0_r0_b)" in capsys.readouterr().err
+    assert "3 of its moves or rates are not allowed; step 2 (particles_glass_d0_r0_b)" in capsys.readouterr().err
 
 
 def test_what_is_not_there_is_a_device_error(tmp_path, capsys):

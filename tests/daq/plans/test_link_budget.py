@@ -71,14 +71,14 @@ def test_an_unknown_link_is_believed_and_its_need_said(tmp_path):
 
 def test_check_says_it_with_the_file(tmp_path):
     bench, plan = flow(tmp_path, settings=BIG + GIGE)
-    with pytest.raises(RunUsageError, match=r"plan-flow.yaml: step 0 \(flow_glass\).*162.6 MB/s.*Mono12p"):
+    with pytest.raises(RunUsageError, match=r"plan-flow.yaml: step 1 \(flow_glass\).*162.6 MB/s.*Mono12p"):
         check_files([bench.path, plan.path])
 
 
 def test_the_camera_s_own_word_counts_before_anything_moves(tmp_path):
     bench, plan = flow(tmp_path, settings=BIG)
     told = {"PixelFormat": "Mono16", "PayloadSize": 8_128_512, "GevLinkSpeed": 1000, "GevSCPSPacketSize": 9000}
-    with pytest.raises(RunUsageError, match=r"step 0 .*162.6 MB/s, and the camera's link carries 117.8"):
+    with pytest.raises(RunUsageError, match=r"step 1 .*162.6 MB/s, and the camera's link carries 117.8"):
         require_link(bench, plan.steps, told)
     require_link(bench, plan.steps, told | {"GevLinkSpeed": 10_000})
     require_link(bench, plan.steps, {"PixelFormat": "Mono16"})

@@ -127,7 +127,7 @@ def test_ctrl_c_twice_stops_from_another_thread_and_the_run_can_go_on(bench_and_
             raise MotionStopped("glass_z was stopped")
 
         hardware.stage.move = move
-        with pytest.raises(RunInterrupted, match=r"stopped on the way to step 0 \(particles_clear_d0_r0_a\)"):
+        with pytest.raises(RunInterrupted, match=r"stopped on the way to step 1 \(particles_clear_d0_r0_a\)"):
             runner.run()
         assert stopper[0] is not threading.main_thread()
         assert folder.entries()[-1]["why"] == "RunInterrupted"

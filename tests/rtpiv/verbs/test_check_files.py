@@ -86,7 +86,7 @@ def test_the_simulation_is_looked_at_as_well(lab):
 
 def test_a_plan_that_a_bench_must_not_carry_out(lab):
     change(lab / "plan-target.yaml", "glass: {z_mm: [0.0", "glass: {z_mm: [60.0")
-    with pytest.raises(RunUsageError, match=r"step 5 \(target_glass_z\+60mm\) is not allowed on bench.yaml"):
+    with pytest.raises(RunUsageError, match=r"step 6 \(target_glass_z\+60mm\) is not allowed on bench.yaml"):
         check([lab / "plan-target.yaml"])
     found = check([str(lab / "plan-shift.yaml")], bench=str(lab / "bench.yaml"))
     assert "4 steps" in found[0].said

@@ -30,7 +30,9 @@ def test_axes_that_stand_elsewhere_are_named(bench: Bench) -> None:
     assert _away(bench, hardware(at_home)) == ""
     assert _away(bench, hardware(None)) == ""  # nobody knows at a real bench
     said = _away(bench, hardware(at_home | {"glass_y": at_home["glass_y"] - 48.3}))
-    assert said == "simulated axes stand off the place in the scene file: glass_y by -48.3 mm"
+    where, cure = said.split("; ")
+    assert where == "simulated axes stand off the place in the scene file: glass_y by -48.3 mm"
+    assert cure == f"see a run corrected: rtpiv acquire PLAN --bench {bench.path} --simulate --home --live"
 
 
 def test_the_page_says_so_and_draws_no_outlines(bench: Bench) -> None:

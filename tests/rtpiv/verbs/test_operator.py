@@ -1,12 +1,14 @@
 """The word is shown and read at a terminal; a script answers for a simulated laser only; nobody is refused."""
 
 import io
+import re
 
 import pytest
 
-from daq.errors import RunUsageError
+from daq.errors import RunInterrupted, RunUsageError
 from daq.runner.laser_session import NoOperator
-from rtpiv.command_line.cli import USAGE, main
+from daq.runs.run_folder import RunFolder
+from rtpiv.command_line.cli import DONE, INTERRUPTED, USAGE, main
 from rtpiv.verbs.operator import ScriptOperator, TerminalOperator, operator_of
 from tests.daq.flow_bench import write_flow
 
@@ -42,7 +44,7 @@ def test_without_a_terminal_nobody_says_it(monkeypatch):
 
 
 def test_a_script_answers_for_a_simulated_laser_only():
-    assert isinstance(operator_of("me", simulate=True), ScriptOperator)
+    assert operator_of("me", simulate=True) == ScriptOperator("me")
     with pytest.raises(RunUsageError, match="simulated laser only"):
         operator_of("me", simulate=False)
 
@@ -76,3 +78,23 @@ def test_a_person_reads_where_a_stage_stands(monkeypatch, capsys):
 def test_who_sees_no_scale_says_nothing_of_it(nobody):
     with pytest.raises(RunUsageError, match="glass_x is homed by hand"):
         nobody.stands_mm("glass_x")
+
+
+def test_the_hint_to_resume_repeats_who_answers_and_the_steps_are_those_of_the_panel(
+    tmp_path, monkeypatch, capsys
+):
+    """And what Ctrl-C does to a run with light is said as it is."""
+    bench, plan = write_flow(tmp_path)
+
+    def ended(*_: object, **__: object) -> None:
+        raise RunInterrupted("ended")
+
+    monkeypatch.setattr("rtpiv.verbs.acquire.run_session", ended)
+    monkeypatch.setattr(RunFolder, "remove_if_empty", lambda self: False)
+    words = ("acquire", str(plan), "--bench", str(bench), "--simulate", "--home", "-o", str(tmp_path / "runs"))
+    assert main([*words, "--no-correct", "--operator", "me"]) == INTERRUPTED
+    said = capsys.readouterr()
+    assert "Ctrl-C switches the laser off and ends within the step" in said.out
+    assert said.err.splitlines()[0].endswith(" --home --operator me")
+    assert main([*words[:5], "--dry-run"]) == DONE
+    assert re.search(r"\W1\W+0\.\.", capsys.readouterr().out)  # the first step, and its frames
