@@ -10,9 +10,10 @@ from sim.emulators import emulator_class
 from sim.emulators.isel_dnc import IselEmulator
 from sim.mechanics.clock import VirtualClock
 from sim.mechanics.motion import Mechanics, Motor
+from sim.timing_boxes import pivlab_synchroniser, quantum_composers
 from stages.drivers_by_name import DRIVERS
 
-TIMING = ("quantum_composers", "pivlab_synchroniser")
+TIMING = {"quantum_composers": quantum_composers.EMULATOR, "pivlab_synchroniser": pivlab_synchroniser.EMULATOR}
 HEXADECIMAL = ("thorlabs_apt",)  # what has no text is written as its bytes, a message a line
 FOLDER = Path(__file__).parent / "dialogues"
 SCREW = Mechanics(lead_mm=5.0, steps_per_rev=1600, high_switch_mm=200.0, index_mm=100.0, power_up_mm=60.0)
@@ -40,7 +41,8 @@ class Replay:
         options = {key: value for key, value in setup.items() if key != "motors"}
         if "settings" in options:
             options["settings"] = {int(number): value for number, value in options["settings"].items()}
-        self.device = emulator_class(protocol)(motors, self.clock, **options)
+        made = TIMING[protocol] if protocol in TIMING else emulator_class(protocol)
+        self.device = made(motors, self.clock, **options)
         self.framed = protocol != "isel_dnc"
         self.is_hexadecimal = protocol in HEXADECIMAL
         self.heard = []
