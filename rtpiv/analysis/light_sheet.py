@@ -63,10 +63,14 @@ def flow_frames(paths: Sequence[Path], fitted: Scene) -> FlowFrames:
     run = paths[0]
     pairs = [pair for pair in pairs_of(run).pairs if not pair.is_background]
     if any(pair.measured_mm is not None for pair in pairs):
-        raise PairError(f"{run}: shows a print on the target's stage, and no light sheet; give a flow run")
+        raise PairError(
+            "shows a print on the target's stage, and no light sheet", place=run, cure="give a flow run"
+        )
     pairs = [pair for pair in pairs if pair.glass]
     if not pairs:
-        raise PairError(f"{run}: was taken without the glass, and only glass shows particles twice; give another")
+        raise PairError(
+            "was taken without the glass, and only glass shows particles twice", place=run, cure="give another"
+        )
     chosen = _spread(pairs)
     scene = with_glass_at(fitted, glass_place_mm(run, [pair.frames[0] for pair in chosen]))
     return FlowFrames(tuple(pair.frames for pair in chosen), scene)

@@ -70,7 +70,7 @@ def align(
     steps = load_plan(Path(plan), loaded)
     if not isinstance(steps.table, AlignPlan):
         raise PlanError(
-            f"{plan}: is a plan of experiment: {steps.table.experiment}; give one of experiment: align"
+            f"is a plan of experiment: {steps.table.experiment}", place=plan, cure="give one of experiment: align"
         )
     said = forecast_said(screen, loaded, steps, home, with_steps=dry_run)
     for sentence in short_of_room(loaded):

@@ -135,7 +135,9 @@ def nominal_scene(folder: Path, scene: Path | None) -> tuple[Scene, FitTable]:
     if scene is not None:
         return load_scene(scene), load_priors(scene)
     if not is_run(folder):
-        raise ViewsMissing(f"{folder}: is no run, which would know its scene; give the nominal one with --scene")
+        raise ViewsMissing(
+            "is no run, which would know its scene", place=folder, cure="give the nominal one with --scene"
+        )
     return load_kept(RunFolder.open(folder), "scene", lambda file: (load_scene(file), load_priors(file)))
 
 
@@ -152,10 +154,10 @@ def target_frames(folder: Path, shape: tuple[int, int]) -> list[TargetFrame]:
         A frame of a run, or a record of it, is not what was written.
     """
     if not folder.is_dir():
-        raise ViewsMissing(f"{folder}: is no folder; give a run, or the folder with {WANTED}")
+        raise ViewsMissing("is no folder", place=folder, cure=f"give a run, or the folder with {WANTED}")
     views = target_views(folder) if is_run(folder) else _named_views(folder)
     if not views:
-        raise ViewsMissing(f"{folder}: holds no frame of the target; name them {WANTED}")
+        raise ViewsMissing("holds no frame of the target", place=folder, cure=f"name them {WANTED}")
     return [TargetFrame(view.tag, read_acquired(view.path, shape), view.glass, view.height_mm) for view in views]
 
 
@@ -167,6 +169,8 @@ def _named_views(folder: Path) -> list[TargetView]:
             continue
         match = NAME.fullmatch(path.stem)
         if match is None:
-            raise ViewsMissing(f"{path}: is named like a frame of the target, but not {WANTED}; rename it")
+            raise ViewsMissing(
+                f"is named like a frame of the target, but not {WANTED}", place=path, cure="rename it"
+            )
         views.append(TargetView(path.stem, path, match[1] == "glass", float(match[2] or 0.0)))
     return views

@@ -151,7 +151,9 @@ def campaign(
     show_campaign(screen, states)
     missing = sum(state.chunks - state.done for state in states)
     if missing:
-        raise Unfinished(f"{folder.path}: {said_missing(missing)}; rtpiv campaign run -o {folder.path} goes on")
+        raise Unfinished(
+            said_missing(missing), place=folder.path, cure=f"rtpiv campaign run -o {folder.path} goes on"
+        )
     if action == "run":
         screen.print(f"average with: rtpiv campaign merge -o {folder.path}")
     return states

@@ -76,7 +76,9 @@ def check(paths: Sequence[Named] | Named, /, bench: Named | None = None) -> list
     folders = {path: sorted(path.glob("*.yaml")) for path in given if path.is_dir() and path not in runs}
     empty = [path for path, files in folders.items() if not files]
     if empty and not runs:
-        raise RunUsageError(f"{empty[0]}: is neither a run nor a folder with .yaml files; name what to check")
+        raise RunUsageError(
+            "is neither a run nor a folder with .yaml files", place=empty[0], cure="name what to check"
+        )
     caches = [path for path in empty if path.name == MAPS]
     for path in caches:  # beside runs, as `runs/*` names it
         console().print(f"{path}  correction maps that runs share; they are made again when one is missing")
@@ -248,5 +250,7 @@ def _check_runs(runs: Sequence[Path]) -> list[RunCheck]:
     if bad:
         parts = [finding.part for found in bad for finding in found.findings if not finding.sound]
         named = ", ".join(str(found.path) for found in bad)
-        raise RunDamaged(f"{named}: not what was acquired in {', '.join(dict.fromkeys(parts))}; see above")
+        raise RunDamaged(
+            f"not what was acquired in {', '.join(dict.fromkeys(parts))}", place=named, cure="see above"
+        )
     return checks

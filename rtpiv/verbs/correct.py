@@ -1,10 +1,15 @@
-"""`rtpiv correct`: frames as if the glass were not there."""
+"""`rtpiv correct`: frames as if the glass were not there.
 
-from collections.abc import Sequence
+Results are written while the next ones are made, by a thread of its own that holds one (`WriteBehind`).
+"""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +35,43 @@ from rtpiv.analysis.views.arranged import little
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of, paths_of
-from rtpiv.write_behind import WriteBehind
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
+
+
+class WriteBehind:
+    """Carries out one call after the other beside its caller, in their order.
+
+    A call that fails ends what was to come: `write`, or the end of the block, raises its error, and nothing more
+    begins.
+    """
+
+    def __init__(self) -> None:
+        self._writer = ThreadPoolExecutor(1, "rtpiv-results")
+        self._last: Future[None] | None = None
+
+    def write(self, call: Callable[[], None]) -> None:
+        """Wait until the last call is done, then begin this one."""
+        self._done()
+        self._last = self._writer.submit(call)
+
+    def _done(self) -> None:
+        last, self._last = self._last, None
+        if last is not None:
+            last.result()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if error is None:
+                self._done()
+        finally:
+            self._writer.shutdown(wait=True)  # what has begun is whole; of another error that one is told
+
 
 DEWARP_DOUBT_PX = 0.2  # several times the noise of a corner
 CELL_PX, PARTICLE_PX = 8.0, 4.0  # of computer-generated particles: seeding that an eye can follow
@@ -219,7 +258,9 @@ def _refuse_same_names(frames: list[Path]) -> None:
     stems = [stem_of(path) for path in frames]
     for stem in stems:
         if stems.count(stem) > 1 or stem == "mask":
-            raise FrameError(f"{stem}: two results would have this name; rename the frame or use two runs")
+            raise FrameError(
+                "two results would have this name", place=stem, cure="rename the frame or use two runs"
+            )
 
 
 def _draw(

@@ -33,7 +33,7 @@ def examples(folder: Named = Path("examples"), /) -> Path:
     """
     out = require_folder(folder)
     if out.exists() and any(out.iterdir()):
-        raise RunUsageError(f"{out}: has files already; give another folder")
+        raise RunUsageError("has files already", place=out, cure="give another folder")
     source, made = example_files.examples(), not out.exists()
     try:
         for path in sorted(source.rglob("*")):
@@ -44,7 +44,7 @@ def examples(folder: Named = Path("examples"), /) -> Path:
     except BaseException as error:
         _clear(out, made)
         if isinstance(error, OSError):
-            raise DiskError(f"{out}: {why(error)}; make room, then give the same command again") from None
+            raise DiskError(why(error), place=out, cure="make room, then give the same command again") from None
         raise
     console().print(f"{len(list(out.rglob('*.yaml')))} files and tour.py are in {out}", soft_wrap=True)
     return out

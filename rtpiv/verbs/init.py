@@ -222,10 +222,12 @@ def _check(folder: Path) -> None:
 
 def _refuse_existing(folder: Path, overwrite: bool) -> None:
     if folder.exists() and not folder.is_dir():
-        raise RunUsageError(f"{folder}: is a file; give a folder")
+        raise RunUsageError("is a file", place=folder, cure="give a folder")
     there = [file for file in FILES if (folder / file).exists()]
     if there and not overwrite:
-        raise RunUsageError(f"{folder}: {', '.join(there)} is there already; give another folder, or --overwrite")
+        raise RunUsageError(
+            f"{', '.join(there)} is there already", place=folder, cure="give another folder, or --overwrite"
+        )
 
 
 def _answers(given: Words) -> Words:
@@ -263,7 +265,7 @@ def _line(prompt: str) -> str:
 
 def _print(lab: Lab, folder: Path, lens: bool) -> None:
     from rtpiv.analysis.through_glass import coarse_map, through_glass
-    from rtpiv.templates.lab_scene import scene_of
+    from rtpiv.templates.scene_text import scene_of
 
     screen, scene = console(), scene_of(lab)
     width, height = lab.field_mm

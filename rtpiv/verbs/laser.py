@@ -90,7 +90,7 @@ def _known(file: Path | None, name: str | None, anywhere: bool = False) -> list[
     there = ", ".join(map(str, found)) or "none"
     which = "laser" if name is None else f"device {name!r} of kind {KIND}"
     raise RunUsageError(
-        f"{where}: no {which}; there is {there}. Name a bench file with --bench, or use its own key"
+        f"no {which}", place=where, cure=f"there is {there}. Name a bench file with --bench, or use its own key"
     )
 
 

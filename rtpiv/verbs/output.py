@@ -58,14 +58,16 @@ def require_folder(out: Path | str) -> Path:
             out.lstat()  # a name that no folder can have is refused by the system
         there = next(place for place in (out, *out.absolute().parents) if place.exists())
         if not there.is_dir():
-            raise RunUsageError(f"{there}: is a file, so {out} cannot hold results; give another folder with -o")
+            raise RunUsageError(
+                f"is a file, so {out} cannot hold results", place=there, cure="give another folder with -o"
+            )
         with tempfile.TemporaryFile(dir=there) as probe:
             probe.write(b"\0")
             probe.flush()
     except (OSError, ValueError) as error:
         reason = str(getattr(error, "strerror", None) or error).lower()
         if getattr(error, "errno", None) in FULL:
-            raise DiskError(f"{out}: {reason}; make room, or give another folder with -o") from None
+            raise DiskError(reason, place=out, cure="make room, or give another folder with -o") from None
         text = f"{out}: {reason}, so it cannot hold results; give another folder with -o"
         raise RunUsageError(text) from None
     return out

@@ -135,7 +135,7 @@ def _single_frame(
 
     view = first_view(folder)
     if view is None:
-        raise RunUnsuitable(f"{folder.path}: holds no frame yet; resume the run first")
+        raise RunUnsuitable("holds no frame yet", place=folder.path, cure="resume the run first")
     board = board_of([folder.path])
     dewarp = dewarp_of(target_clear, scene.camera, board, dewarp_order)
     through = scene if view.glass else scene.bare()

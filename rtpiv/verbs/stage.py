@@ -6,7 +6,7 @@ from typing import Literal
 from daq.bench.bench_session import open_session
 from ground.terminal import console, error_console
 from rtpiv.verbs.paths import Named
-from rtpiv.verbs.stage_words import numbers, where_table
+from rtpiv.verbs.stage_prompt import numbers, where_table
 
 
 def stage(

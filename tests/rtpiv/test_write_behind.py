@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from rtpiv.write_behind import WriteBehind
+from rtpiv.verbs.correct import WriteBehind
 
 
 def test_all_is_done_in_its_order_by_another_thread():

@@ -89,12 +89,16 @@ class CampaignFolder:
         try:
             return _CAMPAIGN.validate_json(read_plain(file, MOST_BYTES))
         except FileNotFoundError:
-            raise RunUnsuitable(f"{self.path}: holds no campaign; begin with: rtpiv campaign run RUNS") from None
+            raise RunUnsuitable(
+                "holds no campaign", place=self.path, cure="begin with: rtpiv campaign run RUNS"
+            ) from None
         except OSError as error:
-            raise SeriesError(f"{file}: cannot be read ({error.strerror}); name its runs again") from None
+            raise SeriesError(
+                f"cannot be read ({error.strerror})", place=file, cure="name its runs again"
+            ) from None
         except ValidationError as error:
             problem = error.errors(include_url=False)[0]["msg"]
-            raise SeriesError(f"{file}: is damaged ({problem}); name its runs again") from None
+            raise SeriesError(f"is damaged ({problem})", place=file, cure="name its runs again") from None
 
     def series(self, name: str) -> SeriesFolder:
         """Folder of the series of a run."""
@@ -117,4 +121,6 @@ def choice_of(how: HowAsked) -> PivChoice:
         settings = PivSettings(**given)  # type: ignore[arg-type]  # it checks them by itself
         return PivChoice(settings, None if how["prepare"] is None else Preparation(tuple(how["prepare"])))
     except (TypeError, ValueError) as error:
-        raise SeriesError(f"{FILE}: its settings are not those of this version ({error}); plan again") from None
+        raise SeriesError(
+            f"its settings are not those of this version ({error})", place=FILE, cure="plan again"
+        ) from None

@@ -172,14 +172,14 @@ def ask_for(
         load_scene(scene)
     for run in runs:
         if not scenes and not is_run(run) and is_source(run):
-            raise PairError(f"{run}: what its camera looked through is not known; give --scene")
+            raise PairError("what its camera looked through is not known", place=run, cure="give --scene")
     names = _names(runs)
     for place, (name, run) in enumerate(zip(names, runs, strict=True)):
         out = folder.series(name).path
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise DiskError(f"{out}: {why(error)}; choose another folder with -o") from error
+            raise DiskError(why(error), place=out, cure="choose another folder with -o") from error
         keep_scene(scenes[place if len(scenes) > 1 else 0] if scenes else scene_file(run, out), out)
         if used is not None and (known := used.series(name).path / CHECKSUMS).is_file():
             copy_whole(known, out / CHECKSUMS)

@@ -73,7 +73,9 @@ def merge_campaign(folder: CampaignFolder) -> CampaignMean:
     states = campaign_status(folder)
     missing = sum(state.chunks - state.done for state in states)
     if missing:
-        raise Unfinished(f"{folder.path}: {said_missing(missing)}; give: rtpiv campaign run -o {folder.path}")
+        raise Unfinished(
+            said_missing(missing), place=folder.path, cure=f"give: rtpiv campaign run -o {folder.path}"
+        )
     names = [state.name for state in states]
     means = [mean_of_series(folder.series(name).path) for name in names]
     for name, mean in zip(names, means, strict=True):
@@ -103,7 +105,7 @@ def write_index(folder: CampaignFolder) -> None:
             path = chunk_path(series.path, number)
             marker = marker_of(path, key)
             if marker is None:
-                raise Unfinished(f"{path}: is gone again; give: rtpiv campaign run -o {folder.path}")
+                raise Unfinished("is gone again", place=path, cure=f"give: rtpiv campaign run -o {folder.path}")
             file = path.relative_to(folder.path).as_posix()
             row = (marker.pairs, len(marker.failed), file, marker.size, marker.sha256, key)
             table.writerow((asked["name"], number, *row))

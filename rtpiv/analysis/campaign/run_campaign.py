@@ -325,7 +325,7 @@ def _warmed(job: ChunkJob, kernels: Path | None) -> bool:
         if kernels is not None:
             pack_kernels(kernels)
     except OSError as error:
-        raise DiskError(f"{kernels}: {why(error)}; make room, then give the same command again") from error
+        raise DiskError(why(error), place=kernels, cure="make room, then give the same command again") from error
     return True
 
 

@@ -74,7 +74,7 @@ def write_book(path: Path, line: BookLine) -> None:
                     stream.write(b"\n")
             stream.write(json.dumps(line).encode() + b"\n")
     except OSError as error:
-        raise DiskError(f"{path}: {why(error)}; make room, then give the same command again") from error
+        raise DiskError(why(error), place=path, cure="make room, then give the same command again") from error
 
 
 @dataclass(frozen=True)

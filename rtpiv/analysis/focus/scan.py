@@ -186,7 +186,7 @@ def focus_scan(run: Path) -> FocusScan:
     about, entries = folder.about, frame_entries(folder.entries())
     document = load_kept(folder, "plan", load_yaml)
     if not isinstance(document.tree, dict) or document.tree.get("experiment") != "focus":
-        raise RunUnsuitable(f"{run}: is no focus scan; take one with a plan of experiment: focus")
+        raise RunUnsuitable("is no focus scan", place=run, cure="take one with a plan of experiment: focus")
     plan = load_kept(folder, "plan", lambda file: read(file, FocusPlan))
     table = load_kept(folder, "bench", lambda file: read(file, BenchTable))
     scene: Scene = load_kept(folder, "scene", load_scene)
@@ -203,7 +203,7 @@ def focus_scan(run: Path) -> FocusScan:
                 table.offset_mm(element, entries[numbers[0]]["measured_mm"]) for element in (CAMERA, TARGET)
             )
         except KeyError as error:
-            raise RunDamaged(f"{run}: frame {numbers[0]} does not say where {error} was; {CURE}") from None
+            raise RunDamaged(f"frame {numbers[0]} does not say where {error} was", place=run, cure=CURE) from None
         x, y, z = (float(c) for c in np.add(scene.camera.position_mm, camera_mm))
         stood = scene.with_camera(replace(scene.camera, position_mm=(x, y, z)))
         shown = [read_acquired(folder.inside(entries[n]["file"]), scene.camera.shape) for n in numbers[:2]]
@@ -218,7 +218,9 @@ def focus_scan(run: Path) -> FocusScan:
             }
         )
     if len(places) < FEWEST:
-        raise RunUnsuitable(f"{run}: has {len(places)} places, {FEWEST} are needed; rtpiv resume takes the rest")
+        raise RunUnsuitable(
+            f"has {len(places)} places, {FEWEST} are needed", place=run, cure="rtpiv resume takes the rest"
+        )
     order = np.argsort(places)
     z_mm = np.array(places)[order]
     names = sorted({name for each in found for name in each}, key=lambda name: (name != "beside", name))

@@ -15,7 +15,7 @@ from rtpiv.analysis.through_glass import coarse_share, percent
 from rtpiv.templates.arrangement import AIR_MM, ARRANGEMENTS, BEDS, most_balls
 from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.lab_scene import scene_of
+from rtpiv.templates.scene_text import scene_of
 from tracer.bodies import Body
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene

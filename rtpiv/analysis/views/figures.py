@@ -34,8 +34,8 @@ from rtpiv.analysis.through_glass import behind, coarse_map, hiding, reach
 from rtpiv.analysis.views.expected_sigma import expected_sigma
 from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.lab_scene import scene_of
 from rtpiv.templates.plan_texts import GLASS_HEIGHTS_MM, bare_heights_mm
+from rtpiv.templates.scene_text import scene_of
 from tracer.depth_of_field import depth_of_field_mm
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene

@@ -21,7 +21,7 @@ from rtpiv.templates.arrangement import centres_mm, rods_mm, usual
 from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.bench_text import bench_text
 from rtpiv.templates.lab import LENSES_MM, Lab
-from rtpiv.templates.lab_scene import scene_of
+from rtpiv.templates.scene_text import scene_of
 from rtpiv.verbs.acquire import acquire
 from rtpiv.verbs.calibrate import calibrate
 from rtpiv.verbs.check import FileCheck, check

@@ -11,8 +11,7 @@ from rtpiv.analysis.views.candidates import candidates_of, unbeaten
 from rtpiv.analysis.views.figures import ViewFigures, view_figures, with_sigma
 from rtpiv.analysis.views.question import ViewQuestion
 from rtpiv.templates.lab import Lab
-from rtpiv.templates.lab_scene import scene_of
-from rtpiv.templates.scene_text import scene_text
+from rtpiv.templates.scene_text import scene_of, scene_text
 from tracer.pupil import Pupil
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.blur import pupil_views
