@@ -40,10 +40,9 @@ def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_i
         return float(np.sqrt(np.mean((lab.error_px / lab.sigma_px) ** 2)))
 
     assert largest() < 1.5
-    monkeypatch.setattr(
-        prediction, "PULLED", 0.0
-    )  # what else is doubted would take the index over: pulled corners,
-    for module in (adjustment, shape_doubt):  # and shapes
+    # What else is doubted would take the index over: pulled corners, and shapes.
+    monkeypatch.setattr(prediction, "PULLED", 0.0)
+    for module in (adjustment, shape_doubt):
         monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
     monkeypatch.setattr(adjustment, "doubted", lambda unknowns: unknowns)
     assert largest() > 2.5
@@ -84,6 +83,7 @@ def test_a_ball_out_of_round_by_less_than_is_named_is_in_the_sigma_of_the_map(se
         return float(np.sqrt(np.mean((lab.error_px / lab.sigma_px) ** 2)))
 
     doubting = largest()
+    monkeypatch.setattr(prediction, "PULLED", 0.0)  # the doubt of pulled corners would take it over
     for module in (adjustment, shape_doubt):
         monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
     believing = largest()
