@@ -201,8 +201,8 @@ def retract_path(bench: Bench, stage: Stage) -> RetractPath:
     known = len(here) == len(stages.axes)
     if unknown:
         text = (
-            f"where homing leaves {', '.join(unknown)} is not stated (homed_at_mm), so the way out of the homed "
-            "place is judged only when it is driven"
+            f"note: where homing leaves {', '.join(unknown)} is not stated (homed_at_mm), so the way out of the "
+            "homed place is judged only when it is driven; harmless in simulation"
         )
     elif problems:
         text = f"after_home does not lead out of the homed place: move {problems[0][0]}: {problems[0][1]}"

@@ -14,6 +14,7 @@ from rich.text import Text
 from daq.pipeline.stats import PipelineStats
 from daq.runs.frame_accounting import FrameAccounting
 from daq.timing.states import LaserState
+from ground.plain_words import counted
 
 
 @dataclass
@@ -68,6 +69,14 @@ LOG_S = 15.0
 RECENT = 50
 
 
+def books(progress: Progress) -> str:
+    """What became of the frames; those that a run with a laser does not want are dark, or surplus."""
+    found = progress.accounting
+    if progress.laser is not None and found.rejected and not found.written:
+        return f"waiting for light, {counted(found.rejected, 'dark frame')} so far"
+    return found.sentence().replace("rejected", "rejected" if progress.laser is None else "dark or surplus")
+
+
 def panel(progress: Progress) -> Table:
     """Return the state of a run as a table."""
     latency = progress.stats.latency_ms[-RECENT:]
@@ -82,7 +91,7 @@ def panel(progress: Progress) -> Table:
         ("skipped", f"{len(progress.stats.skipped)} not corrected live (done after the run)"),
         ("vectors", progress.stats.vectors.sentence() if progress.stats.vectors else "-"),
         ("positions", "  ".join(f"{name} {mm:.3f}" for name, mm in progress.positions_mm.items()) or "-"),
-        ("books", progress.accounting.sentence()),
+        ("books", books(progress)),
     ]
     table = Table(show_header=False, box=None)
     for name, value in rows:
@@ -95,7 +104,7 @@ def line(progress: Progress) -> str:
     words = [f"step {progress.step + 1}/{progress.steps} {progress.tag}", progress.doing, progress.left()]
     if progress.stats.vectors is not None:
         words.append(f"vectors {progress.stats.vectors.sentence()}")
-    return "; ".join([*filter(None, words), progress.accounting.sentence()])
+    return "; ".join([*filter(None, words), books(progress)])
 
 
 @contextmanager

@@ -22,4 +22,4 @@ def with_sigma(value: float, sigma: float) -> str:
     if not (sigma > 0.0 and math.isfinite(sigma)):
         return f"{value:.4g}"
     digits = places(sigma)
-    return f"{value:.{digits}f} \u00b1 {sigma:.{digits}f}"
+    return f"{value:z.{digits}f} \u00b1 {sigma:.{digits}f}"

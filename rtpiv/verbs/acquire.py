@@ -138,7 +138,7 @@ def acquire(
     if not dry_run:
         require_libraries(loaded.table.camera.backend)
     steps = load_plan(plan, loaded)
-    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run)
+    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run, simulate=simulate)
     if not simulate:
         for warning in confusable(loaded.table.stages):
             error_console().print(warning, soft_wrap=True)
@@ -246,7 +246,9 @@ def _shown(screen: Console, run: Run, live: bool) -> "Iterator[RunShown | None]"
         yield RunShown(page, run.folder)
 
 
-def forecast_said(screen: Console, bench: Bench, plan: Plan, home: bool, with_steps: bool) -> Forecast:
+def forecast_said(
+    screen: Console, bench: Bench, plan: Plan, home: bool, with_steps: bool, simulate: bool
+) -> Forecast:
     """Work out what a plan will do on an idle bench, and say it."""
     stage = idle_stage(bench)
     if home:
@@ -254,11 +256,13 @@ def forecast_said(screen: Console, bench: Bench, plan: Plan, home: bool, with_st
         screen.print(sentence, soft_wrap=True)
     else:
         said = forecast(bench, stage, plan.steps)
-    print_forecast(screen, bench, plan, said, with_steps)
+    print_forecast(screen, bench, plan, said, with_steps, simulate)
     return said
 
 
-def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, with_steps: bool) -> None:
+def print_forecast(
+    screen: Console, bench: Bench, plan: Plan, said: Forecast, with_steps: bool, simulate: bool
+) -> None:
     """Say what a plan will do."""
     if with_steps:
         table = Table(title=f"steps of {plan.name}")
@@ -272,9 +276,10 @@ def print_forecast(screen: Console, bench: Bench, plan: Plan, said: Forecast, wi
         screen.print(table)
         if len(plan.steps) > SHOWN_STEPS:
             screen.print(f"... and {len(plan.steps) - SHOWN_STEPS} more")
+    time = f"about {said.duration_s:.0f} s{' on hardware (simulated pictures take longer)' if simulate else ''}"
     travel = ", ".join(f"{name} {mm:.0f}" for name, mm in said.travel_mm.items() if mm)
     screen.print(
-        f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}, about {said.duration_s:.0f} s; "
+        f"{counted(len(plan.steps), 'step')}, {counted(said.frames, 'frame')}, {time}; "
         f"travel in mm: {travel or 'none'}; "
         f"disk: {said.raw_bytes / 1e6:.0f} MB raw, {said.corrected_bytes / 1e6:.0f} MB corrected"
     )

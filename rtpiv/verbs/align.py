@@ -72,7 +72,7 @@ def align(
         raise PlanError(
             f"is a plan of experiment: {steps.table.experiment}", place=plan, cure="give one of experiment: align"
         )
-    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run)
+    said = forecast_said(screen, loaded, steps, home, with_steps=dry_run, simulate=simulate)
     for sentence in short_of_room(loaded):
         error_console().print(sentence, soft_wrap=True)
     if not simulate:

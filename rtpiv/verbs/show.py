@@ -213,7 +213,7 @@ def _number_table(found: "Calibration") -> Table:
     for name, row in found.numbers.items():
         digits = places(row["sigma"])
         unit = f" [{row['unit']}]" if row["unit"] else ""
-        fitted, known, moved = (f"{row[part]:.{digits}f}" for part in ("value", "sigma", "moved"))
+        fitted, known, moved = (f"{row[part]:z.{digits}f}" for part in ("value", "sigma", "moved"))
         table.add_row(f"{name}{unit}", fitted, known, moved, f"{row['prior_sigma']:.3g}")
     return table
 

@@ -216,8 +216,8 @@ def _radial_table(view: FieldOfView) -> Table:
     table.add_column("")
     table.add_column("value", justify="right")
     rows = [
-        ("FOV_in = (r_b/R)^2", f"{100.0 * view.inside:.1f} %"),
-        ("FOV_total", f"{100.0 * view.total:.1f} %"),
+        ("FOV_in = (r_b/R)^2, of the ball's cross-section", f"{100.0 * view.inside:.1f} %"),
+        ("FOV_total, of the square round its silhouette", f"{100.0 * view.total:.1f} %"),
         ("largest recovered r_o/R", f"{view.edge_mm / radius:.3f}"),
         ("fold at r_i/R" if view.folds else "branch ends at r_i/R", f"{view.fold_mm / radius:.3f}"),
         ("silhouette r_red/R", f"{view.silhouette_mm / radius:.3f}"),

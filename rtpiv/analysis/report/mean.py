@@ -37,6 +37,7 @@ from rtpiv.analysis.through_glass import through_glass
 from tracer.scene.scene_file import load_scene
 
 SHOWN_PAIRS = 60
+NOT_KNOWN = {"timing error of dt": "not stated"}  # by whoever wrote the plan
 
 
 def write_mean_page(
@@ -120,11 +121,14 @@ def mean_lead(mean: MeanFlow, regions: Regions) -> tuple[str, str, Sequence[str]
 
     unresolved = np.repeat(mean.resolution_m_s[..., None], 2, axis=-1)
     asked = (("scatter of the pairs", mean.sigma_m_s), ("not resolved by the windows", unresolved),
-             ("dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s))  # fmt: skip
+             ("timing error of dt", mean.dt_sigma_m_s), ("correction map", mean.map_sigma_m_s))  # fmt: skip
     rows: list[tuple[str, ...]] = []
     for what, part in (*asked, ("total", mean.total_sigma_m_s)):
         sizes = () if part is None else (of_it(part), of_it(part) * mean.px_per_m_s)
-        numbers = [two_digits(size) for size in sizes if np.isfinite(size)] or ["not known", ""]
+        numbers = [two_digits(size) for size in sizes if np.isfinite(size)] or [
+            NOT_KNOWN.get(what, "not known"),
+            "",
+        ]
         rows.append((what, *numbers))
     said = f"highest mean velocity {name}, one vector of {int(where.sum())} there, and its standard uncertainty"
     return f"{with_sigma(float(speed[top]), of_it(mean.total_sigma_m_s))} m/s", said, head, rows
@@ -162,7 +166,7 @@ def mean_chapters(page: Page, folder: Path, mean: MeanFlow) -> None:
     if not mean.effective.converged:
         page.warning("The series is too short for its slowest motion: the sigma of the mean is a lower limit.")
     if np.isnan(mean.dt_sigma_share):
-        page.text("The uncertainty of dt is not known: it was not measured (dt_sigma_us in the plan).")
+        page.text("Timing error of dt: not stated (dt_sigma_us in the plan).")
     if mean.no_map_sigma:
         page.text(f"The uncertainty of the correction map is not known: {mean.no_map_sigma}.")
     page.heading("Fluctuations")

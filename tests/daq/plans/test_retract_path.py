@@ -109,7 +109,7 @@ def test_what_is_not_stated_is_not_judged_and_said_so(tmp_path):
     known = {name: mm for name, mm in HOMED_AT_MM.items() if name != "target_z"}
     bench, plan = obstructed_bench(tmp_path, "[{glass_z: 10.0}]", known)
     said, sentence = forecast_from_home(bench, idle_stage(bench), plan.steps)
-    assert "where homing leaves target_z is not stated (homed_at_mm)" in sentence
+    assert "note: where homing leaves target_z is not stated (homed_at_mm)" in sentence
     assert said.violations == ()  # forecast from the place of the scene, as without homing
     out = retract_path(obstructed_bench(tmp_path / "moved", "[{target_z: 0.0}]", known)[0], idle_stage(bench))
     assert out.start_mm == {**HOMED_AT_MM, "target_z": 0.0}

@@ -14,6 +14,7 @@ from rtpiv.analysis.digits import places, two_digits, with_sigma
         (-0.000156, 0.000093, "-0.000156 \u00b1 0.000093"),
         (0.25, float("nan"), "0.25"),
         (0.25, 0.0, "0.25"),
+        (-0.001, 0.12, "0.00 \u00b1 0.12"),
     ],
 )
 def test_a_number_has_two_digits_of_its_sigma(value, sigma, said):
