@@ -15,8 +15,10 @@ from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.unknowns import unit_of
 from correction.fitted.map_sigma import MapSigma
 from correction.target import Chessboard
+from rtpiv.analysis.digits import two_digits
 from rtpiv.analysis.through_glass import ThroughGlass, through_glass
 
+HARMLESS_PX = 0.05  # of the map, at the median: numbers known only together move nothing that vectors would show
 Panel = tuple[str, NDArray[np.float64], NDArray[np.float64]]  # title, pixels (N, 2), errors (N, 2) [px]
 
 
@@ -92,6 +94,13 @@ class Calibration:
             found[name] = {"measured": measured, "used": used, "rejected": measured - used}
         found["behind glass"]["visible"] = fit.expected_behind
         return found
+
+    def said_of(self, weakness: Weakness) -> str:
+        """What the frames leave open, in a sentence that says whether it matters for the map."""
+        worth_px = max((values["median"] for values in self.percentiles.values()), default=float("inf"))
+        if weakness.together and worth_px < HARMLESS_PX:
+            return f"known only together (worth at most {two_digits(worth_px)} px in the map): {weakness.sentence}"
+        return f"not determined: {weakness.sentence}"
 
     def to_dict(self) -> dict[str, Any]:
         """Everything a later reader needs, JSON-able."""

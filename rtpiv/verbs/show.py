@@ -201,7 +201,7 @@ def show_calibration(screen: Console, found: "Calibration") -> None:
     for sentence in fit.verdict.sentences:
         screen.print(f"model: {sentence}", style="" if fit.verdict.is_right else "bold red")
     for weakness in found.weak:
-        screen.print(f"not determined: {weakness.sentence}")
+        screen.print(found.said_of(weakness))
 
 
 def _number_table(found: "Calibration") -> Table:

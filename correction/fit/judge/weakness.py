@@ -39,10 +39,13 @@ class Weakness:
         The numbers concerned.
     sentence : str
         What it is and what would help.
+    together : bool
+        Whether the frames know these numbers, but one only with the others.
     """
 
     names: tuple[str, ...]
     sentence: str
+    together: bool = False
 
 
 def weaknesses(fit: SceneFit) -> list[Weakness]:
@@ -79,8 +82,8 @@ def weaknesses(fit: SceneFit) -> list[Weakness]:
         members = group == number
         names = tuple(name for name, member in zip(fit.names, members, strict=True) if member)
         if len(names) > 1 and root[members].max() > LOOSE and not set(names) <= unknown:
-            text = f"{_list(fit, names)} are nearly one unknown, known well only together"
-            found.append(Weakness(names, f"{text}; {_cure(fit, names)}"))
+            text = f"{_list(fit, names)} are nearly one unknown"
+            found.append(Weakness(names, f"{text}; {_cure(fit, names)}", together=True))
     return found
 
 
@@ -121,7 +124,10 @@ def _cure(fit: SceneFit, names: tuple[str, ...]) -> str:
     stack = {glass: _heights(fit, glass) >= 3 for glass in (False, True)}
     spheres = [name for name in names if not name.startswith(("camera.", "target"))]
     if any(name.startswith("target") for name in names) and stack[False]:
-        return "the stage decides: one known better than fit.target.z_mm, or a longer travel, would help"
+        return (
+            "this rests on how far the stage moved the target: a stage that is more accurate than fit.target.z_mm"
+            " says, or a longer travel, would help"
+        )
     if any(name.rpartition(".")[2] in NAMES for name in names):
         return (
             "rays through that side of the ball are too few or too alike, so that the map hardly depends on it"

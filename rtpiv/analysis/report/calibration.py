@@ -57,9 +57,9 @@ def write_calibration_page(path: Path, found: Calibration, of: str) -> None:
     verdict_chapter(page, StoredVerdict.of(fit), "others")
     masked_table(page, fit.measured_scene)
     if found.weak:
-        page.heading("What these frames cannot determine")
+        page.heading("What these frames leave open")
         for weakness in found.weak:
-            page.text(f"{sentence_case(weakness.sentence)}.")
+            page.text(f"{sentence_case(found.said_of(weakness))}.")
     page.heading("What was found")
     rows: list[tuple[str, ...]] = [(name, row["unit"], *_numbers(row)) for name, row in found.numbers.items()]
     said = "Every other number was held fixed"

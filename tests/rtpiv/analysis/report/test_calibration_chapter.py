@@ -1,15 +1,18 @@
 """The verdict on a calibration in the pages that are made with it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.quiver import Quiver
 
+from correction.fit.judge.weakness import Weakness
 from correction.fitted.fit_file import StoredVerdict, load_verdict, save_fit
 from correction.fitted.scene_sigma import KIND
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
+from rtpiv.analysis.calibration import Calibration
 from rtpiv.analysis.pictures.smooth import smooth_figure
 from rtpiv.analysis.report.calibration import _numbers, calibration_chapter, masked_table
 from rtpiv.analysis.report.page import Page
@@ -109,3 +112,18 @@ def test_what_is_masked_is_listed_with_its_reason_and_place():
     said = page.html()
     assert "behind an unlisted body</td><td>around pixel (27, 37)</td><td>34 x 34 px, 1 % of the frame" in said
     assert "not confirmed by the target</td><td>all that is seen through sphere2 &gt; sphere1" in said
+
+
+def test_numbers_known_only_together_are_no_fault_where_the_map_is_known():
+    """The plain alarm stays for what the frames do not know, and for a map that depends on it."""
+    together = Weakness(("near.z", "far.z"), "near.z and far.z are nearly one unknown", together=True)
+    alone = Weakness(("near.n",), "near.n: known no better than before")
+
+    def found(sigma_px):
+        plane = np.full((2, 2, 2), sigma_px)
+        return Calibration(None, SimpleNamespace(sigma_px=plane, behind_glass=np.eye(2) > 0), {}, {}, [], [], 1.0)
+
+    said = "known only together (worth at most 0.0027 px in the map): near.z and far.z are nearly one unknown"
+    assert found(0.0027).said_of(together) == said
+    assert found(0.3).said_of(together) == f"not determined: {together.sentence}"
+    assert found(0.0027).said_of(alone) == f"not determined: {alone.sentence}"
