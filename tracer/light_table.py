@@ -26,9 +26,20 @@ from pydantic import Field, model_validator
 
 from ground.config import Table
 from tracer.errors import SceneError
-from tracer.light import FULL_WIDTH, Light, Numbers, band, continuous, gaussian, light_of, line
+from tracer.light import (
+    COLDEST_K,
+    FULL_WIDTH,
+    WARMEST_K,
+    Light,
+    Numbers,
+    band,
+    continuous,
+    gaussian,
+    light_of,
+    line,
+    white_led,
+)
 from tracer.media import VISIBLE_NM
-from tracer.white_led import COLDEST_K, WARMEST_K, white_led
 
 Wavelength = Annotated[float, Field(ge=VISIBLE_NM[0], le=VISIBLE_NM[1])]
 Width = Annotated[float, Field(ge=0.0, le=500.0)]

@@ -26,13 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.alignment.errors import RimNotFound, RimUnclear
-from correction.alignment.rim import Rim, rim_of
-from correction.alignment.rim_search import (
+from correction.alignment.rim import (
     VOTERS,
+    Rim,
     Strip,
     Votes,
     crossings,
     in_deviations,
+    rim_of,
     slopes,
     smoothed,
     strangeness,

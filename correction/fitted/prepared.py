@@ -20,10 +20,9 @@ from typing import Any
 from correction.fitted.sigma_limit import SigmaLimit
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.aperture import through_pupil
-from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.maps.correction_map import CorrectionMap, build_correction_map, outside_glass
 from correction.maps.corrector import Corrector
 from correction.maps.dewarp import Dewarp
-from correction.maps.in_glass import outside_glass
 from ground.errors import GroundError
 from piv.resampling.sample import Method
 from tracer.errors import TracerError

@@ -8,7 +8,7 @@ a corrected pixel, and pictures whose product covers A = 4 pi times the root of 
 
 for each.  All particles of all pairs together then tell height and slopes like a weighted straight line.  Beside
 chance stands what bend and fading of the views make of a height, by traced layers and to the share that is not
-modelled, and what the scene's fit is unsure of: both as unknowns that places share, as in `plane_fit`.
+modelled, and what the scene's fit is unsure of: both as unknowns that places share, as in `fit_plane`.
 
 Left out are particles that differ in light, views of one cell that bend unlike each other, and what the model of
 the products leaves: sheets that were found were told to FOUND times what is foreseen.
@@ -24,7 +24,7 @@ from correction.light_sheet.disparities import MODELLED_TO, USUAL_SPREAD2
 from correction.light_sheet.double_views import AROUND, PARTICLE_PX2, DoubleViews, some_of_each
 from correction.light_sheet.layers import layers
 from correction.light_sheet.matched import SIZES, Model
-from correction.light_sheet.scene_doubt import scene_doubt
+from correction.light_sheet.self_calibration import scene_doubt
 from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
 from tracer.scene.scene import Scene
 

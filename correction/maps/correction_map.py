@@ -21,10 +21,15 @@ its sign.  On a sheet the map is one-to-one and smooth, and the inverse is found
 Limits: where the view shrinks below `min_magnification` sensor pixels a node in any direction the picture
 is not worth correcting (LOW_MAGNIFICATION); where it is stretched beyond `max_magnification` two images
 are about to merge (FOLD).
+
+Where the light sheet runs into a body nothing flows, so nothing is recovered there (`outside_glass`).  A ball that
+touches the target's plane is cut by a sheet that lies a little before it: 0.3 mm before the plane, a ball of 25 mm
+radius fills a disc of 3.9 mm radius of the sheet.  The glass of a tube's wall, which may cross the plane, is told
+by the rays that end in it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,6 +46,7 @@ from ground.errors import MapFileError
 from ground.map_file import checked, load_arrays, save_arrays
 from ground.memory import require_memory
 from ground.short_repr import short_repr
+from tracer.bodies import CONTACT_TOL_MM, Capsule
 from tracer.scene.scene import Scene, SceneBound
 from tracer.strategies.branches import Branch, Numbers
 from tracer.strategies.ray_map import RayHeader, RayMap
@@ -51,6 +57,14 @@ MAX_LAYERS = 16
 BYTES_PER_VIEW, BYTES_PER_NODE = 43, 6  # measured: 46 with one view, 128 with three
 LIGHT = 1.0 + 1e-5  # rounding above a transmittance of 1
 MAX_MAGNIFICATION = 16.0  # within 0.2 corrected pixels of the fold behind a 100 mm ball at L = 250 mm
+_LAYOUT: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
+    "status": (("|u1",), ()),
+    "pixel": (("<f8",), (2,)),
+    "jacobian": (("<f4",), (4,)),
+    "weight": (("<f4",), ()),
+    "transmittance": (("<f4",), ()),
+    "branch": (("<u2", "<u4"), ()),
+}
 
 
 class CorrectionHeader(RayHeader):
@@ -188,16 +202,6 @@ class CorrectionMap(SceneBound):
         )
 
 
-_LAYOUT: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
-    "status": (("|u1",), ()),
-    "pixel": (("<f8",), (2,)),
-    "jacobian": (("<f4",), (4,)),
-    "weight": (("<f4",), ()),
-    "transmittance": (("<f4",), ()),
-    "branch": (("<u2", "<u4"), ()),
-}
-
-
 def build_correction_map(
     scene: Scene,
     ray_map: RayMap,
@@ -255,3 +259,27 @@ def build_correction_map(
     return CorrectionMap(
         grid, **work.arrays, branches=branches, sensor_px=sensor_px, scene_hash=ray_map.scene_hash
     )
+
+
+def outside_glass(found: CorrectionMap, scene: Scene) -> CorrectionMap:
+    """Return the map with its nodes inside bodies IN_GLASS; the same map where no body reaches through z = 0."""
+    cut = [body.capsule for body in scene.seen if body.lowest_mm < -CONTACT_TOL_MM and not body.may_cross_plane]
+    if not cut:
+        return found
+    inside = np.any([_inside(capsule, found.grid) for capsule in cut], axis=0) & found.recovered
+    return replace(
+        found,
+        status=np.where(inside, np.uint8(NodeStatus.IN_GLASS), found.status),
+        pixel=np.where(inside[..., None], np.nan, found.pixel),
+        weight=np.where(inside, np.float32(0.0), found.weight),
+    )
+
+
+def _inside(capsule: Capsule, grid: PlaneGrid) -> NDArray[np.bool_]:
+    """Nodes (h, w) inside a capsule."""
+    start, end = np.array(capsule.start_mm), np.array(capsule.end_mm)
+    axis = end - start
+    nodes = np.concatenate((grid.nodes_mm(), np.zeros((*grid.shape, 1))), axis=-1) - start
+    length2 = float(axis @ axis)
+    along = np.clip(nodes @ axis / length2, 0.0, 1.0) if length2 > 0.0 else np.zeros(grid.shape)
+    return np.asarray(np.linalg.norm(nodes - along[..., None] * axis, axis=-1) < capsule.radius_mm)

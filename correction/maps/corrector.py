@@ -23,9 +23,8 @@ from correction.node_status import NodeStatus
 from ground.rows import run_rows
 from piv.errors import FrameError
 from piv.resampling.footprints import Views, lay_footprints
-from piv.resampling.kernels.correct import CHUNK, WEIGHTS, correct_rows
+from piv.resampling.kernels.correct import CHUNK, WEIGHTS, correct_rows, to_offset_uint16
 from piv.resampling.kernels.lanes import TAPS, WIDE
-from piv.resampling.kernels.store import to_offset_uint16
 from piv.resampling.sample import Method, checked_frame, filter_tiles, tile_grid
 
 UINT16_OFFSET = 1024  # room for the negative lobes beside bright particles: clipping them shifts centroids

@@ -27,8 +27,8 @@ from ground.errors import GroundError
 from piv.errors import PivError
 from tracer.errors import TracerError
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.trace import RayStatus
 
 COARSE_PX = 504  # side of what is traced
 LEAST_PX, LEAST_PX2 = 4, 12  # coarse pixels on a line and in a region; less is a speck

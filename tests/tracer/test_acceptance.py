@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tracer.depth_of_field import depth_of_field_mm, f_number_for_depth
 from tracer.errors import SceneError
 from tracer.media import MEDIA, ConstantMedium
+from tracer.pupil import depth_of_field_mm, f_number_for_depth
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.fov import field_of_view, radial_curve

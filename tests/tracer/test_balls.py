@@ -22,12 +22,11 @@ from tracer.light_sheet import LightSheet
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
-from tracer.status import RayStatus
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.ray_path import ray_path
 from tracer.strategies.sensitivity import landings
 from tracer.strategies.strategy import Kind, choose
-from tracer.strategies.trace import trace, trace_from
+from tracer.strategies.trace import RayStatus, trace, trace_from
 
 STATUS = {"recovered": RayStatus.RECOVERED, "tir": RayStatus.TIR, "missed": RayStatus.MISSED_PLANE}
 CAMERA = camera_at((10.0, -15.0, 400.0), (0.0, 0.0, 10.0), 3000.0, (160, 120))

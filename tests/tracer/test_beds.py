@@ -13,11 +13,11 @@ from tracer.bodies import Sphere
 from tracer.errors import RayMapUsageError
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.branches import lengths_of
 from tracer.strategies.lockstep import aligned
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.strategy import Kind, choose
+from tracer.strategies.trace import RayStatus
 
 packed = cache(bed)  # a thousand balls take a while to be checked
 

@@ -22,9 +22,8 @@ from tracer.kernels.sphere import angles, foot, through, transmittance, turned
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import next_body
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.lockstep import find_mirrors, pack_chain, row_scratch
-from tracer.strategies.trace import RAY, pack_camera, trace, trace_from, world_of
+from tracer.strategies.trace import RAY, RayStatus, pack_camera, trace, trace_from, world_of
 
 
 def both(kernel: Any, *arguments: object) -> tuple[np.ndarray, np.ndarray]:

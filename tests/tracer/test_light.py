@@ -5,10 +5,9 @@ import pytest
 from pydantic import ValidationError
 
 from tracer.errors import SceneError
-from tracer.light import band, gaussian, light_of, line
+from tracer.light import band, gaussian, light_of, line, white_led
 from tracer.light_table import LightTable
 from tracer.media import MEDIA
-from tracer.white_led import white_led
 
 GLASS = MEDIA["N-BK7"]
 TYPICAL_NM = {2733.0: 592.5, 2998.0: 586.8, 4103.0: 564.6, 5109.0: 553.9, 6598.0: 541.4}  # CIE LED-B1 to LED-B5

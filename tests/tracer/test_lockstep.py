@@ -13,10 +13,9 @@ from tracer.camera import Lens
 from tracer.kernels.maps import trace_rows
 from tracer.kernels.march import march_pixel_tangents
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.strategy import Kind, choose
-from tracer.strategies.trace import pack_camera, trace, world_of
+from tracer.strategies.trace import RayStatus, pack_camera, trace, world_of
 
 
 def check(where: Scene) -> RayMap:

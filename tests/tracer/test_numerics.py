@@ -20,8 +20,7 @@ from tests.tracer.scenes import ball, camera_at, one_ray
 from tracer.kernels.sphere import angles, through
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
-from tracer.strategies.trace import trace_from
+from tracer.strategies.trace import RayStatus, trace_from
 
 EPSILON = 2.0**-52
 INDICES = (1.0, 1.0 + 1e-12, 1.0 + 1e-6, 1.023, 1.53, 4.0)

@@ -14,9 +14,8 @@ from tracer.bodies import Sphere
 from tracer.kernels.march import march
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.ray_map import build_ray_map
-from tracer.strategies.trace import TraceResult, trace, trace_from, world_of
+from tracer.strategies.trace import RayStatus, TraceResult, trace, trace_from, world_of
 
 seeds = st.integers(0, 2**32 - 1)
 some = settings(max_examples=40, deadline=None)

@@ -13,8 +13,7 @@ from benchmarks.scenes import PAPER, aimed_pixels
 from tests.tracer.scenes import HOLLOW, TILTED, ball, camera_at, scene
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
-from tracer.strategies.trace import trace, trace_from
+from tracer.strategies.trace import RayStatus, trace, trace_from
 
 STATUS = {"recovered": RayStatus.RECOVERED, "tir": RayStatus.TIR, "missed": RayStatus.MISSED_PLANE}
 REGIONS = {"clear": (0.0, 0.0), "centre": (0.0, 0.9), "rim": (0.9, 0.99), "last 1 %": (0.99, 1.0)}

@@ -10,8 +10,7 @@ import pytest
 
 from tests.tracer.scenes import random_scene
 from tests.tracer.second_formulation import numbered, second
-from tracer.status import RayStatus
-from tracer.strategies.trace import trace
+from tracer.strategies.trace import RayStatus, trace
 
 GRAZE = 1e-9  # of R^2
 CHUNK = 25_000

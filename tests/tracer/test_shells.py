@@ -24,13 +24,12 @@ from tracer.kernels.shell import core_turn, core_turn_rates, way_through, with_c
 from tracer.kernels.sphere import SOLID, angles, through
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.branches import sphere_of
 from tracer.strategies.fov import field_of_view
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.ray_path import ray_path
 from tracer.strategies.strategy import Kind, choose
-from tracer.strategies.trace import trace, trace_from
+from tracer.strategies.trace import RayStatus, trace, trace_from
 
 EPSILON = 2.0**-52
 RADIUS_MM, N, AWAY = 25.0, 1.53, 17.0

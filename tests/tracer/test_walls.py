@@ -36,11 +36,10 @@ from tracer.kernels.world import ENTERED, KINDS, MOST_NUMBERS, OFF_INSIDE
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import dump_scene, load_scene
-from tracer.status import RayStatus
 from tracer.strategies.fov import field_of_view
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, Landings, TargetPose, landings, landings_through
-from tracer.strategies.trace import trace, trace_from, world_from
+from tracer.strategies.trace import RayStatus, trace, trace_from, world_from
 
 STATUS = {
     "recovered": RayStatus.RECOVERED,

@@ -13,10 +13,10 @@ from tracer.bodies import Body, Sphere, Tube, Window
 from tracer.camera import Lens
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.lockstep import ALL_SKIPS, SKIP_MIRRORED, find_mirrors, trace_lockstep
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.strategy import Kind, Strategy, choose
+from tracer.strategies.trace import RayStatus
 
 NEAR_MM = 150.0
 CAMERA = camera_at((12.0, -7.0, 400.0), (0.0, 0.0, 0.0), 900.0, (150, 131))

@@ -1,7 +1,7 @@
 """Meshes from PLY and OBJ files: points, normals and triangles, checked before anything is made of them.
 
 A mesh has to be one closed surface, oriented outwards, convex, and to bring normals at its points: without them
-the shape between the points is not known (``tracer.kernels.patches``).
+the shape between the points is not known (``tracer.kernels.mesh``).
 """
 
 import hashlib

@@ -5,9 +5,13 @@ span is cut into blocks of LANES pixels.  Where the scene has one sphere only, a
 straight, otherwise by the rounds of ``tracer.kernels.chain``.  A finished block holds the plane point in columns
 PX, PY (NaN: the ray does not go down) and the branch number in PICK.
 
-Of scenes that are their own mirror image half or a quarter is traced, the rest copied (``tracer.kernels.mirror``).
-
 Every pixel has the same bits whatever block it stands in: all loops that calculate run over whole vectors.
+
+Of scenes that are their own mirror image half or a quarter is traced, the rest copied.  If nothing changes under x
+-> -x, pixel W - 1 - u sees (-x, y) where pixel u sees (x, y): rounding is the same for both signs, so the bits are
+those of tracing it.  Then half of the columns are traced and copied; the same for y -> -y and rows.  Bodies may
+change places: ``swap`` (2^N + 1,) int64 says which branch number becomes which, the last one for UNKNOWN; empty:
+all stay.
 """
 
 from typing import NamedTuple
@@ -23,15 +27,61 @@ from tracer.kernels.chain import (
     SKIP_SILHOUETTES,
     TRIP,
     begin_block,
+    direct_block,
     follow_block,
     glass_span,
     insert_span,
+    land_block,
+    lone_block,
     place_row,
     whole_vectors,
 )
-from tracer.kernels.mirror import Mirrors, mirror_left_right, mirror_up_down
-from tracer.kernels.straight import direct_block, land_block, lone_block
 from tracer.kernels.world import MISSED_PLANE, RECOVERED
+
+
+class Mirrors(NamedTuple):
+    """Mirror images that a scene is of itself, and which branch number becomes which."""
+
+    in_x: bool
+    in_y: bool
+    swap_x: Array
+    swap_y: Array
+
+
+@kernel
+def mirror_left_right(
+    count: int, swap: Array, p: Array, s: Array, b: Array, point: Array, status: Array, branch: Array
+) -> None:
+    """Write what p (2 n,), s, b (n,) hold mirrored in x: the last pixel comes first."""
+    last, most = count - 1, swap.shape[0] - 1
+    for i in range(count):
+        point[2 * i], point[2 * i + 1] = 0.0 - p[2 * (last - i)], p[2 * (last - i) + 1]
+    for i in range(count):
+        status[i] = s[last - i]
+    if most < 0:
+        for i in range(count):
+            branch[i] = b[last - i]
+    else:
+        for i in range(count):
+            branch[i] = swap[min(b[last - i], most)]
+
+
+@kernel
+def mirror_up_down(
+    count: int, swap: Array, p: Array, s: Array, b: Array, point: Array, status: Array, branch: Array
+) -> None:
+    """Write what p (2 n,), s, b (n,) hold mirrored in y."""
+    most = swap.shape[0] - 1
+    for i in range(count):
+        point[2 * i], point[2 * i + 1] = p[2 * i], 0.0 - p[2 * i + 1]
+    for i in range(count):
+        status[i] = s[i]
+    if most < 0:
+        for i in range(count):
+            branch[i] = b[i]
+    else:
+        for i in range(count):
+            branch[i] = swap[min(b[i], most)]
 
 
 class RowScratch(NamedTuple):

@@ -3,15 +3,23 @@
 A tile is as square as a bundle allows: rays stay together longest so.  Windows in front of everything are a pass
 over the tile before it (``tracer.kernels.windowed``): rays stand in the columns in which a block has them.
 
-The branch of a pixel is first an entry in the book of the thread that traced it (``tracer.kernels.branch_book``);
+The branch of a pixel is first an entry in the book of the thread that traced it;
 the caller numbers them.  When a book may not hold the next tile the kernel comes back and says where it is.
+
+A book has one entry for each branch that was met, found by a hash of its trail.  Entry e holds the spheres met, in
+order: met[begin[e] : begin[e + 1]], rows of ``balls``.  Entry 0 is the direct view. ``slots`` (a power of two,)
+int32 is a hash table with open addressing: entry + 1, or 0; ``hashes`` (entries,) int64. A hash only says where to
+look: that two trails are the same is seen by comparing them.  Each thread keeps a book of its own; they become one
+afterwards (`copy_book`).
+
+``counts`` (1,) int64 is how many entries there are.
 """
 
 import math
+from typing import NamedTuple
 
 from ground.jit import Array, kernel, unowned
 from tracer.kernels import chain
-from tracer.kernels.branch_book import BranchBook, enter, has_room
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.bundle import follow_bundle
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, EYE_X, EYE_Y, EYE_Z, FOCAL, axes_of, lens_of, undistorted
@@ -48,7 +56,82 @@ from tracer.kernels.window import BEHIND, GLASS, THICKNESS
 from tracer.kernels.windowed import OPEN, SHUT, through_window_carefully
 from tracer.kernels.world import BLOCKED, MISSED_PLANE, RECOVERED
 
+INDEX = (1 << 62) - 1  # says that a number is not negative
+FULL = -1
 SIDE = 16  # pixels of a tile each way
+
+
+class BranchBook(NamedTuple):
+    """See the top of the file."""
+
+    slots: Array
+    hashes: Array
+    begin: Array
+    met: Array
+    counts: Array
+
+
+@kernel
+def enter(hashed: int, events: int, first: int, trail: Array, book: BranchBook) -> int:
+    """Entry of the trail trail[first : first + events], made if it is new."""
+    slots, hashes, begin, met, counts = book
+    mask = slots.shape[0] - 1
+    # the lower bits of a product know nothing of the upper ones
+    slot = ((hashed >> 32) ^ hashed) & mask
+    while slots[slot] != 0:
+        entry = slots[slot] - 1
+        at = begin[entry]
+        if hashes[entry] == hashed and begin[entry + 1] - at == events:
+            same = 0
+            while same < events and met[at + same] == trail[first + same]:
+                same += 1
+            if same == events:
+                return int(entry)
+        slot = (slot + 1) & mask
+    entry = counts[0]
+    at = begin[entry]
+    for e in range(events):
+        met[at + e] = trail[first + e]
+    begin[entry + 1] = at + events
+    hashes[entry] = hashed
+    slots[slot] = entry + 1
+    counts[0] = entry + 1
+    return int(entry)
+
+
+@kernel
+def has_room(entries: int, longest: int, book: BranchBook) -> bool:
+    """Whether so many more entries fit, none longer than `longest`."""
+    count = book.counts[0] + entries
+    fits = count < book.hashes.shape[0] and 2 * count <= book.slots.shape[0]
+    return bool(fits and book.begin[book.counts[0]] + entries * longest <= book.met.shape[0])
+
+
+@kernel
+def copy_book(book: BranchBook, other: BranchBook, entries: Array) -> None:
+    """Enter all that `book` has into `other`, which has room: its entries there go to entries (E,) int64."""
+    for entry in range(book.counts[0]):
+        at = book.begin[entry]
+        entries[entry] = enter(book.hashes[entry], book.begin[entry + 1] - at, at, book.met, other)
+
+
+@kernel
+def pack_ranks(book: BranchBook, rank: Array, bits: int, packed: Array) -> None:
+    """Words (W, E) uint64 of the entries that sort as their lengths, then the ranks (N,) of what they met, do.
+
+    The first word of each is the length.
+    """
+    fit = 63 // bits
+    for entry in range(book.counts[0]):
+        at, events = book.begin[entry], book.begin[entry + 1] - book.begin[entry]
+        packed[0, entry] = events
+        for w in range(1, packed.shape[0]):
+            word = 0
+            for e in range((w - 1) * fit, w * fit):
+                word = word << bits | (rank[book.met[at + e]] if e < events else 0)
+            packed[w, entry] = word
+
+
 assert SIDE * SIDE == LANES
 assert (PX, PY, PZ, DX, DY, DZ) == (chain.PX, chain.PY, chain.PZ, chain.DX, chain.DY, chain.DZ)
 

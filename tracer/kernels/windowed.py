@@ -41,12 +41,20 @@ from tracer.kernels.chain import (
     QQ,
     begin_block,
     follow_block,
+    land_block,
     place_row,
     whole_vectors,
 )
-from tracer.kernels.mirror import Mirrors, mirror_left_right, mirror_up_down
-from tracer.kernels.sensor import RowScratch, flat_columns, number_block, silhouettes, write_block
-from tracer.kernels.straight import land_block
+from tracer.kernels.sensor import (
+    Mirrors,
+    RowScratch,
+    flat_columns,
+    mirror_left_right,
+    mirror_up_down,
+    number_block,
+    silhouettes,
+    write_block,
+)
 from tracer.kernels.window import BEHIND, GLASS, OPENING, THICKNESS
 from tracer.kernels.world import BLOCKED
 

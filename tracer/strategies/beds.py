@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.rows import run_rows
-from tracer.kernels.branch_book import BranchBook, copy_book, pack_ranks
 from tracer.kernels.bundle import fill_alike
 from tracer.kernels.candidates import BINS, CLUSTER, Lists, Neighbours, count_neighbours
 from tracer.kernels.lanes import (
@@ -32,7 +31,7 @@ from tracer.kernels.lanes import (
 )
 from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, INDEX, OPAQUE, RADIUS
-from tracer.kernels.tiles import SIDE, number_rows, trace_tiles
+from tracer.kernels.tiles import SIDE, BranchBook, copy_book, number_rows, pack_ranks, trace_tiles
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import SHORT_NUMBERS, Branch, BranchList, Numbers

@@ -8,7 +8,7 @@ Branches are numbered beforehand (``tracer.strategies.branches``).  What rays me
 can say is traced again by ``march``, which names it.
 
 A camera that looks straight down on x = 0 (or y = 0) at bodies that are their own mirror image sees a picture
-that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.mirror``).
+that is its own mirror image, bit for bit: only half of it is traced (``tracer.kernels.sensor``).
 """
 
 from typing import Any
@@ -30,8 +30,7 @@ from tracer.kernels.chain import (
     TRIP_NUMBERS,
     VECTOR,
 )
-from tracer.kernels.mirror import Mirrors
-from tracer.kernels.sensor import RowScratch, sensor_rows
+from tracer.kernels.sensor import Mirrors, RowScratch, sensor_rows
 from tracer.kernels.windowed import WindowScratch, windowed_rows
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import Branch, Numbers, chain, chain_branches, mirrored_numbers, number_in

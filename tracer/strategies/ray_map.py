@@ -21,9 +21,9 @@ from ground.short_repr import short_repr
 from tracer.errors import RayMapUsageError
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.scene.scene import Scene, SceneBound
-from tracer.status import RayStatus
 from tracer.strategies.branches import Branch, Numbers, lengths_of
 from tracer.strategies.strategy import choose
+from tracer.strategies.trace import RayStatus
 
 KIND = "ray map"
 BYTES_PER_PX = 27  # of a map, and of the keys of its branches while it is made

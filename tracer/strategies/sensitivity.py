@@ -26,8 +26,7 @@ from tracer.kernels.landing import trace_landings
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import KINDS, World
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
-from tracer.strategies.trace import pack_camera, world_of
+from tracer.strategies.trace import RayStatus, pack_camera, world_of
 
 CAMERA = ("x", "y", "z", "rx", "ry", "rz", "focal_px", "cu", "cv", "k1", "k2", "k3", "p1", "p2")
 SPHERE = ("x", "y", "z", "radius", "n")

@@ -7,6 +7,7 @@ of what it met; one ray of each key is traced once more to find the names (`name
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -25,14 +26,35 @@ from tracer.kernels.sphere import RADIUS
 from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import World
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.branches import SHORT_NUMBERS, Branch, Numbers
 
 CELLS_PER_SPHERE = 4.0  # twice as many cells or half as many cost more
 FEW = 8  # up to here it is quicker to ask every sphere
-
 Cells = tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32]]
 NO_CELLS: Cells = np.zeros(7), np.zeros(1, np.int32), np.empty(0, np.int32)
+RAY = np.dtype(
+    [
+        ("status", np.uint8),  # RayStatus
+        ("events", np.int32),  # spheres crossed
+        ("key", np.int64),  # hash of the sequence of spheres crossed, and of the ways through their cores
+        ("x_mm", np.float64),  # plane point
+        ("y_mm", np.float64),
+        ("path_mm", np.float64),  # optical path from the start to the plane
+        ("transmittance", np.float64),  # Fresnel, unpolarised
+        ("direction", np.float64, (3,)),  # unit direction of the last straight piece
+    ],
+    align=True,
+)
+
+
+class RayStatus(IntEnum):
+    """Fate of a ray; coordinates are NaN unless it is RECOVERED."""
+
+    RECOVERED = 0  # reached the investigation plane
+    BLOCKED = 1  # stopped by an opaque body
+    TIR = 2  # totally reflected at a body of lower index
+    MISSED_PLANE = 3  # left the bodies level or away from the plane
+    TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.walk.MAX_EVENTS
 
 
 def world_of(scene: Scene) -> World:
@@ -84,21 +106,6 @@ def sort_into_cells(spheres: NDArray[np.float64]) -> Cells:
     order = np.lexsort((item, cell))
     begin = np.searchsorted(cell[order], np.arange(count.prod() + 1)).astype(np.int32)
     return np.array([*low, side, *count], dtype=np.float64), begin, item[order].astype(np.int32)
-
-
-RAY = np.dtype(
-    [
-        ("status", np.uint8),  # RayStatus
-        ("events", np.int32),  # spheres crossed
-        ("key", np.int64),  # hash of the sequence of spheres crossed, and of the ways through their cores
-        ("x_mm", np.float64),  # plane point
-        ("y_mm", np.float64),
-        ("path_mm", np.float64),  # optical path from the start to the plane
-        ("transmittance", np.float64),  # Fresnel, unpolarised
-        ("direction", np.float64, (3,)),  # unit direction of the last straight piece
-    ],
-    align=True,
-)
 
 
 @short_repr

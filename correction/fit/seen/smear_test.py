@@ -32,11 +32,10 @@ from numpy.typing import NDArray
 
 from correction.fit.solve.light import ORDINARY_GLASS
 from tracer.camera import Camera
-from tracer.light import Light
+from tracer.light import Light, white_led
 from tracer.media import MEDIA, THINNEST_LIQUID, ConstantMedium, Medium
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import CAMERA, SPHERE, Landings
-from tracer.white_led import white_led
 
 LAMP_K = 4000.0
 COLOURS = 12

@@ -25,12 +25,11 @@ from numpy.typing import NDArray
 
 from correction.fit.solve.errors import ViewsMissing
 from correction.fit.solve.other_bodies import OtherBodies
-from tracer.light import Light, line
+from tracer.light import Light, line, white_led
 from tracer.media import MEDIA, THINNEST_LIQUID, ConstantMedium, Medium
 from tracer.media import shifted as shifted_medium
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import CAMERA, SPHERE
-from tracer.white_led import white_led
 
 ORDINARY_GLASS = "N-BK7"
 WORTH_A_WORD = 3e-5  # of n: 0.005 px behind two balls

@@ -14,8 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from correction.inversion.kernels.inverse import Tables, unowned_tables
-from correction.inversion.kernels.lonely import Ways, unowned_ways
-from correction.inversion.kernels.newton import CONVERGED, GROUP, U, V, solve_block, solve_patiently
+from correction.inversion.kernels.newton import (
+    CONVERGED,
+    GROUP,
+    U,
+    V,
+    Ways,
+    solve_block,
+    solve_patiently,
+    unowned_ways,
+)
 from correction.inversion.kernels.starts import DONE, scatter_sheet
 from correction.inversion.kernels.views import ANOTHER, begin_group, judge_trips, keep_group, put_off
 from ground.jit import Array, kernel, unowned

@@ -32,11 +32,16 @@ import math
 
 import numpy as np
 
-from correction.inversion.kernels.acquired import XA, XB, YB, X, Y, acquire_block
 from correction.inversion.kernels.direct import (
     BEHIND_BODY,
     BEHIND_GLASS,
     FREE,
+    XA,
+    XB,
+    YB,
+    X,
+    Y,
+    acquire_block,
     begin_views,
     place_pixels,
 )

@@ -18,7 +18,7 @@ the Jacobian before it to be good enough after it: |J^-1 dJ| <= 2 step max |J^-1
 import numpy as np
 
 from correction.inversion.kernels.inverse import TOLERANCE_PX, Tables, inverse_2x2, unowned_tables
-from correction.inversion.kernels.lonely import Ways, slopes_along, unowned_ways
+from correction.inversion.kernels.newton import Ways, slopes_along, unowned_ways
 from correction.inversion.kernels.sheets import BORDER, EDGE, HALF, NEAR, slopes
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from piv.resampling.kernels.bspline import INDEX

@@ -40,9 +40,17 @@ from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVE
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from piv.resampling.kernels.bspline import INDEX
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistorted
-from tracer.kernels.chain import PX, PY, SKIP_LEFT_BEHIND, TRIP, begin_block, follow_block, whole_vectors
+from tracer.kernels.chain import (
+    PX,
+    PY,
+    SKIP_LEFT_BEHIND,
+    TRIP,
+    begin_block,
+    follow_block,
+    land_block,
+    whole_vectors,
+)
 from tracer.kernels.march import march_pixel_tangents
-from tracer.kernels.straight import land_block
 from tracer.kernels.windowed import OPEN, is_before, through_window_carefully
 from tracer.kernels.world import RECOVERED as TRACED
 

@@ -11,7 +11,7 @@
 Set the lens to its largest aperture (f/2.8) and do not touch its focus.  Glass moves the image of the plane:
 behind two balls it comes to a focus 2.5 ball diameters before the plane, so no one setting is sharp everywhere,
 and the aperture of the measurement has to be so small that its depth of field spans all best places
-(`tracer.depth_of_field`). `rtpiv focus RUN` says where they are, how deep the view is, and which f-number it
+(`tracer.pupil`). `rtpiv focus RUN` says where they are, how deep the view is, and which f-number it
 needs.
 """
 

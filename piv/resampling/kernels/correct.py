@@ -1,7 +1,8 @@
 """Correct a frame: values at the samples laid out by ``footprint``, means over the nodes.
 
 Samples are taken `CHUNK` at a time, in steps of which each is a plain loop: fractions and the spline's weights for
-all of them (vectors across samples), the sums over their pixels (vectors along a row of the footprint), the means.
+all of them (vectors across samples), the sums over their pixels (vectors along a row of the footprint), the
+means.  `to_offset_uint16` makes of them what is stored.
 """
 
 import numpy as np
@@ -11,15 +12,29 @@ from piv.resampling.kernels.bspline import weight_inner, weight_middle, weight_o
 from piv.resampling.kernels.footprint import ADDS, COLUMN, FIRST, FRACTIONS, NODES, SAMPLES
 from piv.resampling.kernels.lanes import copy_pair, footprint_sum
 
+LARGEST_STORED = np.float32(65535.0)
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
 CHUNK = 256  # samples at a time; a node has no more
 WEIGHTS = 7  # lines of scratch for the spline: the fraction along a row, the weights of six rows
 _ONE = np.float32(1.0)
 _STEP = np.float32(1.0 / FRACTIONS)
 _LOW, _HIGH = np.uint32(0xFFFF), np.uint32(16)
-
 outer_inlined = kernel_inlined(weight_outer.py_func)  # type: ignore[attr-defined]
 middle_inlined = kernel_inlined(weight_middle.py_func)  # type: ignore[attr-defined]
 inner_inlined = kernel_inlined(weight_inner.py_func)  # type: ignore[attr-defined]
+
+
+@kernel
+def to_offset_uint16(values: Array, offset: np.float32, first: int, last: int, out: Array) -> int:
+    """Round values (N,) float32 + offset to 1..65535 in out (N,) uint16, NaN and infinity to 0; count the cut."""
+    cut = 0
+    for index in range(first, last):
+        value = np.rint(values[index] + offset)
+        kept = min(max(value, ONE), LARGEST_STORED)
+        is_number = value - value == ZERO  # false for NaN and infinity, and no branch
+        cut += int(is_number and kept != value)
+        out[index] = np.uint16(kept if is_number else ZERO)
+    return cut
 
 
 @kernel_inlined

@@ -26,9 +26,9 @@ from ground.whole_file import whole_file
 from piv.files.frame_file import write_frame
 from piv.files.vector_file import Variable, netcdf
 from tracer.scene.scene import Scene
-from tracer.status import RayStatus
 from tracer.strategies.branches import Branch
 from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.trace import RayStatus
 
 Variables = Mapping[str, tuple[NDArray[Any], str]]  # array and unit by name
 

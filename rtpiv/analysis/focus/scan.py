@@ -9,7 +9,7 @@ around the smallest s where s^2 is at most `WIDEST` times the smallest.  z_0 is 
 deviation comes from the scatter about the parabola.
 
 The depth that the scene needs is the distance between its first and its last best place.  Eq. 1 of the paper turns
-it into an f-number, and the planned f-number into a depth (`tracer.depth_of_field`).
+it into an f-number, and the planned f-number into a depth (`tracer.pupil`).
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ from daq.runs.run_views import load_kept
 from ground.config import load_yaml, read
 from ground.short_repr import short_repr
 from rtpiv.analysis.focus.blur import NO_SPOTS, Spots, parts_of, spots_in
-from tracer.depth_of_field import depth_of_field_mm, f_number_for_depth
+from tracer.pupil import depth_of_field_mm, f_number_for_depth
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 

@@ -36,8 +36,8 @@ from rtpiv.templates.bench_room import room_of
 from rtpiv.templates.lab import Lab
 from rtpiv.templates.plan_texts import GLASS_HEIGHTS_MM, bare_heights_mm
 from rtpiv.templates.scene_text import scene_of
-from tracer.depth_of_field import depth_of_field_mm
 from tracer.errors import SceneError
+from tracer.pupil import depth_of_field_mm
 from tracer.scene.scene import Scene
 from tracer.strategies.fov import FieldOfView, field_of_view
 from tracer.strategies.sensitivity import CAMERA, SPHERE, landings

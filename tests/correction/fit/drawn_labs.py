@@ -24,13 +24,13 @@ from correction.maps.correction_map import build_correction_map
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
 from tests.correction.fit.drawn_optics import Ball, Lab, corners_px, shown_mm
+from tracer.light import white_led
 from tracer.media import MEDIA, ConstantMedium, Medium
 from tracer.scene.fit_section import FitNamedTable, FitTable
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 from tracer.strategies.sensitivity import TargetPose
 from tracer.strategies.trace import trace
-from tracer.white_led import white_led
 
 SIZE_PX = 1008
 BOARD = Chessboard(3.5, 1.4)

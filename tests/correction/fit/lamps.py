@@ -54,7 +54,7 @@ def _lines(**power: float) -> Lamp:
 
 
 def _white(blue: float, phosphor_nm: float, red: float) -> Lamp:
-    """A white LED of another hand than `tracer.white_led`: pump, phosphor and a red tail."""
+    """A white LED of another hand than `tracer.light`: pump, phosphor and a red tail."""
     power = blue * _bell(455.0, 11.0) + _bell(phosphor_nm, 48.0) + red * _bell(630.0, 30.0)
     return Lamp(power, _points(power))
 

@@ -8,8 +8,7 @@ import pytest
 from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import Disparities
 from correction.light_sheet.double_views import double_views
-from correction.light_sheet.plane_fit import fit_plane
-from correction.light_sheet.scene_doubt import scene_doubt
+from correction.light_sheet.self_calibration import fit_plane, scene_doubt
 from tests.correction.light_sheet.particle_frames import camera, moved
 from tracer.strategies.sensitivity import CAMERA, SPHERE, landings
 

@@ -4,7 +4,7 @@ import tifffile
 
 from correction.target import Chessboard
 from correction.target.corners import CornerReason, blurs_of_smeared, refine_corners, saturated_fraction
-from correction.target.kernels import corner_covariance, corner_fit, corner_model
+from correction.target.kernels import corner_fit, corner_model
 from ground.kernels import cholesky
 from piv.errors import FrameError
 from tests.correction.frame_truth import FRAMES, true_projection
@@ -178,7 +178,7 @@ def test_compiled_and_interpreted_fits_agree():
     compiled = refine_corners(image, start, axes)
     out, verdict = np.full((1, 11), np.nan), np.zeros(1, np.uint8)
     with pytest.MonkeyPatch.context() as context:
-        for module in (corner_model, cholesky, corner_covariance, corner_fit):
+        for module in (corner_model, cholesky, corner_fit):
             for name, value in list(vars(module).items()):
                 if hasattr(value, "py_func") and name != "fit_corners":
                     context.setattr(module, name, value.py_func)
