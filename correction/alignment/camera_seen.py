@@ -21,7 +21,7 @@ from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from correction.target.board_origin import place_by_prediction
 from correction.target.board_search import corners_in_view
-from correction.target.corners import refine_corners
+from correction.target.corners import CornerSearch, refine_corners
 from correction.target.lattice_growth import Patch, grow_patches
 from correction.target.saddles import Saddles, find_saddles
 from tracer.camera import Camera
@@ -157,9 +157,7 @@ def find_camera(
         np.concatenate(axes)[some],
         sign=board.corner_sign(index[some]),
         mask=beside,
-        arm=ARM,
-        start_error_px=0.5,
-        max_shift=0.3,
+        search=CornerSearch(ARM, start_error_px=0.5, max_shift=0.3),
     )
     if np.count_nonzero(found.valid) < LEAST_CORNERS:
         raise TargetNotFound(

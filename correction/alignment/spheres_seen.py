@@ -1,6 +1,6 @@
 """Where the spheres of a scene stand, by their rims in one frame.
 
-The rim of each sphere is looked for around its place (`rim_search`), then its centre is fitted to the crossings of
+The rim of each sphere is looked for around its place (`rim`), then its centre is fitted to the crossings of
 the rim with its normals. Per crossing i, with the outward normal's rates (`rim`),
 
     s_i = r_xyz . move + r_R dR + e + noise,      dR ~ N(0, sigma_R),  e ~ N(0, BIAS w),
@@ -19,7 +19,7 @@ A sphere behind another, of whose rim less than `LEAST_SHARE` can be seen, is no
 moves with the others.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -81,6 +81,16 @@ class Behind(Protocol):
     def levels(self) -> tuple[float, float]:
         """Intensity of dark and of bright in the frame."""
         ...
+
+
+@dataclass(frozen=True)
+class _Look:
+    """A smoothed frame, with what is known of how it was taken: camera, radii, what stands behind the glass."""
+
+    smooth: NDArray[np.float32]
+    camera: Camera
+    priors: FitTable
+    behind: Behind | None
 
 
 @dataclass(frozen=True)
@@ -156,8 +166,7 @@ def find_spheres(
     RimUnclear
         Another rim is as good.
     """
-    priors = priors or FitTable()
-    spheres, smooth = scene.spheres, smoothed(frame)
+    spheres, look = scene.spheres, _Look(smoothed(frame), camera, priors or FitTable(), behind)
     require_direct_view(scene)
     expected = np.array([[*ball.centre_mm, ball.radius_mm] for ball in spheres])
     rims = {n: _rim(camera, expected, n) for n in range(len(spheres))}
@@ -168,14 +177,16 @@ def find_spheres(
             " camera at the glass"
         )
     beside = [n for n in shown if (rims[n].seen & ~rims[n].before_glass).mean() >= LEAST_SHARE]
-    voters, board = (beside, behind) if beside else (shown, None)  # rims before the board, if there is one
-    moves, polarity = _voted([(spheres[n], rims[n]) for n in voters], smooth, reach_mm, priors, board)
+    voters, board = (
+        (beside, look) if beside else (shown, replace(look, behind=None))
+    )  # before the board, if any is
+    moves, polarity = _voted([(spheres[n], rims[n]) for n in voters], board, reach_mm)
     start = expected.copy()
     start[:, :2] += moves.mean(axis=0)  # a sphere that cannot vote goes with the others
     start[voters, :2] = expected[voters, :2] + moves
     found = start.copy()
-    seen = {n: _fitted(n, spheres[n], smooth, camera, expected, found, polarity, priors, behind) for n in shown}
-    return tuple(seen.get(n) or _unseen(n, spheres[n], camera, found, priors) for n in range(len(spheres)))
+    seen = {n: _fitted(n, spheres[n], look, expected, found, polarity) for n in shown}
+    return tuple(seen.get(n) or _unseen(n, spheres[n], look, found) for n in range(len(spheres)))
 
 
 def require_direct_view(scene: Scene) -> None:
@@ -203,26 +214,20 @@ def _rim(camera: Camera, spheres: NDArray[np.float64], number: int) -> Rim:
     return rim_of(camera, spheres, number, int(np.clip(around / POINTS_PX, 90, MOST_POINTS)))
 
 
-def _voted(
-    shown: list[tuple[Sphere, Rim]],
-    smooth: NDArray[np.float32],
-    reach_mm: float,
-    priors: FitTable,
-    behind: Behind | None,
-) -> tuple[NDArray[np.float64], float]:
+def _voted(shown: list[tuple[Sphere, Rim]], look: _Look, reach_mm: float) -> tuple[NDArray[np.float64], float]:
     """Coarse moves (B, 2) [mm] of the spheres that show a rim, and the sign of their edges.
 
     The glass is carried as a whole: all rims vote together for one move, then each for its own near to it.
     """
     finest = max(float(np.abs(rim.rate[:, :2]).max()) for _, rim in shown)
-    step_mm = (1.0 if behind is None else WIDE_PX) / finest
+    step_mm = (1.0 if look.behind is None else WIDE_PX) / finest
     places = _around(reach_mm, step_mm)
-    ballots = [_ballot(ball, rim, smooth, reach_mm + step_mm, priors, behind) for ball, rim in shown]
+    ballots = [_ballot(ball, rim, look, reach_mm + step_mm) for ball, rim in shown]
     votes = [ballot.votes(places) for ballot in ballots]
-    signs, least = ((1.0, -1.0), LEAST) if behind is None else ((1.0,), LEAST_STRANGE)
+    signs, least = ((1.0, -1.0), LEAST) if look.behind is None else ((1.0,), LEAST_STRANGE)
 
     def said(vote: NDArray[np.float64]) -> NDArray[np.float64]:
-        return in_deviations(vote) if behind is None else vote
+        return in_deviations(vote) if look.behind is None else vote
 
     alike = {sign: said(np.mean([v.at_best_size(sign) for v in votes], axis=0)) for sign in signs}
     sign = max(alike, key=lambda s: float(alike[s].max()))
@@ -279,24 +284,19 @@ class _Ballot:
         return voted(self.vote, self.first_px, places @ self.rate[:, :2].T, self.larger_px)
 
 
-def _ballot(
-    ball: Sphere,
-    rim: Rim,
-    smooth: NDArray[np.float32],
-    reach_mm: float,
-    priors: FitTable,
-    behind: Behind | None,
-) -> _Ballot:
+def _ballot(ball: Sphere, rim: Rim, look: _Look, reach_mm: float) -> _Ballot:
     """Profiles of one rim as far as its sphere may stand off sideways."""
+    behind = look.behind
     seen = np.flatnonzero(rim.seen if behind is None else rim.seen & ~rim.before_glass)
     seen = seen[np.linspace(0, len(seen) - 1, min(VOTERS, len(seen))).round().astype(np.intp)]
     rate = rim.rate[seen]
     deep = (
-        DEPTH_MM * float(np.abs(rate[:, 2]).max()) + float(rate[:, 3].max()) * priors.sphere(ball.name).radius_mm
+        DEPTH_MM * float(np.abs(rate[:, 2]).max())
+        + float(rate[:, 3].max()) * look.priors.sphere(ball.name).radius_mm
     )
     larger = np.arange(-np.ceil(deep), np.ceil(deep) + 1.0)
     far = reach_mm * float(np.hypot(rate[:, 0], rate[:, 1]).max())
-    strip = strip_of(smooth, rim.pixel[seen], rim.outward[seen], far + deep + 1.0)
+    strip = strip_of(look.smooth, rim.pixel[seen], rim.outward[seen], far + deep + 1.0)
     vote = slopes(strip)
     if behind is not None:
         dark, bright = behind.levels
@@ -313,22 +313,19 @@ def _expected(place: NDArray[np.float64], behind: Behind) -> NDArray[np.float64]
 def _fitted(
     number: int,
     ball: Sphere,
-    smooth: NDArray[np.float32],
-    camera: Camera,
+    look: _Look,
     expected: NDArray[np.float64],
     spheres: NDArray[np.float64],
     sign: float,
-    priors: FitTable,
-    behind: Behind | None,
 ) -> SphereSeen:
     """Fit the centre of a sphere to the crossings of its rim; `spheres` holds all places and gets this one."""
-    unsure_mm = max(priors.sphere(ball.name).radius_mm, 1e-4)
+    unsure_mm = max(look.priors.sphere(ball.name).radius_mm, 1e-4)
     loose = np.array((LOOSE_MM, LOOSE_MM, LOOSE_MM, unsure_mm, 1.0))
     extra = np.zeros(2)  # of the radius, and of the edge
     for _ in range(ROUNDS):
-        rim = _rim(camera, spheres, number)
-        seen = rim.seen & _clear_beside(rim, behind)
-        strip: Strip = strip_of(smooth, rim.pixel[seen], rim.outward[seen], 8.0)
+        rim = _rim(look.camera, spheres, number)
+        seen = rim.seen & _clear_beside(rim, look.behind)
+        strip: Strip = strip_of(look.smooth, rim.pixel[seen], rim.outward[seen], 8.0)
         offset, slope, width = crossings(strip, rim.rate[seen, 3] * extra[0] + extra[1], sign)
         used = np.isfinite(offset)
         if used.sum() < 12 or used.mean() < LEAST_CROSSED:
@@ -386,10 +383,8 @@ def _robust(
     return step, spread
 
 
-def _unseen(
-    number: int, ball: Sphere, camera: Camera, spheres: NDArray[np.float64], priors: FitTable
-) -> SphereSeen:
+def _unseen(number: int, ball: Sphere, look: _Look, spheres: NDArray[np.float64]) -> SphereSeen:
     """A sphere without a rim of its own."""
-    known = priors.sphere(ball.name).centre_mm
-    share = _rim(camera, spheres, number).share_seen
+    known = look.priors.sphere(ball.name).centre_mm
+    share = _rim(look.camera, spheres, number).share_seen
     return SphereSeen(ball.name, np.zeros(3), known**2 * np.eye(3), False, share)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from correction.maps.corrector import Corrector
 from correction.target import Chessboard
-from correction.target.corners import WINDOW, refine_corners
+from correction.target.corners import WINDOW, CornerSearch, refine_corners
 from ground.short_repr import short_repr
 
 # A magnified view comes out so sharp that an edge along a pixel row leaves no pixel to measure it by; a
@@ -162,7 +162,7 @@ def _error_of(
         np.array([[square, 0.0], [0.0, -square]]),
         sign=board.corner_sign(index[seen][~known]),
         mask=usable,
-        max_shift=MAX_SHIFT,
+        search=CornerSearch(max_shift=MAX_SHIFT),
     )
     position[~known], valid[~known] = fit.position_px, fit.valid
     now.corners.update(zip(nodes, zip(position, valid.tolist(), strict=True), strict=True))

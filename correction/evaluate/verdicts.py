@@ -22,7 +22,6 @@ import scipy
 CLEARLY = 0.95  # a smaller error is worth a word below this share of the other
 FAIRLY = 1.1  # a sigma may be off by this factor
 MIDDLE = (0.025, 0.975)  # of a distribution: where chance leads
-WITHIN_1, WITHIN_2 = 0.683, 0.954  # of normal errors
 
 Order = Literal["first", "second", "equal"]
 Claim = Literal["as claimed", "too small", "too large", "too few vectors"]

@@ -57,11 +57,6 @@ class Chessboard(Board):
         bright = self.is_bright(np.array(self.discs))
         return frozenset((int(i), int(j), bool(b)) for (i, j), b in zip(cells, bright, strict=True))
 
-    @property
-    def clear_arm(self) -> float:
-        """Half width, in squares, of the arms along the edges that stay clear of every disc."""
-        return 0.5 - 0.5 * self.disc_mm / self.square_mm
-
     def is_bright(self, squares: ArrayLike) -> NDArray[np.bool_]:
         """True for squares (..., 2) int that are bright apart from their disc."""
         return np.asarray(np.asarray(squares).sum(axis=-1) % 2 == 1)

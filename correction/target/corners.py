@@ -24,6 +24,8 @@ ARM = 0.15  # half width of the arms in squares, clear of discs of up to half a 
 LEAST_PX = 4.0  # smallest half window: below, twelve numbers are not worth fitting
 DRAWN = 256  # corners drawn at a time: some 8 MB
 CLEAR_PX = 3.0  # of a drawn corner's window from those of the next
+LARGEST_RESIDUAL = 0.25  # rms, of the half contrast: more is a MISFIT
+LARGEST_SIGMA_PX = 0.25  # more is UNSURE
 ASIDE_PX = (0.3, 0.2)  # where the fit of a drawn corner starts: exactly in its middle nothing pulls
 SATURATED_LEVELS = (255, 1023, 4095, 16383, 65535, 65520)  # full scale of 8, 10, 12, 14, 16 bit, 12 in 16 bit
 
@@ -40,6 +42,25 @@ class CornerReason(IntEnum):
     INVERTED = 6  # bright and dark are exchanged: another corner of the lattice
     MISFIT = 7  # the window does not look like two crossing edges
     UNSURE = 8  # sigma above the limit
+
+
+@dataclass(frozen=True)
+class CornerSearch:
+    """Where a corner may be, seen from its start.
+
+    Parameters
+    ----------
+    arm : float
+        Half width of the window's arms in squares.
+    start_error_px : float
+        How far off the starts may be; smaller is faster, larger than a sixth of a square has no effect.
+    max_shift : float
+        Largest move from the start in squares.
+    """
+
+    arm: float = ARM
+    start_error_px: float = 5.0
+    max_shift: float = 0.45
 
 
 @dataclass(frozen=True)
@@ -103,12 +124,7 @@ def refine_corners(
     sign: ArrayLike | None = None,
     mask: NDArray[np.bool_] | None = None,
     window: float | ArrayLike = WINDOW,
-    arm: float = ARM,
-    least_px: float = LEAST_PX,
-    start_error_px: float = 5.0,
-    max_shift: float = 0.45,
-    max_residual: float = 0.25,
-    max_sigma_px: float = 0.25,
+    search: CornerSearch = CornerSearch(),
     threads: int | None = None,
 ) -> CornerFit:
     """Fit corners from start positions.
@@ -127,16 +143,11 @@ def refine_corners(
         shade makes the corner INVERTED.
     mask : (H, W) bool, optional
         True where pixels may be used.
-    window, arm : float
-        Half length (or one a corner) and half width of the arms in squares.
-    least_px : float
-        At the border of frame or mask the window shrinks to this half width in px, then the corner is refused.
-    start_error_px : float
-        How far off the starts may be; smaller is faster, larger than a sixth of a square has no effect.
-    max_shift : float
-        Largest move from the start in squares.
-    max_residual, max_sigma_px : float
-        Limits beyond which a corner is MISFIT or UNSURE.
+    window : float or (N,) float
+        Half length of the arms in squares.  At the border of frame or mask the window shrinks to LEAST_PX, then
+        the corner is refused.
+    search : CornerSearch
+        Where the corner may be.
     threads : int, optional
         Threads to use.
 
@@ -168,18 +179,18 @@ def refine_corners(
 
         def rows(first: int, last: int) -> None:
             corner_fit.fit_corners(
-                pixels, usable, starts, frames, lengths, arm, least_px, max_shift, error_px,
+                pixels, usable, starts, frames, lengths, search.arm, LEAST_PX, search.max_shift, error_px,
                 first, last, corner_fit.new_scratch(), results, verdicts,
             )  # fmt: skip
 
         run_rows(rows, len(some), block=64, threads=threads)
         out[some], verdict[some] = results, verdicts
 
-    fit(np.arange(count), start_error_px)
+    fit(np.arange(count), search.start_error_px)
     # A start too far for the blur of the first guess is often within reach of twice the blur.
     again = np.flatnonzero((verdict == CornerReason.LOST) | (verdict == CornerReason.MOVED))
-    fit(again, 2.0 * start_error_px)
-    return _judge(out, verdict, sign, max_residual, max_sigma_px)
+    fit(again, 2.0 * search.start_error_px)
+    return _judge(out, verdict, sign)
 
 
 def blurs_of_smeared(
@@ -235,8 +246,6 @@ def _judge(
     out: NDArray[np.float64],
     verdict: NDArray[np.uint8],
     sign: ArrayLike | None,
-    max_residual: float,
-    max_sigma_px: float,
 ) -> CornerFit:
     """Name what the kernel found and apply the limits."""
     amplitude = out[:, 7]
@@ -244,8 +253,8 @@ def _judge(
         residual = out[:, 5] / np.abs(amplitude)
         sigma = np.sqrt(out[:, 2:4])
         fitted = verdict == CornerReason.OK
-        verdict[fitted & ~(sigma.max(axis=1) <= max_sigma_px)] = CornerReason.UNSURE
-        verdict[fitted & ~(residual <= max_residual)] = CornerReason.MISFIT
+        verdict[fitted & ~(sigma.max(axis=1) <= LARGEST_SIGMA_PX)] = CornerReason.UNSURE
+        verdict[fitted & ~(residual <= LARGEST_RESIDUAL)] = CornerReason.MISFIT
         if sign is not None:
             verdict[fitted & (np.sign(amplitude) != np.asarray(sign))] = CornerReason.INVERTED
     return CornerFit(

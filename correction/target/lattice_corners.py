@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from correction.errors import TargetNotFound
 from correction.target.board_origin import Placing
 from correction.target.chessboard import Chessboard
-from correction.target.corners import refine_corners
+from correction.target.corners import CornerSearch, refine_corners
 from correction.target.lattice_growth import STEPS, Patch, lattice_axes
 
 ORDER = 5
@@ -152,8 +152,7 @@ def measure_lattice(
             axes,
             sign=board.corner_sign(index),
             mask=mask,
-            start_error_px=5.0 if extension else 0.5,
-            max_shift=0.3,
+            search=CornerSearch(start_error_px=5.0 if extension else 0.5, max_shift=0.3),
         )
         refused = fit.counts() if refused is None else refused
         known_index = np.concatenate((known_index, index[fit.valid]))

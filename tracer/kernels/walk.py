@@ -230,12 +230,6 @@ def walk(
 
 
 @kernel_composed
-def keep_nothing(kept: Any, crossing: Crossing, world: World) -> Any:  # noqa: ANN401
-    """Record nothing but where the ray goes."""
-    return kept
-
-
-@kernel_composed
 def keep_light(kept: tuple[float, float], crossing: Crossing, world: World) -> tuple[float, float]:
     """Record optical path / n_ambient and transmittance."""
     return kept[0] + crossing.path + crossing.more, kept[1] * crossing.light * crossing.share

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from correction.fit.solve.sides import Side, sides_of
 from tracer.bodies import Body, Number
-from tracer.kernels.world import KINDS
 from tracer.scene.fit_section import FitTable
 from tracer.scene.scene import Scene
 
@@ -94,11 +93,6 @@ class OtherBodies:
         for body, numbers in self.bodies:
             yield body, numbers, values[first : first + len(numbers)]
             first += len(numbers)
-
-
-def rows_of(scene: Scene) -> int:
-    """How many numbers of rows landing points of a scene are to depend on (`tracer.strategies.sensitivity`)."""
-    return sum(len(table.rows) * len(KINDS[type(table)].numbers) for table in scene.other_tables())
 
 
 def _sigma(body: Body, number: Number, priors: FitTable) -> float:

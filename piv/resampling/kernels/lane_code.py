@@ -11,7 +11,7 @@ from piv.resampling.kernels.lanes import TAP_POLYNOMIALS
 Code = Any  # a type of numba, a value of LLVM, or who writes them
 
 _FLOAT, _INT = ir.FloatType(), ir.IntType(32)
-_EIGHT, _FOUR = ir.VectorType(_FLOAT, 8), ir.VectorType(_FLOAT, 4)
+_EIGHT = ir.VectorType(_FLOAT, 8)
 
 
 def _pick(builder: Code, vector: Code, lanes: list[int]) -> Code:

@@ -41,7 +41,8 @@ def test_corners_within_a_box_and_a_triangle():
 def test_arms_stay_clear_of_every_disc():
     board = Chessboard()
     t = np.linspace(-0.49, 0.49, 99)
-    arm = np.stack(np.meshgrid(t, np.linspace(-1, 1, 41) * (board.clear_arm - 1e-6)), -1).reshape(-1, 2)
+    clear = 0.5 - 0.5 * board.disc_mm / board.square_mm  # of every disc, half the width of an arm
+    arm = np.stack(np.meshgrid(t, np.linspace(-1, 1, 41) * (clear - 1e-6)), -1).reshape(-1, 2)
     bare = Chessboard(disc_mm=1e-6)
     for points in (arm, arm[:, ::-1]):
         for index in board.corners_within([(-6, -6), (6, 6)]):
