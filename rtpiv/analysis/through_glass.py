@@ -104,7 +104,7 @@ def through_glass(scene: Scene, grid: PlaneGrid, recovered: NDArray[np.bool_]) -
     if not count:
         return None
     seen = int(np.count_nonzero(recovered[hidden]))
-    what = "the balls" if all(isinstance(body, Sphere) for body in glass) else "the glass"
+    what = "the balls" if len(Sphere.among(glass)) == len(glass) else "the glass"
     return ThroughGlass(count * grid.pitch_mm**2, seen * grid.pitch_mm**2, what)
 
 

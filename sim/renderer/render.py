@@ -21,8 +21,8 @@ from sim.renderer.rays import trace_pixels, weighted_mean
 from sim.renderer.sensor import Sensor
 from sim.renderer.surfaces import SOLID
 from sim.renderer.uneven import uneven_numbers
-from sim.renderer.walls import NUMBERS, n_at, wall_rows
-from tracer.bodies import CONTACT_TOL_MM, Body, Dome, Rod, Sphere, Tube, Window
+from sim.renderer.walls import NUMBERS, WALLS, n_at, wall_rows
+from tracer.bodies import CONTACT_TOL_MM, Body, Rod, Sphere
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
 
@@ -202,7 +202,7 @@ def tables_of(
     plane = pose.axes()
     bodies = [body for body in scene.bodies if _in_front(body, plane, sheet_mm)]
     spheres, rods = Sphere.among(bodies), Rod.among(bodies)
-    walls = [body for body in bodies if isinstance(body, Window | Tube | Dome)]
+    walls = [body for body in bodies if type(body) in WALLS]
     if unknown := [body for body in bodies if body not in (*spheres, *rods, *walls)]:
         raise SceneError(f"the simulator cannot render {unknown[0].name!r}, a {unknown[0].kind}")
     pupil = (aperture.pupil_radius_mm, aperture.focus_mm) if aperture else (0.0, 1.0)
@@ -248,14 +248,11 @@ def _in_front(body: Body, plane: NDArray[np.float64], sheet_mm: tuple[float, flo
     SceneError
         The sheet cuts the body.
     """
-    if isinstance(body, Tube | Dome):
+    if body.may_cross_plane:
         return True
-    *ends, radius_mm = body.capsule
-    if isinstance(body, Window):
-        ends, radius_mm = [*body.outline_mm[0]], 0.0
-    if isinstance(body, Sphere):
-        radius_mm -= 2.0 * body.uneven_mm  # the least it can be: that a ball is not in the sheet, its scene says
-    heights = [float((np.array(end) - plane[0]) @ plane[3]) for end in ends]
+    ends, radius_mm = body.outline_mm
+    radius_mm -= 2.0 * body.uneven_mm  # the least it can be: that a ball is not in the sheet, its scene says
+    heights = [float((end - plane[0]) @ plane[3]) for end in ends]
     if min(heights) - radius_mm >= -CONTACT_TOL_MM:
         return True
     if max(heights) + radius_mm <= CONTACT_TOL_MM:

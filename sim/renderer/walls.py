@@ -5,7 +5,8 @@ What is around a wall, or around a ball, is asked of a point of it: a tube behin
 liquid. (The tracer knows rooms, and which surface comes next; nothing here is shared with it.)
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from ground.jit import kernel
 from sim.renderer.surfaces import Float64
 from tracer.bodies import Body, Dome, Tube, Window
+from tracer.media import Medium
 from tracer.scene.scene import Scene
 
 HAIR_MM = 1e-7
@@ -108,57 +110,96 @@ def next_wall(
     return best, nx, ny, nz, before, behind, in_glass, which
 
 
+class Wall(NamedTuple):
+    """What the renderer knows of a kind of wall.
+
+    Parameters
+    ----------
+    inside : callable
+        (wall, point) -> how deep inside of it the point lies [mm], how large its inside is, and what is in it.
+    outside_mm : callable
+        wall -> a point of its outside: its middle may be in what it holds.
+    place : callable
+        wall -> the first ten numbers of its row, from KIND to INNER, and the last three, INSIDE_AT.
+    """
+
+    inside: Callable[[Any, NDArray[np.float64]], tuple[float, float, Medium | None]]
+    outside_mm: Callable[[Any], NDArray[np.float64]]
+    place: Callable[[Any], tuple[list[float], list[float]]]
+
+
+def _in_window(wall: Window, point_mm: NDArray[np.float64]) -> tuple[float, float, Medium | None]:
+    depth = float((np.array(wall.centre_mm) - point_mm) @ np.array(wall.normal)) - wall.thickness_mm
+    return depth, 1e9 + depth, wall.behind
+
+
+def _in_tube(wall: Tube, point_mm: NDArray[np.float64]) -> tuple[float, float, Medium | None]:
+    start, axis = np.array(wall.start_mm), np.array(wall.end_mm) - np.array(wall.start_mm)
+    along = float((point_mm - start) @ axis / (axis @ axis))
+    off = float(np.linalg.norm(point_mm - start - along * axis))
+    depth = wall.inner_radius_mm - off if 0.0 < along < 1.0 else -1.0
+    return depth, wall.inner_radius_mm, wall.filled
+
+
+def _in_dome(wall: Dome, point_mm: NDArray[np.float64]) -> tuple[float, float, Medium | None]:
+    depth = wall.inner_radius_mm - float(np.linalg.norm(point_mm - np.array(wall.inside_mm)))
+    return depth, wall.inner_radius_mm, wall.filled
+
+
+def _on_tube(wall: Tube) -> NDArray[np.float64]:
+    start, end = np.array(wall.start_mm), np.array(wall.end_mm)
+    aside = np.cross(end - start, np.eye(3)[int(np.argmin(np.abs(end - start)))])
+    return np.asarray(0.5 * (start + end) + wall.outer_radius_mm * aside / np.linalg.norm(aside))
+
+
+def _on_dome(wall: Dome) -> NDArray[np.float64]:
+    return np.asarray(np.array(wall.centre_mm) + wall.outer_radius_mm * np.array(wall.axis))
+
+
+def _place_window(wall: Window) -> tuple[list[float], list[float]]:
+    return [WINDOW, *wall.centre_mm, *wall.normal, wall.thickness_mm, wall.radius_mm, 0.0], [0.0, 0.0, 0.0]
+
+
+def _place_tube(wall: Tube) -> tuple[list[float], list[float]]:
+    start, end = np.array(wall.start_mm), np.array(wall.end_mm)
+    length = float(np.linalg.norm(end - start))
+    place = [TUBE, *start.tolist(), *((end - start) / length).tolist(), length]
+    return [*place, wall.outer_radius_mm, wall.inner_radius_mm], [0.0, 0.0, 0.0]
+
+
+def _place_dome(wall: Dome) -> tuple[list[float], list[float]]:
+    place = [DOME, *wall.centre_mm, *wall.axis, float(np.deg2rad(wall.half_angle_deg))]
+    return [*place, wall.outer_radius_mm, wall.inner_radius_mm], [*wall.inside_mm]
+
+
+WALLS: dict[type[Body], Wall] = {
+    Window: Wall(_in_window, lambda wall: np.array(wall.centre_mm), _place_window),
+    Tube: Wall(_in_tube, _on_tube, _place_tube),
+    Dome: Wall(_in_dome, _on_dome, _place_dome),
+}
+
+
 def n_at(scene: Scene, point_mm: NDArray[np.float64], but: Body | None = None) -> float:
     """Index of the medium at a point, a wall aside: that of the smallest inside around it that has one."""
     found = [(np.inf, scene.ambient)]
     for wall in scene.bodies:
-        if isinstance(wall, Window):
-            depth = float((np.array(wall.centre_mm) - point_mm) @ np.array(wall.normal)) - wall.thickness_mm
-            size, medium = 1e9 + depth, wall.behind
-        elif isinstance(wall, Tube):
-            start, axis = np.array(wall.start_mm), np.array(wall.end_mm) - np.array(wall.start_mm)
-            along = float((point_mm - start) @ axis / (axis @ axis))
-            off = float(np.linalg.norm(point_mm - start - along * axis))
-            depth = wall.inner_radius_mm - off if 0.0 < along < 1.0 else -1.0
-            size, medium = wall.inner_radius_mm, wall.filled
-        elif isinstance(wall, Dome):
-            depth = wall.inner_radius_mm - float(np.linalg.norm(point_mm - np.array(wall.inside_mm)))
-            size, medium = wall.inner_radius_mm, wall.filled
-        else:
+        if wall is but or type(wall) not in WALLS:
             continue
-        if wall is not but and depth > 0.0 and medium is not None:
+        depth, size, medium = WALLS[type(wall)].inside(wall, point_mm)
+        if depth > 0.0 and medium is not None:
             found.append((size, medium))
     return min(found, key=lambda one: one[0])[1].n(scene.wavelength_nm)
 
 
 def wall_rows(scene: Scene, walls: Sequence[Body]) -> list[list[float]]:
-    """Rows of windows, tubes and domes, with indices / n_ambient.
-
-    What is around a wall is asked at a point of it: its middle may be in what it holds.
-    """
+    """Rows of windows, tubes and domes, with indices / n_ambient."""
     air, nm = scene.ambient.n(scene.wavelength_nm), scene.wavelength_nm
     rows = []
     for wall in walls:
-        if isinstance(wall, Window):
-            around = n_at(scene, np.array(wall.centre_mm), wall)
-            beyond = around if wall.behind is None else wall.behind.n(nm)
-            place = [WINDOW, *wall.centre_mm, *wall.normal, wall.thickness_mm, wall.radius_mm, 0.0]
-            rows.append([*place, around / air, wall.medium.n(nm) / air, beyond / air, 0.0, 0.0, 0.0])
-        if isinstance(wall, Tube):
-            start, end = np.array(wall.start_mm), np.array(wall.end_mm)
-            length = float(np.linalg.norm(end - start))
-            aside = np.cross(end - start, np.eye(3)[int(np.argmin(np.abs(end - start)))])
-            on_wall = 0.5 * (start + end) + wall.outer_radius_mm * aside / np.linalg.norm(aside)
-            around = n_at(scene, on_wall, wall)
-            beyond = around if wall.filled is None else wall.filled.n(nm)
-            place = [TUBE, *start.tolist(), *((end - start) / length).tolist(), length]
-            radii = [wall.outer_radius_mm, wall.inner_radius_mm]
-            rows.append([*place, *radii, around / air, wall.medium.n(nm) / air, beyond / air, 0.0, 0.0, 0.0])
-        if isinstance(wall, Dome):
-            around = n_at(scene, np.array(wall.centre_mm) + wall.outer_radius_mm * np.array(wall.axis), wall)
-            beyond = around if wall.filled is None else wall.filled.n(nm)
-            place = [DOME, *wall.centre_mm, *wall.axis, np.deg2rad(wall.half_angle_deg)]
-            radii = [wall.outer_radius_mm, wall.inner_radius_mm]
-            index = [around / air, wall.medium.n(nm) / air, beyond / air]
-            rows.append([*place, *radii, *index, *wall.inside_mm])
+        kind = WALLS[type(wall)]
+        around = n_at(scene, kind.outside_mm(wall), wall)
+        (_, glass), *held = wall.media
+        beyond = held[0][1].n(nm) if held else around
+        place, inside_at = kind.place(wall)
+        rows.append([*place, around / air, glass.n(nm) / air, beyond / air, *inside_at])
     return rows

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from sim.witness.distances import Point, along, least, plus, segment_to_box, segment_to_segment
 from tracer.bodies import Body, Dome, Rod, Sphere, Tube, Window
@@ -216,17 +216,9 @@ def _shapes(scene: "Scene", table: "KeepOutTable") -> dict[str, list[_Capsule | 
 
 
 def _capsules(body: Body) -> list[_Capsule]:
-    if isinstance(body, Rod):
-        return [_Capsule(body.name, body.start_mm, body.end_mm, body.radius_mm)]
-    if isinstance(body, Sphere):
-        return [_Capsule(body.name, body.centre_mm, body.centre_mm, body.radius_mm)]
-    if isinstance(body, Dome):
-        return [_Capsule(body.name, body.centre_mm, body.centre_mm, body.outer_radius_mm)]
-    if isinstance(body, Window):
-        return _raft(body)
-    if isinstance(body, Tube):
-        return _ring(body)
-    raise TypeError(f"the witness knows no distances to {body!r}; teach it")
+    if type(body) not in CAPSULES:
+        raise TypeError(f"the witness knows no distances to {body!r}; teach it")
+    return CAPSULES[type(body)](body)
 
 
 def _raft(window: Window) -> list[_Capsule]:
@@ -300,3 +292,12 @@ def _slack(axes: Mapping[str, tuple[int, int, float]], slack_mm: Mapping[str, fl
     for axis, (direction, _, _) in axes.items():
         along_each[direction] += slack_mm[axis]
     return max(along_each)
+
+
+CAPSULES: dict[type[Body], Callable[[Any], list[_Capsule]]] = {
+    Rod: lambda rod: [_Capsule(rod.name, rod.start_mm, rod.end_mm, rod.radius_mm)],
+    Sphere: lambda ball: [_Capsule(ball.name, ball.centre_mm, ball.centre_mm, ball.radius_mm)],
+    Dome: lambda dome: [_Capsule(dome.name, dome.centre_mm, dome.centre_mm, dome.outer_radius_mm)],
+    Window: _raft,
+    Tube: _ring,
+}

@@ -7,7 +7,7 @@ file that answers them (``docs/add-a-body.md``).
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +113,34 @@ class Number(NamedTuple):
     known: str
 
 
+class Ball(Protocol):
+    """What a body asks of a ball beside it (`Body.gap_to_ball_mm`)."""
+
+    @property
+    def centre_mm(self) -> Vector3:
+        """Its centre."""
+        ...
+
+    @property
+    def radius_mm(self) -> float:
+        """Its radius."""
+        ...
+
+    @property
+    def shape_um(self) -> tuple[float, ...]:
+        """How far it is out of round; empty for a sphere."""
+        ...
+
+    @property
+    def uneven_mm(self) -> float:
+        """What its surface is nowhere higher or lower than the radius."""
+        ...
+
+    def radius_towards_mm(self, directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distance from its centre to its surface in unit directions (..., 3)."""
+        ...
+
+
 class Body(ABC):
     """A body: what stands before the investigation plane.  Subclasses are frozen dataclasses."""
 
@@ -158,6 +186,10 @@ class Body(ABC):
         """Distance from the surface to points (..., 3), negative inside: that of the capsule, if need be."""
         return self.capsule.distance_mm(points_mm)
 
+    def gap_to_ball_mm(self, ball: Ball) -> float:
+        """Distance between the body and a ball, negative for an overlap; never too small."""
+        return float(self.distance_mm(np.array(ball.centre_mm))) - ball.radius_mm + ball.uneven_mm
+
     @property
     def media(self) -> tuple[tuple[str, Medium], ...]:
         """Media in the body, from the outside in, with what is said of each; none in an opaque one."""
@@ -190,6 +222,11 @@ class Body(ABC):
     def may_cross_plane(self) -> bool:
         """Whether the body may reach through the investigation plane."""
         return False
+
+    @property
+    def uneven_mm(self) -> float:
+        """How much smaller than its outline the body may be on each side, because it is out of round."""
+        return 0.0
 
     @property
     def slope_rad(self) -> float:

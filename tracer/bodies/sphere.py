@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ground.config import Table, Triple
 from ground.jit import Array
-from tracer.bodies.body import Body, BodySection, Capsule, Index, vector3
+from tracer.bodies.body import CONTACT_TOL_MM, Ball, Body, BodySection, Capsule, Index, vector3
 from tracer.bodies.shape import Shape, ShapeTable, reach_mm, written_shape
 from tracer.camera import LONGEST_MM, SMALLEST_MM, Vector3, within_reach
 from tracer.errors import SceneError
@@ -227,6 +227,15 @@ class Sphere(Body):
         if not self.shape_um:
             return np.asarray(away - self.radius_mm)
         return np.asarray(away - self.radius_towards_mm(off / np.maximum(away, SMALLEST_MM)[..., None]))
+
+    def gap_to_ball_mm(self, ball: Ball) -> float:
+        """Distance between balls; out of round, along the line of their centres, where balls apart have a gap."""
+        if not (self.shape_um or ball.shape_um):
+            return super().gap_to_ball_mm(ball)
+        centre = np.array(ball.centre_mm)
+        apart = np.array(self.centre_mm) - centre
+        back = apart / max(float(np.linalg.norm(apart)), CONTACT_TOL_MM)
+        return float(self.distance_mm(centre)) - float(ball.radius_towards_mm(back))
 
     def moved(self, to: Callable[[Vector3], Vector3]) -> Self:
         """Return the sphere with its centre moved, and its shape turned with it."""

@@ -299,7 +299,7 @@ class Scene:
         pairs: list[tuple[Body, Sphere]] = [*_near_pairs(spheres)]
         others = [body for kind in KINDS[1:] for body in kind.among(self.bodies) if body.room is None]
         pairs += [(body, sphere) for body in others for sphere in spheres]
-        gaps: list[tuple[Body, Body, float]] = [(one, other, _to_sphere_mm(one, other)) for one, other in pairs]
+        gaps: list[tuple[Body, Body, float]] = [(one, other, one.gap_to_ball_mm(other)) for one, other in pairs]
         gaps += [
             (one, other, _gap_mm(one, other)) for one, other in combinations(others, 2) if one.media or other.media
         ]
@@ -338,19 +338,6 @@ def _ways_of(body: Body) -> tuple[str, str, str, str]:
     """Names of the ways THROUGH, IN, OUT and OFF of a body that is no sphere."""
     names = body.event_names
     return names[0], "", "", names[1] if len(names) > 1 else ""
-
-
-def _to_sphere_mm(one: Body, other: Sphere) -> float:
-    """Distance between a body and a sphere, negative for an overlap; never too small.
-
-    Of balls out of round it is taken along the line of their centres, where bodies that are apart have a gap.
-    """
-    centre = np.array(other.centre_mm)
-    if isinstance(one, Sphere) and (one.shape_um or other.shape_um):
-        apart = np.array(one.centre_mm) - centre
-        back = apart / max(float(np.linalg.norm(apart)), CONTACT_TOL_MM)
-        return float(one.distance_mm(centre)) - float(other.radius_towards_mm(back))
-    return float(one.distance_mm(centre)) - other.radius_mm + other.uneven_mm
 
 
 def _near_pairs(spheres: Sequence[Sphere]) -> list[tuple[Sphere, Sphere]]:

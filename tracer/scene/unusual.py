@@ -148,13 +148,15 @@ def _bodies_asked(scene: Scene) -> Asked:
             hint = slip("mm", nearest_mm, 0.2 * size_mm, 5.0 * size_mm)
             text = f"is it outside of the picture, and {nearest_mm:.4g} mm from all other bodies{hint or '?'}"
             yield at, f"{body.name}: {text}"
-        if isinstance(body, Sphere) and not middle_mm / OUTLIER <= body.radius_mm <= middle_mm * OUTLIER:
+    for ball in Sphere.among(lenses):
+        at = ("bodies", places[ball.name])
+        if not middle_mm / OUTLIER <= ball.radius_mm <= middle_mm * OUTLIER:
             text = (
-                f"{body.name}: is radius_mm {body.radius_mm:g} right? Half of the balls have {middle_mm:g} or more"
+                f"{ball.name}: is radius_mm {ball.radius_mm:g} right? Half of the balls have {middle_mm:g} or more"
             )
             yield (*at, "radius_mm"), text
-        if isinstance(body, Sphere) and body.cores and body.cores[0].radius_mm < THINNEST_CORE * body.radius_mm:
-            yield (*at, "core"), f"{body.name}: has its core only {body.cores[0].radius_mm:g} mm radius?"
+        if ball.cores and ball.cores[0].radius_mm < THINNEST_CORE * ball.radius_mm:
+            yield (*at, "core"), f"{ball.name}: has its core only {ball.cores[0].radius_mm:g} mm radius?"
     for body in scene.bodies:
         at = ("bodies", places[body.name])
         if body.kind == "rod" and radii and body.capsule.radius_mm > max(radii):

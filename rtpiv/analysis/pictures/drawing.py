@@ -131,9 +131,8 @@ def _cut(axes: Axes, scene: Scene, cut: Section, frame: tuple[float, float, floa
                       parse_math=False, zorder=5, clip_on=True)  # fmt: skip
     _add(axes, patches, colours, 0.55)
     axes.set(xlim=(-0.05 * top, top), ylim=(low, high), aspect="equal")
-    for body in scene.seen:
-        if not isinstance(body, Sphere):
-            _draw_support(axes, body, cut)
+    for body in scene.others:
+        _draw_support(axes, body, cut)
     axes.axvline(0.0, color=INK, linewidth=2.0)
     _label(axes, "z [mm], camera to the right", _along(cut), f"cut {cut.letter}")
 
@@ -149,7 +148,7 @@ def _frame(scene: Scene, cut: Section) -> tuple[float, float, float]:
     if not balls:
         return view[0], view[1], 1.3 * max((body.highest_mm for body in scene.seen), default=view[1] - view[0])
     middles = [(float(cut.within(np.array(ball.centre_mm))[0]), ball.radius_mm) for ball in balls]
-    supports = [body.capsule for body in scene.seen if not isinstance(body, Sphere)]
+    supports = [body.capsule for body in scene.others]
     for start, end, radius in supports:  # that go through the cut
         one, other = cut.beside(np.array([start, end]))
         if one * other < 0.0:
