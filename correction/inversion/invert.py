@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 
 from correction.grid import PlaneGrid
 from correction.inversion.kernels.bed_sheets import (
+    LANES,
+    MEASURES,
     Sensor,
     Small,
     StartScratch,
@@ -32,10 +34,8 @@ from correction.inversion.kernels.bed_sheets import (
 )
 from correction.inversion.kernels.behind_window import BLOCK_NUMBERS, direct_rows_behind
 from correction.inversion.kernels.direct import direct_rows
-from correction.inversion.kernels.inverse import Tables, join_weights
-from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, Ways
-from correction.inversion.kernels.starts import LANES, MEASURES
-from correction.inversion.kernels.views import NodeScratch, solve_nodes
+from correction.inversion.kernels.newton import GROUP, NEWTON_NUMBERS, Tables, Ways
+from correction.inversion.kernels.views import NodeScratch, join_weights, solve_nodes
 from correction.inversion.sheets import Ordered, Sheet, Sheets, Starts
 from correction.masked import masked_branches, masked_pixels
 from ground.rows import run_parts, run_rows

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from benchmarks.scenes import bench_scene
 from tracer.bodies import Body, Core, Sphere
 from tracer.camera import Camera, Lens, look_at
-from tracer.kernels.maps import trace_trails
-from tracer.kernels.march import march
+from tracer.kernels.march import march, trace_trails
 from tracer.kernels.world import World
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene

@@ -8,10 +8,9 @@ import pytest
 from correction.maps.correction_map import build_correction_map
 from tests.tracer.scenes import ball, camera_at, random_bodies
 from tracer.bodies import Rod
-from tracer.kernels.bed import next_in_bed
-from tracer.kernels.maps import trace_rows
+from tracer.kernels.march import trace_rows
 from tracer.kernels.rooms import ONE_ROOM
-from tracer.kernels.world import World, next_sphere
+from tracer.kernels.world import World, next_in_bed, next_sphere
 from tracer.scene.scene import Scene
 from tracer.strategies import beds
 from tracer.strategies import trace as tracing

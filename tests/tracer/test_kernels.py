@@ -15,11 +15,9 @@ from tracer.bodies import Rod, Sphere
 from tracer.bodies.rod import meets_rod
 from tracer.camera import Lens
 from tracer.kernels.camera import ideal_xy, pixel_ray, pixel_ray_tangents
-from tracer.kernels.maps import trace_rays, trace_rows, trace_trails
-from tracer.kernels.march import march, march_pixel_tangents
+from tracer.kernels.march import MAX_EVENTS, march, march_pixel_tangents, trace_rays, trace_rows, trace_trails
 from tracer.kernels.sensor import sensor_rows
 from tracer.kernels.sphere import angles, foot, through, transmittance, turned
-from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.world import next_body
 from tracer.scene.scene import Scene
 from tracer.strategies.lockstep import find_mirrors, pack_chain, row_scratch

@@ -10,8 +10,7 @@ from benchmarks.scenes import PAPER, aimed_pixels
 from ground.rows import run_rows
 from tests.tracer.scenes import TILTED, ball, camera_at, random_bodies, random_camera, scene, shrunk
 from tracer.camera import Lens
-from tracer.kernels.maps import trace_rows
-from tracer.kernels.march import march_pixel_tangents
+from tracer.kernels.march import march_pixel_tangents, trace_rows
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
 from tracer.strategies.strategy import Kind, choose

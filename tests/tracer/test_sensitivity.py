@@ -13,9 +13,8 @@ from benchmarks.reference import dot, follow_pixel
 from sim.demo.scenes import named_scene
 from tracer.bodies import Core
 from tracer.camera import Lens
-from tracer.kernels.adjoint import STATE
-from tracer.kernels.landing import trace_landings
-from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.landing import STATE, trace_landings
+from tracer.kernels.march import MAX_EVENTS
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.sensitivity import CAMERA, SPHERE, TARGET, TargetPose, landings, parameter_names

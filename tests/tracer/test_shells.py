@@ -20,8 +20,16 @@ from tests.tracer.second_formulation import inside
 from tests.tracer.second_formulation import met as meet
 from tracer.bodies import Core, Sphere
 from tracer.errors import SceneError
-from tracer.kernels.shell import core_turn, core_turn_rates, way_through, with_cores, with_cores_rates
-from tracer.kernels.sphere import SOLID, angles, through
+from tracer.kernels.sphere import (
+    SOLID,
+    angles,
+    core_turn,
+    core_turn_rates,
+    through,
+    way_through,
+    with_cores,
+    with_cores_rates,
+)
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import sphere_of

@@ -4,8 +4,8 @@ import mpmath
 import numpy as np
 from mpmath import mpf
 
-from tracer.kernels.adjoint import STATE, trace_states
-from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.landing import STATE, trace_states
+from tracer.kernels.march import MAX_EVENTS
 from tracer.kernels.world import RECOVERED, World
 from tracer.strategies.trace import NO_CELLS
 

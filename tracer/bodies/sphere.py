@@ -275,7 +275,7 @@ class Sphere(Body):
         return not set(self.event_names).isdisjoint(branch)
 
     def event_name(self, way: int) -> str:
-        """Name of a way through the sphere, as ``tracer.kernels.shell`` counts them: the part of a branch.
+        """Name of a way through the sphere, as ``tracer.kernels.sphere`` counts them: the part of a branch.
 
         Its own name beside all cores; "NAME core" through the core, "NAME off core" totally reflected at it;
         "NAME core 2" ... for those further in.

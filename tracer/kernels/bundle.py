@@ -9,7 +9,7 @@ a bed rays do not stay together, so each round begins with sorting them:
     part    rays that met nothing are done, and the last rays of the bundle take their places: no lane is idle
     turn    all rays that are left, each by the numbers of its own sphere.
 
-Directions are unit vectors, as for `march`, whose three facts (``tracer.kernels.walk``) replace every tolerance
+Directions are unit vectors, as for `march`, whose three facts (``tracer.kernels.march``) replace every tolerance
 here as well.  Nothing is assumed of the order in which spheres are met, or of how many there are.
 
 A pixel has the same bits whatever bundle it is in: loops that calculate run over whole vectors, lanes beyond the
@@ -23,7 +23,6 @@ nothing as near as its list reaches is asked again in the cells of the bed.
 import math
 
 from ground.jit import Array, kernel, kernel_inlined
-from tracer.kernels.bed import next_in_bed
 from tracer.kernels.branches import NOTHING
 from tracer.kernels.candidates import (
     BALL_X,
@@ -92,9 +91,9 @@ from tracer.kernels.lanes import (
     Bed,
     Bundle,
 )
+from tracer.kernels.march import MAX_EVENTS
 from tracer.kernels.rooms import OUTERMOST
-from tracer.kernels.walk import MAX_EVENTS
-from tracer.kernels.world import BLOCKED, RECOVERED, TIR, TOO_MANY_EVENTS
+from tracer.kernels.world import BLOCKED, RECOVERED, TIR, TOO_MANY_EVENTS, next_in_bed
 
 MANY, LONG = 16, 4  # rays of a group and balls of its list from which it pays to narrow it
 FACTOR = 6364136223846793005  # of the hash of a trail, modulo 2^64 (Knuth's MMIX generator)

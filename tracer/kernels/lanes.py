@@ -36,7 +36,7 @@ class Bed(NamedTuple):
     """Where the spheres of ``balls`` stand: who is near whom, clusters, and the cells of the bed.
 
     ``spheres`` (N, 6) as ``Scene.sphere_table`` in the order of ``balls``; ``frame``, ``begin``, ``items`` their
-    cells, see ``tracer.kernels.bed``; ``home`` (0,).  ``alike``: all are of one radius and one index; ``clear``:
+    cells, see ``tracer.kernels.world``; ``home`` (0,).  ``alike``: all are of one radius and one index; ``clear``:
     none is opaque.
     """
 

@@ -51,7 +51,7 @@ from tracer.kernels.lanes import (
     unowned_bed,
     unowned_bundle,
 )
-from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.march import MAX_EVENTS
 from tracer.kernels.window import BEHIND, GLASS, THICKNESS
 from tracer.kernels.windowed import OPEN, SHUT, through_window_carefully
 from tracer.kernels.world import BLOCKED, MISSED_PLANE, RECOVERED

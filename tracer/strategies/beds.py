@@ -29,10 +29,10 @@ from tracer.kernels.lanes import (
     Bed,
     Bundle,
 )
+from tracer.kernels.march import MAX_EVENTS
 from tracer.kernels.rooms import ONE_ROOM
 from tracer.kernels.sphere import CENTRE_X, CENTRE_Z, INDEX, OPAQUE, RADIUS
 from tracer.kernels.tiles import SIDE, BranchBook, copy_book, number_rows, pack_ranks, trace_tiles
-from tracer.kernels.walk import MAX_EVENTS
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import SHORT_NUMBERS, Branch, BranchList, Numbers
 from tracer.strategies.lockstep import NO_WINDOWS, aligned

@@ -3,12 +3,11 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracer.kernels.adjoint import STATE, trace_states
 from tracer.kernels.ball import MEAN, inside
 from tracer.kernels.branches import body_of
-from tracer.kernels.shell import way_through
-from tracer.kernels.sphere import INDEX, RADIUS, SOLID, angles, turned
-from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.landing import STATE, trace_states
+from tracer.kernels.march import MAX_EVENTS
+from tracer.kernels.sphere import INDEX, RADIUS, SOLID, angles, turned, way_through
 from tracer.kernels.world import RECOVERED, World
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import world_of

@@ -20,10 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 from ground.rows import run_rows
 from tracer.camera import Camera
 from tracer.harmonics import COUNT, NAMES, to_polynomials
-from tracer.kernels.adjoint import STATE
 from tracer.kernels.ball import EVEN, MEAN, SHAPE_NUMBERS
-from tracer.kernels.landing import trace_landings
-from tracer.kernels.walk import MAX_EVENTS
+from tracer.kernels.landing import STATE, trace_landings
+from tracer.kernels.march import MAX_EVENTS
 from tracer.kernels.world import KINDS, World
 from tracer.scene.scene import Scene
 from tracer.strategies.trace import RayStatus, pack_camera, world_of

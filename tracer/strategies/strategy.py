@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from ground.rows import run_rows
 from tracer.bodies.window import Windows
 from tracer.kernels.chain import BALL
-from tracer.kernels.maps import trace_rows
+from tracer.kernels.march import MAX_EVENTS, trace_rows
 from tracer.kernels.rooms import OUTERMOST
 from tracer.kernels.sphere import INDEX, OPAQUE, SOLID
-from tracer.kernels.walk import MAX_EVENTS
 from tracer.kernels.window import BEHIND, GLASS
 from tracer.kernels.world import World
 from tracer.scene.scene import Scene

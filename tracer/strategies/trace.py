@@ -1,8 +1,8 @@
 """Rays through a scene, each by itself, with everything that is known about it.
 
 The scene goes to the kernels as numbers: its camera (`pack_camera`) and its bodies (`world_of`), with a grid of
-cells where spheres are many (``tracer.kernels.bed``).  What comes back names the branch of a ray by a key, a hash
-of what it met; one ray of each key is traced once more to find the names (`name_keys`).
+cells where spheres are many (``tracer.kernels.world``).  What comes back names the branch of a ray by a key, a
+hash of what it met; one ray of each key is traced once more to find the names (`name_keys`).
 """
 
 from collections.abc import Mapping
@@ -18,13 +18,11 @@ from ground.short_repr import short_repr
 from tracer.camera import Camera
 from tracer.harmonics import largest_mm, row_of
 from tracer.kernels.ball import SHAPE_NUMBERS
-from tracer.kernels.bed import GROW
 from tracer.kernels.branches import DIRECT
-from tracer.kernels.maps import trace_rays, trace_trails
+from tracer.kernels.march import MAX_EVENTS, trace_rays, trace_trails
 from tracer.kernels.rooms import ONE_ROOM, Rooms
 from tracer.kernels.sphere import RADIUS
-from tracer.kernels.walk import MAX_EVENTS
-from tracer.kernels.world import World
+from tracer.kernels.world import GROW, World
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import SHORT_NUMBERS, Branch, Numbers
 
@@ -54,7 +52,7 @@ class RayStatus(IntEnum):
     BLOCKED = 1  # stopped by an opaque body
     TIR = 2  # totally reflected at a body of lower index
     MISSED_PLANE = 3  # left the bodies level or away from the plane
-    TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.walk.MAX_EVENTS
+    TOO_MANY_EVENTS = 4  # met more bodies than tracer.kernels.march.MAX_EVENTS
 
 
 def world_of(scene: Scene) -> World:

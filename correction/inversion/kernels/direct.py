@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from correction.inversion.kernels.inverse import Tables
+from correction.inversion.kernels.newton import Tables
 from correction.node_status import BLOCKED, OUT_OF_FRAME, RECOVERED, RIM
 from ground.jit import Array, kernel, unowned
 from tracer.kernels.branches import NOTHING

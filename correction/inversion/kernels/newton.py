@@ -1,11 +1,12 @@
-"""Newton on traced rays for a block of nodes at once, along ONE known sequence of spheres.
+"""Newton on traced rays, from a node of the plane to the pixel that shows it: one by one, or in blocks.
 
-On a sheet every ray takes the same sequence, so nothing has to be looked for while iterating: the block goes
-through the turns of the sequence, derivatives and all, in loops without a branch.  What leaves the sheet (no hit:
-NaN; wrong sign of the determinant; a long step; no convergence) is gathered and solved again, patiently: no step
-is longer than LONGEST_PX, and who has left the sheet goes half the way back.  Whose very start is off the sheet is
-hopeless: it has nowhere to go back to.  What converged still has to be verified (``views``); who finds its node
-only behind another body, which the sequence knows nothing of, is not seen there.
+Any node is solved by itself (`solve_node`).  A block of nodes is solved at once along ONE known sequence of
+spheres: on a sheet every ray takes the same sequence, so nothing has to be looked for while iterating: the block
+goes through the turns of the sequence, derivatives and all, in loops without a branch.  What leaves the sheet (no
+hit: NaN; wrong sign of the determinant; a long step; no convergence) is gathered and solved again, patiently: no
+step is longer than LONGEST_PX, and who has left the sheet goes half the way back.  Whose very start is off the
+sheet is hopeless: it has nowhere to go back to.  What converged still has to be verified (``views``); who finds
+its node only behind another body, which the sequence knows nothing of, is not seen there.
 
 A node has converged when a step is so small that derivatives and transmittance, which are those of the place
 before it, are right behind it to what float32 holds; how small that is comes with its start.  The step is still
@@ -21,6 +22,9 @@ direction; their derivatives by u (F, U) and by v (G, V); transmittance; Jacobia
 The same turns give the derivatives of a pixel that has no neighbour of its branch (`slopes_along`), where
 differences need one.  Behind a bed of a thousand balls one pixel in ten has none, and to look for the
 balls that its ray meets takes several times as long as to go through those that are known.
+
+The grid arrives as (x0, y0, pitch): node (row, column) is (x0 + column pitch, y0 - row pitch).  Jacobians
+are d pixel / d node, four numbers: du/dcolumn, du/drow, dv/dcolumn, dv/drow.
 """
 
 import math
@@ -28,7 +32,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from correction.inversion.kernels.inverse import MAX_STEPS, TOLERANCE_PX
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.camera import (
     CENTRE_U,
@@ -42,6 +45,7 @@ from tracer.kernels.camera import (
     undistorted,
     unit_tangent,
 )
+from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.sphere import (
     CENTRE_X,
     CENTRE_Y,
@@ -55,7 +59,13 @@ from tracer.kernels.sphere import (
     turned_tangent,
 )
 from tracer.kernels.window import BEHIND, GLASS, THICKNESS
+from tracer.kernels.world import RECOVERED as TRACED
+from tracer.kernels.world import World, unowned_world
 
+Tables = tuple[Array, World]  # camera and bodies
+
+MAX_STEPS = 25
+TOLERANCE_PX = 1e-6  # last Newton step; it is still applied, which leaves about its square
 GROUP = 64  # nodes of a block: 27 columns of them fit the first-level cache
 STEP = GROUP + 8
 U, V, X, Y, PX, PY, PZ, DX, DY, DZ = (k * STEP for k in range(10))
@@ -65,13 +75,60 @@ NEWTON_NUMBERS = 32 * STEP
 VECTOR_STEPS = 8  # from a start within a pixel one or two do; more are for the patient way
 LONGEST_PX = 2.0  # of a patient step
 MOVING, CONVERGED, FAILED, HOPELESS = 0, 1, 2, 3
-
 foot_inlined = kernel_inlined(foot.py_func)  # type: ignore[attr-defined]
 turned_inlined = kernel_inlined(turned.py_func)  # type: ignore[attr-defined]
 foot_tangent_inlined = kernel_inlined(foot_tangent.py_func)  # type: ignore[attr-defined]
 turned_tangent_inlined = kernel_inlined(turned_tangent.py_func)  # type: ignore[attr-defined]
 transmittance_inlined = kernel_inlined(transmittance.py_func)  # type: ignore[attr-defined]
 unit_tangent_inlined = kernel_inlined(unit_tangent.py_func)  # type: ignore[attr-defined]
+
+
+@kernel
+def inverse_2x2(xu: float, xv: float, yu: float, yv: float) -> tuple[float, ...]:
+    """Inverse of [[xu, xv], [yu, yv]] and its determinant's reciprocal; not finite where singular."""
+    r = 1.0 / (xu * yv - xv * yu)
+    return yv * r, -xv * r, -yu * r, xu * r
+
+
+@kernel
+def stretch(uc: float, ur: float, vc: float, vr: float) -> tuple[float, ...]:
+    """Smallest and largest singular value of [[uc, ur], [vc, vr]]."""
+    e, f = 0.5 * (uc + vr), 0.5 * (uc - vr)
+    g, h = 0.5 * (vc + ur), 0.5 * (vc - ur)
+    p, q = math.sqrt(e * e + h * h), math.sqrt(f * f + g * g)
+    return abs(p - q), p + q
+
+
+@kernel_inlined
+def unowned_tables(tables: Tables) -> Tables:
+    """Return the tables of a scene, camera and bodies, as `unowned`."""
+    return unowned(tables[0]), unowned_world(tables[1])
+
+
+@kernel
+def solve_node(x: float, y: float, u: float, v: float, key: int, sign: float, tables: Tables) -> tuple[float, ...]:
+    """Careful Newton for one node: converged, u, v, Jacobian d plane / d pixel, transmittance.
+
+    It steps back where it has left the sheet, a connected part of one branch with one sign of the determinant.
+    """
+    du = dv = 0.0
+    for _ in range(MAX_STEPS):
+        s, a, b, au, av, bu, bv, passed, k, _ = march_pixel_tangents(u, v, *tables)
+        if s != TRACED or k != key or not (au * bv - av * bu) * sign > 0.0:
+            du, dv = 0.5 * du, 0.5 * dv  # stepped off the sheet: go half the way back
+            if abs(du) + abs(dv) < TOLERANCE_PX:
+                break
+            u, v = u - du, v - dv
+            continue
+        ux, uy, vx, vy = inverse_2x2(au, av, bu, bv)
+        du, dv = ux * (x - a) + uy * (y - b), vx * (x - a) + vy * (y - b)
+        size = max(abs(du), abs(dv))
+        if size > 2.0:
+            du, dv = 2.0 * du / size, 2.0 * dv / size
+        u, v = u + du, v + dv
+        if size <= TOLERANCE_PX:
+            return 1.0, u, v, au, av, bu, bv, passed
+    return 0.0, u, v, 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 @kernel

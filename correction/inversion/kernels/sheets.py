@@ -21,8 +21,7 @@ import math
 
 import numpy as np
 
-from correction.inversion.kernels.inverse import Tables, stretch
-from correction.inversion.kernels.newton import Ways, slopes_along, unowned_ways
+from correction.inversion.kernels.newton import Tables, Ways, slopes_along, stretch, unowned_ways
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from tracer.kernels.march import march_pixel_tangents
 from tracer.kernels.world import RECOVERED

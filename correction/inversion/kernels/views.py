@@ -9,14 +9,8 @@ kept if it is among the best of its node.
 
 from typing import NamedTuple
 
-from correction.inversion.kernels.inverse import (
-    Tables,
-    inverse_2x2,
-    keep_view,
-    solve_node,
-    stretch,
-    unowned_tables,
-)
+import numpy as np
+
 from correction.inversion.kernels.newton import (
     CONVERGED,
     FAILED,
@@ -29,14 +23,19 @@ from correction.inversion.kernels.newton import (
     XV,
     YU,
     YV,
+    Tables,
     U,
     V,
     X,
     Y,
+    inverse_2x2,
     solve_block,
+    solve_node,
     solve_patiently,
+    stretch,
+    unowned_tables,
 )
-from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED
+from correction.node_status import FOLD, LOW_MAGNIFICATION, OUT_OF_FRAME, RECOVERED, UNLISTED
 from ground.jit import Array, kernel, kernel_inlined, unowned
 from piv.resampling.kernels.bspline import INDEX
 from tracer.kernels.camera import CENTRE_U, CENTRE_V, FOCAL, lens_of, undistorted
@@ -294,3 +293,74 @@ def verify_one_by_one(
             s, _, _, _, _, _, _, _, k, _ = march_pixel_tangents(b[U + i], b[V + i], *tables)
             taken = trip if s == TRACED and k == key else ANOTHER
         trips[TRIP + i] = taken
+
+
+@kernel_inlined
+def keep_view(
+    verdict: int,
+    u: float,
+    v: float,
+    uc: float,
+    ur: float,
+    vc: float,
+    vr: float,
+    passed: float,
+    worth: float,
+    number: int,
+    row: int,
+    column: int,
+    status: Array,
+    pixel: Array,
+    jacobian: Array,
+    weight: Array,
+    transmittance: Array,
+    branch: Array,
+) -> None:
+    """Insert one view of a node into its layers, best first, or note why it cannot be kept.
+
+    What is masked stays so unless another view is kept.  Status is (h, w), pixel (K, h, w, 2), Jacobian
+    (K, h, w, 4), weight, transmittance and branch (K, h, w).
+    """
+    if verdict != RECOVERED:
+        if status[row, column] != RECOVERED and status[row, column] < UNLISTED:
+            status[row, column] = verdict
+        return
+    layers = pixel.shape[0]
+    stored = np.float32(worth)
+    place = 0
+    while place < layers and not stored > weight[place, row, column]:
+        place += 1
+    if place == layers:
+        return
+    for layer in range(layers - 1, place, -1):
+        for k in range(2):
+            pixel[layer, row, column, k] = pixel[layer - 1, row, column, k]
+        for k in range(4):
+            jacobian[layer, row, column, k] = jacobian[layer - 1, row, column, k]
+        weight[layer, row, column] = weight[layer - 1, row, column]
+        transmittance[layer, row, column] = transmittance[layer - 1, row, column]
+        branch[layer, row, column] = branch[layer - 1, row, column]
+    pixel[place, row, column, 0], pixel[place, row, column, 1] = u, v
+    jacobian[place, row, column, 0], jacobian[place, row, column, 1] = uc, ur
+    jacobian[place, row, column, 2], jacobian[place, row, column, 3] = vc, vr
+    weight[place, row, column], transmittance[place, row, column] = stored, passed
+    branch[place, row, column] = number
+    status[row, column] = RECOVERED
+
+
+@kernel
+def join_weights(first: int, last: int, weight: Array) -> None:
+    """Divide the weights (K, h, w) of rows first..last-1 by their sum over the layers, where there is any."""
+    none, one = np.float32(0.0), np.float32(1.0)
+    for row in range(first, last):
+        if weight.shape[0] == 1:
+            for column in range(weight.shape[2]):
+                weight[0, row, column] = one if weight[0, row, column] > none else none
+            continue
+        for column in range(weight.shape[2]):
+            total = none
+            for layer in range(weight.shape[0]):
+                total += weight[layer, row, column]
+            total = total if total > none else one
+            for layer in range(weight.shape[0]):
+                weight[layer, row, column] = weight[layer, row, column] / total

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.scenes import bed
 from correction.inversion import invert
-from correction.inversion.kernels import starts
+from correction.inversion.kernels import bed_sheets as starts
 from correction.inversion.kernels.bed_sheets import keep_nearest
 from correction.inversion.sheets import _nearest
 from correction.maps.correction_map import CorrectionMap, build_correction_map

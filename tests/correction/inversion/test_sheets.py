@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage
 
 from correction.inversion import invert as inversion
-from correction.inversion.kernels.inverse import solve_node
+from correction.inversion.kernels.newton import solve_node
 from correction.inversion.kernels.sheets import GLASS, RUN, SIGN, USEFUL, join_runs, list_runs
 from correction.maps.correction_map import MAX_MAGNIFICATION, MIN_MAGNIFICATION, build_correction_map
 from tests.correction.small_scenes import SCENES, small_scene
