@@ -42,12 +42,11 @@ from ground.rows import run_parts, run_rows
 from tracer.kernels.camera import CENTRE_U, FOCAL
 from tracer.kernels.lanes import Bundle
 from tracer.kernels.sphere import OPAQUE
-from tracer.scene.scene import Scene
 from tracer.strategies.beds import Balls
 from tracer.strategies.branches import chain_trip, event_numbers, key_of
 from tracer.strategies.lockstep import block_scratch, sphere_discs
 from tracer.strategies.ray_map import RayMap
-from tracer.strategies.strategy import Kind, choose
+from tracer.strategies.strategy import Kind, Strategy
 
 
 class Sought(NamedTuple):
@@ -172,7 +171,7 @@ class Inversion:
 
     def __init__(
         self,
-        scene: Scene,
+        way: Strategy,
         ray_map: RayMap,
         grid: PlaneGrid,
         layers: int,
@@ -181,13 +180,13 @@ class Inversion:
         skip: bool,
     ) -> None:
         height, width = grid.shape
-        self.scene, self.ray_map, self.grid = scene, ray_map, grid
+        scene = way.scene
+        self.way, self.ray_map, self.grid = way, ray_map, grid
         self.skip = skip
         self.size = scene.camera.sensor_px
-        self.way = choose(scene)
-        self.tables = (self.way.camera, self.way.world)
+        self.tables = (way.camera, way.world)
         self.events = event_numbers(scene)
-        self.window = self.way.lone_window
+        self.window = way.lone_window
         self.grid_numbers = np.array([*grid.origin_mm, grid.pitch_mm])
         self.limits = np.array([*limits, *self.size], dtype=np.float64)
         lead, kind = (layers, height, width), ray_map.branch.dtype
@@ -219,7 +218,7 @@ class Inversion:
             self._direct_behind(self.window)
         else:
             self._direct_in_the_open()
-        if self.scene.masked:
+        if self.way.scene.masked:
             self._mask_direct()
 
     def _mask_direct(self) -> None:
@@ -236,7 +235,7 @@ class Inversion:
         """As `direct`, where no window stands before all there is."""
         height, width = self.grid.shape
         place, discs = self._node_camera(), sphere_discs(self.tables[1].spheres)
-        lens_free, world = self.scene.camera.lens.is_ideal, self.tables[1]
+        lens_free, world = self.way.scene.camera.lens.is_ideal, self.tables[1]
         glass_only = not (world.others or world.shapes or world.spheres[:, OPAQUE].any())
         size, maps = np.array(self.size, dtype=np.float64), self._flat_maps()
 
@@ -265,7 +264,7 @@ class Inversion:
     def _direct_behind(self, window: NDArray[np.float64]) -> None:
         """As `direct`, through the only window in front of a few spheres."""
         height, width = self.grid.shape
-        size, maps, flat = np.array(self.size, np.float64), self._flat_maps(), self.scene.camera.lens.is_ideal
+        size, maps, flat = np.array(self.size, np.float64), self._flat_maps(), self.way.scene.camera.lens.is_ideal
 
         def work(first: int, last: int) -> None:
             scratch = *block_scratch(), np.empty(width, np.uint8), np.empty((6, width)), np.empty(BLOCK_NUMBERS)
@@ -283,7 +282,7 @@ class Inversion:
 
     def _node_camera(self) -> NDArray[np.float64]:
         """Camera in the pinhole, looking straight down, whose pixels are the nodes (20,)."""
-        x, y, z = self.scene.camera.position_mm
+        x, y, z = self.way.scene.camera.position_mm
         (x0, y0), pitch = self.grid.origin_mm, self.grid.pitch_mm
         straight = [1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0]
         return np.array([x, y, z, *straight, z / pitch, (x - x0) / pitch, (y0 - y) / pitch, *[0.0] * 5])
@@ -291,7 +290,7 @@ class Inversion:
     def glass(self) -> None:
         """Cut the sensor into sheets and solve each that is worth it."""
         # Behind walls the direct view is sought as the others are, unless it was found.
-        walled = not self.scene.arrangement.is_one_room
+        walled = not self.way.scene.arrangement.is_one_room
         least = 0 if walled and self.window is None else 1
         sensor = self.ray_map, self.grid, self.tables, self.longest_mm, least
         if self.way.seeks is Kind.BUNDLES:
@@ -327,7 +326,7 @@ class Inversion:
         """Solve the nodes of one sheet and keep the best views."""
         sequence = np.array(self._sequence(sheet.branch), np.int64)
         key = key_of(sequence)
-        trip = chain_trip(self.scene, sequence) if self.way.seeks is Kind.LOCKSTEP else -1
+        trip = chain_trip(self.way.scene, sequence) if self.way.seeks is Kind.LOCKSTEP else -1
         world = self.tables[1]
         solid = self.way.in_blocks and not world.shapes and bool((sequence < len(world.spheres)).all())
         balls, maps = self.way.chain, self.maps

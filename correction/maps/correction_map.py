@@ -50,6 +50,7 @@ from tracer.bodies import CONTACT_TOL_MM, Capsule
 from tracer.scene.scene import Scene, SceneBound
 from tracer.strategies.branches import Branch, Numbers
 from tracer.strategies.ray_map import RayHeader, RayMap
+from tracer.strategies.strategy import choose
 
 KIND = "correction map"
 MIN_MAGNIFICATION = 0.5  # one sensor pixel may cover two corrected pixels, not more
@@ -251,7 +252,7 @@ def build_correction_map(
     )
     require_memory(float(needed), f"a correction map of {width} x {height} nodes with {layers} views each")
     arrays = None if out is None else out.arrays()
-    work = Inversion(scene, ray_map, grid, layers, (min_magnification, max_magnification), arrays, skip)
+    work = Inversion(choose(scene), ray_map, grid, layers, (min_magnification, max_magnification), arrays, skip)
     work.direct()
     work.glass()
     work.join()

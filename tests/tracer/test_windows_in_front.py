@@ -201,7 +201,7 @@ def test_its_map_is_inverted_in_blocks_as_node_by_node(kind: str, monkeypatch: p
         return replace(choose(where), kind=Kind.MARCH, in_blocks=False)
 
     monkeypatch.setattr("tracer.strategies.ray_map.choose", by_march)
-    monkeypatch.setattr("correction.inversion.invert.choose", by_march)
+    monkeypatch.setattr("correction.maps.correction_map.choose", by_march)
     single = build_correction_map(scene, build_ray_map(scene), layers=2, skip=False)
     assert blocks.recovered.sum() > 4000
     if kind != "one window":  # there alone it is known why a node is not seen past the glass

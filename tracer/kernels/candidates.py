@@ -11,7 +11,7 @@ because of the points of ball j, those at depth t + x, sqrt(R^2 - x^2) + x tan(a
 It meets it no nearer than  |j - i| - r - R.  The list of (ball, cell) holds who passes this test, by that
 distance: a search ends where the next one stands farther than what was found.  Beds are local: lists hold the
 balls within a `horizon`, and a ray that finds nothing before it is looked for in the cells of the whole bed
-(``kernels.bed``).
+(``kernels.world``).
 
 The rays of a tile begin together: a ball around their starts, of radius 0 at the pinhole, takes the place of the
 ball that was left, and the box of their directions that of the cell.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from correction.fit.solve.contact import ROUNDS, pushed_apart
-from correction.fit.solve.sides import STEP
+from correction.fit.solve.other_bodies import STEP
 from correction.fit.solve.unknowns import Unknowns
 from tracer.bodies import CONTACT_TOL_MM, Body
 from tracer.errors import SceneError

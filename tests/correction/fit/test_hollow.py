@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from correction.fit.adjustment import Adjustment
-from correction.fit.judge.weakness import weaknesses
-from correction.fit.solve.hollow import two_gases
+from correction.fit.judge.weakness import two_gases, weaknesses
 from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.test_honesty import PRIORS, seen

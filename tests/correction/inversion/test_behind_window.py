@@ -18,6 +18,7 @@ from tracer.errors import SceneError
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import RayMap, build_ray_map
+from tracer.strategies.strategy import choose
 
 GRID = PlaneGrid((-31.0, 27.0), 0.37, (150, 170))
 CAMERA = camera_at((12.0, -7.0, 400.0), (0.0, 0.0, 0.0), 1000.0, (150, 131))
@@ -50,7 +51,7 @@ SCENES = {
 
 def direct(scene: Scene, ray_map: RayMap | None = None) -> Inversion:
     """The arrays of an inversion after the direct view."""
-    made = Inversion(scene, ray_map or build_ray_map(scene), GRID, 2, (0.5, 16.0), None, skip=True)
+    made = Inversion(choose(scene), ray_map or build_ray_map(scene), GRID, 2, (0.5, 16.0), None, skip=True)
     assert made.window is not None or scene.arrangement.is_one_room
     made.direct()
     return made
@@ -119,7 +120,7 @@ def test_drawn_windows() -> None:
         except SceneError:  # what stands far away there would be cut by this wall
             continue
         ray_map = build_ray_map(scene)
-        made = Inversion(scene, ray_map, GRID, 1, (0.5, 16.0), None, skip=True)
+        made = Inversion(choose(scene), ray_map, GRID, 1, (0.5, 16.0), None, skip=True)
         if made.window is None:  # not the usual case
             continue
         tried += 1
@@ -162,4 +163,4 @@ def test_beside_the_opening_the_wall_is_in_the_way() -> None:
 def test_gas_behind_liquid_is_left_to_the_sheets() -> None:
     """Where what lies behind is thinner than what lies before, rays may be totally reflected."""
     thin = Scene(CAMERA, (window(behind=ConstantMedium(1.0)),), ambient=WATER)
-    assert Inversion(thin, build_ray_map(thin), GRID, 1, (0.5, 16.0), None, skip=True).window is None
+    assert Inversion(choose(thin), build_ray_map(thin), GRID, 1, (0.5, 16.0), None, skip=True).window is None

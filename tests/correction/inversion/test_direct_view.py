@@ -13,6 +13,7 @@ from tracer.bodies import Sphere
 from tracer.media import ConstantMedium
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.strategy import choose
 
 GLASS = ConstantMedium(1.5)
 GRID = PlaneGrid((-40.0, 38.0), 0.41, (187, 203))
@@ -50,7 +51,7 @@ def meets(ball: Sphere, nodes_mm: np.ndarray) -> np.ndarray:
 
 def direct_status(scene: Scene) -> np.ndarray:
     """Status of the nodes after the direct view, before any glass is asked."""
-    inversion = Inversion(scene, build_ray_map(scene), GRID, 1, (0.5, 16.0), None, skip=True)
+    inversion = Inversion(choose(scene), build_ray_map(scene), GRID, 1, (0.5, 16.0), None, skip=True)
     inversion.direct()
     return inversion.status
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from correction.inversion import invert as inversion
 from correction.inversion.kernels.newton import solve_node
 from correction.inversion.kernels.sheets import GLASS, RUN, SIGN, USEFUL, join_runs, list_runs
 from correction.maps.correction_map import MAX_MAGNIFICATION, MIN_MAGNIFICATION, build_correction_map
@@ -53,7 +52,7 @@ def test_nodes_in_blocks_and_one_by_one_agree(name: str, monkeypatch: pytest.Mon
     ray_map = build_ray_map(scene)
     blocks = build_correction_map(scene, ray_map, layers=2)
     if (way := choose(scene)).kind is Kind.LOCKSTEP:
-        monkeypatch.setattr(inversion, "choose", lambda _: replace(way, kind=Kind.BUNDLES))
+        monkeypatch.setattr("correction.maps.correction_map.choose", lambda _: replace(way, kind=Kind.BUNDLES))
     single = build_correction_map(scene, ray_map, layers=2)
     assert (blocks.status != single.status).sum() <= 2
     both = np.isfinite(blocks.pixel[..., 0]) & np.isfinite(single.pixel[..., 0]) & (blocks.branch == single.branch)
