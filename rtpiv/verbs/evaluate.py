@@ -22,7 +22,7 @@ from rtpiv.analysis.pairs.evaluation import Evaluation, PairMethod, Route, Task,
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
 from rtpiv.analysis.pictures.apart import Draw, drawing
 from rtpiv.analysis.report.pair_folder import write_pair
-from rtpiv.analysis.series.light_file import make_light
+from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.preview import evaluated_closely
 from rtpiv.analysis.series.run_series import SeriesBooks, run_series
 from rtpiv.analysis.series.series_folder import SeriesFolder

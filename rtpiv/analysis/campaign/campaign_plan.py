@@ -32,12 +32,12 @@ from rtpiv.analysis.campaign.campaign_folder import (
 )
 from rtpiv.analysis.campaign.status import read_books
 from rtpiv.analysis.pairs.piv_file import PivChoice
-from rtpiv.analysis.series.light_file import light_of
+from rtpiv.analysis.series.clean_frames import light_of
 from rtpiv.analysis.series.run_series import about_series
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, keep_scene, series_input
+from rtpiv.analysis.series.series_pairs import CHECKSUMS
 from rtpiv.analysis.series.series_plan import ChunkJob, jobs_of
-from rtpiv.analysis.series.source_pairs import FILE as CHECKSUMS
 from rtpiv.analysis.series.workers import worker_processes
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from tracer.scene.scene_file import load_scene

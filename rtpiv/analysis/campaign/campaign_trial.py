@@ -18,7 +18,7 @@ from rtpiv.analysis.campaign.campaign_folder import FILE, CampaignFolder
 from rtpiv.analysis.campaign.campaign_plan import Forecast, forecasts, would_be_lost
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SCENE_FILE, keep_scene
-from rtpiv.analysis.series.source_pairs import FILE as CHECKSUMS
+from rtpiv.analysis.series.series_pairs import CHECKSUMS
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from ground.errors import GroundError
 from piv.errors import PivError
 from rtpiv.analysis.campaign.lease import Held, take
 from rtpiv.analysis.series.chunk import evaluate_chunk
-from rtpiv.analysis.series.marker import sound_content
+from rtpiv.analysis.series.series_folder import sound_content
 from rtpiv.analysis.series.series_plan import ChunkJob
 from tracer.errors import TracerError
 

@@ -29,9 +29,9 @@ from piv.statistics.merge_tree import merged_in_order
 from piv.statistics.moments import Moments
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.status import campaign_status
-from rtpiv.analysis.series.marker import marker_of
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
+from rtpiv.analysis.series.series_folder import marker_of
 from rtpiv.analysis.series.series_mean import mean_of_series, write_mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 

@@ -36,9 +36,8 @@ from rtpiv.analysis.campaign.engines import Engine, Work
 from rtpiv.analysis.campaign.kernels_at_hand import pack_kernels
 from rtpiv.analysis.campaign.status import write_book
 from rtpiv.analysis.series.chunk import correction_of, results_of
-from rtpiv.analysis.series.light_file import make_light
-from rtpiv.analysis.series.marker import marker_of
-from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.clean_frames import make_light
+from rtpiv.analysis.series.series_folder import SeriesFolder, marker_of
 from rtpiv.analysis.series.series_plan import ChunkJob
 
 TRIES = 3

@@ -26,7 +26,7 @@ from daq.runs.records import STRICT, Count, Sha
 from ground.plain_file import open_plain
 from rtpiv.analysis.campaign.campaign_folder import CampaignFolder
 from rtpiv.analysis.campaign.lease import read_lease
-from rtpiv.analysis.series.marker import marker_of
+from rtpiv.analysis.series.series_folder import marker_of
 from rtpiv.analysis.series.series_plan import chunk_path
 
 LONGEST_LINE = 100_000

@@ -38,8 +38,7 @@ from rtpiv.analysis.pictures.plane_axes import (
 from rtpiv.analysis.report.figures import HEAT, SERIES, plain_decades
 from rtpiv.analysis.report.page import Page
 from rtpiv.analysis.series.history import BINS, History, history
-from rtpiv.analysis.series.image_field import image_field
-from rtpiv.analysis.series.mean_flow import MeanFlow
+from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.series_folder import Chunks
 from rtpiv.analysis.series.series_mean import grid_of_series, scene_of, windows_of
 from tracer.scene.scene import Scene

@@ -26,8 +26,7 @@ from rtpiv.analysis.report.pair import light_sheet_line, scene_chapter
 from rtpiv.analysis.report.run import books_chapter
 from rtpiv.analysis.report.series import frames_chapter, pair_chapter, shown_pair
 from rtpiv.analysis.series.ensemble_series import EnsembleFlow
-from rtpiv.analysis.series.image_field import image_field
-from rtpiv.analysis.series.mean_flow import MeanFlow
+from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.run_series import SeriesBooks
 from rtpiv.analysis.series.series_folder import SeriesFolder
 from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput

@@ -12,7 +12,7 @@ from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
 from rtpiv.analysis.report.tables import mask_swatches
-from rtpiv.analysis.series.light_file import make_light
+from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.preview import Preview, preview
 from rtpiv.analysis.series.run_series import SeriesBooks
 from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput

@@ -22,7 +22,7 @@ from piv.errors import FrameError, PairError
 from piv.files.vector_file import vectors_netcdf
 from rtpiv.analysis.pairs.pair_vectors import PairResult, vectors_of_pairs
 from rtpiv.analysis.series.clean_frames import clean_frames
-from rtpiv.analysis.series.marker import Marker, write_marker
+from rtpiv.analysis.series.series_folder import Marker, write_marker
 from rtpiv.analysis.series.series_plan import ChunkJob, Method
 
 

@@ -1,5 +1,8 @@
 """Raw frames of one pulse of a chunk, in order, without their background; one that cannot be used is a reason.
 
+A sliding minimum looks at the frames around each; any other background is of the whole series, made once for all
+its chunks and kept in a file with what it was made from.
+
 A frame that is missing or damaged costs its own pair and nothing else: its neighbours are compared with those that
 are there. One whose neighbours are all gone has no background, which costs its own pair again.
 
@@ -10,21 +13,26 @@ needs no thread, and a worker waits for the disk only where the disk is slower t
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import RunDamaged
+from daq.atomic_write import why
+from daq.errors import DiskError, RunDamaged
 from daq.runs.acquired import read_promised
+from ground.errors import MapFileError
+from ground.map_file import load_arrays, save_arrays
 from ground.plain_file import open_plain
-from piv.errors import FrameError
-from piv.preprocessing.pod import without_patterns
-from piv.preprocessing.preparation import POD, SLIDING_MINIMUM
-from piv.preprocessing.series_light import without_light
+from ground.terminal import progress_if_long
+from piv.errors import FrameError, PairError
+from piv.preprocessing.pod import pod_patterns, without_patterns
+from piv.preprocessing.preparation import MINIMUM, POD, SLIDING_MINIMUM, UNSEEDED
+from piv.preprocessing.series_light import series_mean, series_minimum, without_light
 from piv.preprocessing.sliding_minimum import DARK_SHARE, REACH_STEPS, without_sliding_minimum
-from rtpiv.analysis.series.light_file import load_light
-from rtpiv.analysis.series.series_plan import ChunkJob, SeriesPair
+from rtpiv.analysis.series.series_plan import ChunkJob, Light, SeriesPair, digest
 
 Frame = NDArray[Any]
 AHEAD = 2  # pairs
@@ -32,6 +40,124 @@ ALONE = (
     f"no frame within {REACH_STEPS} pairs of it can be read, so that its background is not known; evaluate the run"
     " with --prepare mean, minimum or none to keep it"
 )
+KIND = "background of a series"
+POD_FRAMES = 100  # of a pulse, spread over the series: patterns need no more
+
+
+def light_of(
+    folder: Path, background: str | None, pairs: Sequence[SeriesPair], unseeded: Sequence[SeriesPair]
+) -> Light | None:
+    """Background file that a series needs, which may not be there yet; None where it needs none.
+
+    Raises
+    ------
+    PairError
+        There is nothing that it could be made from.
+    """
+    used = _used(background, pairs, unseeded)
+    return (
+        None if used is None else Light(folder / "background.npz", digest([background, [p.crc32 for p in used]]))
+    )
+
+
+def make_light(
+    folder: Path,
+    background: str | None,
+    pairs: Sequence[SeriesPair],
+    unseeded: Sequence[SeriesPair],
+    shape: tuple[int, int],
+) -> Light | None:
+    """Make the background file of a series, if it has none yet that was made from the same frames.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the series.
+    background : str or None
+        Step for raw frames, see `piv.preprocessing.preparation`.
+    pairs, unseeded : sequence of SeriesPair
+        The series, and what the run took without seeding.
+    shape : (int, int)
+        Rows and columns of a frame.
+
+    Returns
+    -------
+    Light or None
+        None where no background of the whole series is taken off.
+
+    Raises
+    ------
+    PairError, SeriesError
+        Too few frames for this background.
+    DiskError
+        The file cannot be written.
+    """
+    light, used = light_of(folder, background, pairs, unseeded), _used(background, pairs, unseeded)
+    if light is None or used is None or background is None:
+        return None
+    try:
+        header, _ = load_arrays(light.path, KIND)
+        if header.get("key") == light.key:
+            return light
+    except MapFileError:
+        pass  # none yet, or damaged: made below
+    arrays = {name: _made(background, used, pulse, shape) for pulse, name in enumerate("ab")}
+    try:
+        save_arrays(light.path, KIND, {"key": light.key}, arrays)
+    except OSError as error:
+        raise DiskError(f"{light.path}: {why(error)}; make room, then try again") from error
+    return light
+
+
+def _used(
+    background: str | None, pairs: Sequence[SeriesPair], unseeded: Sequence[SeriesPair]
+) -> list[SeriesPair] | None:
+    """Pairs whose frames a background is made from; None where none of the whole series is taken off."""
+    if background is None or background == SLIDING_MINIMUM:
+        return None
+    used = list(unseeded if background == UNSEEDED else pairs)
+    if background == UNSEEDED and len(used) < 2:
+        raise PairError(
+            "this run took no pairs without seeding; choose another background, such as sliding-minimum"
+        )
+    if background == POD and len(used) > POD_FRAMES:
+        used = [used[place] for place in np.linspace(0, len(used) - 1, POD_FRAMES).round().astype(int)]
+    return used
+
+
+@lru_cache(maxsize=1)
+def load_light(light: Light) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Background of pulse A and of pulse B: (H, W), or patterns (r, H, W).
+
+    Raises
+    ------
+    MapFileError
+        The file is missing, damaged, or of another series.
+    """
+    header, arrays = load_arrays(light.path, KIND)
+    if header.get("key") != light.key:
+        raise MapFileError(f"{light.path}: belongs to other frames; evaluate the run again")
+    return arrays["a"], arrays["b"]
+
+
+def _made(background: str, pairs: list[SeriesPair], pulse: int, shape: tuple[int, int]) -> NDArray[Any]:
+    def frame_of(pair: SeriesPair) -> NDArray[Any]:
+        return read_promised(pair.frames[pulse], pair.crc32[pulse], shape)
+
+    def sound(pair: SeriesPair) -> NDArray[Any] | None:
+        """Frame; None if it is missing or damaged, which is said when its own pair is evaluated."""
+        try:
+            return frame_of(pair)
+        except (FrameError, RunDamaged):
+            return None
+
+    if background == POD:
+        there = [pair for pair in pairs if sound(pair) is not None]
+        return pod_patterns(lambda number: frame_of(there[number]), len(there))
+    track = progress_if_long(pairs, len(pairs), f"background of pulse {'AB'[pulse]}")
+    frames = (frame for pair in track if (frame := sound(pair)) is not None)
+    found: NDArray[Any] = series_minimum(frames) if background == MINIMUM else series_mean(frames)
+    return found
 
 
 def clean_frames(job: ChunkJob, pulse: int) -> Iterator[Frame | str]:

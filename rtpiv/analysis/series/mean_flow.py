@@ -13,7 +13,7 @@ from blocking beyond that.
 not resolve of the mean (`piv.statistics.unresolved`), together with what dropped vectors take from it where some
 pairs have none (`piv.statistics.unresolved`; where most have none there is no mean); the time between the
 pulses, which is measured once for a run, so that its relative error is one factor for all vectors (and two for
-stresses); and the fitted map (`map_sigma`).
+stresses); and the fitted map (`rtpiv.analysis.series.series_mean`).
 """
 
 from collections.abc import Iterable
@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.short_repr import short_repr
-from piv.correlation.vector_field import VectorFlag
+from piv.correlation.vector_field import VectorField, VectorFlag
+from piv.correlation.windows import WindowGrid
 from piv.errors import SeriesError
 from piv.files.vector_file import Vectors
 from piv.statistics.effective_samples import Blocking, EffectiveSamples, from_series, mean_sigma, stress_sigma
@@ -257,6 +258,38 @@ def mean_flow(chunks: Iterable[ChunkContent]) -> MeanFlow:
         unsure, missing.of_stresses(shared, total.reynolds_stresses), dt_sigma_share, tuple(left_out),
         too_few=too_few,
     )  # fmt: skip
+
+
+def image_field(mean_m_s: Floats, sigma_m_s: Floats, px_per_m_s: float, windows: WindowGrid) -> VectorField:
+    """A mean turned back to where its frames show it: rows from the top, v DOWN, in px of the corrected image.
+
+    Parameters
+    ----------
+    mean_m_s, sigma_m_s : (ny, nx, 2) float64
+        Velocity and its uncertainty, rows from the lowest y up, v UP; NaN where there is none.
+    px_per_m_s : float
+        Displacement [px] of 1 m/s.
+    windows : WindowGrid
+        Where the vectors lie on the corrected image.
+    """
+    shift, sigma = mean_m_s[::-1] * px_per_m_s, sigma_m_s[::-1] * px_per_m_s
+    known = np.isfinite(shift).all(axis=-1)
+    nothing = np.full(windows.shape, np.nan)
+    return VectorField(
+        x_px=windows.x_px,
+        y_px=windows.y_px,
+        u_px=shift[..., 0],
+        v_px=-shift[..., 1],
+        flags=np.where(known, VectorFlag.VALID, VectorFlag.MASKED).astype(np.uint8),
+        peak_ratio=nothing,
+        correlation=nothing,
+        sigma_u_px=sigma[..., 0],
+        sigma_v_px=sigma[..., 1],
+        valid_fraction=np.where(known, 1.0, 0.0),
+        window_px=windows.size_px,
+        step_px=windows.step_px,
+        nan_pixels=0,
+    )
 
 
 def too_few_of(means: Iterable[MeanFlow], without_mean: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

@@ -16,9 +16,8 @@ from ground.terminal import console, progress
 from piv.errors import PairError, SeriesError
 from piv.preprocessing.preparation import SLIDING_MINIMUM
 from rtpiv.analysis.series.chunk import correction_of, evaluate_chunk
-from rtpiv.analysis.series.light_file import make_light
-from rtpiv.analysis.series.marker import sound_content
-from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder
+from rtpiv.analysis.series.clean_frames import make_light
+from rtpiv.analysis.series.series_folder import SeriesFile, SeriesFolder, sound_content
 from rtpiv.analysis.series.series_pairs import PairsOfSeries
 from rtpiv.analysis.series.series_plan import CHUNK_PAIRS, ChunkJob, Method, jobs_of
 from rtpiv.analysis.series.workers import carried_out, worker_processes

@@ -12,9 +12,8 @@ from daq.runs.run_views import board_of, dewarp_of, is_run, scene_file
 from piv.errors import PairError
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from rtpiv.analysis.pairs.piv_file import PivChoice
-from rtpiv.analysis.series.series_pairs import PairsOfSeries, pairs_of_series
+from rtpiv.analysis.series.series_pairs import PairsOfSeries, pairs_of_series, pairs_of_source
 from rtpiv.analysis.series.series_plan import Method
-from rtpiv.analysis.series.source_pairs import pairs_of_source
 from rtpiv.analysis.series.tasks import FIT_FILE, sigma_limit
 from tracer.scene.scene_file import load_scene
 

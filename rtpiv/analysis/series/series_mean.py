@@ -1,18 +1,22 @@
-"""The statistics of a series from its folder to mean.nc."""
+"""The statistics of a series from its folder to mean.nc.
+
+What the fitted map is unsure of is added here, beside what more pairs would make surer: it needs the correction
+that the frames went through.
+"""
 
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
-from correction.fitted.prepared import prepare
+from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.fitted.scene_sigma import SceneSigma
+from correction.fitted.vector_map_sigma import vector_map_sigma
 from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import SeriesError
-from rtpiv.analysis.series.map_sigma import with_map_sigma
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
-from rtpiv.analysis.series.mean_flow import MeanFlow, mean_flow
+from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks, SeriesFolder
 from rtpiv.analysis.series.series_input import SCENE_FILE
 from rtpiv.analysis.series.tasks import scene_sigma_beside
@@ -57,6 +61,35 @@ def write_mean_of_series(folder: Path, mean: MeanFlow) -> None:
         "rtpiv_version": version("rtpiv"),
     }
     write_statistics(folder / MEAN, mean_vectors(mean, said))
+
+
+def with_map_sigma(
+    mean: MeanFlow, prepared: PreparedCorrection, windows: WindowGrid, sigma: SceneSigma
+) -> MeanFlow:
+    """The same statistics with the map's uncertainty of their mean.
+
+    Parameters
+    ----------
+    mean : MeanFlow
+        The statistics.
+    prepared : PreparedCorrection
+        Correction that its frames went through.
+    windows : WindowGrid
+        Where its vectors lie on the corrected image.
+    sigma : SceneSigma
+        Uncertainty of the fitted scene.
+    """
+    found = vector_map_sigma(
+        image_field(mean.mean_m_s, mean.sigma_m_s, mean.px_per_m_s, windows),
+        prepared.corrector.map,
+        prepared.scene,
+        sigma,
+    )
+    return replace(
+        mean,
+        map_sigma_m_s=found.displacement_px[::-1] / mean.px_per_m_s,
+        map_sigma_position_mm=found.position_px[::-1] / mean.px_per_mm,
+    )
 
 
 def sigma_of(folder: Path) -> SceneSigma | str:

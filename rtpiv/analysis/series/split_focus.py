@@ -24,9 +24,8 @@ from ground.short_repr import short_repr
 from piv.errors import SeriesError
 from piv.statistics.effective_samples import EffectiveSamples
 from piv.statistics.moments import Moments
-from rtpiv.analysis.series.image_field import image_field
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
-from rtpiv.analysis.series.mean_flow import MeanFlow, too_few_of
+from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, too_few_of
 from rtpiv.analysis.series.series_folder import MEAN, SeriesFolder
 from rtpiv.analysis.series.series_mean import grid_of_series, mean_of_series, scene_of, windows_of
 

@@ -7,7 +7,7 @@ import pytest
 
 from rtpiv.analysis.campaign.engines import LocalProcesses
 from rtpiv.analysis.series import series_plan
-from rtpiv.analysis.series.marker import marker_path
+from rtpiv.analysis.series.series_folder import marker_path
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.command_line.cli import DEVICE, DONE, USAGE, main
 from tests.rtpiv.analysis.campaign.small_campaign import Threads, two_runs

@@ -22,8 +22,7 @@ from rtpiv.analysis.campaign.lease import take
 from rtpiv.analysis.campaign.merge import merge_campaign, merged_means
 from rtpiv.analysis.campaign.run_campaign import run_campaign
 from rtpiv.analysis.campaign.status import campaign_status, read_books
-from rtpiv.analysis.series.marker import marker_path
-from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.analysis.series.series_folder import SeriesFolder, marker_path
 from rtpiv.analysis.series.series_mean import mean_of_series
 from rtpiv.analysis.series.series_plan import chunk_path
 from rtpiv.analysis.series.split_focus import join_series

@@ -11,8 +11,7 @@ from piv.correlation.windows import window_grid
 from piv.errors import SeriesError
 from rtpiv.analysis.pairs.piv_file import piv_choice
 from rtpiv.analysis.series import ensemble_series
-from rtpiv.analysis.series.ensemble_part import part_sums, sum_part
-from rtpiv.analysis.series.ensemble_series import EnsembleFlow, ensemble_flow
+from rtpiv.analysis.series.ensemble_series import EnsembleFlow, ensemble_flow, part_sums, sum_part
 from rtpiv.analysis.series.mean_file import ensemble_vectors, write_statistics
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_input import series_input

@@ -20,11 +20,10 @@ from piv.errors import PairError, SeriesError
 from rtpiv.analysis.evaluated import Evaluated
 from rtpiv.analysis.series import clean_frames as clean
 from rtpiv.analysis.series.chunk import evaluate_chunk
-from rtpiv.analysis.series.marker import marker_path
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import mean_flow
 from rtpiv.analysis.series.run_series import run_series
-from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder
+from rtpiv.analysis.series.series_folder import Chunks, SeriesFolder, marker_path
 from rtpiv.analysis.series.series_pairs import is_flow, is_one_series
 from rtpiv.analysis.series.series_plan import chunk_path, jobs_of
 from tests.rtpiv.analysis.series.small_series import (
