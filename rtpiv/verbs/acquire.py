@@ -97,8 +97,10 @@ def acquire(
 
     Parameters
     ----------
-    plan, bench : path
-        plan.yaml and bench.yaml.
+    plan : path
+        plan.yaml.
+    bench : path
+        bench.yaml.
     out : path
         Folder in which the run gets a folder of its own.
     simulate : bool

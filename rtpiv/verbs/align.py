@@ -36,8 +36,10 @@ def align(
 
     Parameters
     ----------
-    plan, bench : path
-        plan.yaml of experiment: align, and bench.yaml.
+    plan : path
+        plan.yaml of experiment: align.
+    bench : path
+        bench.yaml.
     out : path
         Folder in which the run gets a folder of its own.
     simulate : bool
