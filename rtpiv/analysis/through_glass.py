@@ -24,6 +24,7 @@ from correction.maps.correction_map import CorrectionMap, build_correction_map
 from correction.node_status import NodeStatus
 from rtpiv.analysis.kernels.behind import mark_behind
 from tracer.bodies import Body, Sphere
+from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
 
@@ -112,6 +113,16 @@ def coarse_map(scene: Scene) -> CorrectionMap:
     """Map of a scene for a camera of the same view and few pixels: what is recovered, and where."""
     small = shown_small(scene, WIDEST_PX)
     return build_correction_map(small, build_ray_map(small), layers=1)
+
+
+def through_said(scene: Scene) -> str:
+    """Say what is seen through glass, from a coarse map; "" if nothing is hidden, or the view has no map."""
+    try:
+        found = coarse_map(scene)
+        shown = through_glass(scene, found.grid, found.recovered)
+    except TracerError:  # `trace` says why
+        return ""
+    return "" if shown is None else shown.sentence
 
 
 def coarse_share(scene: Scene) -> float:

@@ -34,7 +34,7 @@ from rtpiv.analysis.series.tasks import Tasks, tasks_of
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of, paths_of
-from rtpiv.verbs.show import show_evaluation, show_series
+from rtpiv.verbs.show import show_evaluation, show_series, show_through
 from tracer.scene.scene_file import load_scene
 
 USUAL = "evaluation"
@@ -141,7 +141,8 @@ def evaluate(
         series = series_input(run, out, choice, scene, *dewarping, dt_us, sigma_limit_px, timed=False)
         books = run_series(name, out, series.given, series.method, workers)
         show_series(screen, books)
-        screen.print(where_lit(load_scene(out / SCENE_FILE)))
+        show_through(screen, seen := load_scene(out / SCENE_FILE))
+        screen.print(where_lit(seen))
         details: list[Evaluation] = []
         failed: dict[str, str] = {}
         if how.asks_more or vtk or shift_mm is not None:

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from rtpiv.options.numbers import Port, Positive
 from rtpiv.verbs.paths import Named
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
+
+if TYPE_CHECKING:
+    from rtpiv.analysis.through_glass import ThroughGlass
 
 NEAR_MM = 0.5  # of the place in the scene file: a correction is near enough to be looked at
 BATCH = 1000  # frames of one arming
@@ -79,6 +82,7 @@ def live(
         screen.print("from elsewhere: ssh -L the port to this computer; Ctrl-C ends it")
         page.say("making the correction; the first one on a computer compiles for about a minute")
         corrector = _corrector(believed) if correct else None
+        shown = None if corrector is None else _through(believed, corrector)
         page.say("opening the camera")
         hardware = stack.enter_context(open_bench(loaded, simulate, shows, only={CAMERA}))
         exposures = CameraSession(hardware.camera, hardware.camera_section)
@@ -94,6 +98,8 @@ def live(
                 with frame:
                     corrected = None if corrector is None else corrector(frame.pixels)
                     words, pictures = _snapshot(loaded, frame, corrected, shows, seen, begun_s, away)
+                    if shown is not None:
+                        words["run"] += f"; {shown.sentence}"
                     page.say(words["doing"])
                     page.show(words, pictures)
                 seen += 1
@@ -104,6 +110,12 @@ def live(
         finally:
             exposures.end()
     return seen
+
+
+def _through(scene: Scene, corrector: Corrector) -> "ThroughGlass | None":
+    from rtpiv.analysis.through_glass import through_glass  # compiled: who asks for help does not wait
+
+    return through_glass(scene, corrector.map.grid, corrector.recovered)
 
 
 def _corrector(scene: Scene) -> Corrector:

@@ -17,12 +17,12 @@ from rtpiv.analysis.series.mean_flow import MeanFlow
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE
 from rtpiv.analysis.series.series_input import series_input
-from rtpiv.analysis.series.series_mean import mean_of_series, standing_of, write_mean_of_series
+from rtpiv.analysis.series.series_mean import mean_of_series, scene_of, standing_of, write_mean_of_series
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.output import folder_for, require_folder
 from rtpiv.verbs.paths import Named, one_of, path_of
-from rtpiv.verbs.show import show_mean, show_series
+from rtpiv.verbs.show import show_mean, show_series, show_through
 
 
 def mean(
@@ -120,6 +120,7 @@ def mean(
         from rtpiv.analysis.report.mean import write_mean_page
 
         write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
+    show_through(screen, scene_of(folder))
     screen.print(where_lit(standing_of(folder)))
     show_mean(screen, found, folder / "mean.html" if files else None)
     return found

@@ -146,6 +146,8 @@ def _single_frame(
     corrected = corrector(frame)
     seen = before_after(frame, corrected, corrector, through)
     tiles = []
+    if seen.through is not None:
+        console().print(seen.through.sentence, style="bold")
     through_lead(page, seen.through, through, seen.recovered)
     if view.shows == "chessboard" and view.on_plane:
         errors = target_error(corrected, corrector, board)

@@ -19,30 +19,45 @@ if TYPE_CHECKING:  # names alone: whoever shows a calibration does not wait for 
     from rtpiv.analysis.report.tables import Row
     from rtpiv.analysis.series.mean_flow import MeanFlow
     from rtpiv.analysis.series.run_series import SeriesBooks
+    from tracer.scene.scene import Scene
 
 HIGHEST = 0.99  # of all speeds of a mean: a few outliers are no flow
 SHOWN = 10  # pairs that are named one by one
+
+
+def show_through(screen: Console, scene: "Scene") -> None:
+    """Say how much is seen through glass."""
+    from rtpiv.analysis.through_glass import through_said
+
+    if said := through_said(scene):
+        screen.print(said, style="bold")
 
 
 def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> None:
     """Say how well a pair was measured, and where the page will be."""
     from rtpiv.analysis.report.tables import (
         CLAIM_HEAD,
+        MOVED_HEAD,
         ROUTE_HEAD,
         SHIFT_HEAD,
         SIGMA_HEAD,
         TRACK_HEAD,
         claim_rows,
+        moved_rows,
         route_rows,
         shift_rows,
         sigma_rows,
         track_rows,
     )
 
+    if evaluation.seen is not None and evaluation.seen.through is not None:
+        screen.print(evaluation.seen.through.sentence, style="bold")
     screen.print(str(evaluation))
     if evaluation.field.doubt:
         screen.print(evaluation.field.doubt, style="bold red")
     tables: list[tuple[str, tuple[str, ...], list[Row]]] = []
+    if evaluation.shift is None:
+        tables.append(("displacement, v down, y up", MOVED_HEAD, moved_rows(evaluation)))
     if evaluation.shift is not None:
         tables.append(("errors against the known shift [px]", SHIFT_HEAD, shift_rows(evaluation.shift)))
     if evaluation.map_sigma is not None:
@@ -54,7 +69,7 @@ def show_evaluation(screen: Console, evaluation: "Evaluation", page: bool) -> No
         tables.append(("single particles [px]", TRACK_HEAD, track_rows(evaluation)))
     if evaluation.no_tracks:
         screen.print(f"no tracks: {evaluation.no_tracks}", style="bold red")
-    for title, head, rows in tables:
+    for title, head, rows in filter(lambda table: table[2], tables):
         table = Table(title=title)
         for number, column in enumerate(head):
             table.add_column(column, justify="right" if number else "left")

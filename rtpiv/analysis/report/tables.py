@@ -174,6 +174,7 @@ CLAIM_HEAD = (
 ROUTE_HEAD = ("region, r / R", "vectors", "image route", "vectors", "velocity route", "better")
 TRACK_HEAD = ("region", "tracks", "median sigma", "rms error", "errors within 1 sigma")
 IMAGE_HEAD = ("frame", "particles per px", "diameter u, v [px]", "signal to noise", "saturated", "NaN px")
+MOVED_HEAD = ("region", "vectors", "median u, v [px]", "median x, y [mm]")
 BUDGET_HEAD = ("what, and how it acts", "standard uncertainty [px]")
 
 Row = tuple[str, ...]
@@ -182,6 +183,17 @@ Row = tuple[str, ...]
 def mask_swatches(shares: Mapping[NodeStatus, float]) -> list[tuple[str, str, str]]:
     """Colour, meaning and share of what became of the nodes."""
     return [(web(COLOURS[status]), MEANING[status], f"{100 * share:.2f} %") for status, share in shares.items()]
+
+
+def moved_rows(evaluation: Evaluation) -> list[Row]:
+    """Rows under MOVED_HEAD: the median displacement beside and behind the glass, v down, y up."""
+    field, rows = evaluation.field, list[Row]()
+    for total in totals_of(evaluation):
+        where = total.where(evaluation)
+        u, v = float(np.median(field.u_px[where])), float(np.median(field.v_px[where]))
+        mm = ", ".join(f"{part * evaluation.grid.pitch_mm:+z.4f}" for part in (u, -v))
+        rows.append((total.region, str(total.count), f"{u:+z.3f}, {v:+z.3f}", mm))
+    return rows
 
 
 def shift_rows(result: ShiftResult) -> list[Row]:

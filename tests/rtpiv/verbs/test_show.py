@@ -7,7 +7,8 @@ import numpy as np
 from ground.terminal import console
 from piv.preprocessing.image_figures import ImageFigures
 from rtpiv.analysis.report.tables import image_rows
-from rtpiv.verbs.show import show_mean
+from rtpiv.verbs.show import show_mean, show_through
+from tests.correction.small_scenes import small_scene
 from tests.rtpiv.analysis.series.test_split_focus import SHAPE, mean_of
 
 
@@ -33,3 +34,10 @@ def test_noise_that_is_not_seen_is_no_infinite_ratio():
     for ratio, text in ((np.inf, "no noise seen"), (np.nan, "-"), (12.34, "12.3")):
         (row,) = image_rows({"A": ImageFigures(0.02, 2.5, 2.5, ratio, 40.0, 0.0, 0.0, *bins, 100, 0)})
         assert row[3] == text
+
+
+def test_verbs_of_vectors_say_what_is_seen_through_glass(capsys):
+    show_through(console(), small_scene("two_spheres_500"))
+    assert capsys.readouterr().out.startswith("through glass: ")
+    show_through(console(), small_scene("two_spheres_500").bare())
+    assert capsys.readouterr().out == ""

@@ -7,7 +7,7 @@ import pytest
 
 from correction.evaluate.regions import Region, Regions
 from correction.evaluate.shift import evaluate_shift
-from rtpiv.analysis.report.tables import claim_rows, coverage_of, lead_of, offset_said, totals_of
+from rtpiv.analysis.report.tables import claim_rows, coverage_of, lead_of, moved_rows, offset_said, totals_of
 from tests.correction.evaluate.vectors import uniform_field
 
 SHIFT_PX = (4.0, -3.0)
@@ -108,3 +108,14 @@ def test_tables_and_head_have_one_verdict_of_a_region():
     claims = {row[0]: row[-1] for row in claim_rows(made)}
     glass, _ = totals_of(made)
     assert claims[glass.region] == coverage_of(made, glass.where(made)).claim == "too large"
+
+
+def test_without_a_known_shift_the_displacement_is_said_beside_and_behind_the_glass():
+    made = evaluation(known=False)
+    made.grid = SimpleNamespace(pitch_mm=0.5)
+    rows = moved_rows(made)
+    assert [row[:2] for row in rows] == [("behind glass", "400"), ("seen directly", "1121")]
+    for _, _, px, mm in rows:
+        u, v = (float(part) for part in px.split(","))
+        assert (u, v) == pytest.approx((4.03, -3.01), abs=0.01)
+        assert [float(part) for part in mm.split(",")] == pytest.approx((0.5 * u, -0.5 * v), abs=1e-3)
