@@ -1,5 +1,6 @@
 """The watch over a burst: what switches off and how soon; a busy computer is no silent device."""
 
+import math
 import subprocess
 import sys
 import threading
@@ -12,7 +13,7 @@ from daq.timing.conditions import Rules
 from daq.timing.errors import LaserStopped
 from daq.timing.pulses import LaserHead
 from daq.timing.states import LaserState
-from daq.timing.supervisor import BLIND_S, SILENCE_S, LaserSupervisor
+from daq.timing.supervisor import BLIND_S, ON_TIME_S, SILENCE_S, LaserSupervisor
 from sim.mechanics.clock import ScaledClock
 from stages.clock import SYSTEM_CLOCK
 from tests.daq.timing.armed_laser import GOOD, armed, conditions_with
@@ -138,6 +139,19 @@ def test_a_device_that_says_nothing_is_not_excused_by_a_judge_who_is_late_now_an
         assert "camera or stages do not answer" in laser.why
         assert box.burst is None
         answers.set()
+
+
+def test_answers_that_come_are_no_silence_however_long_it_fires():
+    laser, _, clock = armed(ScaledClock(), **AT_ONCE)
+    wall = JumpingClock()
+    laser.fire(100)
+    supervisor = LaserSupervisor(laser, lambda: GOOD, clock, wall)  # without its threads: asked and judged in turns
+    for _ in range(math.ceil(3.0 * SILENCE_S / ON_TIME_S)):
+        supervisor.ask()
+        wall.jump(ON_TIME_S)
+        supervisor.judge()
+        assert laser.state is LaserState.FIRING, laser.why
+    laser.stop("enough")
 
 
 @pytest.mark.slow
