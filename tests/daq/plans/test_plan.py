@@ -147,6 +147,13 @@ def test_forecast_counts_moves_by_hand(bench):
     assert said.raw_bytes == pytest.approx(2 * 2 * 96 * 96, rel=0.5)
 
 
+def test_every_frame_of_a_step_takes_its_time(bench):
+    once = steps_of(bench, ONE_SHIFT.format("{along: [1.0, 0.0, 0.0], mm: 0.5}"))
+    often = [replace(step, frames=100 * step.frames) for step in once]
+    few_s, many_s = (forecast(bench, idle_stage(bench), steps).duration_s for steps in (once, often))
+    assert many_s - few_s == pytest.approx(2 * 99 * (0.05 + 0.002))
+
+
 def test_violations_are_found_without_opening_anything(bench):
     text = ONE_SHIFT.format("{along: [1.0, 0.0, 0.0], mm: 60.0}")
     said = forecast(bench, idle_stage(bench), steps_of(bench, text))

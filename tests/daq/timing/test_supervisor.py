@@ -145,7 +145,9 @@ def test_answers_that_come_are_no_silence_however_long_it_fires():
     laser, _, clock = armed(ScaledClock(), **AT_ONCE)
     wall = JumpingClock()
     laser.fire(100)
-    supervisor = LaserSupervisor(laser, lambda: GOOD, clock, wall)  # without its threads: asked and judged in turns
+    supervisor = LaserSupervisor(
+        laser, lambda: GOOD, clock, wall
+    )  # without its threads: asked and judged in turns
     for _ in range(math.ceil(3.0 * SILENCE_S / ON_TIME_S)):
         supervisor.ask()
         wall.jump(ON_TIME_S)
