@@ -11,7 +11,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow labs fuzz lamps sheets starts benchmark bench lint fast-tests digests compiled-rays compiled-pairs compiled-beds picture pins clean
+.PHONY: demo test test-slow labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -73,6 +73,11 @@ starts: $(STAMP)
 AGAINST ?=
 digests: $(STAMP)
 	$(BIN)/python -m tests.digests $(if $(AGAINST),--against $(AGAINST),-o digests.json)
+
+# Sixty faults of one line each in a copy of the checkout: does a test fail for every one? make mutants ONLY=keep_out
+ONLY ?=
+mutants: $(STAMP)
+	$(BIN)/python -m tests.mutants $(ONLY)
 
 bench: benchmark
 

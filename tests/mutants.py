@@ -1,0 +1,215 @@
+"""Sixty faults of one line each that fast tests must notice, drawn over all packages: is a rebuild still watched?
+
+    python -m tests.mutants                # or: make mutants
+    python -m tests.mutants keep_out 17    # those whose test, snippet or number says so
+
+Each is a snippet that stands once in the code of all packages, whatever file it is moved to; what takes its
+place; and the test that fails then, sought by its name.  All happens in a copy of the checkout, never in the
+checkout itself: the tests are run once as things are and must pass, and then each with its fault and must fail.
+Exit 1 if a fault survives or its snippet is not found.  Who rewrites a snippet writes the same fault into its new
+words here.  None is in a file whose edit compiles kernels anew, or its test calls no kernel.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+NOT_OURS = {"tests", "benchmarks", "examples", "docs"}  # beside the packages
+LONGEST_S = 300.0
+PASSED, FAILED = 0, 1  # how pytest ends
+# fmt: off
+MUTANTS: tuple[tuple[str, str, str], ...] = (
+    ("if found != kind:", "if found == LAYOUT:", "test_other_kind_and_layout"),
+    ("if len(text) <= LONGEST else", "if len(text) <= 99 * LONGEST else", "test_one_line"),
+    ('own = f".{uuid4().hex}" if among_many else ""', 'own = ""',
+     "test_whoever_is_ready_last_gives_the_file_its_contents"),
+    ("if not self.position_mm[2] > 0.0", "if not self.position_mm[2] > -1e9", "test_broken_files"),
+    ("return np.diff(np.interp(cuts, ends, moment)) * count,", "return np.diff(np.interp(cuts, ends, moment)),",
+     "test_colours_have_the_mean_and_nearly_the_spread_of_the_light"),
+    ("np.exp(-0.5 * ((nm - mean_nm) / sigma_nm) ** 2)", "np.exp(-1.0 * ((nm - mean_nm) / sigma_nm) ** 2)",
+     "test_a_glass_shows_the_mean_index_of_what_the_camera_counts"),
+    ("* FULL_WIDTH / width_nm) ** 2", "/ width_nm) ** 2",
+     "test_a_white_led_has_the_mean_wavelength_of_typical_lamps"),
+    ("return np.asarray(self.z_mm + a * x_mm + b * y_mm)", "return np.asarray(self.z_mm + a * x_mm - b * y_mm)",
+     "test_rays_end_on_the_sheet"),
+    ("1.0 + sum(b * square_um2 / (square_um2 - c)", "1.0 + sum(b * square_um2 / (square_um2 + c)",
+     "test_a_glass_shows_the_mean_index_of_what_the_camera_counts"),
+    ("4.88 * ((magnification + 1.0) / magnification * f_number) ** 2", "4.88 * (f_number / magnification) ** 2",
+     "test_eq_1_both_ways"),
+    ("slope_y = (xx * yf - xy * xf) / determinant", "slope_y = (xx * yf + xy * xf) / determinant",
+     "test_outliers_are_found_alone_in_clusters_and_at_edges_but_gradients_are_not"),
+    ("sigma = np.sqrt(1.5 / np.log(one / two))", "sigma = np.sqrt(1.0 / np.log(one / two))",
+     "test_diameter_is_that_of_the_recorded_particle"),
+    ("return np.where(values > limit, limit, values)", "return np.where(values > limit, 0.0, values)",
+     "test_the_cap_is_median_and_two_deviations_and_leaves_nan_alone"),
+    ("frame.astype(np.float32) - light.astype(np.float32", "frame.astype(np.float32) + light.astype(np.float32",
+     "test_minimum_and_mean_are_brute_force_and_take_a_generator"),
+    ("not ended and len(near) <= place + reach_steps", "not ended and len(near) < place + reach_steps",
+     "test_it_is_brute_force_to_the_last_bit"),
+    ("each, light in near if each is frame or light - floor >= dark_share * usual]", "each, light in near]",
+     "test_one_dark_frame_does_not_bring_the_reflections_back"),
+    ("return along - up, np.hypot(along_sigma, up_sigma)", "return along + up, np.hypot(along_sigma, up_sigma)",
+     "test_a_rotation_turns_and_does_not_diverge"),
+    ("normal = total[..., :2] * np.sqrt(2.0 / faster)", "normal = total[..., :2] * np.sqrt(1.0 / faster)",
+     "test_sigma_of_the_mean_covers_what_it_says"),
+    ("both, (other.mean - self.mean) + (other.mean_rest - self.mean_rest),", "both, (other.mean - self.mean),",
+     "test_moments_are_those_of_exact_sums"),
+    ("lost = 1.0 - moments.count / np.maximum(looked, 1)", "lost = moments.count / np.maximum(looked, 1)",
+     "test_what_was_lost_may_be_anything_that_stands_around"),
+    ("max(float(np.median(apart)) * 1.4826 / np.sqrt(2.0), 1e-9", "max(float(np.median(apart)) * 1.4826, 1e-9",
+     "test_places_of_lone_particles_and_their_sigma"),
+    ("glass[2] = stands_off - put_up[2]", "glass[2] = -put_up[2]",
+     "test_a_thousand_benches_are_aligned_and_no_glass_touches"),
+    ("camera[axis] = -put_up[axis]", "camera[axis] = put_up[axis]",
+     "test_a_thousand_benches_are_aligned_and_no_glass_touches"),
+    ("= np.stack((field.u_px - shift_px[0], field.v_px -", "= np.stack((field.u_px - shift_px[0], field.v_px +",
+     "test_the_image_route_finds_the_shift_behind_the_ball"),
+    ("return min(1.0, (step_px / window_px) ** 2)", "return min(1.0, step_px / window_px)",
+     "test_windows_that_overlap_count_by_the_part_that_is_their_own"),
+    ('return "first" if first < second else "second"', 'return "first" if first > second else "second"',
+     "test_a_true_difference_is_found_and_told_the_right_way_round"),
+    ('return "too small" if ratio > high else "too', 'return "too small" if ratio < high else "too',
+     "test_a_sigma_is_held_to_its_claim"),
+    ("by_y = m * x**k * y ** max(m - 1, 0)", "by_y = k * x**k * y ** max(m - 1, 0)",
+     "test_jacobian_agrees_with_differences_and_nan_stays_nan"),
+    ("return (self.measured_mm - self.target_mm) *", "return (self.measured_mm + self.target_mm) *",
+     "test_the_stages_of_the_paper_home_in_order_and_go_where_they_are_sent"),
+    ("if not low <= target_mm <= high", "if not low <= target_mm",
+     "test_targets_out_of_range_raise_before_motion"),
+    ("if looks >= (CALM_LOOKS if stopped else 1):", "if looks >= 1:",
+     "test_one_look_at_rest_after_a_stop_is_not_believed"),
+    ('if status.state in ("Hold", "Door"):', 'if status.state in ("Door",):',
+     "test_a_board_that_reports_to_be_held_in_a_move_was_stopped_by_a_person"),
+    ("if answer.code == LOCKED:", "if answer.code == -LOCKED:",
+     "test_a_jog_that_a_locked_grbl_board_refuses_takes_its_reference"),
+    ('return status.position_mm[index], status.state == "Alarm"', "return status.position_mm[index], False",
+     "test_a_grbl_board_that_stands_in_alarm_is_not_believed_although_its_mark_has_stayed"),
+    ("code != 2:  # a refused target keeps the position", "code == 2:  # a refused target keeps the position",
+     "test_an_alarm_takes_the_reference_of_a_grbl_board_although_its_mark_has_stayed"),
+    ("grbl.JOG_CANCEL).to_bytes(), grbl.RealTime(grbl.RESET).to_bytes()]", "grbl.JOG_CANCEL).to_bytes()]",
+     "test_what_the_watchdog_says_ends_a_reference_run_of_a_grbl_board"),
+    ("if self._count != token:", "if self._count < token:", "test_the_latch_is_a_latch"),
+    ("return any(not url.startswith(WITHOUT_DEVICE) for", "return all(not url.startswith(WITHOUT_DEVICE) for",
+     "test_simulated_lines_of_this_process_need_none"),
+    ("return -CONTACT_MM", "return -1e3", "test_contact_is_legal_where_the_file_says_so"),
+    ("closest_mm < min(allowed_mm, begin_mm) - ROUNDING_MM", "closest_mm < min(allowed_mm, begin_mm) - 50.0",
+     "test_a_way_through_is_seen_although_both_ends_are_free"),
+    ("np.vstack([moved.edges_mm, sweep])", "np.vstack([moved.edges_mm, 0.5 * sweep])",
+     "test_closest_approach_agrees_with_brute_force"),
+    ("step = (new - old) % 0xFFFF  #", "step = (new - old) % 0x10000  #", "test_wrap_skips_zero"),
+    ("min(mbits, default=0.0) * 1e6 / 8 * packets", "min(mbits, default=0.0) * 1e6 * packets",
+     "test_packets_on_an_ethernet_cable"),
+    ("return before not in (0, sign)", "return False", "test_a_flip_is_seen_within_two_blocks"),
+    ("= all(mm is not None for mm in where.values())", "= any(mm is not None for mm in where.values())",
+     "test_one_axis_that_moves_is_no_rest_whichever_it_is"),
+    ("(b - a for a, b in zip(before, after, strict=True)", "(a - b for a, b in zip(before, after, strict=True)",
+     "test_a_displacement_goes_from_the_reference_to_the_step_in_world_directions"),
+    (":= self._clock.now_s() - self._armed_s) > ARMED_S", ":= self._clock.now_s() - self._armed_s) > 1e9",
+     "test_what_was_armed_long_ago_does_not_fire"),
+    ("abs_tol=1.01 * self.box.least_step_us", "abs_tol=1e9 * self.box.least_step_us",
+     "test_a_dt_that_reads_back_as_another_is_found_and_switched_off"),
+    ("if not 1 <= pairs <= most", "if not 0 <= pairs <= most", "test_a_chunk_is_at_most_ten_seconds"),
+    ("= (q_switch_us - head.lamp_to_q_switch_us[number],", "= (q_switch_us + head.lamp_to_q_switch_us[number],",
+     "test_each_lamp_leads_its_q_switch"),
+    ("= max(begin_a_us, begin_b_us - dt_us) + margin_us", "= max(begin_a_us, begin_b_us - dt_us) - margin_us",
+     "test_light_falls_into_both_exposures_or_is_refused"),
+    ("if timing.rate_hz > exposures.max_rate_hz", "if timing.rate_hz > 9 * exposures.max_rate_hz",
+     "test_what_does_not_go_together_is_refused"),
+    ("return max(self._exposed_ns, self._read_ns - exposure_ns)", "return self._exposed_ns",
+     "test_exposure_overlaps_the_readout_before_it_but_does_not_end_in_it"),
+    ("return world_s + (time.monotonic() - wall_s) * speed", "return world_s + (time.monotonic() - wall_s)",
+     "test_clocks"),
+    ("self.lead_error_um * 1e-3 * math.sin(2.0 * math.pi *", "self.lead_error_um * 1e-3 * math.sin(math.pi *",
+     "test_lead_errors_are_where_the_workshop_put_them"),
+    ("half_mm = mechanics.backlash_um * 0.5e-3", "half_mm = mechanics.backlash_um * 1e-3",
+     "test_play_swallows_the_first_part_of_every_turn_round"),
+    ("stopping = speed * abs(speed) / (2.0 * acceleration)", "stopping = speed * abs(speed) / acceleration",
+     "test_whatever_is_commanded_on_the_way_speed_and_ramp_are_kept"),
+    ("max(low[1] - point[1], 0.0, point[1] - high[1])", "max(low[1] - point[1], 0.0)",
+     "test_distances_one_can_see"),
+    ("if now_s - stop.begin_s <= STOP_S:", "if now_s - stop.begin_s <= 99.0:",
+     "test_a_plug_that_is_pulled_in_the_moment_of_a_stop_may_keep_it_away"),
+    ("if outside_mm > allowed_mm:", "if outside_mm > allowed_mm + 1.0:", "test_limits_are_limits_of_the_carriage"),
+)
+# fmt: on
+
+
+def copied(folder):
+    """A copy of what git knows of the checkout, as it stands."""
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True, text=True).stdout
+    for name in filter(None, names.split("\0")):
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    return folder
+
+
+def home_of(snippet, texts):
+    """The one file of the packages that has this snippet, once."""
+    found = [path for path, text in texts.items() for _ in range(text.count(snippet))]
+    if len(found) != 1:
+        raise LookupError(f"{snippet!r} stands {len(found)} times in the packages, and not once")
+    return found[0]
+
+
+def node_of(test, texts):
+    """Where a test stands, as pytest names it; `test` may end in the parameters of one case."""
+    line = re.compile(rf"^def {test.partition('[')[0]}\(", re.MULTILINE)
+    found = [path for path, text in texts.items() if line.search(text)]
+    if len(found) != 1:
+        raise LookupError(f"{test} stands in {len(found)} files of tests, and not in one")
+    return f"{found[0]}::{test}"
+
+
+def run(nodes, tree):
+    """How pytest ends with these tests in the copy, and the last of what it says."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n0", "-p", "no:cacheprovider", *nodes]
+    # Programs that tests start are those of the copy.  Two edits within a second have one time stamp: no bytecode.
+    env = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        done = subprocess.run(
+            command, cwd=tree, env=env, capture_output=True, text=True, timeout=LONGEST_S * len(nodes)
+        )
+    except subprocess.TimeoutExpired:
+        return FAILED, "took too long"
+    return done.returncode, done.stdout[-2000:] + done.stderr[-2000:]
+
+
+def main():
+    """Apply one fault after the other and print what became of it."""
+    words = sys.argv[1:]
+    chosen = [
+        (number, mutant)
+        for number, mutant in enumerate(MUTANTS, 1)
+        if not words or any(word == str(number) or word in "\n".join(mutant) for word in words)
+    ]
+    with tempfile.TemporaryDirectory(prefix="mutants-") as place:
+        tree = copied(Path(place))
+        texts = {path.relative_to(tree): path.read_text(encoding="utf-8") for path in tree.rglob("*.py")}
+        product = {path: text for path, text in texts.items() if path.parts[0] not in NOT_OURS}
+        tests = {path: text for path, text in texts.items() if path.name.startswith("test_")}
+        homes = [home_of(snippet, product) for _, (snippet, _, _) in chosen]
+        nodes = [node_of(test, tests) for _, (_, _, test) in chosen]
+        ended, said = run(list(dict.fromkeys(nodes)), tree)
+        if ended != PASSED:
+            print(said, "not all of these tests pass without a fault", sep="\n")
+            return 1
+        killed = 0
+        for (number, (snippet, fault, test)), home, node in zip(chosen, homes, nodes, strict=True):
+            (tree / home).write_text(texts[home].replace(snippet, fault), encoding="utf-8")
+            ended, _ = run([node], tree)
+            (tree / home).write_text(texts[home], encoding="utf-8")
+            killed += ended == FAILED
+            said = "killed" if ended == FAILED else f"SURVIVES (pytest ended with {ended})"
+            print(f"{number:3d} {said}  {home.as_posix():42s} {test}", flush=True)
+    print(f"{killed} of {len(chosen)} killed")
+    return int(killed < len(chosen))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
