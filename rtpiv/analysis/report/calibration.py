@@ -124,5 +124,5 @@ def sentence_case(text: str) -> str:
 def _numbers(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Value, sigma, movement and sigma before, to the second digit of sigma."""
     digits = places(float(row["sigma"]))
-    value, known, moved = (f"{row[key]:.{digits}f}" for key in ("value", "sigma", "moved"))
+    value, known, moved = (f"{row[key]:z.{digits}f}" for key in ("value", "sigma", "moved"))
     return value, known, moved, f"{row['prior_sigma']:.3g}"

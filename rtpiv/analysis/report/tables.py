@@ -337,7 +337,7 @@ def lead_of(total: Total) -> tuple[str, str, Row, list[Row]]:
     value = "{:.4f}, {:.4f} px".format(*total.head_px)
     rows = []
     for name, pair in total.parts:
-        known, form = ("common offset", "+.4f") if name == "bias" else (name, ".4f")
+        known, form = ("common offset", "+z.4f") if name == "bias" else (name, ".4f")
         rows.append((known, *(format(part, form) for part in pair)))
     rows.append(("total, in squares", *(f"{part:.4f}" for part in total.total_px)))
     return value, total.said, ("[px]", "u", "v"), rows
@@ -401,7 +401,7 @@ def _pair(values: tuple[float, float]) -> str:
 
 
 def _signed(values: tuple[float, float]) -> str:
-    return f"{values[0]:+.4f}, {values[1]:+.4f}"
+    return f"{values[0]:+z.4f}, {values[1]:+z.4f}"
 
 
 def _rms_pair(values: NDArray[np.float64]) -> str:

@@ -119,3 +119,8 @@ def test_without_a_known_shift_the_displacement_is_said_beside_and_behind_the_gl
         u, v = (float(part) for part in px.split(","))
         assert (u, v) == pytest.approx((4.03, -3.01), abs=0.01)
         assert [float(part) for part in mm.split(",")] == pytest.approx((0.5 * u, -0.5 * v), abs=1e-3)
+
+
+def test_an_offset_of_nothing_has_no_sign():
+    rows = lead_of(totals_of(evaluation(bias=(-1e-6, -1e-6), noise=0.0))[0])[-1]
+    assert rows[0] == ("common offset", "+0.0000", "+0.0000")
