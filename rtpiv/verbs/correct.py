@@ -193,7 +193,7 @@ def correct(
         dewarp = dewarp_of(target_clear, fitted.camera, board, recipe.dewarp_order)
         limit = None
         if limit_px is not None and scene_file is not None:
-            from rtpiv.analysis.series.tasks import sigma_limit
+            from rtpiv.analysis.series.series_input import sigma_limit
 
             limit = sigma_limit(scene_file, fitted, dewarp is not None, limit_px, in_light_sheet=particles)
         corrector = prepare(loaded, dewarp, recipe.method, recipe.blend, limit=limit).corrector

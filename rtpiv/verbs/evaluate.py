@@ -26,11 +26,10 @@ from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.preview import evaluated_closely
 from rtpiv.analysis.series.run_series import SeriesBooks, run_series
 from rtpiv.analysis.series.series_folder import SeriesFolder
-from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, series_input
+from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, Tasks, series_input, tasks_of
 from rtpiv.analysis.series.series_mean import sigma_of
 from rtpiv.analysis.series.series_pairs import is_one_series
 from rtpiv.analysis.series.series_plan import jobs_of
-from rtpiv.analysis.series.tasks import Tasks, tasks_of
 from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of, paths_of

@@ -20,8 +20,8 @@ from rtpiv.analysis.pairs.evaluation import Evaluation, Route
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.pictures.before_after import before_after
 from rtpiv.analysis.report.page import Page
+from rtpiv.analysis.series.series_input import FIT_FILE
 from rtpiv.analysis.series.series_pairs import is_flow
-from rtpiv.analysis.series.tasks import FIT_FILE
 from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.mean import mean

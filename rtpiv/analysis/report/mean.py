@@ -29,9 +29,8 @@ from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.run_series import SeriesBooks
 from rtpiv.analysis.series.series_folder import SeriesFolder
-from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput
+from rtpiv.analysis.series.series_input import FIT_FILE, SCENE_FILE, SeriesInput
 from rtpiv.analysis.series.series_mean import grid_of_series, scene_of, standing_of, windows_of
-from rtpiv.analysis.series.tasks import FIT_FILE
 from rtpiv.analysis.through_glass import through_glass
 from tracer.scene.scene_file import load_scene
 

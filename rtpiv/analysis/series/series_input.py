@@ -1,23 +1,184 @@
-"""From a run to what its series needs: pairs, scene, dewarp, settings; the folder keeps a copy of the scene."""
+"""What there is to evaluate, from what a person names: the series of a run, or single pairs.
+
+A series needs pairs, scene, dewarp and settings, and its folder keeps a copy of the scene.  Two frames, and pairs
+that a stage moved, are tasks, each with what it was seen through and the displacement that is known of it.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from correction.errors import MapUsageError
+from correction.fitted.scene_sigma import SceneSigma
+from correction.fitted.sigma_limit import SigmaLimit
+from correction.maps.dewarp import Dewarp
 from daq.atomic_write import copy_whole, why
 from daq.errors import DiskError
 from daq.frames.source import is_source
+from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import with_glass_at
-from daq.runs.pairs import pairs_of
-from daq.runs.run_views import board_of, dewarp_of, is_run, scene_file
+from daq.runs.pairs import FramePair, RunPairs, pairs_of
+from daq.runs.run_views import board_of, dewarp_of, is_run, scene_file, shows_light_sheet, where_lit
+from ground.errors import GroundError
 from piv.errors import PairError
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
+from rtpiv.analysis.pairs.evaluation import Task
 from rtpiv.analysis.pairs.piv_file import PivChoice
-from rtpiv.analysis.series.series_pairs import PairsOfSeries, pairs_of_series, pairs_of_source
+from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
 from rtpiv.analysis.series.series_plan import Method
-from rtpiv.analysis.series.tasks import FIT_FILE, sigma_limit
+from tracer.errors import TracerError
+from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
-SCENE_FILE = "scene.yaml"
+SCENE_FILE, FIT_FILE = "scene.yaml", "fit.npz"  # beside each other, of a fit as in the folder of a series
+IN_PLANE_MM = 0.01  # a sheet moved farther out of its plane shows no uniform displacement
+
+
+@dataclass(frozen=True)
+class Tasks:
+    """Pairs to evaluate.
+
+    Parameters
+    ----------
+    tasks : tuple of Task
+        One a pair.
+    dewarp : Dewarp or None
+        Of the camera, if a bare target was given.
+    sigma : SceneSigma or str
+        Uncertainty of the scene, or why there is none.
+    alone : int
+        Frames of the run whose partner was lost.
+    """
+
+    tasks: tuple[Task, ...]
+    dewarp: Dewarp | None
+    sigma: SceneSigma | str
+    alone: int
+
+
+def tasks_of(
+    paths: list[Path],
+    out: Path,
+    scene: Path | None = None,
+    target_clear: Path | None = None,
+    dewarp_order: int = 2,
+    square_mm: float | None = None,
+    disc_mm: float | None = None,
+    shift_mm: tuple[float, float] | None = None,
+    dt_us: float | None = None,
+) -> Tasks:
+    """Collect what is to be evaluated, and read every frame once: a damaged one is found now, not after an hour.
+
+    Parameters
+    ----------
+    paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, dt_us
+        As for the verb `evaluate`.
+
+    Raises
+    ------
+    PairError
+        Neither two frames with a scene nor one run; or the run holds no pair, or has no or another time between
+        its frames.
+    ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
+        What scene, frames, target or run make impossible.
+    """
+    run = paths[0] if len(paths) == 1 and is_run(paths[0]) else None
+    if run is None and (len(paths) != 2 or scene is None):
+        raise PairError("give two frames and --scene, or the folder of a run whose frames form pairs")
+    given = pairs_of(run) if run is not None else RunPairs((), ())
+    given = RunPairs(
+        tuple(_timed(run, pair, dt_us) for pair in given.pairs if not pair.is_background), given.alone
+    )
+    if scene is None:
+        scene = scene_file(paths[0], out)
+    fitted = load_scene(scene)
+    board = board_of([*paths, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
+    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+    frames = [path for pair in given.pairs for path in pair.frames] or paths
+    lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
+    seen = fitted.in_light_sheet() if lit else fitted
+    tasks = [_task(pair, seen, out) for pair in given.pairs] or [_two_frames(paths, seen, out, shift_mm, dt_us)]
+    if lit:
+        tasks = [replace(task, note=where_lit(fitted)) for task in tasks]
+    for path in frames:
+        read_acquired(path, fitted.camera.shape)
+    sigma = scene_sigma_beside(scene, fitted, target_clear is not None, in_light_sheet=lit)
+    return Tasks(tuple(tasks), dewarp, sigma, len(given.alone))
+
+
+def _two_frames(
+    paths: list[Path], scene: Scene, out: Path, shift_mm: tuple[float, float] | None, dt_us: float | None
+) -> Task:
+    """Task of two frames."""
+    first, second = paths
+    dt_s = None if dt_us is None else 1e-6 * dt_us
+    return Task(f"{first.stem}, {second.stem}", (first, second), scene, out, shift_mm, dt_s=dt_s)
+
+
+def _timed(run: Path | None, pair: FramePair, dt_us: float | None) -> FramePair:
+    """The pair of a run with the time between its frames, as known or as given."""
+    if dt_us is None or run is None:
+        return pair
+    if pair.measured_mm is not None:
+        raise PairError(
+            f"{run}: a stage moved its particles, so there is no time between frames; leave --dt-us out"
+        )
+    return replace(pair, dt_s=dt_of(run, pair, dt_us))
+
+
+def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
+    """Task of a pair of a run."""
+    task = Task(pair.tag, pair.frames, scene if pair.glass else scene.bare(), out / pair.tag, dt_s=pair.dt_s)
+    if pair.measured_mm is None or pair.commanded_mm is None:
+        return task
+    x, y, z = pair.measured_mm
+    task = replace(task, commanded_mm=pair.commanded_mm[:2])
+    if abs(z) > IN_PLANE_MM:
+        return replace(task, note=f"moved by {z:+.3f} mm along z: no one displacement is true for all vectors.")
+    return replace(task, shift_mm=(x, y))
+
+
+def sigma_limit(
+    scene: Path, fitted: Scene, dewarped: bool, limit_px: float, *, in_light_sheet: bool = True
+) -> SigmaLimit:
+    """Limit of the map's sigma, by the fit beside a scene file; see `scene_sigma_beside`.
+
+    Raises
+    ------
+    MapUsageError
+        There is no fit that would know the sigma, or the limit is not positive.
+    """
+    sigma = scene_sigma_beside(scene, fitted, dewarped, in_light_sheet=in_light_sheet)
+    if isinstance(sigma, str):
+        raise MapUsageError(f"--sigma-limit needs the uncertainty of the scene: {sigma}")
+    return SigmaLimit(sigma, limit_px)
+
+
+def scene_sigma_beside(
+    scene: Path, fitted: Scene, dewarped: bool, *, in_light_sheet: bool = True
+) -> SceneSigma | str:
+    """Uncertainty of the scene from the fit beside its file, or why there is none.
+
+    Parameters
+    ----------
+    scene : Path
+        Scene file.
+    fitted : Scene
+        As loaded from it.
+    dewarped : bool
+        Whether a dewarp stands in for the camera's lens terms, of which the fit knows nothing.
+    in_light_sheet : bool
+        Whether particles are looked at, which lie in the scene's light sheet, and not the target.
+    """
+    if not scene.with_name(FIT_FILE).is_file():
+        return "there is no fit beside the scene; run rtpiv calibrate"
+    if dewarped:
+        return "the fit does not hold for a dewarped camera"
+    try:
+        sigma = SceneSigma.load(scene.with_name(FIT_FILE))
+        sigma.check(fitted)
+    except (GroundError, TracerError) as error:
+        return str(error)
+    return sigma.in_light_sheet(fitted) if in_light_sheet else sigma
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ from piv.errors import SeriesError
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks, SeriesFolder
-from rtpiv.analysis.series.series_input import SCENE_FILE
-from rtpiv.analysis.series.tasks import scene_sigma_beside
+from rtpiv.analysis.series.series_input import SCENE_FILE, scene_sigma_beside
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 

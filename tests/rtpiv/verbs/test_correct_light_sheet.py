@@ -12,7 +12,7 @@ from daq.runs.run_views import shows_light_sheet
 from ground.map_file import save_arrays
 from piv.errors import FrameError
 from piv.files.frame_file import write_frame
-from rtpiv.analysis.series.tasks import tasks_of
+from rtpiv.analysis.series.series_input import tasks_of
 from rtpiv.verbs.correct import correct
 from tests.correction.small_scenes import small_scene
 from tests.daq.small_run import about_run, planned
