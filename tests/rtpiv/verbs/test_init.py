@@ -68,7 +68,7 @@ def test_files_pass_the_check_on_their_own_benches(lab, tmp_path):
 def test_balls_of_several_sizes_and_glasses_before_a_camera_that_looks_from_the_side(tmp_path, capsys):
     said = ["--ball-mm", "40", "30", "--glass", "acrylic", "BK7", "--turn-deg", "12", "--support-mm", "4"]
     assert main(["init", str(tmp_path), "--yes", *said]) == DONE
-    assert "2 balls of 40, 30 mm acrylic, BK7 (row)" in capsys.readouterr().out
+    assert "2 balls of 40, 30 mm acrylic, BK7, one behind the other" in capsys.readouterr().out
     scene = load_scene(tmp_path / "scene.yaml")
     near, far = scene.spheres
     assert (near.radius_mm, far.radius_mm) == (20.0, 15.0)
