@@ -206,8 +206,8 @@ class Adjustment:
         root = wide.columns @ draws
         sizes = (unit[len(at) - len(of_shapes) :] * of_shapes)[:, None]
         shapes = ShapeRoot(balls, sizes * draws[len(at) - len(of_shapes) :])
-        if verdict.cause is not None and verdict.cause.change is not None:
-            root, shapes = np.column_stack((root, verdict.cause.change)), shapes.with_column()
+        for change in verdict.changes:
+            root, shapes = np.column_stack((root, change)), shapes.with_columns(change.shape[1])
         scene, pushed = legal_scene(unknowns, unknowns.full(solution.x))
         corners = self.corners(unknowns, solution.x, measured, kept)
         return SceneFit(

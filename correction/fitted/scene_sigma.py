@@ -97,7 +97,7 @@ class SceneSigma(SceneBound):
             step = np.zeros(len(root))
             step[: len(fit.light.step)] = fit.light.step
             root = np.column_stack((root, step))
-        doubt = fit.shapes.with_column() if fit.light.step.size else fit.shapes
+        doubt = fit.shapes.with_columns(1) if fit.light.step.size else fit.shapes
         known_as = parameter_names(fit.measured_scene)
         numbers = known_as[: unknowns.glass.stop + len(rows)] + unknowns.full_names[unknowns.all_shapes]
         numbers = numbers if len(rows) or len(shapes) else ()
@@ -128,7 +128,7 @@ class SceneSigma(SceneBound):
 
     def with_draw(self, change: NDArray[np.float64]) -> "SceneSigma":
         """Return the same with one standard deviation more: a change (Q,) of the scene's numbers."""
-        return replace(self, root=np.column_stack((self.root, change)), shapes=self.shapes.with_column())
+        return replace(self, root=np.column_stack((self.root, change)), shapes=self.shapes.with_columns(1))
 
     def in_light_sheet(self, scene: Scene) -> "SceneSigma":
         """Return the uncertainty of the scene as particles in its light sheet are seen (see `Scene`)."""

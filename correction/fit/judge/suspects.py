@@ -8,12 +8,12 @@ Newton step from the fit would give
     a = -D^-1 K^T r,        D = K^T K - K^T J A^-1 J^T K + B,
 
 and lower the squares by g = (K^T r) . (D^-1 K^T r) (Rao's score test).  Balls that touch push each other as rows
-of J and K of their own.  A large fault is no small step: the RIVALS that do best and are numbers of the scene are
-then fitted with what was free, one at a time, and g is by how much that truly lowers the squares.  The suspect of
-the largest g, less ln M for each number (Schwarz's criterion, M residuals), is named, if it explains EXPLAINS of
-what noise does not, or ALONE of it with a LEAD over every other; else it is said that nothing on the list does.
-Had it been known, the fit would have gone
-elsewhere by -A^-1 J^T K a: with a itself the `change`, an error of the map.
+of J and K of their own.  A large fault is no small step: the RIVALS that do best and are numbers of the scene, or
+a board that is bent or has moved, are then fitted with what was free, one at a time, and g is by how much that
+truly lowers the squares.  The suspect of the largest g, less ln M for each number (Schwarz's criterion, M
+residuals), is named, if it explains EXPLAINS of what noise does not, or ALONE of it with a LEAD over every other;
+else it is said that nothing on the list does.  Had it been known, the fit would have gone elsewhere by
+-A^-1 J^T K a: with a itself, and with what the frames leave open of a, the `change`, an error of the map.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -43,7 +43,7 @@ CAMERA_ORDINARY = {"focal_px": 30.0, "cu": 30.0, "cv": 30.0}  # sizes of changes
 LENS_TERM = 1.0
 BALL_ORDINARY = {"radius": 0.1, "n": 0.01}
 CLEAR = 4.0  # sigmas from which a lens term is named
-PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 0.3
+PLACE_MM, SHAPE_MM, MOVED_MM, MOVED_RAD, SAG_MM = 0.5, 0.05, 0.2, 0.003, 1.0
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,9 @@ class Suspect:
         By how much the squares would go down.
     share : float
         Of the squares that noise does not explain.
-    change : (F,) float64 or None
-        Of the full vector, if it is what is wrong; None if no vector can say it: a ball's shape.
+    change : (F, 1 + q) float64 or None
+        Of the full vector, if it is what is wrong, and what its q numbers leave open once they are free; None if
+        no vector can say it: a ball's shape.
     """
 
     ball: str
@@ -105,7 +106,7 @@ class Evidence:
     x: NDArray[np.float64]
 
 
-Columns = list[NDArray[np.float64]]  # (N, 2, q) for each frame, in sigmas
+Columns = list[NDArray[np.float64]]  # (N, ., q) for each frame, residuals in sigmas
 Say = Callable[[NDArray[np.float64], NDArray[np.float64]], str]
 
 
@@ -114,7 +115,8 @@ class _Candidate:
     """A change: the ball concerned, ordinary sizes (q,), derivatives, and words for values (q,) with sigmas.
 
     `moves` (F, q) is what it does to the full vector: all zero if it is no change of the map by itself, None if it
-    is one that the vector cannot say. `by_hand`: the fit section held it, which it need not.
+    is one that the vector cannot say. `by_hand`: the fit section held it, which it need not. `board`: how it moves
+    each corner's piece of the board (N, 6, q), for each frame, if that is what it moves.
     """
 
     ball: str
@@ -123,6 +125,7 @@ class _Candidate:
     say: Say
     moves: NDArray[np.float64] | None
     by_hand: bool = False
+    board: Columns | None = None
 
 
 _Found = tuple[float, _Candidate, NDArray[np.float64], NDArray[np.float64], NDArray[np.float64] | None]
@@ -167,12 +170,12 @@ def suspects(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, exce
         gain -= already + size * np.log(count)
         if gain > 0.0:
             spreads = np.sqrt(np.diag(spread)) * one.ordinary
-            change = None if one.moves is None else moves @ step
+            change = None if one.moves is None else (moves @ step)[:, None]
             found.append((gain, one, step[free:], spreads, change))
     found.sort(key=_rank)
     for number, (_, one, values, spreads, _) in enumerate(found[:RIVALS]):
-        if one.moves is not None and one.moves.any():
-            gain, values, change = _refitted(unknowns, full, seen, one.moves * one.ordinary)
+        if one.moves is not None:
+            gain, values, change = _refitted(unknowns, full, seen, one)
             found[number] = (gain - len(values) * np.log(count), one, values, spreads, change)
     return [
         Suspect(
@@ -194,23 +197,45 @@ def _rank(found: _Found) -> float:
 
 
 def _refitted(
-    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, columns: NDArray[np.float64]
+    unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence, one: _Candidate
 ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
-    """Gain once a suspect's columns (F, q) are free, its values (q,), and the change of the full vector (F,)."""
-    size = columns.shape[1]
+    """Gain once a suspect's numbers are free, its values (q,), and the changes of the full vector (F, 1 + q).
+
+    What moves board, not scene, moves residuals by derivatives of their own, those where the scene then stands: a
+    camera aside sees a bent board otherwise.
+    """
+    size, free = len(one.ordinary), len(seen.x)
+    still = np.zeros((len(full), size)) if one.moves is None else one.moves * one.ordinary
     names = (*unknowns.names, *(f"suspect {number}" for number in range(size)))
-    wider = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, columns)))
+    wider = replace(unknowns, names=names, columns=np.column_stack((unknowns.columns, still)))
+    every = np.eye(len(full))
+
+    def by_board(at: NDArray[np.float64], frame: MeasuredFrame, ways: NDArray[np.float64]) -> Residuals:
+        pose = every[:, unknowns.place(frame.corners.height_number)]
+        posed = replace(
+            unknowns, names=(*unknowns.names, *TARGET), columns=np.column_stack((unknowns.columns, pose))
+        )
+        part = residuals(posed, np.concatenate((at[:free], np.zeros(len(TARGET)))), frame.corners)
+        beyond = part.rate[:, :, free:] @ ways * one.ordinary
+        return Residuals(part.value + beyond @ at[free:], np.concatenate((part.rate[:, :, :free], beyond), axis=2))
 
     def evaluate(at: NDArray[np.float64]) -> list[Residuals]:
-        return [unlocked(wider, at, f.corners, f, residuals(wider, at, f.corners)) for f in seen.frames]
+        if one.board is None:
+            parts = [residuals(wider, at, frame.corners) for frame in seen.frames]
+        else:
+            parts = [by_board(at, frame, ways) for frame, ways in zip(seen.frames, one.board, strict=True)]
+        return [unlocked(wider, at, f.corners, f, part) for f, part in zip(seen.frames, parts, strict=True)]
 
     def squares(at: NDArray[np.float64]) -> float:
         lengths = [np.linalg.norm(part.value, axis=1) for part in evaluate(at)]
         return float(sum(np.sum(np.fmin(length, CLIP) ** 2) for length in lengths) + at @ at)
 
     start = np.concatenate((seen.x, np.zeros(size)))
-    found = minimise(wider, evaluate, start, knee=KNEE, steps=REFIT_STEPS).x
-    return squares(start) - squares(found), found[-size:], wider.full(found) - full
+    found = minimise(wider, evaluate, start, knee=KNEE, steps=REFIT_STEPS)
+    inverse = np.linalg.inv(found.normal + np.eye(len(start)))[:, free:]
+    open_still = wider.columns @ inverse @ np.linalg.inv(np.linalg.cholesky(inverse[free:])).T
+    change = np.column_stack((wider.full(found.x) - full, open_still))
+    return squares(start) - squares(found.x), found.x[free:], change
 
 
 def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -> Iterator[_Candidate]:
@@ -226,14 +251,15 @@ def _candidates(unknowns: Unknowns, full: NDArray[np.float64], seen: Evidence) -
     yield from _held_numbers(unknowns, full, rates)
     for ball, columns in _shape_columns(unknowns, full, seen, whitened).items():
         yield _Candidate(ball, np.full(len(SHAPES), SHAPE_MM), columns, partial(_not_round, ball), None)
-    first = unknowns.place(0).start
-    moved = [
-        rate[:, :, first : first + len(TARGET)] * float(frame.corners.height_number == 0 and frame.corners.glass)
-        for rate, frame in zip(rates, seen.frames, strict=True)
-    ]
     still = np.zeros((len(full), len(TARGET)))
-    yield _Candidate("", np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), moved, _moved, still)
-    yield _Candidate("", np.full(3, SAG_MM), _bent_columns(unknowns, seen, rates), _bent, still[:, :3])
+    places = [unknowns.place(frame.corners.height_number) for frame in seen.frames]
+    posed = [rate[:, :, place] for rate, place in zip(rates, places, strict=True)]
+    for ordinary, say, board in (
+        (np.array([*[MOVED_MM] * 3, *[MOVED_RAD] * 3]), _moved, _moved_ways(seen)),
+        (np.full(3, SAG_MM), _bent, _bent_ways(seen)),
+    ):
+        columns = [rate @ ways for rate, ways in zip(posed, board, strict=True)]
+        yield _Candidate("", ordinary, columns, say, still[:, : len(ordinary)], board=board)
 
 
 def _held_numbers(
@@ -291,15 +317,23 @@ def _held_numbers(
         yield _Candidate("", np.array([BALL_ORDINARY["n"]]), columns, say, moves, True)
 
 
-def _bent_columns(unknowns: Unknowns, seen: Evidence, rates: Sequence[NDArray[np.float64]]) -> Columns:
-    """Derivatives by a, b, c of a board at z = (a x^2 + b x y + c y^2) / reach^2."""
+def _moved_ways(seen: Evidence) -> Columns:
+    """How a board that has moved before the frames with glass stands in each frame (N, 6, 6)."""
+    moved = [frame.corners.height_number == 0 and frame.corners.glass for frame in seen.frames]
+    every = np.eye(len(TARGET))
+    return [np.tile(every * is_so, (len(frame), 1, 1)) for is_so, frame in zip(moved, seen.frames, strict=True)]
+
+
+def _bent_ways(seen: Evidence) -> Columns:
+    """How corners (N, 6, 3) move by a, b, c of a board at z = (a x^2 + b x y + c y^2) / reach^2."""
     reach = max(float(np.abs(frame.corners.node_mm).max(initial=1.0)) for frame in seen.frames)
-    bend = []
-    for rate, frame in zip(rates, seen.frames, strict=True):
+    bent = []
+    for frame in seen.frames:
         x, y = (frame.corners.node_mm / reach).T
-        along_z = rate[:, :, unknowns.place(frame.corners.height_number).start + 2]
-        bend.append(along_z[:, :, None] * np.stack((x * x, x * y, y * y), axis=1)[:, None, :])
-    return bend
+        ways = np.zeros((len(frame), len(TARGET), 3))
+        ways[:, 2] = np.stack((x * x, x * y, y * y), axis=1)
+        bent.append(ways)
+    return bent
 
 
 def _shape_columns(

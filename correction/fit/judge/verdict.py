@@ -80,6 +80,12 @@ class Verdict:
         return likely_cause(self.suspects)
 
     @property
+    def changes(self) -> tuple[NDArray[np.float64], ...]:
+        """Errors (F, .) of the fitted full vector: by the cause, or else by all that may be, as far as likely."""
+        likely = [(1.0, self.cause)] if self.cause is not None else [(one.share, one) for one in self.suspects]
+        return tuple(np.sqrt(share) * one.change for share, one in likely if one.change is not None)
+
+    @property
     def systematic_px(self) -> dict[str, float]:
         """Way -> standard deviation of the map's own error on it, raw px per axis; of all ways tested.
 

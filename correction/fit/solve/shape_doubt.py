@@ -60,9 +60,9 @@ class ShapeRoot:
             out[here] += rate @ self.root[len(SHAPES) * place : len(SHAPES) * (place + 1)]
         return out
 
-    def with_column(self) -> "ShapeRoot":
-        """Return the same with one more draw, which does nothing to shapes."""
-        return replace(self, root=np.column_stack((self.root, np.zeros(len(self.root)))))
+    def with_columns(self, count: int) -> "ShapeRoot":
+        """Return the same with more draws, which do nothing to shapes."""
+        return replace(self, root=np.column_stack((self.root, np.zeros((len(self.root), count)))))
 
     def turned(self, axes: NDArray[np.float64]) -> "ShapeRoot":
         """Return the same as seen in other axes (3, 3), rows."""

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 from correction.fit import scene_fit
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import check
+from correction.fit.judge.suspects import Suspect
+from correction.fit.judge.verdict import Verdict
 from correction.fit.scene_fit import _Fit
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.board_pose import turned
@@ -16,8 +18,9 @@ from correction.fit.solve.errors import FitFailed
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
-from tests.correction.fit.drawn_labs import BOARD, photographed
+from tests.correction.fit.drawn_labs import BOARD, drawn_lab, photographed
 from tests.correction.fit.drawn_optics import Ball, Lab
+from tests.correction.fit.strangers import stranger
 from tracer.media import ConstantMedium
 from tracer.scene.fit_section import FitCameraTable, FitTable
 
@@ -90,3 +93,21 @@ def test_a_flint_ball_whose_index_is_held_wrong_is_named_and_not_the_radius_that
     assert words in fit.verdict.cause.sentence
     with pytest.raises(FitFailed, match=words):
         check(fit)
+
+
+@pytest.mark.parametrize("seed", [57014, pytest.param(57022, marks=pytest.mark.slow)])
+def test_a_bent_board_is_named_and_what_it_does_to_the_camera_is_in_sigma(seed):
+    lab = drawn_lab(seed, "bent board", draw=stranger)
+    assert "board is not flat" in lab.fit.verdict.sentences[0]
+    _, error, sigma = lab.beside
+    assert np.sqrt(np.mean((error / sigma) ** 2)) < 1.7  # of one lab; 3.8 where the bend gets one linear step
+
+
+def test_where_no_cause_is_named_all_that_may_be_reach_sigma_as_far_as_they_are_likely():
+    changes = np.arange(1.0, 7.0).reshape(2, 3, 1)
+    rivals = tuple(Suspect("", "", 5.0, share, one) for share, one in zip((0.36, 0.25), changes, strict=True))
+    verdict = Verdict((), {}, (*rivals, Suspect("s0", "", 4.0, 0.2, None)), np.zeros((0, 2)))
+    assert verdict.cause is None
+    np.testing.assert_allclose(verdict.changes, (0.6 * changes[0], 0.5 * changes[1]))
+    alone = replace(verdict, suspects=(replace(rivals[0], share=0.9), rivals[1]))
+    np.testing.assert_allclose(alone.changes, changes[:1])
