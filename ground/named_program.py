@@ -7,7 +7,7 @@ and those in a file of the person's own, one name a line.
 """
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,6 +20,10 @@ SHIPPED = frozenset({  # what rtpiv itself names, and the core that a bench file
     "sim.bench:SimulatedBench", "sim.camera.core:SimCore", "sim.emulators.micromanager:SimulatedCore",
     "sim.emulators.positioners:SimulatedPositioner", "pymmcore:CMMCore",
 })  # fmt: skip
+
+
+class UnknownName(LookupError):  # noqa: N818 - says what it is
+    """A name that rtpiv does not ship, and that names no program of another project either."""
 
 
 def trust_file() -> Path:
@@ -67,6 +71,38 @@ def trust(names: Iterable[str]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8") as file:
         file.writelines(f"{name}\n" for name in names)
+
+
+def program_of(name: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - whatever the name stands for
+    """Import what a name in a file stands for: what rtpiv ships, or "package.module:callable" of another project.
+
+    Parameters
+    ----------
+    name : str
+        As the file has it.
+    shipped : mapping
+        What rtpiv has under short names; imported only now.
+
+    Returns
+    -------
+    object
+        What stands there.
+
+    Raises
+    ------
+    UnknownName
+        It is neither.
+    UntrustedProgram
+        It is of another project, and not trusted; nothing of it has run.
+    ImportError, AttributeError
+        It is not there.
+    """
+    if name in shipped:
+        module, _, attribute = shipped[name].partition(":")
+        return getattr(import_module(module), attribute)
+    if ":" not in name:
+        raise UnknownName(name)
+    return named_program(name)
 
 
 def named_program(dotted: str) -> Any:  # noqa: ANN401 - whatever the name stands for

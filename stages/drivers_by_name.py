@@ -5,9 +5,7 @@ A bench file names a driver by its key here, or an own one as ``package.module:C
 only when it is asked for. Contract tests run on every line.
 """
 
-import importlib
-
-from ground.named_program import is_installed, is_trusted, named_program
+from ground.named_program import UnknownName, is_installed, is_trusted, program_of
 from stages.controller import Controller
 from stages.errors import StageUsageError
 from stages.motion_controller import MotionController
@@ -36,8 +34,7 @@ def controller_class(name: str) -> type[MotionController]:
     """
     if name not in FOREIGN:
         return driver_class(name)
-    module, _, attribute = FOREIGN[name].partition(":")
-    found: type[MotionController] = getattr(importlib.import_module(module), attribute)
+    found: type[MotionController] = program_of(name, FOREIGN)
     return found
 
 
@@ -65,12 +62,11 @@ def driver_class(name: str) -> type[Controller]:
     UntrustedProgram
         It is a driver of another project, and not trusted.
     """
-    module, colon, attribute = DRIVERS.get(name, name).partition(":")
-    if not colon:
-        known = ", ".join([*DRIVERS, *FOREIGN])
-        raise StageUsageError(f"driver {name!r} is unknown; known are {known}, or give module:Class")
     try:
-        found = getattr(importlib.import_module(module), attribute) if name in DRIVERS else named_program(name)
+        found = program_of(name, DRIVERS)
+    except UnknownName:
+        known = ", ".join([*DRIVERS, *FOREIGN])
+        raise StageUsageError(f"driver {name!r} is unknown; known are {known}, or give module:Class") from None
     except (ImportError, AttributeError) as error:
         raise StageUsageError(f"driver {name!r} cannot be imported: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Controller)):

@@ -11,7 +11,6 @@ A kind of another project is a dotted "package.module:Class".
 
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from importlib import import_module
 from typing import Any, Protocol, cast
 
 from daq.bench.bench_table import Bench, CameraSection, NamedCameraSection
@@ -24,7 +23,7 @@ from daq.timing.laser import Laser
 from daq.timing.opened import open_laser
 from daq.timing.timing_table import TimingTable
 from ground.config import Table
-from ground.named_program import named_program
+from ground.named_program import UnknownName, program_of
 from stages.clock import Clock
 from stages.config import StagesTable
 from stages.stage import Stage
@@ -72,12 +71,10 @@ def kind_of(name: str) -> Kind:
     RunUsageError
         There is none.
     """
-    module, colon, attribute = KINDS.get(name, name).partition(":")
-    if not colon:
-        raise RunUsageError(f"there is no kind of device {name!r}; there are {', '.join(KINDS)}")
     try:
-        kind = getattr(import_module(module), attribute) if name in KINDS else named_program(name)
-        return cast("Kind", kind())
+        return cast("Kind", program_of(name, KINDS)())
+    except UnknownName:
+        raise RunUsageError(f"there is no kind of device {name!r}; there are {', '.join(KINDS)}") from None
     except (ImportError, AttributeError) as error:
         raise RunUsageError(f"the kind of device {name!r} cannot be loaded: {error}") from error
 

@@ -6,13 +6,12 @@ libraries for cameras that stand elsewhere.
 """
 
 from collections.abc import Callable
-from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, cast
 
 from daq.cameras.camera import Camera
 from daq.errors import CameraSetupError
-from ground.named_program import named_program
+from ground.named_program import UnknownName, program_of
 from ground.plain_words import near
 
 BACKENDS = {
@@ -49,16 +48,13 @@ def backend_class(backend: str) -> Callable[..., Camera]:
     UntrustedProgram
         It is of another project, and not trusted.
     """
-    module_name, colon, class_name = BACKENDS.get(backend, backend).partition(":")
-    if not colon:
-        hint = near(backend, list(BACKENDS))
-        raise CameraSetupError(f"camera backend {backend!r} is unknown; use one of {', '.join(BACKENDS)}{hint}")
     try:
-        known = backend in BACKENDS
-        found = getattr(import_module(module_name), class_name) if known else named_program(backend)
+        return cast("Callable[..., Camera]", program_of(backend, BACKENDS))
+    except UnknownName:
+        known = f"use one of {', '.join(BACKENDS)}{near(backend, list(BACKENDS))}"
+        raise CameraSetupError(f"camera backend {backend!r} is unknown; {known}") from None
     except (ImportError, AttributeError) as error:
         raise CameraSetupError(f"camera backend {backend!r} cannot be loaded: {error}") from error
-    return cast("Callable[..., Camera]", found)
 
 
 def make_camera(backend: str, **options: Any) -> Camera:  # noqa: ANN401 - each backend checks its own options

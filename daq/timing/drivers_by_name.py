@@ -1,11 +1,10 @@
 """Drivers of timing units by the name that a bench file gives them; "package.module:Class" works as well."""
 
-from importlib import import_module
 from typing import cast
 
 from daq.timing.box import TimingBox
 from daq.timing.errors import TimingUsageError
-from ground.named_program import named_program
+from ground.named_program import UnknownName, program_of
 
 _QC = "daq.timing.drivers.quantum_composers:QuantumComposersBox"
 DRIVERS = {
@@ -27,11 +26,9 @@ def driver_class(name: str) -> type[TimingBox]:
     TimingUsageError
         There is none.
     """
-    module, colon, attribute = DRIVERS.get(name, name).partition(":")
-    if not colon:
-        raise TimingUsageError(f"there is no timing unit {name!r}; there are {', '.join(DRIVERS)}")
     try:
-        found = getattr(import_module(module), attribute) if name in DRIVERS else named_program(name)
+        return cast("type[TimingBox]", program_of(name, DRIVERS))
+    except UnknownName:
+        raise TimingUsageError(f"there is no timing unit {name!r}; there are {', '.join(DRIVERS)}") from None
     except (ImportError, AttributeError) as error:
         raise TimingUsageError(f"the timing unit {name!r} cannot be loaded: {error}") from error
-    return cast("type[TimingBox]", found)

@@ -86,7 +86,7 @@ def call_of(verb: str, options: dict[str, Any]) -> tuple[list[Any], dict[str, An
         Positional and named arguments.
     """
     words, named, values = list[Any](), dict[str, Any](), dict[str, dict[str, Any]]()
-    for option in signature(verb).options:
+    for option in signature(verb):
         if option.is_word:
             words.append(options[option.name])
         elif option.of is None:
@@ -96,7 +96,7 @@ def call_of(verb: str, options: dict[str, Any]) -> tuple[list[Any], dict[str, An
                 named[option.name] = options[option.name]
         else:
             values.setdefault(option.holder, {})[option.name] = options[option.name]
-    for option in signature(verb).options:
+    for option in signature(verb):
         if option.of is not None and option.holder in values:
             make = getattr(import_module(option.of.module), option.of.name)
             named[option.holder] = make(**values.pop(option.holder))
@@ -106,7 +106,7 @@ def call_of(verb: str, options: dict[str, Any]) -> tuple[list[Any], dict[str, An
 def _add_options(parser: argparse.ArgumentParser, verb: str) -> None:
     """Add what a verb takes; the fields of a value stand together."""
     groups: dict[str, argparse._ArgumentGroup] = {}
-    for option in signature(verb).options:
+    for option in signature(verb):
         if option.is_word:
             _add_word(parser, option)
         elif option.of is not None:

@@ -94,13 +94,6 @@ class Option:
     of: ValueClass | None = None
 
 
-@dataclass(frozen=True)
-class Signature:
-    """Everything that a verb takes, in its order."""
-
-    options: tuple[Option, ...]
-
-
 def title(value: ValueClass) -> str:
     """What a class of options is about: the first line of its docstring."""
     statement = _top(value.module)[value.name]
@@ -115,7 +108,7 @@ def summary(verb: str) -> str:
 
 
 @cache
-def signature(verb: str) -> Signature:
+def signature(verb: str) -> tuple[Option, ...]:
     """Read what a verb takes.
 
     Parameters
@@ -125,8 +118,8 @@ def signature(verb: str) -> Signature:
 
     Returns
     -------
-    Signature
-        Its words and options.
+    tuple of Option
+        Its words and options, in their order.
     """
     module = f"{VERBS}.{verb}"
     function = _top(module)[verb]
@@ -150,7 +143,7 @@ def signature(verb: str) -> Signature:
         kind = _kind(taken.kwarg.annotation.slice, module)
         assert isinstance(kind, ValueClass)
         found += _fields(replace(kind, keywords=True), taken.kwarg.arg)
-    return Signature(tuple(found))
+    return tuple(found)
 
 
 def _fields(value: ValueClass, holder: str) -> Iterator[Option]:
@@ -279,7 +272,7 @@ def _followed(name: str, text: str, verb: str) -> str:
         and there[1] != verb
         and (HOME / VERBS.replace(".", "/") / f"{there[1]}.py").is_file()
     ):
-        for option in signature(there[1]).options:
+        for option in signature(there[1]):
             if option.name == name:
                 return option.help
     return _plain(text)

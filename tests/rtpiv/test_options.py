@@ -47,7 +47,7 @@ def test_every_verb_is_listed_once():
 def test_what_a_verb_takes_is_what_its_function_takes(verb):
     """Read from the source, and as Python itself says it."""
     function = getattr(importlib.import_module(f"rtpiv.verbs.{verb}"), verb)
-    options = signature(verb).options
+    options = signature(verb)
     own = {option.name: option for option in options if option.of is None}
     for name, parameter in inspect.signature(function).parameters.items():
         if name not in own:
