@@ -33,10 +33,12 @@ class RunShown:
         Where.
     folder : RunFolder
         Of the run.
+    recovered : str
+        How much of what the balls hide is seen through them, said with every frame behind glass.
     """
 
-    def __init__(self, page: LivePage, folder: RunFolder) -> None:
-        self._page, self._folder = page, folder
+    def __init__(self, page: LivePage, folder: RunFolder, recovered: str = "") -> None:
+        self._page, self._folder, self._recovered = page, folder, recovered
         self._progress = Progress()
         self._free_bytes, self._looked_s = 0, -math.inf
 
@@ -53,8 +55,8 @@ class RunShown:
 
     def show(self, job: Job, corrected: NDArray[np.float32] | None) -> None:
         """Show a frame, and its correction if it has one; costs nothing if none is due."""
-        flow, rate_limiter = self._progress.stats, self._page.rate_limiter
-        rate_limiter.see(time.monotonic(), flow.corrected, len(flow.skipped))
+        stats, rate_limiter = self._progress.stats, self._page.rate_limiter
+        rate_limiter.see(time.monotonic(), stats.corrected, len(stats.skipped))
         if not self._page.is_due:
             return
         words = words_of(self._progress) | {
@@ -65,6 +67,8 @@ class RunShown:
             "rims": job.step.on_plane and job.step.view != CLEAR,
             "pulse": (job.number - job.step.first_frame) % job.step.group,
         }
+        if self._recovered and job.step.view != CLEAR:
+            words["run"] += f"; {self._recovered}"
         words["counters"] |= self._disk()
         if rate_limiter.sentence:
             words["counters"]["shown here"] = [rate_limiter.sentence, False]
@@ -89,11 +93,11 @@ class RunShown:
 
 def words_of(progress: Progress) -> dict[str, Any]:
     """Progress for the page: a sentence, and counters as name -> (text, whether that is wrong)."""
-    flow, books = progress.stats, progress.accounting
+    stats, frames = progress.stats, progress.accounting
     raw, live = progress.waiting
-    latency = flow.latency_ms[-RECENT:]
+    latency = stats.latency_ms[-RECENT:]
     middle_ms = float(np.median(latency)) if latency else 0.0
-    lost = books.lost + books.incomplete
+    lost = frames.lost + frames.incomplete
     counters = {
         "step": [f"{progress.step + 1} of {progress.steps}", False],
         "frames": [f"{progress.frames} of {progress.planned}", False],
@@ -102,12 +106,12 @@ def words_of(progress: Progress) -> dict[str, Any]:
         "waiting to be corrected": [str(live), False],
         "frame to corrected": [f"{middle_ms:.0f} ms", middle_ms > SLOW_MS],
         "lost or incomplete": [str(lost), lost > 0],
-        "not corrected live": [str(len(flow.skipped)), False],
+        "not corrected live": [str(len(stats.skipped)), False],
     }
     said: dict[str, Any] = {"counters": counters}
-    if flow.vectors is not None:
-        counters["vectors"] = [flow.vectors.sentence(), bool(flow.vectors.remark)]
-        said["arrows"] = flow.vectors.arrows
+    if stats.vectors is not None:
+        counters["vectors"] = [stats.vectors.sentence(), bool(stats.vectors.remark)]
+        said["arrows"] = stats.vectors.arrows
     if progress.laser is not None:
         said["laser"] = [progress.laser.value, progress.laser not in DARK]
     counters |= {name: [f"{mm:.3f} mm", False] for name, mm in progress.positions_mm.items()}

@@ -37,7 +37,7 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
                 Runner(hardware, [RunCamera(hardware, folder, corrections)], plan.steps).run()
             continue
         with LivePage(12 * SIDE_PX**2, scene=bench.scene, board=bench.table.target.board) as page:
-            shown = RunShown(page, folder)
+            shown = RunShown(page, folder, "97 % is seen through glass")
 
             def look():
                 origin, token = page.url.rstrip("/").split("/#")
@@ -66,6 +66,9 @@ def test_a_run_is_the_same_with_a_page(tmp_path, is_corrected):
     assert done["frames"] == len(pixels_of(folders[0])) == 24
     frames, over = seen[:-1], seen[-1]
     assert over["over"] == "ended"
+    behind = {words["run"]: "_glass_" in words["run"] for words in frames}
+    assert any(behind.values())
+    assert all(run.endswith("; 97 % is seen through glass") == is_behind for run, is_behind in behind.items())
     assert {words["doing"] for words in frames} <= {
         "starting",  # words come another way than frames, and may come after the first
         "waiting for the camera's first frame",
