@@ -58,7 +58,7 @@ class ThroughGlass:
 
     @property
     def percent(self) -> str:
-        """The share, below a tenth with a digit more."""
+        """The share, see `percent`."""
         return percent(self.share)
 
     @property
@@ -78,7 +78,9 @@ class ThroughGlass:
 
 
 def percent(share: float) -> str:
-    """A share of an area as a person reads it."""
+    """A share of an area as people read it, with a digit more where it is little or nearly all: all is 100 %."""
+    if 0.985 <= share < 1.0:
+        return f"{min(100.0 * share, 99.9):.1f} %"
     return f"{100.0 * share:.{1 if share < 0.0995 else 0}f} %"
 
 

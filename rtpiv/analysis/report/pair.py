@@ -147,9 +147,9 @@ def _vector_figure(page: Page, evaluation: Evaluation) -> None:
     else:
         colour, label = (
             np.linalg.norm(shift_errors(field, evaluation.shift.shift_px), axis=-1),
-            "difference from the commanded shift [px]",
+            "difference from the known shift [px]",
         )
-        said = "Vectors; the background is their difference from the commanded shift."
+        said = "Vectors; the background is their difference from the known shift."
     figure = vector_figure(
         field, evaluation.grid, evaluation.task.scene, colour, label, _limit(evaluation, colour)
     )

@@ -77,6 +77,7 @@ def test_the_sentence_has_the_digits_that_matter():
     assert ThroughGlass(100.0, 100.0).sentence == "through glass: 100 % of what the balls hide (100 of 100 mm²)"
     assert ThroughGlass(100.0, 50.0, "the glass").name == "of what the glass hides"
     assert [percent(share) for share in (0.0, 0.094, 0.0996, 0.425)] == ["0.0 %", "9.4 %", "10 %", "42 %"]
+    assert [percent(share) for share in (0.97, 0.996, 0.99999, 1.0)] == ["97 %", "99.6 %", "99.9 %", "100 %"]
 
 
 def test_windows_beyond_the_grid_are_marked_too():
