@@ -73,10 +73,18 @@ class _KernelCache(caching.FunctionCache):
 
         Before it looks into its cache, numba imports what it knows of NumPy, SciPy's linear algebra included.
         Of that machine code needs the runtime alone, which counts references; whatever compiles asks for the rest.
+
+        Whatever is wrong with a kept file (cut short, written over, of a module that is no more) costs the time to
+        compile, which then replaces it: reading it may raise anything that unpickling can.
         """
         rtsys.initialize(target_context)
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+        try:
+            with self._guard_against_spurious_io_errors():
+                return self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+        except Exception:
+            with suppress(OSError):
+                self.flush()  # type: ignore[no-untyped-call]
+            return None
 
     def save_overload(self, signature: object, data: object) -> None:
         """Keep machine code; a disk that is full costs the next process its time, not this one its results."""

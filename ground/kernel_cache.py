@@ -106,8 +106,13 @@ def digest_of(source: Path, root: Path = ROOT) -> str:
 
     digest = hashlib.sha256(numba.__version__.encode())
     for path in sorted({*dependencies(source, root), *(root / name for name in ALWAYS)}):
-        digest.update(path.name.encode() + b"\0" + _content(path))
+        digest.update(_name_of(path, root).encode() + b"\0" + _content(path))
     return digest.hexdigest()[:16]
+
+
+def _name_of(path: Path, root: Path) -> str:
+    """Its place below the packages: machine code names the modules that it was made from, so a move counts too."""
+    return path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
 
 
 def dependencies(source: Path, root: Path = ROOT) -> set[Path]:

@@ -61,6 +61,19 @@ def test_an_edit_is_seen_by_what_is_compiled_from_it_and_by_nothing_else(tree, e
     assert changed == seen_by
 
 
+def test_a_file_that_moves_is_compiled_anew(tmp_path):
+    """Machine code imports the modules that it was made from by name; in another room the old name is no more."""
+    for room in ("daq", "daq/acquisition"):
+        place = tmp_path / room / "kernels" / "rays.py"
+        place.parent.mkdir(parents=True)
+        place.write_text("import numpy as np\n")
+    for name in ("jit", "unowned"):
+        (tmp_path / "ground").mkdir(exist_ok=True)
+        (tmp_path / "ground" / f"{name}.py").touch()
+    rooms = [digest_of(tmp_path / room / "kernels/rays.py", tmp_path) for room in ("daq", "daq/acquisition")]
+    assert rooms[0] != rooms[1]
+
+
 def test_no_ray_is_compiled_anew_for_the_piv():
     piv = set((ROOT / "piv/correlation/kernels").glob("*.py"))
     assert piv
@@ -151,3 +164,41 @@ def test_the_same_text_in_another_folder_is_not_compiled_again(tmp_path):
         )
         counts.append(ran.stdout.split())
     assert counts == [["6.0", "7.0", "0", "0"], ["6.0", "7.0", "1", "1"]]
+
+
+@pytest.mark.timeout(300)
+def test_a_kept_file_that_cannot_be_read_is_compiled_anew_and_replaced(tmp_path):
+    """Half a file after a full disk, other people's bytes, and code that names a module which is no more."""
+    root, cache = tmp_path / "clone", tmp_path / "cache"
+    (root / "tracer" / "kernels").mkdir(parents=True)
+    for package in (root / "tracer", root / "tracer" / "kernels"):
+        (package / "__init__.py").touch()
+    shutil.copytree(ROOT / "ground", root / "ground", ignore=shutil.ignore_patterns("__pycache__"))
+    (root / "tracer/kernels/callee.py").write_text(CALLEE.format("3.0"))
+    (root / "tracer/kernels/caller.py").write_text(CALLER)
+    (root / "tracer/kernels/other.py").write_text(CALLEE.replace("value", "other").format("7.0"))
+    environment = {**os.environ, "RTPIV_CACHE": str(cache), "PYTHONPATH": str(root)}
+
+    def use():
+        ran = subprocess.run(
+            [sys.executable, "-c", USE], cwd=root, env=environment, capture_output=True, text=True
+        )
+        assert ran.returncode == 0, ran.stderr
+        return ran.stdout.split()
+
+    def renamed(data):
+        name = b"tracer.kernels.caller"
+        return data.replace(name, name.replace(b"caller", b"forged"))
+
+    assert use() == ["6.0", "7.0", "0", "0"]
+    for kind, damaged in (
+        ("nbc", lambda data: data[:100]),
+        ("nbi", lambda data: b"\0" * len(data)),
+        ("nbc", renamed),
+    ):
+        (file,) = cache.rglob(f"caller.twice*.{kind}")
+        sound = file.read_bytes()
+        file.write_bytes(damaged(sound))
+        assert file.read_bytes() != sound
+        assert use() == ["6.0", "7.0", "0", "1"]
+        assert use() == ["6.0", "7.0", "1", "1"]  # it was replaced
