@@ -42,22 +42,20 @@ LABS ?= 100
 labs: $(STAMP)
 	LABS=$(LABS) $(BIN)/python -m pytest -q -s -m slow tests/correction/fit/test_many_labs.py tests/correction/fit/test_strangers.py
 
-# Random sequences of commands, faults, stops and restarts before the judge: make fuzz SEQUENCES=100000 SEED=1
+# Random sequences of commands, faults, stops and restarts before the judge, and random damage to every file that is
+# read: make fuzz SEQUENCES=100000 CASES=100000 SEED=1
 SEQUENCES ?= 10000
+CASES ?= 10000
 SEED ?= 1
 fuzz: $(STAMP)
-	$(BIN)/python -m tests.safety.fuzz --sequences $(SEQUENCES) --seed $(SEED) --workers 2
-	$(BIN)/python -m tests.safety.laser_fuzz --sequences $(SEQUENCES) --seed $(SEED)
-	$(BIN)/python -m tests.safety.light_fuzz --sequences $(SEQUENCES) --seed $(SEED) --workers 2
+	$(BIN)/python -m tests.fuzz.benches.stages --sequences $(SEQUENCES) --seed $(SEED) --workers 2
+	$(BIN)/python -m tests.fuzz.benches.laser --sequences $(SEQUENCES) --seed $(SEED)
+	$(BIN)/python -m tests.fuzz.benches.light --sequences $(SEQUENCES) --seed $(SEED) --workers 2
+	$(BIN)/python -m tests.fuzz.files.damaged_files --cases $(CASES) --seed $(SEED)
 
 # Target frames in the light of twelve lamps: is the map right where the lamp is told, inside its sigma where not?
 lamps: $(STAMP)
 	$(BIN)/python -m pytest -m slow -n0 -s -rA tests/correction/fit/test_lamps.py
-
-# Random damage to every file that is read: make fuzz-readers CASES=100000 SEED=1
-CASES ?= 10000
-fuzz-readers: $(STAMP)
-	$(BIN)/python -m tests.readers.fuzz --cases $(CASES) --seed $(SEED)
 
 # Light sheets off the target's plane, found in simulated flows: how far off, and what it costs
 sheets: $(STAMP)

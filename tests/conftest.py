@@ -63,7 +63,7 @@ LONG = (
     "test_init.py",
     "test_shells.py",
     "test_names_and_limits.py",
-    "test_fuzz.py",
+    "test_stages.py",
     "test_series_verbs.py",
     "test_what_the_system_refuses.py",
 )

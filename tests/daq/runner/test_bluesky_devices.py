@@ -6,7 +6,7 @@ import pytest
 
 from daq.runner.devices import axis_devices
 from stages.errors import MotionBarred, MotionStopped, Obstructed, OutOfRange
-from tests.safety.bench import fuzz_bench
+from tests.fuzz.benches.bench import fuzz_bench
 
 pytest.importorskip("bluesky")
 

@@ -13,7 +13,7 @@ import random
 from dataclasses import dataclass, field
 from typing import Any
 
-from tests.safety.bench import AXES, TABLE
+from tests.fuzz.benches.bench import AXES, TABLE
 
 Trap = list[Any]
 CONTROLLERS = tuple(TABLE.controllers)

@@ -3,7 +3,7 @@
 import pytest
 
 from daq.timing.states import LaserStateMachine
-from tests.safety.light_fuzz import Playground, play
+from tests.fuzz.benches.light import Playground, play
 
 
 def test_nothing_moves_while_light_leaves():

@@ -1,6 +1,6 @@
 """Random damage to every file that is read: each case is read, or refused in one sentence, soon, in little memory.
 
-    python -m tests.readers.fuzz --cases 100000 --seed 1        (make fuzz-readers)
+    python -m tests.fuzz.files.damaged_files --cases 100000 --seed 1        (make fuzz CASES=100000)
 
 A case is one file of `originals`, damaged once as its number and the seed say; `--only` plays one again and shows
 what came of it.  Findings are errors that nobody raised on purpose, sentences of several lines (a configuration
@@ -25,8 +25,8 @@ from pathlib import Path
 
 from ground.errors import ConfigError
 from rtpiv.command_line.exit_codes import exit_code, sentence
-from tests.readers.damage import spoil_file
-from tests.readers.originals import ORIGINALS, WARM, scene_read, write_originals
+from tests.fuzz.files.damage import spoil_file
+from tests.fuzz.files.originals import ORIGINALS, WARM, scene_read, write_originals
 
 LONGEST_S = 2.0
 MOST_MB = 500.0

@@ -15,8 +15,8 @@ from typing import Any
 from sim.emulators.faults import Fault
 from stages.errors import StageError
 from stages.protocols import grbl
-from tests.safety.bench import AXES, FuzzBench
-from tests.safety.sequences import Sequence
+from tests.fuzz.benches.bench import AXES, FuzzBench
+from tests.fuzz.benches.sequences import Sequence
 
 ENDS_S = 40.0  # every motion of the bench has ended after as long
 SHORT_MM = 0.1  # a person's stop so close before the target leaves no trace

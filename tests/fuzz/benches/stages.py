@@ -1,7 +1,7 @@
 """Play many random sequences; each that shows something is shortened and printed on one line.
 
-    python -m tests.safety.fuzz --sequences 100000 --seed 1 --workers 2
-    python -m tests.safety.fuzz --replay '[[["move",{"glass_z":3.0}],[]], ...]'
+    python -m tests.fuzz.benches.stages --sequences 100000 --seed 1 --workers 2
+    python -m tests.fuzz.benches.stages --replay '[[["move",{"glass_z":3.0}],[]], ...]'
 
 Every sequence plays on the same homed bench: the process that has homed it forks, and the child plays. So
 sequences know nothing of each other and a seed and a number are enough to play one again; only what two threads
@@ -19,10 +19,10 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
-from tests.safety.bench import fuzz_bench
-from tests.safety.checkpoint import Checkpoint
-from tests.safety.play import Player
-from tests.safety.sequences import Sequence, drawn, read, written
+from tests.fuzz.benches.bench import fuzz_bench
+from tests.fuzz.benches.checkpoint import Checkpoint
+from tests.fuzz.benches.play import Player
+from tests.fuzz.benches.sequences import Sequence, drawn, read, written
 
 LONGEST_S = 30  # a sequence that takes longer hangs
 

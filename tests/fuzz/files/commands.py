@@ -1,6 +1,6 @@
 """Random command lines, most of them wrong: each ends with an exit code and sentences, none with a traceback.
 
-    python -m tests.readers.commands --cases 2000 --seed 1
+    python -m tests.fuzz.files.commands --cases 2000 --seed 1
 
 A case is a verb with flags, values and files drawn by its number and the seed: values of the wrong type, huge, of
 other alphabets; files that are missing, damaged, folders, or of another kind.  What the program offers is asked of
@@ -23,9 +23,9 @@ from pathlib import Path
 from rtpiv.command_line.cli import DEVICE, DONE, INTERRUPTED, USAGE, main
 from rtpiv.options import parser
 from tests.daq.small_bench import FILES_CAMERA, SHIFT, TARGET, write_bench
-from tests.readers.damage import damaged_text, spoil_file
-from tests.readers.fuzz import Hung, alarm
-from tests.readers.originals import write_originals
+from tests.fuzz.files.damage import damaged_text, spoil_file
+from tests.fuzz.files.damaged_files import Hung, alarm
+from tests.fuzz.files.originals import write_originals
 
 LEFT_OUT = {"demo", "warm", "benchmark", "emulate", "live", "devices", "doctor", "laser", "camera"}
 LONGEST_S = 60

@@ -1,8 +1,8 @@
 """Laser and stages of one bench, fuzzed together: nothing moves while light leaves, and none leaves near anything.
 
-    python -m tests.safety.light_fuzz --sequences 20000 --seed 1 --workers 2
+    python -m tests.fuzz.benches.light --sequences 20000 --seed 1 --workers 2
 
-To what happens to a laser (`laser_fuzz`) comes what happens to the stages of `bench`: another thread moves and
+To what happens to a laser (`laser`) comes what happens to the stages of `bench`: another thread moves and
 homes them at any moment, between any two bytes that go to the timing unit; their boxes restart, are unplugged,
 answer late or wrongly. Conditions are asked as a run asks them (`runner.laser_session`), by the steps of the real
 supervisor.
@@ -10,7 +10,7 @@ supervisor.
 The judge hangs on plugs and motors and believes nobody. At every pulse that can light something he knows:
 
 ========  ==========================================================================================
-state     whether it may leave at all (`laser_fuzz`)
+state     whether it may leave at all (`laser`)
 motion    whether a carriage truly moves then, sent or looking for its reference
 sheet     whether ball and target are truly clear of the sheet, which lies in z = 0
 ========  ==========================================================================================
@@ -26,10 +26,10 @@ from collections import Counter
 from contextlib import ExitStack, contextmanager
 
 from stages.errors import StageError
-from tests.safety.bench import fuzz_bench
-from tests.safety.checkpoint import Checkpoint
-from tests.safety.light_story import LightStory
-from tests.safety.two_threads import TwoThreads
+from tests.fuzz.benches.bench import fuzz_bench
+from tests.fuzz.benches.checkpoint import Checkpoint
+from tests.fuzz.benches.light_story import LightStory
+from tests.fuzz.benches.two_threads import TwoThreads
 
 
 class Playground:

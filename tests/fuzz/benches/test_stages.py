@@ -15,8 +15,8 @@ from stages.drivers.pi_gcs2 import PiController
 from stages.drivers.thorlabs_apt import AptController
 from stages.drivers.zaber_ascii import ZaberController
 from stages.stop_latch import StopLatch
-from tests.safety.fuzz import Playground, fuzz, shortened
-from tests.safety.sequences import Command, drawn, read, written
+from tests.fuzz.benches.sequences import Command, drawn, read, written
+from tests.fuzz.benches.stages import Playground, fuzz, shortened
 
 DRIVERS = (AptController, GrblController, IselController, PiController, ZaberController)
 

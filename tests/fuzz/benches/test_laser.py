@@ -5,7 +5,7 @@ import pytest
 from daq.timing.box import TimingBox
 from daq.timing.laser import Laser
 from daq.timing.states import Event, LaserState
-from tests.safety.laser_fuzz import play
+from tests.fuzz.benches.laser import play
 
 
 def test_no_pulse_that_was_not_asked_for():

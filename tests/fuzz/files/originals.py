@@ -32,7 +32,7 @@ from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import Chunks
 from rtpiv.analysis.series.series_mean import scene_of, windows_of
 from tests.daq.whole_run import make_whole_run
-from tests.readers import damage
+from tests.fuzz.files import damage
 from tests.rtpiv.analysis.series.small_series import flow_run, given_of, method_of
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene
 from tracer.strategies.ray_map import RayMap, build_ray_map

@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from tests.readers.commands import CommandGround, hostile
+from tests.fuzz.files.commands import CommandGround, hostile
 
 pytestmark = pytest.mark.timeout(900)  # the first time kernels are compiled
 

@@ -1,12 +1,12 @@
 """Two thousand damaged files every time: read, or refused in one sentence, in two seconds and 500 MB each.
 
-`make fuzz-readers` plays a hundred thousand, and any number again by itself.
+`make fuzz CASES=100000` plays a hundred thousand, and any number again by itself.
 """
 
 import pytest
 
-from tests.readers.fuzz import LONGEST_S, MOST_MB, Playground, fuzz
-from tests.readers.originals import ORIGINALS
+from tests.fuzz.files.damaged_files import LONGEST_S, MOST_MB, Playground, fuzz
+from tests.fuzz.files.originals import ORIGINALS
 
 pytestmark = pytest.mark.timeout(900)  # the first time kernels are compiled
 

@@ -1,4 +1,4 @@
-"""What happens to a laser and the stages of one bench, and the judge of it; see `light_fuzz`."""
+"""What happens to a laser and the stages of one bench, and the judge of it; see `light`."""
 
 from types import SimpleNamespace
 from typing import ClassVar
@@ -13,9 +13,9 @@ from daq.timing.supervisor import LaserSupervisor
 from ground.config import Document
 from sim.emulators.faults import KINDS, Fault
 from stages.clock import SYSTEM_CLOCK
-from tests.safety import laser_fuzz
-from tests.safety.bench import AXES, KEEP_OUT, SCENE, TABLE
-from tests.safety.two_threads import Other
+from tests.fuzz.benches import laser
+from tests.fuzz.benches.bench import AXES, KEEP_OUT, SCENE, TABLE
+from tests.fuzz.benches.two_threads import Other
 
 CLEAR_MM = 4.0
 SLACK_MM = 0.25  # what the workshop built: play, lead, tolerance of arrival
@@ -35,7 +35,7 @@ def bench_of(scene):
     return Bench(None, Document(None, {}, {}), BenchTable.model_validate(table), scene)
 
 
-class LightStory(laser_fuzz.Story):
+class LightStory(laser.Story):
     """One laser on one bench, and what happens to both.
 
     Parameters
@@ -236,12 +236,12 @@ class LightStory(laser_fuzz.Story):
         self.stage.clear_stop()
 
     VERBS: ClassVar = {
-        **laser_fuzz.Story.VERBS, "chunk": 12, "move": 14, "move_one": 5, "home": 3, "rest": 4, "clear_sheet": 8,
+        **laser.Story.VERBS, "chunk": 12, "move": 14, "move_one": 5, "home": 3, "rest": 4, "clear_sheet": 8,
         "nudge_at_any_byte": 8, "stage_fault": 5, "stage_power": 2, "stage_unplug": 2, "stage_plug": 3,
         "stage_stop": 2, "stage_clear": 3,
     }  # fmt: skip
     USUAL: ClassVar = {
-        **laser_fuzz.Story.USUAL, LaserState.WARM: ("sleep", "clear_sheet"),
+        **laser.Story.USUAL, LaserState.WARM: ("sleep", "clear_sheet"),
         LaserState.ARMED: ("fire", "fire", "move"), LaserState.ALIGNING: ("wait", "sleep", "move"),
         LaserState.FIRING: (
             "wait", "watch", "watch", "move", "home", "nudge_at_any_byte", "stage_power", "stage_fault",

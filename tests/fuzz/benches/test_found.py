@@ -2,8 +2,8 @@
 
 import pytest
 
-from tests.safety.fuzz import Playground
-from tests.safety.sequences import read
+from tests.fuzz.benches.sequences import read
+from tests.fuzz.benches.stages import Playground
 
 FOUND = {
     "a knob pressed so late that the axis brakes into the switch": (

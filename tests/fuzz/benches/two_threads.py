@@ -7,7 +7,7 @@ choice, such as between two bytes of a conversation with another box.
 
 import threading
 
-from tests.safety.bench import TrapClock
+from tests.fuzz.benches.bench import TrapClock
 
 
 class TwoThreads(TrapClock):

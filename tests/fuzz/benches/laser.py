@@ -1,6 +1,6 @@
 """Random sequences of verbs, faults and persons over a laser, before a judge who counts its pulses.
 
-    python -m tests.safety.laser_fuzz --sequences 20000 --seed 1
+    python -m tests.fuzz.benches.laser --sequences 20000 --seed 1
 
 The judge hangs on the Q-switch outputs of the emulated box and knows the state of the laser at the moment of
 every pulse. A pulse is allowed while it is FIRING or ALIGNING, at most as many for each Q-switch as were asked

@@ -28,7 +28,7 @@ from rtpiv.command_line.exit_codes import exit_code
 from rtpiv.verbs.calibrate import nominal_scene
 from stages.errors import StageError
 from tests.daq.small_run import make_old
-from tests.readers.damage import damaged
+from tests.fuzz.files.damage import damaged
 from tracer.errors import TracerError
 
 OURS = (DaqError, CorrectionError, PivError, StageError, TracerError, GroundError)

@@ -2,9 +2,9 @@
 
 import pytest
 
-from tests.safety.fuzz import Playground
-from tests.safety.play import Player
-from tests.safety.sequences import Command, written
+from tests.fuzz.benches.play import Player
+from tests.fuzz.benches.sequences import Command, written
+from tests.fuzz.benches.stages import Playground
 
 BEFORE = [["move", {"glass_z": 25.0}], ["move", {"glass_x": 0.0}]]  # the ball stands between target and lens
 DURING = {
