@@ -11,8 +11,8 @@ from rtpiv.options.signature import REQUIRED, Option, signature, summary, title
 
 VERBS = (  # in the order in which they are listed
     "init", "examples", "schema", "warm", "completion", "benchmark", "demo",
-    "compare", "trace", "calibrate", "correct", "evaluate", "focus", "sheet", "join", "mean", "campaign", "report",
-    "export",
+    "compare", "trace", "target", "calibrate", "correct", "evaluate", "focus", "sheet", "join", "mean", "campaign",
+    "report", "export",
     "acquire", "resume", "align", "check", "stage", "laser", "camera", "live", "devices", "doctor", "emulate",
 )  # fmt: skip
 WORDS = {  # options that are not called what their parameter is

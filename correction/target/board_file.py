@@ -1,0 +1,93 @@
+"""board.yaml: what was printed, and how large it came out.
+
+    kind: chessboard
+    square_mm: 2.5               # as drawn
+    disc_mm: 1.0
+    bars_mm: [190.0, 280.0]      # the bars in the margin as drawn, along x and y
+    measured_mm: [189.7, 279.9]  # the same on paper, with a steel rule
+
+A printer's scale is measured over drawn, for x and y apart (see `rtpiv.analysis.prints.pages`).  Not measured, it
+is 1 to half a per cent: what printers differ by.
+"""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import yaml
+from pydantic import Field
+
+from ground.config import Pair, Table, read
+from ground.whole_file import whole_file
+
+Positive = Annotated[float, Field(gt=0.0, le=1e6)]
+READ_MM = 0.1  # of a bar, with a steel rule and a magnifier
+UNMEASURED = 0.005  # by which printers stretch
+HEAD = "# What was printed, by `rtpiv target`; measured_mm: the bars in the margin on paper, along x and y\n"
+
+
+class PrintedBoard(Table):
+    """A board file.
+
+    Parameters
+    ----------
+    kind : {"chessboard", "charuco", "dots", "particles"}
+        What is printed.
+    bars_mm, measured_mm : (float, float)
+        Bars along x and y, as drawn and as measured on paper [mm].
+    read_sigma_mm : float
+        Standard deviation of such a reading.
+    square_mm, disc_mm : float, optional
+        Of a chessboard; squares of a charuco board.
+    marker_mm, squares, dictionary, origin_corner : optional
+        Of a charuco board: its markers, how many squares, OpenCV's name of the set, the corner that is the origin.
+    pitch_mm, dot_mm, large_dot_mm : float, optional
+        Of dots.
+    particles, particle_mm, seed, size_mm : optional
+        Of particles: how many, how wide, drawn from which seed on which area.
+    """
+
+    kind: Literal["chessboard", "charuco", "dots", "particles"]
+    square_mm: Positive | None = None
+    disc_mm: Positive | None = None
+    marker_mm: Positive | None = None
+    squares: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
+    dictionary: str | None = None
+    origin_corner: Annotated[list[int], Field(min_length=2, max_length=2)] | None = None
+    pitch_mm: Positive | None = None
+    dot_mm: Positive | None = None
+    large_dot_mm: Positive | None = None
+    particles: int | None = None
+    particle_mm: Positive | None = None
+    seed: int | None = None
+    size_mm: Pair | None = None
+    bars_mm: Pair | None = None
+    measured_mm: Pair | None = None
+    read_sigma_mm: Positive = READ_MM
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """How much larger than drawn it is on paper, in x and in y."""
+        if self.measured_mm is None or self.bars_mm is None:
+            return 1.0, 1.0
+        x, y = (real / drawn for real, drawn in zip(self.measured_mm, self.bars_mm, strict=True))
+        return x, y
+
+    @property
+    def scale_sigma(self) -> tuple[float, float]:
+        """Standard deviations of the scale in x and y."""
+        if self.measured_mm is None or self.bars_mm is None:
+            return UNMEASURED, UNMEASURED
+        x, y = (self.read_sigma_mm / drawn for drawn in self.bars_mm)
+        return x, y
+
+
+def read_board(path: Path | str) -> PrintedBoard:
+    """Read a board file; ConfigError with each line that is wrong."""
+    return read(path, PrintedBoard)
+
+
+def write_board(path: Path, board: PrintedBoard) -> None:
+    """Write a board file whole; OSError names it if it cannot be written."""
+    said = board.model_dump(exclude_none=True)
+    with whole_file(path) as stream:
+        stream.write((HEAD + yaml.safe_dump(said, sort_keys=False, default_flow_style=None)).encode())

@@ -1,0 +1,155 @@
+"""`rtpiv target`: a target to print, its squares chosen for a scene, and how large the printer made them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from daq.errors import RunUsageError
+from ground.terminal import console
+from rtpiv.verbs.output import folder_for
+from rtpiv.verbs.paths import Named, file_of
+from tracer.scene.scene import Scene
+from tracer.scene.scene_file import load_scene
+
+if TYPE_CHECKING:
+    from correction.target.board_file import PrintedBoard
+
+PLAIN_MM, PLAIN_PX_PER_MM = 2.5, 12.0  # where no scene says what suits it: the squares and the scale of the paper
+FAR = 0.05  # no printer stretches by so much: fitted to the page, or x and y exchanged
+
+
+@dataclass(frozen=True)
+class Target:
+    """What was written.
+
+    Parameters
+    ----------
+    board : PrintedBoard
+        What is on the sheet.
+    pages : (int, int)
+        Columns and rows of pages.
+    path : Path
+        The file.
+    """
+
+    board: "PrintedBoard"
+    pages: tuple[int, int]
+    path: Path
+
+
+def target(
+    scene: Named | Scene | None = None,
+    /,
+    measured_mm: tuple[float, float] | None = None,
+    kind: Literal["chessboard", "charuco", "dots", "particles"] = "chessboard",
+    paper: Literal["A4", "A3", "A2", "letter"] = "A4",
+    square_mm: float | None = None,
+    size_mm: tuple[float, float] | None = None,
+    seed: int = 1,
+    out: Named | None = None,
+) -> Target:
+    """Write a target to print, as PDF at true size; or write down how large the printer made it.
+
+    Parameters
+    ----------
+    scene : path or Scene, optional
+        scene.yaml: the squares are chosen for its glass and camera, and it is said how many corners each ball will
+        show. Without one, squares of 2.5 mm.  With `measured_mm` the board.yaml of the print instead.
+    measured_mm : (float, float), optional
+        The bars along x and y in the margin, as measured on paper: goes into the board file, nothing is drawn.
+    kind : {"chessboard", "charuco", "dots", "particles"}
+        What is printed.  Particles are for shift runs: a printed flow.
+    paper : {"A4", "A3", "A2", "letter"}
+        Of the printer.
+    square_mm : float, optional
+        Side of the squares, or from dot to dot, instead of the choice.
+    size_mm : (float, float), optional
+        Width and height of the target; what a page does not hold goes on several.  Default: one page.
+    seed : int
+        Of particles: the same seed prints the same sheet.
+    out : path, optional
+        Folder, default ``target`` (or ``target-2`` ... where that has results): ``target.pdf`` and ``board.yaml``,
+        which says what is printed.
+
+    Returns
+    -------
+    Target
+        The board, pages and the file that was written.
+
+    Raises
+    ------
+    ConfigError
+        The scene file is wrong.
+    SceneError
+        The squares do not fit the target.
+    RunUsageError, DiskError
+        The folder cannot hold results.
+    """
+    from correction.target.board_file import PrintedBoard, write_board
+    from rtpiv.analysis.prints import pages, sheets
+    from rtpiv.analysis.prints.choice import best_square, corners_of
+
+    if kind == "particles" and square_mm is not None:
+        raise RunUsageError("particles have no squares", cure="leave --square-mm out, or choose another --kind")
+    if measured_mm is not None:
+        return _measured(scene, measured_mm)
+    screen, loaded = console(), scene if scene is None or isinstance(scene, Scene) else load_scene(file_of(scene))
+    size = size_mm or pages.room_on(paper)
+    folder = folder_for(out, "target")
+    if kind == "particles":
+        scale = PLAIN_PX_PER_MM if loaded is None else loaded.camera.focal_px / abs(loaded.camera.position_mm[2])
+        sheet = sheets.particles(size, scale, seed)
+        words = f"rtpiv particles, {sheet.particle_mm:.3g} mm, seed {seed}."
+    else:
+        if loaded is not None:
+            seen = (
+                best_square(loaded, size, kind == "charuco")
+                if square_mm is None
+                else corners_of(loaded, square_mm, size)
+            )
+            square_mm = seen.square_mm
+            screen.print(seen.sentence)
+        square_mm = square_mm or PLAIN_MM
+        sheet = {"chessboard": sheets.chessboard, "charuco": sheets.charuco, "dots": sheets.dots}[kind](
+            size, square_mm
+        )
+        words = f"rtpiv {kind}, {square_mm:g} mm."
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "target.pdf"
+    printed = pages.write_pages(path, sheet, paper, words)
+    board = PrintedBoard(kind=kind, bars_mm=list(printed.bars_mm), **sheet.about)
+    write_board(folder / "board.yaml", board)
+    columns, rows = printed.pages
+    many = "one page" if columns * rows == 1 else f"{columns} x {rows} pages"
+    screen.print(
+        f"{path}, {many} of {paper}: print at 100 %, then measure the two bars and say so: rtpiv target"
+        f" {folder / 'board.yaml'} --measured-mm X Y",
+        soft_wrap=True, highlight=False,
+    )  # fmt: skip
+    return Target(board, printed.pages, path)
+
+
+def _measured(file: Named | Scene | None, measured_mm: tuple[float, float]) -> Target:
+    """Write into a board file what its bars measure on paper."""
+    from correction.target.board_file import read_board, write_board
+
+    if file is None or isinstance(file, Scene):
+        raise RunUsageError("the bars of which print?", cure="name its board.yaml before --measured-mm")
+    path = file_of(file)
+    board = read_board(path)
+    drawn = board.bars_mm
+    if drawn is None:
+        raise RunUsageError("has no bars", place=path, cure="give the board.yaml that rtpiv target has written")
+    board = board.model_copy(update={"measured_mm": list(measured_mm)})
+    far = max(abs(scale - 1.0) for scale in board.scale)
+    if far > FAR:
+        raise RunUsageError(
+            f"bars of {drawn[0]:g} and {drawn[1]:g} mm are said to measure {measured_mm[0]:g} and"
+            f" {measured_mm[1]:g} mm",
+            place=path,
+            cure="print at 100 %, and give x before y in mm",
+        )
+    write_board(path, board)
+    (x, y), (sigma, _) = board.scale, board.scale_sigma
+    console().print(f"{path}: the print is {x:.4f} and {y:.4f} as large as drawn, in x and y, each to {sigma:.4f}")
+    return Target(board, (0, 0), path)
