@@ -1,5 +1,6 @@
 # make demo   - install what is needed, then see through simulated glass; pictures land in demo/
 # make test   - install what is needed, then lint, types, layers and all fast tests
+# make slow SHARD=3/16 - half an hour of the slow tests; the last line of `make test` says what they said last
 SHELL := /bin/bash
 PY ?= python3
 VENV := .venv
@@ -11,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
+.PHONY: demo test test-slow slow slow-balance labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -30,12 +31,21 @@ demo: $(STAMP)
 test: $(STAMP)
 	@$(MAKE) --no-print-directory -j4 compiled-rays compiled-pairs compiled-beds lint
 	@$(MAKE) --no-print-directory fast-tests
+	@$(BIN)/python -m tests.slow_suite
 
 fast-tests: $(STAMP)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow
+
+# One of sixteen parts of the slow tests; what it says is kept in tests/slow_suite.json, with the commit
+SHARD ?= 1/16
+slow: $(STAMP)
+	$(BIN)/python -m tests.slow_suite $(SHARD)
+
+slow-balance: $(STAMP)
+	$(BIN)/python -m tests.slow_suite balance
 
 # Hundreds of drawn labs, right and wrong ones: is the wrong model named, is one sigma one sigma?
 LABS ?= 100
