@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.alignment.errors import MoveDoubted
 from correction.alignment.seen import Arrangement
+from correction.errors import MoveDoubted
 
 STEP_MM = 0.01  # one step of a stage: glass that stands so well is aligned
 WORTH = 0.1  # of a step; what is less is not worth a move

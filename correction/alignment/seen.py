@@ -14,6 +14,14 @@ depth they err alike, because the light shifts the edges of all rims the same wa
 
 What the glass would need to be where the scene has it is its negative. Spheres that stand off by themselves are
 named; no stage can cure them.
+
+Beside the glass the board is seen directly. Its saddles are grown to patches of lattice there, placed by where
+the nominal camera would see them (the discs of the origin mostly stand behind the glass); corners are fitted, and
+to them the pose of the camera, with what the scene's `fit` section lets it change. (Saddles alone are pulled
+towards pixels by hundredths of one, the same way over wide parts of a lattice whose squares are nearly whole
+pixels: that looks like a camera that stands 60 um aside and turns back.) A lattice looks the same two squares
+further along a diagonal: the nominal view must be good to half a square, or a bare frame has to say where the
+origin is.
 """
 
 from dataclasses import dataclass, replace
@@ -23,13 +31,15 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.alignment.camera_seen import CameraSeen, coarse_saddles, find_camera, square_px
-from correction.alignment.errors import RimUnclear
 from correction.alignment.rim import rim_of
 from correction.alignment.spheres_seen import SphereSeen, find_spheres
+from correction.errors import RimUnclear, TargetNotFound
+from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
+from correction.target.board_origin import place_by_prediction
 from correction.target.board_search import SATURATED, corners_in_view
-from correction.target.corners import saturated_fraction
+from correction.target.corners import CornerSearch, refine_corners, saturated_fraction
+from correction.target.lattice_growth import Patch, Saddles, find_saddles, grow_patches
 from piv.errors import FrameError
 from piv.resampling.sample import checked_frame
 from tracer.bodies import shifted_by
@@ -43,6 +53,233 @@ AT_CORNER = 0.2  # squares: a saddle so near to a corner of the lattice is that 
 FEWEST_HIDDEN = 12  # corners side by side that are hidden by something
 AS_GLASS = 0.3  # of the area of the smallest sphere of the scene: something as large is glass, or as bad
 OUTLINE = 1.06  # of a rim, within which corners are not expected
+CORNER_PX = 0.05  # standard deviation of a corner, most of it the same for neighbours
+ENOUGH = 500  # corners
+ARM = 0.1  # squares, half width of what is fitted of their edges: wider ones hold little but bright and dark
+VOTING = 200  # corners of a patch that say where in the board it lies
+LEAST_SQUARE_PX = 12.0  # to which squares may be shrunk to look for saddles
+LEAST_CORNERS = 40
+ROUNDS = 6
+STEP = 1e-4  # of the sigma of a number, for derivatives
+LEAST_SPREAD = 0.25  # of the frame that the corners must span, or the pose is a guess
+AROUND = 1.1  # of the radius of a ball and the reach: nothing in there is taken for the board
+
+
+@dataclass(frozen=True)
+class CameraSeen:
+    """A camera by the board that it sees beside the glass.
+
+    Parameters
+    ----------
+    camera : Camera
+        As fitted.
+    off_mm, sigma_mm : (3,) float64
+        Of its pinhole, from its expected place.
+    corners : int
+        That it was fitted to.
+    rms_px : float
+        Of them, per coordinate.
+    index : (N, 2) int64
+        All corners that were found.
+    board, board_mm
+        What is seen, and where it hangs.
+    levels : (float, float)
+        Intensity of dark and bright squares.
+    """
+
+    camera: Camera
+    off_mm: NDArray[np.float64]
+    sigma_mm: NDArray[np.float64]
+    corners: int
+    rms_px: float
+    index: NDArray[np.int64]
+    board: Chessboard
+    board_mm: NDArray[np.float64]
+    levels: tuple[float, float]
+
+    def shade(self, pixel: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What the board shows directly at pixels (..., 2): 1 bright, 0 dark."""
+        return self.board.shade(self._on_board(pixel))
+
+    def blurred(self, pixel: NDArray[np.float64], blur_px: float) -> NDArray[np.float64]:
+        """Return the same with blur: means over nine points, as far apart as pixels of the middle of the frame."""
+        nodes, weights = (-blur_px * 3.0**0.5, 0.0, blur_px * 3.0**0.5), (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)
+        middle = np.array(self.camera.sensor_px) / 2.0
+        corner, right, down = self._on_board(middle + np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]))
+        place = self._on_board(pixel)
+        shade = np.zeros(place.shape[:-1])
+        for du, wu in zip(nodes, weights, strict=True):
+            for dv, wv in zip(nodes, weights, strict=True):
+                shade += wu * wv * self.board.shade(place + du * (right - corner) + dv * (down - corner))
+        return shade
+
+    def _on_board(self, pixel: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points (..., 2) of the board that are seen directly at pixels (..., 2) [mm]."""
+        eye, ray = np.array(self.camera.position_mm), self.camera.directions(pixel)
+        reach = (self.board_mm[2] - eye[2]) / ray[..., 2:]
+        return np.asarray((eye + reach * ray - self.board_mm)[..., :2])
+
+
+def find_camera(
+    frame: NDArray[Any],
+    scene: Scene,
+    board: Chessboard,
+    board_mm: NDArray[np.float64],
+    reach_mm: float,
+    priors: FitTable | None = None,
+) -> CameraSeen:
+    """Find where the camera stands, from the board beside the glass.
+
+    Parameters
+    ----------
+    frame : (H, W) uint8, uint16 or float
+        What it sees.
+    scene : Scene
+        Camera and spheres where they are expected.
+    board : Chessboard
+        The target.
+    board_mm : (3,) float64
+        Where its origin stands in the world; it hangs upright.
+    reach_mm : float
+        How far sideways a sphere may be off.
+    priors : FitTable, optional
+        How well the camera is known.
+
+    Raises
+    ------
+    TargetNotFound
+        Too little of the board is seen beside the glass, or it lies elsewhere than expected.
+    """
+    nominal, beside = scene.camera, _beside(scene, reach_mm)
+    patches = grow_patches(coarse_saddles(frame, square_px(nominal, board, board_mm), beside))
+
+    def predict(plane_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return nominal.project(_world(plane_mm, board_mm))
+
+    index, expected = corners_in_view(board, predict, nominal.shape)
+    indices, pixels, axes = [], [], []
+    for patch in patches:
+        if len(patch.index) < LEAST_CORNERS:
+            break
+        placing = place_by_prediction(_some_of(patch), index, expected, board)
+        if placing is not None:
+            indices.append(placing.board_index(patch.index))
+            pixels.append(patch.position_px)
+            axes.append(placing.board_axes(patch.axes_px))
+    count = sum(map(len, indices))
+    spread = np.ptp(np.concatenate(pixels), axis=0) / np.array(nominal.sensor_px) if pixels else np.zeros(2)
+    if count < LEAST_CORNERS or spread.min() < LEAST_SPREAD:
+        raise TargetNotFound(
+            f"only {count} corners of the target are seen beside the glass where they are expected; bring light on"
+            " the target, or correct the camera of the scene: its view must be good to half a square"
+        )
+    index = np.concatenate(indices)
+    some = np.unique(np.linspace(0, count - 1, min(count, ENOUGH)).round().astype(np.intp))
+    found = refine_corners(
+        frame,
+        np.concatenate(pixels)[some],
+        np.concatenate(axes)[some],
+        sign=board.corner_sign(index[some]),
+        mask=beside,
+        search=CornerSearch(ARM, start_error_px=0.5, max_shift=0.3),
+    )
+    if np.count_nonzero(found.valid) < LEAST_CORNERS:
+        raise TargetNotFound(
+            "the corners of the target beside the glass are too blurred to be measured; focus on it"
+        )
+    fitted = index[some][found.valid], found.position_px[found.valid]
+    camera, sigma, rms = _fitted(scene, *fitted, board, board_mm, priors or FitTable())
+    off = np.array(camera.position_mm) - np.array(nominal.position_mm)
+    levels = _levels(frame, camera, index, board, board_mm)
+    return CameraSeen(camera, off, sigma, len(index), rms, index, board, board_mm, levels)
+
+
+def _some_of(patch: Patch) -> Patch:
+    """Corners of a patch that are enough to say which of the board they are."""
+    some = np.unique(np.linspace(0, len(patch.index) - 1, VOTING).round().astype(np.intp))
+    return Patch(patch.index[some], patch.position_px[some], patch.axes_px[some], patch.sign[some])
+
+
+def square_px(camera: Camera, board: Chessboard, board_mm: NDArray[np.float64]) -> float:
+    """How large a square is in the frame."""
+    return camera.focal_px * board.square_mm / abs(camera.position_mm[2] - float(board_mm[2]))
+
+
+def coarse_saddles(frame: NDArray[Any], square_px: float, mask: NDArray[np.bool_] | None = None) -> Saddles:
+    """Saddles of a frame, looked for in one that is shrunk as far as its squares of `square_px` allow."""
+    import cv2
+
+    by = max(1, int(square_px // LEAST_SQUARE_PX))
+    if by == 1:
+        return find_saddles(frame, mask)
+    size = frame.shape[1] // by, frame.shape[0] // by
+    part = frame[: size[1] * by, : size[0] * by]
+    small = cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    seen = None if mask is None else mask[by // 2 : size[1] * by : by, by // 2 : size[0] * by : by]
+    found = find_saddles(np.asarray(small), seen)
+    return replace(found, position_px=found.position_px * by + 0.5 * (by - 1))
+
+
+def _levels(
+    frame: NDArray[Any], camera: Camera, index: NDArray[np.int64], board: Chessboard, board_mm: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Intensity of dark and bright squares, in the middle of those beside some corners."""
+    middle = camera.project(_world(board.corner_mm(index + 0.5), board_mm))
+    at = np.rint(middle).astype(np.intp)
+    inside = (at >= 0).all(axis=1) & (at < np.array(camera.sensor_px)).all(axis=1)
+    value, bright = frame[at[inside, 1], at[inside, 0]], board.is_bright(index[inside])
+    return float(np.median(value[~bright])), float(np.median(value[bright]))
+
+
+def _fitted(
+    scene: Scene,
+    index: NDArray[np.int64],
+    pixel: NDArray[np.float64],
+    board: Chessboard,
+    board_mm: NDArray[np.float64],
+    priors: FitTable,
+) -> tuple[Camera, NDArray[np.float64], float]:
+    """Camera that fits corners, robustly; sigma (3,) of its place, and rms of the corners [px]."""
+    unknowns = unknowns_of(scene, [0.0], priors, False).only(("camera.",))
+    points = _world(board.corner_mm(index), board_mm)
+
+    def misses(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        camera = unknowns.camera(unknowns.full(x))
+        return np.asarray((camera.project_ideal(points) - camera.ideal(pixel)).ravel() / CORNER_PX)
+
+    x = np.zeros(len(unknowns.names))
+    covariance: NDArray[np.float64] = np.eye(len(x))
+    for _ in range(ROUNDS):  # corners that are none weigh less and less
+        left = misses(x)
+        slopes = np.stack([(misses(x + step) - left) / STEP for step in STEP * np.eye(len(x))], axis=1)
+        weight = 1.0 / np.sqrt(1.0 + left**2)
+        normal = slopes.T @ (weight[:, None] * slopes) + np.eye(len(x))
+        covariance = np.asarray(np.linalg.inv(normal), np.float64)
+        x = x - covariance @ (slopes.T @ (weight * left) + x)
+    camera = unknowns.camera(unknowns.full(x))
+    away = camera.project_ideal(points) - camera.ideal(pixel)
+    rms = float(np.sqrt(np.median(np.sum(away**2, axis=1)) / 1.386))
+    off_by = unknowns.columns[:3] @ covariance @ unknowns.columns[:3].T * max(1.0, rms / CORNER_PX) ** 2
+    return camera, np.asarray(np.sqrt(np.diag(off_by))), rms
+
+
+def _world(plane_mm: NDArray[np.float64], board_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World points (N, 3) of points (N, 2) of the board."""
+    return np.column_stack((plane_mm, np.zeros(len(plane_mm)))) + board_mm
+
+
+def _beside(scene: Scene, reach_mm: float) -> NDArray[np.bool_]:
+    """Pixels (H, W) that no sphere can hide, however far it may be off."""
+    import cv2
+
+    camera = scene.camera
+    clear = np.ones(camera.shape, np.uint8)
+    spheres = np.array([[*ball.centre_mm, AROUND * ball.radius_mm + reach_mm] for ball in scene.spheres])
+    for number in range(len(spheres)):
+        outline = rim_of(camera, spheres, number, 90).pixel
+        if np.isfinite(outline).all():
+            cv2.fillPoly(clear, [np.rint(outline).astype(np.int32)], 0)
+    return clear.astype(np.bool_)
 
 
 @dataclass(frozen=True)
@@ -198,8 +435,7 @@ def _own_places(found: tuple[SphereSeen, ...]) -> list[str]:
         others = [other.off_mm for other in found if other.own_rim and other is not one]
         if not one.own_rim:
             said.append(f"{one.name} shows no rim of its own and is taken to stand as the others do")
-            continue
-        if not others:
+        if not one.own_rim or not others:
             continue
         x, y, _ = (one.off_mm - np.mean(others, axis=0)).tolist()
         if np.hypot(x, y) > 3.0 * np.hypot(*one.sigma_mm[:2]) + OWN_MM:
@@ -220,7 +456,7 @@ def _unnamed(
     import cv2
 
     def predict(plane_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return camera.project(np.column_stack((plane_mm, np.zeros(len(plane_mm)))) + view.board_mm)
+        return camera.project(_world(plane_mm, view.board_mm))
 
     index, pixel = corners_in_view(view.board, predict, camera.shape)
     outlines = np.zeros(camera.shape, np.uint8)
@@ -239,20 +475,16 @@ def _unnamed(
     beside = outlines[at[:, 1], at[:, 0]] == 0
     side_px = square_px(camera, view.board, view.board_mm)
     inside = (pixel > side_px).all(axis=1) & (pixel < np.array(camera.sensor_px) - 1.0 - side_px).all(axis=1)
-    index, pixel = index[beside & inside], pixel[beside & inside]
     low, high = view.index.min(axis=0), view.index.max(axis=0)  # beyond, the board may end
-    on_board = ((index >= low) & (index <= high)).all(axis=1)
-    index, pixel = index[on_board], pixel[on_board]
+    known = beside & inside & ((index >= low) & (index <= high)).all(axis=1)
+    index, pixel = index[known], pixel[known]
     if not len(index):
         return ()
     away, _ = scipy.spatial.cKDTree(coarse_saddles(frame, side_px).position_px).query(pixel)
     lost = away > AT_CORNER * side_px
-    lattice = np.zeros(high - low + 1, dtype=np.bool_)
-    cell = index - low
+    lattice, cell = np.zeros(high - low + 1, dtype=np.bool_), index - low
     lattice[cell[lost, 0], cell[lost, 1]] = True
     label, count = scipy.ndimage.label(lattice)
-    if not count:
-        return ()
     own = label[cell[:, 0], cell[:, 1]]
     sizes = np.bincount(own[lost], minlength=count + 1)
     largest = int(sizes.argmax())

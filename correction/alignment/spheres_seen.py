@@ -25,7 +25,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.alignment.errors import RimNotFound, RimUnclear
 from correction.alignment.rim import (
     VOTERS,
     Rim,
@@ -40,6 +39,7 @@ from correction.alignment.rim import (
     strip_of,
     voted,
 )
+from correction.errors import RimNotFound, RimUnclear
 from tracer.bodies import Sphere
 from tracer.camera import Camera
 from tracer.scene.fit_section import FitTable

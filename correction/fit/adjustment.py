@@ -19,11 +19,10 @@ from correction.fit.seen.pixel_lock import NAMES as LOCK
 from correction.fit.seen.pixel_lock import unlocked, with_lock, without_lock
 from correction.fit.solve.contact import largest_overlap_mm
 from correction.fit.solve.correlation import with_correlation
-from correction.fit.solve.held import doubted
-from correction.fit.solve.room_contact import pushed_clear
-from correction.fit.solve.shape_doubt import (
+from correction.fit.solve.doubted import (
     SIZES_MM,
     ShapeRoot,
+    doubted,
     doubted_shapes,
     likely_scale,
     shape_parts,
@@ -36,6 +35,7 @@ from correction.fit.solve.solver import (
     minimise,
     newton_step,
     normal_equations,
+    pushed_clear,
     residuals,
 )
 from correction.fit.solve.unknowns import Unknowns

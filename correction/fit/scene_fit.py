@@ -17,12 +17,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.adjustment import Adjustment, legal_scene
 from correction.fit.judge.result import SHARE_LIMIT, FitStep, SceneFit, check, rms_limit_px
 from correction.fit.judge.suspects import CLEAR
 from correction.fit.judge.unconfirmed import unconfirmed_ways
 from correction.fit.judge.verdict import PRIOR_LIMIT
-from correction.fit.seen.candidates import Candidates, candidates_of
 from correction.fit.seen.lost_sphere import likely_places, lost_spheres
 from correction.fit.seen.measurement import (
     FLOOR_PX,
@@ -32,20 +32,19 @@ from correction.fit.seen.measurement import (
     bare_frame_through_walls,
     glass_frame,
 )
-from correction.fit.seen.pairing import pair
+from correction.fit.seen.pairing import Candidates, candidates_of, pair
 from correction.fit.seen.prediction import LEAST_SQUARE_PX, square_behind_px
 from correction.fit.seen.silhouettes import Outlines, followed, seen_outlines
 from correction.fit.seen.smear import Dispersion
 from correction.fit.seen.unlisted import unlisted_parts
 from correction.fit.solve.board_pose import in_words, turn_of_bench, turned
-from correction.fit.solve.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.fit.solve.solver import Solution
 from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.target import Chessboard
 from correction.target.board_search import SATURATED
 from correction.target.corners import saturated_fraction
-from correction.target.saddles import Saddles, find_saddles
+from correction.target.lattice_growth import Saddles, find_saddles
 from piv.errors import FrameError
 from tracer.camera import Vector3
 from tracer.light import Light

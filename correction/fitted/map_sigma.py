@@ -1,4 +1,4 @@
-"""How sure the correction is at every node: the scene's covariance carried through the map.
+"""How sure the correction is: the scene's covariance carried through the map, to nodes and to vectors.
 
 Node X is shown by pixel u.  If the scene is off by dx, u really shows X + (dX/dx) dx, so the picture of X
 stands that far from where it should: with C the covariance of x,
@@ -6,25 +6,48 @@ stands that far from where it should: with C the covariance of x,
     sigma^2 = diag(G C G^T),        G = dX/dx / pitch        [corrected px]
 
 Noise of the frame, PIV, and everything that is not a number of the scene come on top.
+
+LIMIT.  Left out is what the map does not know well enough: crescents behind a chain of balls, nodes beside a fold.
+Most of a fitted map is known to thousandths of a pixel; where the view turns wildly with every number of the
+scene, by tenths.  How much is too much is the user's to say.  Sigma is asked at every STEP-th node; each answer
+stands for the nodes around it, and the worst of its neighbours counts, so that little that is worse comes through.
+
+VECTORS.  The picture of plane point X stands at X + e(X), e = (dX/dx) dx.  A particle that moves
+from X1 to X2 is then measured at the wrong place by about e(X), but its displacement only by
+
+    e(X2) - e(X1)  =  (d . grad) e  to first order,        d = X2 - X1,
+
+because what both ends share moves nothing.  Both ends are traced, so no derivative is approximated: with the
+spreads of `SceneSigma` the sigma of the displacement is |spread(X2) - spread(X1)|, and that of the place
+|spread(X)|.  Where one end has no picture on the vector's own branch, twice the other half is taken.
+
+These are errors of the map, common to all pairs of a calibration: averaging over pairs does not reduce them.
+The random sigma of the correlation comes on top, in squares.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from pydantic import Field
 
+from correction.errors import MapUsageError
 from correction.fit.judge.result import SceneFit
 from correction.fitted.scene_sigma import SceneSigma
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.correction_map import CorrectionMap, build_correction_map
+from correction.node_status import NodeStatus
 from ground.config import Pair, Table
 from ground.errors import MapFileError
 from ground.map_file import Hash, checked, load_arrays, save_arrays
 from ground.short_repr import short_repr
+from piv.correlation.vector_field import VectorField
+from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import build_ray_map
+from tracer.strategies.trace import trace
 
 KIND = "map sigma"
 STEP = 4  # nodes between those computed; sigma is smooth
@@ -133,3 +156,150 @@ def sigma_at(fit: SceneFit, pixels: NDArray[np.float64], glass: bool) -> NDArray
 def _seen(sheets: CorrectionMap, glass: bool) -> NDArray[np.bool_]:
     """Nodes of the best layer seen through glass, or directly."""
     return sheets.behind_glass if glass else sheets.recovered & ~sheets.behind_glass
+
+
+@dataclass(frozen=True)
+class SigmaLimit:
+    """Largest standard deviation of the map that is still used.
+
+    Parameters
+    ----------
+    sigma : SceneSigma
+        Of the scene.
+    limit_px : float
+        Corrected pixels, the worse axis.
+
+    Raises
+    ------
+    MapUsageError
+        The limit is not positive.
+    """
+
+    sigma: SceneSigma
+    limit_px: float
+
+    def __post_init__(self) -> None:
+        if not self.limit_px > 0.0:
+            raise MapUsageError(
+                f"a limit of sigma of {self.limit_px:g} px leaves nothing; give some pixels, such as 0.1"
+            )
+
+    def within(self, found: CorrectionMap, scene: Scene) -> CorrectionMap:
+        """Return the map with its nodes beyond the limit UNSURE, and nothing shown there.
+
+        Raises
+        ------
+        StaleMap
+            Map and scene are not those of the fit.
+        """
+        self.sigma.check(scene)
+        found.check(scene)
+        beyond = self._beyond(found, scene) & found.recovered
+        status = np.where(beyond, np.uint8(NodeStatus.UNSURE), found.status)
+        return replace(
+            found,
+            status=status,
+            pixel=np.where(beyond[..., None], np.nan, found.pixel),
+            weight=np.where(beyond, np.float32(0.0), found.weight),
+        )
+
+    def _beyond(self, found: CorrectionMap, scene: Scene) -> NDArray[np.bool_]:
+        """Nodes (h, w) that may be beyond the limit; those that are not recovered, too, as it happens."""
+        height, width = found.grid.shape
+        chosen = found.status[::STEP, ::STEP] == NodeStatus.RECOVERED
+        pixels, glass = found.pixel[0, ::STEP, ::STEP], found.branch[0, ::STEP, ::STEP] != 0
+        worst = np.zeros(chosen.shape)
+        for behind in (False, True):
+            here = chosen & (glass == behind)
+            seen = scene if behind else scene.bare()
+            spread = self.sigma.sigma(seen, pixels[here]) / found.grid.pitch_mm
+            worst[here] = np.nan_to_num(spread.max(axis=1), nan=np.inf)
+        worst = scipy.ndimage.maximum_filter(worst, 3)
+        return np.asarray(np.repeat(np.repeat(worst, STEP, 0), STEP, 1)[:height, :width] > self.limit_px)
+
+
+@dataclass(frozen=True)
+class VectorMapSigma:
+    """Standard uncertainty of vectors from the scene fit.
+
+    Parameters
+    ----------
+    position_px : (ny, nx, 2) float64
+        Of the place, along u and v, in corrected pixels; NaN where nothing is known.
+    displacement_px : (ny, nx, 2) float64
+        Of the displacement.
+    """
+
+    position_px: NDArray[np.float64]
+    displacement_px: NDArray[np.float64]
+
+
+def vector_map_sigma(
+    field: VectorField, correction_map: CorrectionMap, scene: Scene, sigma: SceneSigma
+) -> VectorMapSigma:
+    """Carry the scene's uncertainty to the vectors of a corrected pair.
+
+    Parameters
+    ----------
+    field : VectorField
+        Vectors on the corrected image.
+    correction_map : CorrectionMap
+        Its map.
+    scene : Scene
+        The scene of the map: the fitted one, or the same without its bodies.
+    sigma : SceneSigma
+        Of the fitted scene.
+
+    Raises
+    ------
+    StaleMap
+        The map or the fit belongs to another scene.
+    """
+    correction_map.check(scene)
+    shape = field.flags.shape
+    known = np.isfinite(field.u_px) & np.isfinite(field.v_px)
+    centre = field.grid_px[known]
+    half = 0.5 * np.stack((field.u_px, field.v_px), axis=-1)[known]
+    branch = _branch(correction_map, centre)
+    pixels = [_pixels(correction_map, scene, centre + way * half, branch) for way in (0, -1, 1)]
+    here, before, after = (sigma.spread(scene, some) for some in pixels)
+    difference = after - before
+    for gap, one_sided in ((before, 2.0 * (after - here)), (after, 2.0 * (here - before))):
+        missing = np.isnan(gap).any(axis=(1, 2))
+        difference[missing] = one_sided[missing]
+    pitch = correction_map.grid.pitch_mm
+    position, displacement = np.full((2, *shape, 2), np.nan)
+    position[known] = np.sqrt((here**2).sum(axis=2)) / pitch
+    displacement[known] = np.sqrt((difference**2).sum(axis=2)) / pitch
+    return VectorMapSigma(position, displacement)
+
+
+def _nearest(correction_map: CorrectionMap, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
+    """Row and column of the node nearest to each point u, v."""
+    height, width = correction_map.grid.shape
+    column, row = np.rint(points).astype(np.int64).T
+    return np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+
+
+def _branch(correction_map: CorrectionMap, points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Branch of the best view of each point, -1 where there is none."""
+    at = _nearest(correction_map, points)
+    seen = correction_map.branch[0][at].astype(np.int64)
+    return np.asarray(np.where(correction_map.recovered[at], seen, -1), dtype=np.int64)
+
+
+def _pixels(
+    correction_map: CorrectionMap, scene: Scene, points: NDArray[np.float64], branch: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Raw pixels (N, 2) that show points of the corrected image on a given branch; NaN where there is none."""
+    row, column = _nearest(correction_map, points)
+    off = points - np.stack((column, row), axis=-1)
+    jacobian = correction_map.jacobian[0, row, column].reshape(-1, 2, 2).astype(np.float64)
+    found: NDArray[np.float64] = correction_map.pixel[0, row, column] + (jacobian @ off[:, :, None])[:, :, 0]
+    found[(_branch(correction_map, points) != branch) | (branch < 0) | (np.abs(off) > 1.0).any(axis=1)] = np.nan
+    asked = np.nonzero(np.isfinite(found).all(axis=1))[0]
+    rays = trace(scene, found[asked])
+    right = [rays.branches.get(int(key)) == correction_map.branches[number]
+             for key, number in zip(rays.rays["key"], branch[asked], strict=True)]  # fmt: skip
+    found[asked[~np.array(right, bool) | ~rays.recovered]] = np.nan  # half a pixel beside a rim is another branch
+    return found

@@ -17,7 +17,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from correction.fitted.sigma_limit import SigmaLimit
+from correction.fitted.map_sigma import SigmaLimit
 from correction.grid import PlaneGrid, grid_of
 from correction.maps.aperture import through_pupil
 from correction.maps.correction_map import CorrectionMap, build_correction_map, outside_glass

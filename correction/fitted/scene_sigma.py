@@ -1,6 +1,6 @@
 """How unsure a fitted scene is, in the tracer's own numbers, and what that does to points of the plane.
 
-A fit gives a root of the covariance of its full vector, of what was free and of what was held (`fit.held`); the
+A fit gives a root of the covariance of its full vector, of what was free and of what was held (`doubted`); the
 tracer gives the derivative G of a landing point by the numbers of the scene (`tracer.strategies.sensitivity`;
 rotations about the world's axes at the fitted pose).  With T = d numbers / d vector one matrix says everything:
 
@@ -12,6 +12,10 @@ place, cancels.  The size of the target's squares is taken as exact.  What is no
 (`correction.fit.solve.light`) is one more column of the root.  Particles lie in the light sheet: the same
 uncertainty as seen there (`in_light_sheet`), and that of the sheet's own place, which moves all of the field
 together; a sheet that the scene does not name is as unsure as one set up by eye (`Scene.lit`).
+
+``scene.yaml`` is what the tracer reads.  The fit file keeps the rest:
+the free numbers by name with values and covariance in their own units, every corner with its residual and the
+smooth part of it, and what the test of the model says.
 """
 
 from dataclasses import dataclass, field, replace
@@ -24,11 +28,12 @@ from pydantic import ConfigDict, Field
 
 from correction.fit.judge.result import SceneFit
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
-from correction.fit.solve.shape_doubt import ShapeRoot
+from correction.fit.solve.doubted import ShapeRoot
 from correction.fit.solve.unknowns import left_jacobian
 from ground.config import Table
 from ground.errors import MapFileError
-from ground.map_file import Hash, checked, load_arrays
+from ground.map_file import Hash, checked, load_arrays, save_arrays
+from ground.short_repr import short_repr
 from tracer.errors import StaleMap
 from tracer.harmonics import COUNT, NAMES, turning
 from tracer.scene.scene import Scene, SceneBound
@@ -244,3 +249,117 @@ class SceneSigma(SceneBound):
             here = slice(first, first + block)
             out[here] = np.sqrt((self.spread(scene, pixels[here]) ** 2).sum(axis=2))
         return out
+
+
+class VerdictHeader(FitHeader):
+    """What the header of a fit file says of the model."""
+
+    right: bool
+    verdict: Annotated[list[str], Field(max_length=1000)]
+    ways: Annotated[list[str], Field(max_length=100_000)]
+
+
+@short_repr
+@dataclass(frozen=True)
+class StoredVerdict:
+    """What a fit file says of the model.
+
+    Parameters
+    ----------
+    scene_hash : str
+        Of the fitted scene.
+    right : bool
+        Whether nothing speaks against the model.
+    sentences : tuple of str
+        The verdict in words.
+    ways : tuple of str
+        Ways through the glass that corners are seen on; empty for the direct view.
+    way : (N,) int64
+        Number of the way of every corner.
+    pixel, smooth_px : (N, 2) float64
+        Where corners were measured, and the smooth part of their residuals, raw px.
+    """
+
+    scene_hash: str
+    right: bool
+    sentences: tuple[str, ...]
+    ways: tuple[str, ...]
+    way: NDArray[np.int64]
+    pixel: NDArray[np.float64]
+    smooth_px: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, fit: SceneFit) -> "StoredVerdict":
+        """What `save_fit` stores of it."""
+        ways, way = np.unique(fit.corners.branch_name, return_inverse=True)
+        verdict, scene_hash = fit.verdict, fit.measured_scene.content_hash()
+        names = tuple(map(str, ways.tolist()))
+        return cls(
+            scene_hash, verdict.is_right, verdict.sentences, names, way, fit.corners.pixel, verdict.smooth_px
+        )
+
+
+def save_fit(path: Path | str, fit: SceneFit) -> None:
+    """Write a fit, atomically.
+
+    Header: ``names``, ``numbers``, ``scene_hash``, ``nominal_hash``, ``frames``, ``history``,
+    ``systematic_px`` (way -> its own error), ``shape_balls`` (`ShapeRoot`), ``right``, ``verdict`` and ``ways``
+    (`StoredVerdict`).  Arrays:
+    ``values`` (P,), ``covariance`` (P, P) in the units of the names, ``scene_root`` (Q, R) (see `SceneSigma`),
+    ``shape_root`` (5 B, R),
+    ``corner_frame``, ``corner_way`` (N,), ``corner_index`` (N, 2), ``corner_px``, ``residual_px``, ``smooth_px``
+    (N, 2), ``behind``, ``inlier`` (N,).
+    """
+    unit, corners, found = fit.unknowns.sigma, fit.corners, StoredVerdict.of(fit)
+    sigma = SceneSigma.of(fit)
+    header = {
+        "names": list(fit.names),
+        "numbers": list(sigma.numbers),
+        "scene_hash": found.scene_hash,
+        "nominal_hash": fit.unknowns.scene.content_hash(),
+        "frames": list(fit.frames),
+        "history": [str(step) for step in fit.history],
+        "systematic_px": fit.verdict.systematic_px,
+        "shape_balls": list(sigma.shapes.balls),
+        "right": found.right,
+        "verdict": list(found.sentences),
+        "ways": list(found.ways),
+    }
+    arrays = {
+        "values": fit.values,
+        "covariance": fit.covariance * np.outer(unit, unit),
+        "scene_root": sigma.root,
+        "shape_root": sigma.shapes.root,
+        "corner_frame": corners.frame.astype(np.int32),
+        "corner_way": found.way.astype(np.int32),
+        "corner_index": corners.index.astype(np.int32),
+        "corner_px": corners.pixel,
+        "residual_px": corners.residual_px,
+        "smooth_px": found.smooth_px,
+        "behind": corners.behind.astype(np.uint8),
+        "inlier": corners.inlier.astype(np.uint8),
+    }
+    save_arrays(path, KIND, header, {name: np.ascontiguousarray(array) for name, array in arrays.items()})
+
+
+def load_verdict(path: Path | str) -> StoredVerdict:
+    """Read what a fit file says of the model.
+
+    Raises
+    ------
+    MapFileError
+        The file is damaged, or of a version that did not store it.
+    """
+    header, arrays = load_arrays(path, KIND)
+    if not {"verdict", "ways"} <= header.keys():
+        raise MapFileError(f"{path}: does not hold the test of its model; run the calibration again")
+    said = checked(path, header, VerdictHeader)
+    way, pixel, smooth = (arrays.get(name) for name in ("corner_way", "corner_px", "smooth_px"))
+    if way is None or pixel is None or smooth is None:
+        raise MapFileError(f"{path}: does not hold the test of its model; run the calibration again")
+    known = way.dtype.str == "<i4" and way.ndim == 1 and bool(np.all((way >= 0) & (way < len(said.ways))))
+    places = all(one.dtype.str == "<f8" and one.shape == (*way.shape, 2) for one in (pixel, smooth))
+    if not known or not places or not np.isfinite([pixel, smooth]).all():
+        raise MapFileError(f"{path}: arrays do not fit together; run the calibration again")
+    number = way.astype(np.int64)
+    return StoredVerdict(said.scene_hash, said.right, tuple(said.verdict), tuple(said.ways), number, pixel, smooth)

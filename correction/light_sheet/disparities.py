@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from correction.light_sheet.double_views import ACROSS, UNIT, DoubleViews, some_of_each
 from correction.light_sheet.kernels.lagged import add_products
-from correction.light_sheet.layers import layers
-from correction.light_sheet.matched import SIZES, Match, Model
+from correction.light_sheet.layers import SIZES, Match, Model, layers
 from ground.rows import thread_count
 from tracer.scene.scene import Scene
 

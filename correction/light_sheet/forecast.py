@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from correction.fitted.scene_sigma import SceneSigma
 from correction.light_sheet.disparities import MODELLED_TO, USUAL_SPREAD2
 from correction.light_sheet.double_views import AROUND, PARTICLE_PX2, DoubleViews, some_of_each
-from correction.light_sheet.layers import layers
-from correction.light_sheet.matched import SIZES, Model
+from correction.light_sheet.layers import SIZES, Model, layers
 from correction.light_sheet.self_calibration import scene_doubt
 from tracer.light_sheet import UNMEASURED_DEG, UNMEASURED_MM
 from tracer.scene.scene import Scene

@@ -7,8 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.table2 import RegionErrors, aligned, computed_against_acquired, corrected_against_grid
-from correction.evaluate.target_error import TargetError
+from correction.evaluate.target_error import (
+    RegionErrors,
+    TargetError,
+    aligned,
+    computed_against_acquired,
+    corrected_against_grid,
+)
 from correction.fit.judge.result import SceneFit
 from correction.fit.judge.weakness import Weakness, weaknesses
 from correction.fit.seen.measurement import TargetFrame

@@ -5,12 +5,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from correction.errors import ViewsMissing
 from correction.fit.judge.result import SceneFit
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
-from correction.fit.solve.errors import ViewsMissing
-from correction.fitted.fit_file import save_fit
 from correction.fitted.map_sigma import map_sigma
+from correction.fitted.scene_sigma import save_fit
 from daq.atomic_write import write_json, write_text
 from daq.runs.acquired import read_acquired
 from daq.runs.run_folder import RunFolder

@@ -8,8 +8,8 @@ from typing import Unpack
 
 from rich.console import Console
 
+from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.prepared import PreparedCorrections
-from correction.fitted.sigma_limit import SigmaLimit
 from daq.errors import RunUnsuitable
 from daq.frames.source import is_source
 from daq.runs.pairs import pairs_of

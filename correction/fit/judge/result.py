@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from correction.errors import FitFailed
 from correction.fit.judge.unconfirmed import BRANCH_LIMIT
 from correction.fit.judge.verdict import PRIOR_LIMIT, Verdict
-from correction.fit.solve.errors import FitFailed
+from correction.fit.solve.doubted import ShapeRoot
 from correction.fit.solve.light import LightDoubt
-from correction.fit.solve.shape_doubt import ShapeRoot
 from correction.fit.solve.unknowns import Unknowns
 from ground.short_repr import short_repr
 from tracer.scene.scene import Scene

@@ -27,7 +27,7 @@ from correction.fit.judge.model_test import CLIP
 from correction.fit.seen.measurement import MeasuredFrame
 from correction.fit.seen.pixel_lock import unlocked
 from correction.fit.solve.ball_shape import SHAPES, balls_crossed, shape_rates
-from correction.fit.solve.held import WALL
+from correction.fit.solve.doubted import WALL
 from correction.fit.solve.solver import Residuals, free_rates, landed, minimise, pushed_step, residuals, touching
 from correction.fit.solve.unknowns import LENS, Unknowns, unit_of
 from tracer.harmonics import DEGREES, HIGHEST, LOWEST

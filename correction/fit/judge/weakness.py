@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 
 from correction.fit.judge.result import SceneFit
-from correction.fit.solve.held import doubted
+from correction.fit.solve.doubted import doubted
 from correction.fit.solve.unknowns import unit_of
 from tracer.bodies import Sphere
 from tracer.harmonics import NAMES

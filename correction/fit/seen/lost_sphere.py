@@ -21,8 +21,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.seen.candidates import Candidates, distances, paired_residuals
 from correction.fit.seen.measurement import MeasuredFrame
+from correction.fit.seen.pairing import Candidates, distances, paired_residuals
 from correction.fit.solve.solver import LOST, Corners, landed
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard

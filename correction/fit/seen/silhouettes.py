@@ -19,13 +19,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.fit.seen.candidates import nearest_nodes
 from correction.fit.seen.measurement import MeasuredFrame
-from correction.fit.seen.pairing import moved
+from correction.fit.seen.pairing import moved, nearest_nodes
 from correction.fit.solve.solver import Corners, landed
 from correction.fit.solve.unknowns import Unknowns
 from correction.target import Chessboard
-from correction.target.saddles import Saddles
+from correction.target.lattice_growth import Saddles
 from tracer.camera import Camera
 from tracer.scene.scene import Scene
 from tracer.strategies.branches import DIRECT

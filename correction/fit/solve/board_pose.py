@@ -17,8 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from correction.fit.solve.contact import pushed_apart
-from correction.fit.solve.supports import clear_of
+from correction.fit.solve.contact import clear_of, pushed_apart
 from tracer.bodies import vector3
 from tracer.camera import Camera, Vector3
 from tracer.scene.fit_section import FitCameraTable

@@ -23,7 +23,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.fit.solve.errors import ViewsMissing
+from correction.errors import ViewsMissing
 from correction.fit.solve.other_bodies import OtherBodies
 from tracer.light import Light, line, white_led
 from tracer.media import MEDIA, THINNEST_LIQUID, ConstantMedium, Medium

@@ -28,8 +28,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from correction.fit.solve.contact import carried
 from correction.fit.solve.other_bodies import OtherBodies
-from correction.fit.solve.supports import carried
 from tracer.bodies import Sphere
 from tracer.camera import Camera, Lens, Vector3
 from tracer.harmonics import COUNT, NAMES

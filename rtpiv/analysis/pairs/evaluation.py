@@ -10,14 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.regions import Regions, regions_of
+from correction.evaluate.carried_vectors import PlaneVectors, raw_settings, track_through_glass, velocity_route
+from correction.evaluate.regions import Regions, ShiftResult, evaluate_shift, regions_of
 from correction.evaluate.routes import Routes, compare_routes, joined, radius_of
-from correction.evaluate.shift import ShiftResult, evaluate_shift
-from correction.evaluate.tracks_through_glass import track_through_glass
-from correction.evaluate.velocity_route import PlaneVectors, raw_settings, velocity_route
+from correction.fitted.map_sigma import VectorMapSigma, vector_map_sigma
 from correction.fitted.prepared import PreparedCorrection
 from correction.fitted.scene_sigma import SceneSigma
-from correction.fitted.vector_map_sigma import VectorMapSigma, vector_map_sigma
 from correction.grid import PlaneGrid
 from correction.maps.corrector import Corrector
 from daq.runs.acquired import read_acquired

@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.velocity_route import PlaneVectors
-from correction.fitted.vector_map_sigma import VectorMapSigma
+from correction.evaluate.carried_vectors import PlaneVectors
+from correction.fitted.map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from correction.fit.judge.result import SceneFit
-from correction.fitted.fit_file import StoredVerdict
+from correction.fitted.scene_sigma import StoredVerdict
 from rtpiv.analysis.pictures.plane_axes import Figure, colour_bar, plane_panels
 from rtpiv.analysis.pictures.saved import save_picture, short
 

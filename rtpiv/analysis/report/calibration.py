@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from correction.fitted.fit_file import StoredVerdict, load_verdict
+from correction.fitted.scene_sigma import StoredVerdict, load_verdict
 from correction.masked import STATUS
 from correction.node_status import MEANING
 from ground.errors import MapFileError

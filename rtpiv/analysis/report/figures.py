@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from numpy.typing import NDArray
 
-from correction.evaluate.shift import Scatter
-from correction.evaluate.velocity_route import PlaneVectors
+from correction.evaluate.carried_vectors import PlaneVectors
+from correction.evaluate.regions import Scatter
 from correction.grid import PlaneGrid
 from ground.plain_words import counted
 from piv.correlation.vector_field import VectorField

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.shift import shift_errors
+from correction.evaluate.regions import shift_errors
 from daq.runs.run_views import where_lit
 from rtpiv.analysis.pairs.evaluation import Evaluation
 from rtpiv.analysis.pictures.before_after import BeforeAfter

@@ -17,10 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from correction.evaluate.regions import MIDDLE, Region
-from correction.evaluate.routes import Routes
-from correction.evaluate.shift import ShiftResult, shift_errors
-from correction.evaluate.verdicts import Claim, claim_of, independent_share
+from correction.evaluate.regions import MIDDLE, Region, ShiftResult, shift_errors
+from correction.evaluate.routes import Claim, Routes, claim_of, independent_share
 from correction.node_status import MEANING, NodeStatus
 from piv.correlation.response import response_of
 from piv.correlation.settings import PivSettings

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from correction.errors import MapUsageError
+from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
-from correction.fitted.sigma_limit import SigmaLimit
 from correction.maps.dewarp import Dewarp
 from daq.atomic_write import copy_whole, why
 from daq.errors import DiskError

@@ -8,9 +8,9 @@ from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
+from correction.fitted.map_sigma import vector_map_sigma
 from correction.fitted.prepared import PreparedCorrection, prepare
 from correction.fitted.scene_sigma import SceneSigma
-from correction.fitted.vector_map_sigma import vector_map_sigma
 from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
 from piv.correlation.windows import WindowGrid, window_grid

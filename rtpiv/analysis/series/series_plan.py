@@ -17,8 +17,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.prepared import content_key
-from correction.fitted.sigma_limit import SigmaLimit
 from correction.grid import PlaneGrid
 from correction.maps.dewarp import Dewarp
 from piv.correlation.settings import PivSettings

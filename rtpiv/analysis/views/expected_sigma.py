@@ -16,7 +16,7 @@ import numpy as np
 
 from correction.fit.seen.prediction import expect
 from correction.fit.solve.ball_shape import balls_crossed, shape_rates
-from correction.fit.solve.shape_doubt import SIZES_MM, ShapeRoot, doubted_shapes, likely_scale
+from correction.fit.solve.doubted import SIZES_MM, ShapeRoot, doubted_shapes, likely_scale
 from correction.fit.solve.solver import Corners, free_rates
 from correction.fit.solve.unknowns import unknowns_of
 from correction.fitted.scene_sigma import SceneSigma

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from correction.alignment.errors import MoveDoubted
 from correction.alignment.moves import STEP_MM, Look, require_followed, wanted
 from correction.alignment.seen import Arrangement
+from correction.errors import MoveDoubted
 
 AXES = {"glass": "xyz", "camera": "xyz"}
 NAMES = {("glass", "x"): "glass_x", ("glass", "y"): "glass_y", ("glass", "z"): "glass_z"}

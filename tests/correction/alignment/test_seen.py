@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.alignment.errors import AlignmentError, RimNotFound, RimUnclear
 from correction.alignment.rim import rim_of
 from correction.alignment.seen import Expected, find_arrangement
-from correction.errors import TargetNotFound
+from correction.errors import AlignmentError, RimNotFound, RimUnclear, TargetNotFound
 from piv.errors import FrameError
 from sim.demo.scenes import at_size, misaligned, named_scene
 from sim.renderer.patterns import Chessboard as Print

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from correction.evaluate.regions import Region, regions_of
-from correction.evaluate.shift import evaluate_shift, shift_errors
-from correction.evaluate.velocity_route import raw_settings, velocity_route
+from correction.evaluate.carried_vectors import raw_settings, velocity_route
+from correction.evaluate.regions import Region, evaluate_shift, regions_of, shift_errors
 from correction.maps.correction_map import build_correction_map
 from correction.maps.corrector import Corrector
 from piv.correlation.pair import evaluate_pair

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.evaluate.carried_vectors import PlaneVectors
 from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.routes import compare_routes, joined
-from correction.evaluate.velocity_route import PlaneVectors
 from correction.maps.correction_map import build_correction_map
 from piv.correlation.vector_field import VectorFlag
 from tests.correction.evaluate.vectors import uniform_field

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from correction.fit.solve.unknowns import unknowns_of
+from correction.fitted.map_sigma import vector_map_sigma
 from correction.fitted.scene_sigma import SceneSigma
-from correction.fitted.vector_map_sigma import vector_map_sigma
 from correction.maps.correction_map import build_correction_map
 from tests.correction.evaluate.vectors import uniform_field
 from tests.correction.small_scenes import small_scene

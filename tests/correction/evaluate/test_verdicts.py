@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from correction.evaluate.verdicts import claim_of, independent_share, smaller
+from correction.evaluate.routes import claim_of, independent_share, smaller
 
 
 def rms(rng, sigma, count, share):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from correction.errors import FitFailed
 from correction.fit import scene_fit
 from correction.fit.adjustment import Adjustment
 from correction.fit.judge.result import check
@@ -14,7 +15,6 @@ from correction.fit.judge.verdict import Verdict
 from correction.fit.scene_fit import _Fit
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.board_pose import turned
-from correction.fit.solve.errors import FitFailed
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene

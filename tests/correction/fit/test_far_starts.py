@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from correction.errors import FitError
 from correction.fit.judge.weakness import weaknesses
 from correction.fit.scene_fit import fit_scene
 from correction.fit.solve.contact import pushed_apart
-from correction.fit.solve.errors import FitError
 from tests.correction.fit.benches import bench
 from tracer.media import shifted
 from tracer.scene.scene import Scene

@@ -6,8 +6,8 @@ import pytest
 from correction.fit import adjustment
 from correction.fit.judge.weakness import weaknesses
 from correction.fit.seen import prediction
-from correction.fit.solve import shape_doubt
-from correction.fit.solve.held import ORDINARY, ORDINARY_N, doubted
+from correction.fit.solve import doubted as doubts
+from correction.fit.solve.doubted import ORDINARY, ORDINARY_N, doubted
 from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import at_size, named_scene
 from tests.correction.fit.drawn_labs import drawn_lab
@@ -42,7 +42,7 @@ def test_the_sigma_of_the_map_holds_an_index_that_was_held_wrong_and_says_that_i
     assert largest() < 1.5
     # What else is doubted would take the index over: pulled corners, and shapes.
     monkeypatch.setattr(prediction, "PULLED", 0.0)
-    for module in (adjustment, shape_doubt):
+    for module in (adjustment, doubts):
         monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
     monkeypatch.setattr(adjustment, "doubted", lambda unknowns: unknowns)
     assert largest() > 2.5
@@ -84,7 +84,7 @@ def test_a_ball_out_of_round_by_less_than_is_named_is_in_the_sigma_of_the_map(se
 
     doubting = largest()
     monkeypatch.setattr(prediction, "PULLED", 0.0)  # the doubt of pulled corners would take it over
-    for module in (adjustment, shape_doubt):
+    for module in (adjustment, doubts):
         monkeypatch.setattr(module, "doubted_shapes", lambda unknowns: ())
     believing = largest()
     assert believing > 2.3

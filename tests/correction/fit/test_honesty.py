@@ -8,7 +8,7 @@ import pytest
 from correction.fit.adjustment import Adjustment, root_of
 from correction.fit.seen.measurement import MeasuredFrame, whitening
 from correction.fit.seen.prediction import expect
-from correction.fit.solve.shape_doubt import ShapeRoot
+from correction.fit.solve.doubted import ShapeRoot
 from correction.fit.solve.solver import Corners
 from correction.fit.solve.unknowns import Unknowns, unknowns_of
 from correction.fitted.map_sigma import sigma_at

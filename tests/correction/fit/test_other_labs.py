@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from correction.errors import FitFailed
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.seen.prediction import in_target_frame
-from correction.fit.solve.errors import FitFailed
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
 from sim.renderer.patterns import Chessboard as Print

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from correction.errors import GlassNotSeen
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
-from correction.fit.solve.errors import GlassNotSeen
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
 from sim.renderer.patterns import Chessboard as Print

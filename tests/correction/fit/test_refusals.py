@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from correction.errors import TargetNotFound
+from correction.errors import FitFailed, GlassNotSeen, TargetNotFound, ViewsMissing
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
-from correction.fit.solve.errors import FitFailed, GlassNotSeen, ViewsMissing
 from correction.target import Chessboard
 from piv.errors import FrameError
 from tests.correction.fit.benches import BOARD, SIZE_PX, SQUARE_MM, bench, photograph

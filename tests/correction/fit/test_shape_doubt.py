@@ -5,7 +5,7 @@ import pytest
 import scipy
 
 from correction.fit.solve.ball_shape import SHAPES, ShapeRates
-from correction.fit.solve.shape_doubt import LARGEST_UM, SCALES, SIZES_MM, ShapeRoot, likely_scale
+from correction.fit.solve.doubted import LARGEST_UM, SCALES, SIZES_MM, ShapeRoot, likely_scale
 
 FREE, SHAPE = 6, 10
 

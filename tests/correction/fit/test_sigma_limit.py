@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from correction.errors import MapUsageError
+from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.prepared import content_key, prepare
 from correction.fitted.scene_sigma import SceneSigma
-from correction.fitted.sigma_limit import SigmaLimit
 from correction.maps.correction_map import CorrectionMap
 from correction.node_status import NodeStatus
 from tests.correction.small_scenes import small_scene

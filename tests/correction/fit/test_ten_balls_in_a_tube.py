@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from correction.errors import FitError
 from correction.fit.scene_fit import fit_scene
 from correction.fit.seen.measurement import TargetFrame
 from correction.fit.solve.contact import pushed_apart
-from correction.fit.solve.errors import FitError
 from correction.target import Chessboard
 from sim.demo.scenes import misaligned
 from tests.correction.fit.benches import photograph

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from correction.errors import ViewsMissing
 from correction.fit.adjustment import legal_scene
 from correction.fit.solve.contact import pushed_apart, walls
-from correction.fit.solve.errors import ViewsMissing
-from correction.fit.solve.held import doubted
+from correction.fit.solve.doubted import doubted
 from correction.fit.solve.light import back_from_light, in_light
 from correction.fit.solve.solver import Corners, residuals
 from correction.fit.solve.unknowns import left_jacobian, unknowns_of

@@ -6,11 +6,9 @@ import tifffile
 
 from correction.errors import TargetNotFound
 from correction.target import Chessboard
-from correction.target.board_search import find_board, track_board
+from correction.target.board_search import find_board, on_smooth_map, track_board
 from correction.target.corners import CornerSearch, refine_corners
-from correction.target.lattice_corners import on_smooth_map
-from correction.target.lattice_growth import grow_patches
-from correction.target.saddles import find_saddles
+from correction.target.lattice_growth import find_saddles, grow_patches
 from piv.errors import FrameError
 from tests.correction.frame_truth import FRAMES, nominal_projection, true_projection
 from tests.correction.synthetic_board import photographed, soft_board

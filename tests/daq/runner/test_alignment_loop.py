@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from correction.alignment.errors import MoveDoubted
+from correction.errors import MoveDoubted
 from daq.cameras.files import FilesCamera
 from daq.errors import PlanError, RunInterrupted
 from daq.runner.alignment_loop import AlignmentLoop

@@ -6,9 +6,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from correction.evaluate.carried_vectors import track_through_glass
 from correction.evaluate.regions import Region, regions_of
 from correction.evaluate.routes import radius_of
-from correction.evaluate.tracks_through_glass import track_through_glass
 from correction.fitted.prepared import prepare
 from correction.grid import grid_of
 from piv.correlation.pair import evaluate_pair

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
-from correction.evaluate.velocity_route import PlaneVectors
-from correction.fitted.vector_map_sigma import VectorMapSigma
+from correction.evaluate.carried_vectors import PlaneVectors
+from correction.fitted.map_sigma import VectorMapSigma
 from correction.grid import PlaneGrid
 from piv.correlation.vector_field import VectorField, VectorFlag
 from piv.correlation.windows import WindowGrid

@@ -8,8 +8,7 @@ import pytest
 from matplotlib.quiver import Quiver
 
 from correction.fit.judge.weakness import Weakness
-from correction.fitted.fit_file import StoredVerdict, load_verdict, save_fit
-from correction.fitted.scene_sigma import KIND
+from correction.fitted.scene_sigma import KIND, StoredVerdict, load_verdict, save_fit
 from ground.errors import MapFileError
 from ground.map_file import load_arrays, save_arrays
 from rtpiv.analysis.calibration import Calibration

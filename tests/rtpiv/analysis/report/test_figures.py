@@ -4,7 +4,7 @@ import matplotlib.quiver
 import numpy as np
 import pytest
 
-from correction.evaluate.shift import Scatter
+from correction.evaluate.regions import Scatter
 from correction.grid import PlaneGrid
 from rtpiv.analysis.report.figures import GROUND, INK, REACH, error_histogram, radius_figure, vector_figure
 from tests.correction.evaluate.vectors import uniform_field

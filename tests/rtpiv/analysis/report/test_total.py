@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from correction.evaluate.regions import Region, Regions
-from correction.evaluate.shift import evaluate_shift
+from correction.evaluate.regions import Region, Regions, evaluate_shift
 from rtpiv.analysis.report.tables import claim_rows, coverage_of, lead_of, moved_rows, offset_said, totals_of
 from tests.correction.evaluate.vectors import uniform_field
 

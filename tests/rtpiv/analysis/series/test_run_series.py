@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
+from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
-from correction.fitted.sigma_limit import SigmaLimit
 from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder

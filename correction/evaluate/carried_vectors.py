@@ -1,4 +1,4 @@
-"""The velocity route: correlate the raw frames, then carry the vectors through the glass.
+"""Vectors of raw frames carried through the glass: correlated (the velocity route), or particles tracked.
 
 Kang et al. (2004) compared two ways: correct the images and correlate (the image route), or correlate the
 distorted images and correct the vectors.  Their vector formula uses the map's gradient and is exact for small
@@ -10,14 +10,27 @@ displacements only; Minor et al. (2007) found terms missing in it.  Here neither
 is exact for any displacement and any glass (of a camera with a pupil, between the chief rays of what the ends
 show: `correction.maps.aperture`).  The route keeps windows of constant size on the sensor: it
 resolves more where the view is magnified and less where it shrinks, and never resamples the frames.
+
+TRACKS.  A particle's place in a raw frame is fitted where nobody has resampled it, and one traced ray carries it
+to the plane, exactly, however strong the lens; the ray's derivative by the pixel carries its sigma along:
+
+    sigma_i^2 = sum_j (dX_i / du_j)^2 sigma_j^2
+
+There particles of A and B are matched.  On the sensor glass bends and stretches the flow, and a wrong partner may
+well fit its neighbours; on the plane the flow is smooth, whatever stands before it.  So the correlation of the
+corrected frames predicts, neighbours judge each other across the rims of balls, and distances are corrected pixels
+everywhere.  Both ends of a track are seen the same way (one branch): between two ways lies a jump that is no flow.
+An image at a rim, whose 5 x 5 px show two ways, is left out, and so is what the view squeezes below a half.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from correction.grid import PlaneGrid
 from correction.maps.aperture import chief_pixels
 from correction.masked import masked_pixels
 from piv.correlation.outliers import outliers
@@ -25,12 +38,17 @@ from piv.correlation.pair import evaluate_pair
 from piv.correlation.settings import PivSettings
 from piv.correlation.vector_field import VectorField
 from piv.errors import PairError
+from piv.tracking.particles import SIDE, Particles, find_particles
+from piv.tracking.tracks import track_particles
 from tracer.scene.scene import Scene
 from tracer.strategies.ray_map import RayMap
 from tracer.strategies.sensitivity import landings
 from tracer.strategies.trace import trace
 
 LEAST_MAGNIFICATION = 0.5  # of the view, sensor px a corrected px: the limit of the correction map
+SMALLEST_VIEW_PX = 64  # pixels of a branch that is worth looking at
+BLOCK = 8192  # particles traced at once: the derivatives of their rays are by every number of the scene
+Floats = NDArray[np.float64]
 
 
 def raw_settings(settings: PivSettings, shape: tuple[int, ...]) -> PivSettings:
@@ -160,3 +178,91 @@ def _on_plane(
     sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate[good] ** 2, sigma[good] ** 2))
     middle = 0.5 * (first.plane_mm + last.plane_mm)[good]
     return middle, step[good], sigma_mm, centre[good], np.full(int(good.sum()), number, np.uint16)
+
+
+class Carried(NamedTuple):
+    """Particles of a raw frame on the plane.
+
+    `raw_px` (N, 2), `on_plane` in corrected pixels, `way` (N,): key of the branch, and `branch` (N,): its number.
+    """
+
+    raw_px: Floats
+    on_plane: Particles
+    way: NDArray[np.int64]
+    branch: NDArray[np.uint16]
+
+
+def track_through_glass(
+    frame_a: NDArray[Any],
+    frame_b: NDArray[Any],
+    scene: Scene,
+    ray_map: RayMap,
+    guide: VectorField,
+    grid: PlaneGrid,
+) -> PlaneVectors:
+    """Displacement on the plane of every particle that is alone in both raw frames and seen the same way in both.
+
+    Parameters
+    ----------
+    frame_a, frame_b : (H, W)
+        Frames as acquired.
+    scene : Scene
+        The scene, with the camera's true pose and lens terms (a dewarp has no place here).
+    ray_map : RayMap
+        Its ray map.
+    guide : VectorField
+        Correlation of the corrected frames.
+    grid : PlaneGrid
+        Their raster.
+
+    Returns
+    -------
+    PlaneVectors
+        One a track; `pixel` is its raw middle.
+
+    Raises
+    ------
+    StaleMap
+        The map belongs to another scene.
+    PairError
+        Fewer than nine particles match.
+    """
+    ray_map.check(scene)
+    views = np.zeros(ray_map.status.shape, np.int32)  # number of the branch + 1; 0 is of no use
+    for number, mask in usable_branches(ray_map, scene, SMALLEST_VIEW_PX):
+        views[mask] = number + 1
+    if not views.any():
+        raise PairError("no ray of this scene reaches the plane; look at the scene with rtpiv trace")
+    a, b = (_carried(frame, views, scene, grid) for frame in (frame_a, frame_b))
+    tracks = track_particles(a.on_plane, b.on_plane, guide, a.way, b.way)
+    first, last = tracks.first, tracks.last
+    pitch = grid.pitch_mm
+    return PlaneVectors(
+        place_mm=grid.to_mm(tracks.place_px),
+        shift_mm=tracks.shift_px * (pitch, -pitch),
+        sigma_mm=tracks.sigma_px * pitch,
+        pixel=0.5 * (a.raw_px[first] + b.raw_px[last]),
+        branch=a.branch[first],
+    )
+
+
+def _carried(frame: NDArray[Any], views: NDArray[np.int32], scene: Scene, grid: PlaneGrid) -> Carried:
+    """Particles of a raw frame whose images lie in one view, on the plane."""
+    found = find_particles(frame, views > 0)
+    column, row = np.rint(found.place_px).astype(int).T
+    side = len(SIDE)
+    whole = scipy.ndimage.minimum_filter(views, side) == scipy.ndimage.maximum_filter(views, side)
+    inside = whole[row, column] & (views[row, column] > 0)
+    raw, sigma_px, height = (part[inside] for part in found)
+    branch = (views[row, column][inside] - 1).astype(np.uint16)
+    chief, usable = chief_pixels(scene, raw, branch != 0)
+    point, rate = np.zeros((len(raw), 2)), np.zeros((len(raw), 2, 2))
+    way, lands = np.zeros(len(raw), np.int64), np.zeros(len(raw), bool)
+    for begin in range(0, len(raw), BLOCK):
+        some = slice(begin, begin + BLOCK)
+        rays = landings(scene, chief[some])
+        point[some], rate[some], way[some], lands[some] = rays.point_mm, rays.pixel_rate, rays.key, rays.recovered
+    lands &= usable & np.isfinite(rate).all(axis=(1, 2))
+    sigma_mm = np.sqrt(np.einsum("nij,nj->ni", rate**2, sigma_px**2))
+    on_plane = Particles(grid.to_px(point), sigma_mm / grid.pitch_mm, height)
+    return Carried(raw[lands], Particles(*(part[lands] for part in on_plane)), way[lands], branch[lands])
