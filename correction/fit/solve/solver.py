@@ -161,6 +161,11 @@ class Solution:
     settled: bool
     steps: int
 
+    @property
+    def pull(self) -> float:
+        """Largest distance from the priors, in sigmas."""
+        return float(np.abs(self.x).max(initial=0.0))
+
 
 def landed(unknowns: Unknowns, full: NDArray[np.float64], corners: Corners, by_walls: bool = False) -> Landings:
     """Landing points of the corners' pixels on their target; none if there are no such bodies.

@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from correction.errors import FitFailed
-from correction.fit import scene_fit
+from correction.fit import camera_stage
 from correction.fit.adjustment import Adjustment
+from correction.fit.camera_stage import find_camera, lens_off_axis, turned
 from correction.fit.judge.result import check
 from correction.fit.judge.suspects import Suspect
 from correction.fit.judge.verdict import Verdict
-from correction.fit.scene_fit import _Fit
+from correction.fit.progress import Progress
 from correction.fit.seen.measurement import TargetFrame
-from correction.fit.solve.board_pose import turned
 from correction.fit.solve.unknowns import unknowns_of
 from correction.target import Chessboard
 from sim.demo.scenes import at_size, misaligned, named_scene
@@ -27,7 +27,7 @@ from tracer.scene.fit_section import FitCameraTable, FitTable
 CLOSE = FitTable(camera=FitCameraTable(position_mm=0.5))  # measured, so that a camera cannot hide a lens
 
 
-def bare_stage(seed: int, decentred_mm: float, turn: float = 0.0) -> _Fit:
+def bare_stage(seed: int, decentred_mm: float, turn: float = 0.0) -> Progress:
     """A fit whose camera is to be found from drawn corners of a bare board, of a lens off its axis."""
     rng = np.random.default_rng((36, seed))
     nominal = at_size(named_scene("two_spheres_500"), 504)
@@ -43,10 +43,10 @@ def bare_stage(seed: int, decentred_mm: float, turn: float = 0.0) -> _Fit:
     bare = photographed(truth, Lab(camera, ()), Chessboard(7.0, 2.8), False, 0.006, 0.0, rng)
     image = np.arange(16, dtype=np.uint16).reshape(4, 4)
     frames = [TargetFrame("bare", image, False), TargetFrame("glass", image, True)]
-    work = _Fit(nominal, frames, BOARD, CLOSE, lambda text: None)
+    work = Progress(nominal, frames, BOARD, CLOSE, lambda text: None)
     with pytest.MonkeyPatch.context() as context:
-        context.setattr(scene_fit, "bare_frame", lambda *asked: bare)
-        work.camera()
+        context.setattr(camera_stage, "bare_frame", lambda *asked: bare)
+        find_camera(work)
     return work
 
 
@@ -69,7 +69,7 @@ def test_a_board_that_hangs_askew_is_followed_and_no_lens_is_blamed():
 
 def test_a_right_camera_names_nothing():
     work = bare_stage(10, 0.0)
-    assert not work.lens_off_axis()
+    assert not lens_off_axis(work)
 
 
 def test_a_flint_ball_whose_index_is_held_wrong_is_named_and_not_the_radius_that_took_it_up():

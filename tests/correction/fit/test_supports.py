@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from correction.fit.adjustment import legal_scene
-from correction.fit.solve.board_pose import turned
+from correction.fit.camera_stage import turned
 from correction.fit.solve.contact import HELD_MM
 from correction.fit.solve.unknowns import unknowns_of
 from sim.demo.scenes import named_scene

@@ -1,0 +1,232 @@
+"""The camera, from the bare target.
+
+It is fitted to all heights; the target at z = 0 defines the world.  With walls that stand there, corners are then
+measured where the scene shows them, twice.
+
+A board may hang turned or leaning before a bench that is as described.  The board at z = 0 is the world
+(docs/adr/0005), so a board put in 17 degrees askew looks like a camera that rolled, and one that leans like a
+camera that moved sideways and turned back.  Such a move is larger than any camera's and has a mark: camera and
+position turn together about the board.  With b the turn of the bench as seen from the board, B its matrix, p0, R0
+the nominal camera and p, R the one that the bare board shows,
+
+    min over b   |p - B p0|^2 / sigma_p^2 + |log(R B R0^T)|^2 / sigma_r^2 + |b|^2 / LARGE^2.
+
+The whole bench is turned by it, glass and travel of the stage included: they stand as described, the board
+does not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from correction.errors import FitFailed
+from correction.fit.adjustment import Adjustment, legal_scene
+from correction.fit.judge.result import SHARE_LIMIT, FitStep, rms_limit_px
+from correction.fit.judge.suspects import CLEAR
+from correction.fit.judge.verdict import PRIOR_LIMIT
+from correction.fit.progress import Progress
+from correction.fit.seen.measurement import (
+    FLOOR_PX,
+    TargetFrame,
+    bare_frame,
+    bare_frame_through_walls,
+)
+from correction.fit.solve.contact import clear_of, pushed_apart
+from correction.fit.solve.solver import Solution
+from correction.fit.solve.unknowns import Unknowns, unknowns_of
+from tracer.bodies import vector3
+from tracer.camera import Camera, Vector3
+from tracer.scene.fit_section import FitCameraTable
+from tracer.scene.scene import Scene
+
+LENS_FREED = {"principal_px": 100.0, "k1": 1.0, "k2": 5.0, "p1": 0.01, "p2": 0.01}  # sigmas that hold any lens
+THROUGH_WALLS = 2  # times that corners of the bare target are measured again behind walls
+LARGE_DEG = 30.0  # what a turn of the board is believed to be
+
+
+def find_camera(work: Progress) -> None:
+    """Fit the camera to the bare target, or say why none fits."""
+    unknowns, solution = _fit_camera(work, work.bare_frames[:1])
+    if solution.pull > PRIOR_LIMIT and not lens_off_axis(work):
+        unknowns, solution = _follow_board(work, unknowns, solution)
+    if len(work.bare_frames) > 1:
+        unknowns, solution = _fit_camera(work, work.bare_frames[1:])
+    for _ in range(THROUGH_WALLS if work.walls else 0):
+        solution = _measure_through_walls(work, unknowns)
+    _check(work, _bare_rms_px(work, unknowns, solution.x), unknowns, solution)
+
+
+def _fit_camera(work: Progress, frames: Sequence[TargetFrame]) -> tuple[Unknowns, Solution]:
+    """Find the bare target in more frames, one by one, and fit the camera to all there are."""
+    unknowns = work.unknowns.only(("camera.", "target", *work.walls))
+    for frame in frames:
+        work.bare.append(bare_frame(frame, work.board, unknowns.camera(work.full), work.height_number(frame)))
+        solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
+        work.full = unknowns.full(solution.x)
+        work.note(work.fits.step(f"camera on {frame.name}", unknowns, solution.x, work.bare[-1:]))
+    return unknowns, solution
+
+
+def _measure_through_walls(work: Progress, unknowns: Unknowns) -> Solution:
+    """Measure the bare target where camera and walls show it, and fit these again."""
+    scene = legal_scene(work.unknowns, work.full)[0].bare()
+    work.bare = [
+        bare_frame_through_walls(
+            frame,
+            work.board,
+            scene,
+            work.unknowns.pose(work.full, number := work.height_number(frame)),
+            number,
+        )
+        for frame in work.bare_frames
+    ]
+    solution = work.fits.solve(unknowns, unknowns.free(work.full), work.bare)
+    work.full = unknowns.full(solution.x)
+    work.note(work.fits.step("camera through walls", unknowns, solution.x, work.bare))
+    return solution
+
+
+def _follow_board(work: Progress, unknowns: Unknowns, solution: Solution) -> tuple[Unknowns, Solution]:
+    """Turn the nominal bench as the board shows it turned, if that explains the camera."""
+    turn = turn_of_bench(work.nominal.camera, unknowns.camera(work.full), work.priors.camera)
+    travel = (float(turn[0, 2]), float(turn[1, 2]), float(turn[2, 2]))
+    followed = unknowns_of(turned(work.nominal, turn), work.heights, work.priors, work.focal_free, travel)
+    other = followed.only(("camera.", "target", *work.walls))
+    again = work.fits.solve(other, np.zeros(len(other.names)), work.bare)
+    if again.pull > PRIOR_LIMIT:
+        return unknowns, solution
+    work.unknowns, work.full = followed, other.full(again.x)
+    work.note(FitStep(in_words(turn)))
+    return other, again
+
+
+def lens_off_axis(work: Progress) -> str:
+    """Say what the bare target shows of the lens if, once its terms are free, a camera as told explains it.
+
+    Terms that are free explain a little of anything: by Schwarz's criterion they must be worth their number.
+    """
+    free = {name: max(size, getattr(work.priors.camera, name)) for name, size in LENS_FREED.items()}
+    camera = work.priors.camera.model_copy(update=free)
+    priors = work.priors.model_copy(update={"camera": camera})
+    wider = unknowns_of(work.nominal, work.heights, priors, work.focal_free)
+    told = work.unknowns.only(("camera.", "target", *work.walls))
+    freed = wider.only(("camera.", "target", *work.walls))
+    before, after = (Adjustment().solve(one, one.free(one.start), work.bare) for one in (told, freed))
+    rms, alone = (_bare_rms_px(work, one, fit.x) for one, fit in ((freed, after), (told, before)))
+    numbers = 2 * sum(map(len, work.bare))
+    gain = 2.0 * numbers * np.log(alone / rms) + float(before.x @ before.x - after.x @ after.x)
+    enough = (len(freed.names) - len(told.names)) * np.log(numbers)
+    if after.pull > PRIOR_LIMIT or rms > _limit_px(work) or gain < enough:
+        return ""
+    new = [name for name in freed.names if name not in told.names]
+    values = dict(zip(freed.names, after.x * freed.sigma, strict=True))
+    spread = np.sqrt(np.diag(np.linalg.inv(after.normal + np.eye(len(after.x)))))
+    sigma = dict(zip(freed.names, freed.sigma * spread, strict=True))
+    found = [f"{name} {values[name]:+.2g}" for name in new if abs(values[name]) > CLEAR * sigma[name]]
+    return (
+        f"the lens is off its axis or distorts more than is told: with its terms free the bare target is where"
+        f" the camera shows it, to {rms:.2g} px, and {', '.join(found)} differ from what was held; free"
+        f" {', '.join(LENS_FREED)} in fit.camera"
+    )
+
+
+def _bare_rms_px(work: Progress, unknowns: Unknowns, x: NDArray[np.float64]) -> float:
+    """Residual of the bare target's corners; through walls of those that these show well, if most are."""
+    off = work.fits.reprojection(unknowns, x, work.bare)
+    kept = np.concatenate([work.fits.inliers(unknowns, x, frame) for frame in work.bare])
+    if work.walls and kept.mean() >= SHARE_LIMIT:  # at the edge of a tube the view is squeezed, or lost
+        off = off[kept]
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def _limit_px(work: Progress) -> float:
+    """Largest residual of the bare target that is taken as a fit."""
+    sigma = [np.hypot(frame.sigma_px, FLOOR_PX).ravel() for frame in work.bare]
+    return rms_limit_px(float(np.nanmedian(np.concatenate(sigma))))
+
+
+def _check(work: Progress, rms_px: float, unknowns: Unknowns, solution: Solution) -> None:
+    """Refuse a camera that does not fit the bare target."""
+    limit, pull = _limit_px(work), solution.pull
+    lens = "" if rms_px <= limit and pull <= PRIOR_LIMIT else lens_off_axis(work)
+    if not rms_px <= limit:
+        raise FitFailed(
+            "bare target",
+            rms_px,
+            limit,
+            lens
+            or "the corners of the bare target do not fit any camera near the nominal one; check square_mm,"
+            " free more lens terms in the fit section, or check that the board is flat",
+        )
+    if pull > PRIOR_LIMIT:
+        name = unknowns.names[int(np.argmax(np.abs(solution.x)))]
+        wall = name.rpartition(".")[0] if name.startswith(tuple(work.walls)) else ""
+        section = f"{wall!r} among the bodies" if wall else "the camera section"
+        raise FitFailed(
+            "camera prior",
+            pull,
+            PRIOR_LIMIT,
+            lens
+            or f"{name} would have to be off by {pull:.1f} of its sigmas; check square_mm and {section}"
+            " of the scene, or allow more in its fit section",
+        )
+
+
+def turn_of_bench(nominal: Camera, seen: Camera, known: FitCameraTable) -> NDArray[np.float64]:
+    """Rotation matrix B (3, 3) of the bench, as seen from the board.
+
+    Parameters
+    ----------
+    nominal, seen : Camera
+        As described, and as the bare board shows it.
+    known : FitCameraTable
+        Sigmas of the camera's pose.
+    """
+    place, rows = np.array(nominal.position_mm), nominal.rotation_matrix
+    spread_mm, spread = max(known.position_mm, 1e-3), np.deg2rad(max(known.rotation_deg, 1e-3))
+
+    def misses(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+        bench = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
+        left = scipy.spatial.transform.Rotation.from_matrix(seen.rotation_matrix @ bench @ rows.T).as_rotvec()
+        away = np.array(seen.position_mm) - bench @ place
+        return np.concatenate((away / spread_mm, left / spread, turn / np.deg2rad(LARGE_DEG)))
+
+    start = scipy.spatial.transform.Rotation.from_matrix(seen.rotation_matrix.T @ rows).as_rotvec()
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_rotvec(scipy.optimize.least_squares(misses, start).x).as_matrix()
+    )
+
+
+def turned(scene: Scene, turn: NDArray[np.float64]) -> Scene:
+    """Return the scene turned as a whole about the world's origin, its spheres clear of the plane."""
+
+    def point(world: Vector3) -> Vector3:
+        x, y, z = turn @ np.array(world)
+        return float(x), float(y), float(z)
+
+    a, b, c = ((float(r[0]), float(r[1]), float(r[2])) for r in scene.camera.rotation_matrix @ turn.T)
+    camera = replace(scene.camera, position_mm=point(scene.camera.position_mm), rotation=(a, b, c))
+    spheres = scene.sphere_table()
+    spheres[:, :3] = spheres[:, :3] @ turn.T
+    places = map(vector3, pushed_apart(spheres)[:, :3])
+    placed = {s.name: replace(s, centre_mm=place) for s, place in zip(scene.spheres, places, strict=True)}
+    balls = tuple(placed.values())
+    bodies = tuple(
+        placed.get(body.name) or (body.moved(point) if body.room else clear_of(body.moved(point), balls))
+        for body in scene.bodies
+    )
+    return replace(scene, camera=camera, bodies=bodies)
+
+
+def in_words(turn: NDArray[np.float64]) -> str:
+    """Say how the board hangs."""
+    about_x, about_y, about_z = (
+        -np.rad2deg(scipy.spatial.transform.Rotation.from_matrix(turn).as_rotvec())
+    ).tolist()
+    return (
+        f"the board is turned by {about_z:+.1f} deg in its plane and leans by {about_x:+.1f} deg about x and"
+        f" {about_y:+.1f} deg about y against the scene; the world follows the board, camera and glass with it"
+    )

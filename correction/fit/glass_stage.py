@@ -1,0 +1,220 @@
+"""The glass, from the frames that show the target through it, while the camera is held.
+
+Balls are put where their rims are seen, saddles paired with lattice corners from several starts (`pairing`), then
+corners on every sheet predicted, measured to sub-pixel and fitted, twice; balls whose corners are not where the
+scene shows them are looked for in between (`lost_sphere`).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from correction.errors import GlassNotSeen
+from correction.fit.adjustment import legal_scene
+from correction.fit.judge.result import FitStep
+from correction.fit.progress import Progress
+from correction.fit.seen.lost_sphere import likely_places, lost_spheres
+from correction.fit.seen.measurement import (
+    FLOOR_PX,
+    TargetFrame,
+    glass_frame,
+)
+from correction.fit.seen.pairing import Candidates, candidates_of, pair
+from correction.fit.seen.prediction import LEAST_SQUARE_PX, square_behind_px
+from correction.fit.seen.silhouettes import followed, seen_outlines
+from correction.fit.solve.unknowns import Unknowns
+from tracer.strategies.branches import branch_of
+from tracer.strategies.sensitivity import SPHERE
+
+WEAKEST = 0.01  # saddles behind glass are this strong, compared to the bare target, or noise
+FEWEST = 12  # corners behind glass from which a fit may begin
+ASIDE_MM = 1.0  # a ball whose rim is seen farther than this from its place, or than FOLLOW sigmas, is followed
+FOLLOW = 1.0
+DEPTH_MM = 3.0  # what is known of the depth of a ball that does not stand where it was said to
+HOPELESS = 0.3  # share of saddles on corners up to which a single lost ball is not what is wrong
+LOOKED_THROUGH = 3  # frames in which a lost ball is looked for: few corners of it may be in each
+AGAIN, STAYS_MM = 6, 0.02  # times that a place is measured, while corners move the ball that stands there
+WORSE, OWN_WORSE = 1.2, 3.0  # times, that corners of others may fit worse than before, and its own than others
+FEW_LOST = 0.5  # of the balls: unless fewer are lost once corners are measured, which tells more than saddles do
+UNDISTURBED = 0.9  # share of bare-lattice corners inside the glass's outline from which there is no glass
+
+
+def find_glass(work: Progress) -> None:
+    """Fit the glass to the corners seen through it, the camera held."""
+    _follow_outlines(work)
+    prefixes = [f"{sphere.name}." for sphere in work.unknowns.scene.spheres] + ["glass "]
+    prefixes += [f"{body.name}." for body, _ in work.unknowns.other_bodies.bodies if not body.stays]
+    unknowns = work.unknowns.around(work.full).only(prefixes)
+    coarse = unknowns.only([f"{s.name}.{part}" for s in unknowns.scene.spheres for part in "xyz"] + ["glass "])
+    candidates = _candidates(work, coarse, work.glass_frames[0])
+    _refuse_undisturbed(work, work.glass_frames[0], candidates)
+    _pair(work, coarse, candidates)
+    _fit_glass(work, unknowns, "pass 1", only_behind=True)
+    lost = _lost(work)
+    if lost and (work.explained > HOPELESS or len(lost) < FEW_LOST * len(unknowns.scene.spheres)):
+        _find_all_lost(work, unknowns, coarse, candidates)
+    _fit_glass(work, unknowns, "pass 2", only_behind=False)
+
+
+def _follow_outlines(work: Progress) -> None:
+    """Put balls whose rims are seen elsewhere where they are seen, and take that for what is known of them."""
+    frame = work.glass_frames[0]
+    least = WEAKEST * float(np.median(work.saddles(work.bare_frames[0]).strength))
+    number = work.height_number(frame)
+    saddles = work.saddles(frame)
+    work.outlines = seen_outlines(work.unknowns, work.full, work.bare[0], saddles, least, number, work.board)
+    if work.outlines is None:
+        return
+    known = [work.priors.sphere(name).centre_mm for name in work.outlines.names]
+    off = work.outlines.surely_off(ASIDE_MM) & (work.outlines.sideways_mm > FOLLOW * np.array(known))
+    if off.any():
+        work.others = [followed(work.unknowns, work.full, work.outlines, alone=True), work.full]
+        work.full = followed(work.unknowns, work.full, work.outlines)
+        start = work.unknowns.start.copy()
+        start[work.unknowns.glass] = work.full[work.unknowns.glass]
+        depths = [f"{name}.z" for name in work.outlines.names]
+        work.unknowns = work.unknowns.around(start).loosened(depths, DEPTH_MM)
+        work.note(FitStep(f"{work.outlines.in_words(ASIDE_MM)}; glass follows"))
+
+
+def _candidates(work: Progress, coarse: Unknowns, frame: TargetFrame) -> Candidates:
+    """Saddles of a frame that may be seen through glass."""
+    least = WEAKEST * float(np.median(work.saddles(work.bare_frames[0]).strength))
+    return candidates_of(work.saddles(frame), least, coarse, work.full, work.height_number(frame), work.board)
+
+
+def _refuse_undisturbed(work: Progress, frame: TargetFrame, candidates: Candidates) -> None:
+    """Refuse a frame in which the lattice goes on undisturbed where the glass should be."""
+    inside, undisturbed = candidates.inside, candidates.inside & candidates.bare
+    if np.count_nonzero(inside) < FEWEST:
+        raise GlassNotSeen(
+            f"{frame.name}: only {np.count_nonzero(inside)} corners where the spheres should be, {FEWEST} are"
+            " needed; check light, focus and the spheres of the scene, or use smaller squares"
+        )
+    if undisturbed.sum() > UNDISTURBED * inside.sum():
+        raise GlassNotSeen(
+            f"{frame.name}: {int(undisturbed.sum())} of {int(inside.sum())} corners where the spheres should"
+            " be lie on the bare lattice; give a frame that shows the target through the glass, or correct the"
+            " scene"
+        )
+
+
+def _pair(work: Progress, coarse: Unknowns, candidates: Candidates) -> None:
+    """Find out which corner each saddle shows."""
+    found = pair(coarse, work.full, [candidates], work.board, work.pitch_mm, work.others)
+    best = found[0]
+    work.explained = best.share
+    work.full = coarse.full(best.solution.x)
+    remark = f"{best.candidates - best.inliers} saddles unmatched; starts: {len(found)}"
+    name = f"pairing on {work.glass_frames[0].name}"
+    work.note(FitStep(name, best.inliers, float(np.sqrt(0.5)) * best.rms_px, remark))
+
+
+def _fit_glass(work: Progress, unknowns: Unknowns, name: str, only_behind: bool) -> None:
+    """Measure the corners where the scene shows them, and fit the glass to them."""
+    _measure(work, only_behind)
+    behind = [frame.taken(frame.behind) for frame in work.behind]
+    solution = work.fits.solve(unknowns, unknowns.free(work.full), behind)
+    work.full = unknowns.full(solution.x)
+    work.note(work.fits.step(f"glass, {name}", unknowns, solution.x, behind))
+
+
+def _measure(work: Progress, only_behind: bool) -> None:
+    """Predict and measure the corners of all frames with glass."""
+    scene, _ = legal_scene(work.unknowns, work.full)
+    work.behind = [
+        glass_frame(
+            frame,
+            work.board,
+            scene,
+            work.unknowns.pose(work.full, work.height_number(frame)),
+            work.height_number(frame),
+            only_behind,
+            work.dispersion,
+        )
+        for frame in work.glass_frames
+    ]
+    if not any(frame.behind.any() for frame in work.behind):
+        height_number = work.height_number(work.glass_frames[0])
+        width = square_behind_px(scene, work.unknowns.pose(work.full, height_number), work.board)
+        if width < LEAST_SQUARE_PX:
+            raise GlassNotSeen(
+                f"squares look {width:.1f} px wide through the glass, {LEAST_SQUARE_PX:.0f} are needed;"
+                f" print them {LEAST_SQUARE_PX / max(width, 0.1):.1f} times as large, or take a longer lens"
+            )
+        raise GlassNotSeen(
+            "no corner behind glass could be measured; check focus, light and scene, or print smaller squares"
+        )
+
+
+def _lost(work: Progress) -> list[int]:
+    """Numbers of the spheres through which the frames do not show what the scene says."""
+    x = work.unknowns.free(work.full)
+    kept = [work.fits.inliers(work.unknowns, x, frame) for frame in work.behind]
+    return lost_spheres(work.unknowns, work.behind, kept)
+
+
+def _find_all_lost(work: Progress, unknowns: Unknowns, coarse: Unknowns, first: Candidates) -> None:
+    """Look for every lost sphere, and again for those that are still lost once others have been found.
+
+    A sphere is looked for among the others where they are believed to stand: seen through one that is lost
+    itself, or touching it, it is found only after that one.
+    """
+    frames = [first, *(_candidates(work, coarse, frame) for frame in work.glass_frames[1:LOOKED_THROUGH])]
+    lost, before = _lost(work), len(work.unknowns.scene.spheres) + 1
+    while 0 < len(lost) < before:
+        before = len(lost)
+        for number in lost:
+            if number in _lost(work):
+                _find_lost(work, unknowns, coarse, frames, number)
+        lost = _lost(work)
+
+
+def _find_lost(
+    work: Progress, unknowns: Unknowns, coarse: Unknowns, frames: Sequence[Candidates], number: int
+) -> None:
+    """Try a lost sphere in other places until the corners seen through it are where the scene says.
+
+    Where only some of them could be measured they move it, and the others are found from there: a place is
+    measured again while that moves it, but not back to where it was believed, which is where no corner does.
+    A place that makes the corners of others fit worse, or loses another sphere, is not its place, nor is one
+    beside the rim that is seen of it, nor one whose own corners do not fit as well as those: three numbers
+    please three wrong corners, but not quite.
+    """
+    name, before, behind = work.unknowns.scene.spheres[number].name, work.full, work.behind
+    scales, before_px, lost = dict(work.fits.scales), _off_px(work, number)[1], set(_lost(work))
+    centre = slice(row := work.unknowns.glass.start + number * len(SPHERE), row + 3)
+    believed = work.unknowns.start[centre]
+    for place in likely_places(coarse, before, frames, work.board, work.pitch_mm, number):
+        work.full = place
+        for _ in range(AGAIN):
+            stood = work.full[centre]
+            _fit_glass(work, unknowns, f"{name} elsewhere", only_behind=True)
+            still = set(_lost(work))
+            if number not in still:
+                own_px, others_px = _off_px(work, number)
+                alike = own_px <= OWN_WORSE * max(others_px, FLOOR_PX)
+                elsewhere = name in work.rims_elsewhere(legal_scene(work.unknowns, work.full)[0])
+                if still < lost and alike and others_px <= WORSE * before_px and not elsewhere:
+                    return
+                break
+            stands = work.full[centre]
+            if min(np.linalg.norm(stands - stood), np.linalg.norm(stands - believed)) < STAYS_MM:
+                break
+        work.fits.scales = dict(scales)
+    work.full, work.behind = before, behind
+
+
+def _off_px(work: Progress, number: int) -> tuple[float, float]:
+    """Root mean square distance of corners from where they should be [px]: of a sphere, of all others."""
+    sphere = work.unknowns.scene.spheres[number]
+    behind, x = [frame.taken(frame.behind) for frame in work.behind], work.unknowns.free(work.full)
+    off = np.linalg.norm(work.fits.reprojection(work.unknowns, x, behind), axis=1)
+    near = np.concatenate([work.fits.inliers(work.unknowns, x, frame) for frame in behind])
+    ways = np.concatenate([frame.branch_name for frame in behind])
+    through = np.isin(ways, [way for way in np.unique(ways).tolist() if sphere.is_on(branch_of(way))])
+    own, others = (off[near & chosen] for chosen in (through, ~through))
+    return (
+        float(np.sqrt(np.mean(own**2))) if len(own) else 0.0,
+        float(np.sqrt(np.mean(others**2))) if len(others) else 0.0,
+    )

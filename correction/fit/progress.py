@@ -1,0 +1,104 @@
+"""What a fit knows between its stages."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from correction.errors import ViewsMissing
+from correction.fit.adjustment import Adjustment
+from correction.fit.judge.result import FitStep
+from correction.fit.seen.measurement import (
+    MeasuredFrame,
+    TargetFrame,
+)
+from correction.fit.seen.silhouettes import Outlines
+from correction.fit.seen.smear import Dispersion
+from correction.fit.solve.unknowns import unknowns_of
+from correction.target import Chessboard
+from correction.target.board_search import SATURATED
+from correction.target.corners import saturated_fraction
+from correction.target.lattice_growth import Saddles, find_saddles
+from piv.errors import FrameError
+from tracer.camera import Vector3
+from tracer.scene.fit_section import FitTable
+from tracer.scene.scene import Scene
+
+BESIDE = 0.8  # squares: rims are seen to a few tenths of one
+
+
+class Progress:
+    """What a fit knows between its stages: what is free, what was measured, and how far it has come."""
+
+    def __init__(
+        self,
+        nominal: Scene,
+        frames: Sequence[TargetFrame],
+        board: Chessboard,
+        priors: FitTable,
+        say: Callable[[str], None],
+    ) -> None:
+        self.bare_frames = sorted((f for f in frames if not f.glass), key=lambda f: abs(f.height_mm))
+        self.glass_frames = sorted((f for f in frames if f.glass), key=lambda f: abs(f.height_mm))
+        if not self.bare_frames or self.bare_frames[0].height_mm != 0.0:
+            raise ViewsMissing("a frame of the bare target at z = 0 is needed: it defines the world; take one")
+        if nominal.spheres and not self.glass_frames:
+            raise ViewsMissing("the scene has spheres but no frame shows the target through them; take one")
+        _refuse_saturated(frames)
+        self.board, self.say, self.history = board, say, list[FitStep]()
+        self.nominal, self.priors, self.heights = nominal, priors, [f.height_mm for f in frames]
+        self.focal_free = len({f.height_mm for f in self.bare_frames}) >= 3
+        self.unknowns = unknowns_of(nominal, self.heights, priors, self.focal_free)
+        self.full = self.unknowns.start
+        self.bare: list[MeasuredFrame] = []
+        self.behind: list[MeasuredFrame] = []
+        self.fits = Adjustment()
+        self.dispersion: Dispersion | None = None
+        self.outlines: Outlines | None = None
+        self.explained = 0.0
+        self.others: list[NDArray[np.float64]] = []
+        self.found_saddles: dict[str, Saddles] = {}
+
+    def note(self, step: FitStep) -> None:
+        """Remember a step and say it."""
+        self.history.append(step)
+        self.say(str(step))
+
+    @property
+    def walls(self) -> list[str]:
+        """Beginnings of the names of numbers of windows and tubes, through which the bare target is seen."""
+        return [f"{body.name}." for body in self.nominal.bodies if body.stays]
+
+    def height_number(self, frame: TargetFrame) -> int:
+        """Number of a frame's height."""
+        return int(np.argmin(np.abs(np.array(self.unknowns.heights_mm) - frame.height_mm)))
+
+    def saddles(self, frame: TargetFrame) -> Saddles:
+        """Saddles of a frame, looked for once."""
+        if frame.name not in self.found_saddles:
+            self.found_saddles[frame.name] = find_saddles(frame.image)
+        return self.found_saddles[frame.name]
+
+    @property
+    def pitch_mm(self) -> float:
+        """A corrected pixel on the plane."""
+        camera = self.unknowns.camera(self.full)
+        return camera.position_mm[2] / camera.focal_px
+
+    def rims_elsewhere(self, scene: Scene) -> dict[str, Vector3]:
+        """Balls of a scene that do not stand where their own rims are seen, with their centres there."""
+        if self.outlines is None:
+            return {}
+        beside = self.outlines.beside(scene, BESIDE * self.board.square_mm).tolist()
+        places = zip(self.outlines.names, self.outlines.place_mm.tolist(), beside, strict=True)
+        return {name: (x, y, z) for name, (x, y, z), is_beside in places if is_beside}
+
+
+def _refuse_saturated(frames: Sequence[TargetFrame]) -> None:
+    for frame in frames:
+        share = saturated_fraction(frame.image)
+        if share > SATURATED:
+            raise FrameError(
+                f"{frame.name}: {100.0 * share:.0f} % of the pixels are saturated, which displaces every edge;"
+                " expose shorter or close the aperture"
+            )
