@@ -18,13 +18,12 @@ from correction.errors import FitFailed
 from correction.fit.camera_stage import find_camera
 from correction.fit.glass_stage import find_glass
 from correction.fit.judge.result import SceneFit, check
-from correction.fit.judge.unconfirmed import unconfirmed_ways
 from correction.fit.progress import Progress
+from correction.fit.seen.masked_parts import unconfirmed_ways, unlisted_parts
 from correction.fit.seen.measurement import (
     TargetFrame,
 )
 from correction.fit.seen.smear import Dispersion
-from correction.fit.seen.unlisted import unlisted_parts
 from correction.fit.solve.light import Rival, any_lamp, back_from_light, doubt_of, in_light
 from correction.target import Chessboard
 from tracer.light import Light

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, WayTest, smooth_part, ways_tested
 from correction.fit.judge.suspects import Evidence, Suspect, likely_cause, suspects
-from correction.fit.judge.unconfirmed import Unconfirmed
-from correction.fit.seen.hidden import Hidden, hidden_patches
+from correction.fit.seen.masked_parts import Hidden, Unconfirmed, Unlisted, hidden_patches
 from correction.fit.seen.measurement import MeasuredFrame
 from correction.fit.seen.smear_test import ColourSmear, SmearedView, colour_smear, smeared_view
-from correction.fit.seen.unlisted import Unlisted
 from correction.fit.solve.correlation import Correlation, Lattice, correlation_of
 from correction.fit.solve.solver import Corners, Residuals, landed
 from correction.fit.solve.unknowns import Unknowns

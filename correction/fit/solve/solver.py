@@ -145,21 +145,12 @@ class Solution:
     ----------
     x : (P,) float64
         Free vector.
-    cost : float
-        Value of the cost.
     normal : (P, P) float64
         Normal matrix of the data, without priors and walls.
-    settled : bool
-        Whether the last step was negligible.
-    steps : int
-        Steps taken.
     """
 
     x: NDArray[np.float64]
-    cost: float
     normal: NDArray[np.float64]
-    settled: bool
-    steps: int
 
     @property
     def pull(self) -> float:
@@ -363,10 +354,10 @@ def minimise(
     x = np.array(x, dtype=np.float64)
     cost, gradient, normal = normal_equations(unknowns, x, evaluate(x), knee)
     damping = 1e-4
-    for count in range(steps):
+    for _ in range(steps):
         step, decrement = _step(gradient, normal, damping, *_walls(unknowns, x))
         if decrement <= tolerance**2:
-            return Solution(x, cost, normal, True, count)
+            break
         trial = normal_equations(unknowns, x + step, evaluate(x + step), knee)
         if trial[0] <= cost:
             small = cost - trial[0] <= 1e-9 * cost and decrement <= 1e-6 * cost
@@ -374,9 +365,9 @@ def minimise(
             cost, gradient, normal = trial
             damping = max(0.1 * damping, 1e-12)
             if small:
-                return Solution(x, cost, normal, True, count + 1)
+                break
         else:
             damping = max(10.0 * damping, 1e-6)
             if damping > 1e10:
-                return Solution(x, cost, normal, True, count + 1)
-    return Solution(x, cost, normal, False, steps)
+                break
+    return Solution(x, normal)

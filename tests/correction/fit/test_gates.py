@@ -9,7 +9,7 @@ import pytest
 
 from correction.errors import FitFailed
 from correction.fit.judge.result import SceneFit, check
-from correction.fit.judge.unconfirmed import unconfirmed_ways
+from correction.fit.seen.masked_parts import unconfirmed_ways
 from correction.maps.correction_map import build_correction_map
 from correction.node_status import NodeStatus
 from sim.demo.scenes import at_size, named_scene

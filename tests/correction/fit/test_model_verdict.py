@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from correction.fit.judge.model_test import FALSE_ALARMS, Remainder, ways_tested
-from correction.fit.judge.unconfirmed import Unconfirmed
 from correction.fit.judge.verdict import Verdict
-from correction.fit.seen.hidden import Hidden
+from correction.fit.seen.masked_parts import Hidden, Unconfirmed
 from correction.fit.seen.measurement import TargetFrame, glass_frame
 from correction.fit.seen.smear_test import ColourSmear
 from correction.fit.solve.ball_shape import SHAPES, shape_rates
