@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow slow slow-balance labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
+.PHONY: demo test test-slow slow slow-balance docs-check coverage dist labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -46,6 +46,32 @@ slow: $(STAMP)
 
 slow-balance: $(STAMP)
 	$(BIN)/python -m tests.slow_suite balance
+
+# Commands, names and links of README and docs
+docs-check: $(STAMP)
+	$(BIN)/python -m pytest -n0 tests/system/test_pages.py tests/rtpiv/test_page.py tests/faces/test_python_page.py
+
+# Lines that the fast tests reach, kernels by a run of their tests that compiles nothing: htmlcov/index.html
+INTERPRETED = tests/tracer/test_kernels.py tests/piv/correlation/test_refine.py tests/piv/correlation/test_fill.py \
+  tests/piv/resampling/test_sample.py tests/daq/cameras/test_pixels.py
+coverage: $(STAMP)
+	$(BIN)/python -m coverage erase
+	-$(BIN)/python -m coverage run -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+	-NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -n0 -W ignore::RuntimeWarning $(INTERPRETED)
+	$(BIN)/python -m coverage combine -q
+	$(BIN)/python -m coverage html -q
+	$(BIN)/python -m coverage report --skip-covered --sort=cover
+
+# Wheel and sdist in dist/; a version is written into every file that says it: make dist VERSION=0.2.0
+VERSION ?=
+dist: $(STAMP)
+ifneq ($(VERSION),)
+	@[[ "$(VERSION)" =~ ^[0-9]+(\.[0-9]+)+((a|b|rc)[0-9]+)?$$ ]] || { echo "VERSION=$(VERSION) is no version; say it as 0.2.0 or 0.2.0rc1."; exit 1; }
+	sed -i.bak -E 's/^version( = "|: )[^"]*("?)$$/version\1$(VERSION)\2/' pyproject.toml {piv,stages,tracer}/pyproject.toml CITATION.cff
+	rm -f *.bak {piv,stages,tracer}/*.bak
+endif
+	rm -rf dist
+	$(BIN)/python -m hatchling build -t sdist -t wheel -d dist
 
 # Hundreds of drawn labs, right and wrong ones: is the wrong model named, is one sigma one sigma?
 LABS ?= 100
@@ -123,4 +149,4 @@ pins:
 	  --extra camera --extra hdf5 --extra live --extra mesh --extra micromanager --group test --group lint pyproject.toml -o requirements.txt
 
 clean:
-	rm -rf $(VENV) demo .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) demo dist htmlcov .pytest_cache .mypy_cache .ruff_cache
