@@ -31,12 +31,3 @@ def test_the_script_is_short_and_its_calls_fit():
     for call in ours:
         named = dict.fromkeys(keyword.arg for keyword in call.keywords)
         inspect.signature(getattr(rtpiv, call.func.id)).bind(*call.args, **named)
-
-
-def test_verbs_of_the_readme_are_verbs_with_such_options():
-    from rtpiv.options import parser
-
-    commands = re.findall(r"^    rtpiv ([^#\n]*?)(?: +#.*)?$", README.read_text(), re.MULTILINE)
-    assert len(commands) >= 15
-    for command in commands:
-        parser().parse_args([word for word in command.split() if not word.startswith("...")])

@@ -6,7 +6,8 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+FIRST = [ROOT / "README.md", ROOT / "docs" / "commands.md"]  # what they leave is used by the pages after them
+PAGES = [*FIRST, *sorted(set((ROOT / "docs").glob("*.md")) - set(FIRST))]
 
 HARDWARE = "opens real devices: no --simulate"
 LASTS = "lasts until somebody ends it"

@@ -72,6 +72,16 @@ def test_what_is_not_run_stands_on_a_page_and_what_is_quick_too():
     assert not [command for command in said if "..." in command]
 
 
+def test_every_link_leads_to_a_file_and_every_page_is_linked():
+    reached = set()
+    for page in PAGES:
+        links = re.findall(r"""(?:\]\(|src=")([^)"#\s]+)""", page.read_text("utf-8"))
+        places = {(page.parent / link).resolve() for link in links if "://" not in link}
+        assert not [place for place in places if not place.exists()], page
+        reached |= places - {page}
+    assert reached >= set(PAGES[1:])
+
+
 @pytest.fixture(scope="module")
 def small_lab(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pages") / "lab"
