@@ -145,11 +145,11 @@ class Adjustment:
         )
 
     def pulled_alike(self, frames: Sequence[MeasuredFrame], parts: Sequence[Residuals]) -> NDArray[np.float64]:
-        """Half the gradients (P, K) by which corners pull together: by the pupil, by the bending of each way."""
+        """Half the gradients (P, K) by which corners pull together: by colours, pupil, the bending of each way."""
         pulls: dict[str, NDArray[np.float64]] = {}
         for frame, part in zip(frames, parts, strict=True):
             whiten, rate = np.asarray(self.weighted(frame).whiten), np.nan_to_num(part.rate)
-            causes = {"pupil": frame.pupil_px}
+            causes = {"colours": frame.smear_px[:, 0], "pupil": frame.smear_px[:, 1]}
             for way in np.unique(frame.branch_name).tolist():
                 causes[f"way {way}"] = frame.bent_px * (frame.branch_name == way)[:, None]
             for cause, off in causes.items():

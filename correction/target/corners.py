@@ -193,17 +193,18 @@ def refine_corners(
     return _judge(out, verdict, sign)
 
 
-def blurs_of_smeared(
+def found_smeared(
     axes_px: NDArray[np.float64],
     window: NDArray[np.float64],
     blur_px: NDArray[np.float64],
     steps_px: NDArray[np.float64],
     share: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Blurs (N, 2) [px] that `refine_corners` finds at corners that parts of the light show side by side.
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """How `refine_corners` finds corners that parts of the light show side by side.
 
     It wishes both edges of a corner to be blurred alike, and where squares are small has its way; a wide smear
-    goes into the shape of the edge as well.  How much, the fit itself says: corners are drawn and fitted.
+    goes into the shape of the edge as well, and an uneven one draws it aside.  How much, the fit itself says:
+    corners are drawn and fitted.
 
     Parameters
     ----------
@@ -218,10 +219,12 @@ def blurs_of_smeared(
 
     Returns
     -------
-    (N, 2) float64
-        NaN where the fit gives up.
+    aside_px : (N, 2) float64
+        Where the corners are found, from where they are; NaN where the fit gives up.
+    blurs_px : (N, 2) float64
+        Their blurs.
     """
-    found = np.full((len(axes_px), 2), np.nan)
+    aside, blurs = np.full((2, len(axes_px), 2), np.nan)
     extent = np.abs(axes_px).sum(axis=2).max(axis=1, initial=0.0) * window
     half = int(np.ceil(extent.max(initial=0.0) + CLEAR_PX))
     for first in range(0, len(axes_px), DRAWN):
@@ -236,10 +239,11 @@ def blurs_of_smeared(
             corner_model.draw_smeared(axes, blur, steps, parts, first, last, *scratch, tiles)  # noqa: B023
 
         run_rows(rows, len(axes))
-        start = np.column_stack((np.full(len(axes), half), middle)) + ASIDE_PX
-        fit = refine_corners(tiles.reshape(-1, tiles.shape[2]), start, axes, window=window[some])
-        found[some] = np.where(fit.valid[:, None], fit.blurs_px, np.nan)
-    return found
+        place = np.column_stack((np.full(len(axes), half), middle))
+        fit = refine_corners(tiles.reshape(-1, tiles.shape[2]), place + ASIDE_PX, axes, window=window[some])
+        aside[some] = np.where(fit.valid[:, None], fit.position_px - place, np.nan)
+        blurs[some] = np.where(fit.valid[:, None], fit.blurs_px, np.nan)
+    return aside, blurs
 
 
 def _judge(

@@ -18,8 +18,7 @@ from correction.fit.seen.smear import (
     Dispersion,
     colour_steps,
     pupil_smear,
-    smeared,
-    taken_up_px2,
+    smeared_by_colour,
     uneven_blur,
 )
 from correction.fit.seen.smear_test import EdgeSpread
@@ -114,8 +113,9 @@ class MeasuredFrame:
         How wide edges are drawn.
     doubt_px : (N,) float64
         Standard deviation of what is smooth in the errors and known: what smears corners is not known to better.
-    pupil_px : (N, 2) float64
-        What the pupil may do to corners beyond what is taken off, all alike, one standard deviation.
+    smear_px : (N, 2, 2) float64
+        What colours, and what the pupil, may do to corners beyond what is taken off, all alike, one standard
+        deviation.
     bent_px : (N, 2) float64
         The same of the bending of the view, alike on every way (`prediction`).
     """
@@ -132,11 +132,11 @@ class MeasuredFrame:
     lost: LostCorners = field(default_factory=LostCorners)
     spread: EdgeSpread = field(default_factory=EdgeSpread)
     doubt_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    pupil_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    smear_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2, 2)))
     bent_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
-        for name, width in (("doubt_px", ()), ("pupil_px", (2,)), ("bent_px", (2,))):
+        for name, width in (("doubt_px", ()), ("smear_px", (2, 2)), ("bent_px", (2,))):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.zeros((len(self), *width)))
 
@@ -160,7 +160,7 @@ class MeasuredFrame:
             sigma_px=self.sigma_px[which],
             spread=self.spread.taken(which),
             doubt_px=self.doubt_px[which],
-            pupil_px=self.pupil_px[which],
+            smear_px=self.smear_px[which],
             bent_px=self.bent_px[which],
         )
 
@@ -226,26 +226,24 @@ def glass_frame(
         expected = expected.take(expected.branch != 0)
     fit = measure(frame.image, expected, board)
     spread = EdgeSpread(fit.blurs_px**2, np.zeros_like(fit.blurs_px), np.zeros_like(fit.blurs_px))
-    doubt, pupil = np.zeros(len(expected.pixel)), np.zeros_like(expected.pixel)
+    doubt, alike = np.zeros(len(expected.pixel)), np.zeros((len(expected.pixel), 2, 2))
     if dispersion is not None:
-        steps, share = colour_steps(scene, pose, dispersion, expected.pixel)
-        smear = smeared(steps, share, expected.axes_px, fit.blur_px)
-        doubt = UNSURE * smear.width_px
-        sigma = np.hypot(fit.sigma_px, doubt[:, None])
-        fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
-        if not only_behind:  # it is asked for once the scene is found
-            added = taken_up_px2(steps, share, expected.axes_px, expected.window, fit.blurs_px)
-            spread = EdgeSpread(spread.variance_px2 - added, spread.by_pupil_px2, added)
+        parts = colour_steps(scene, pose, dispersion, expected.pixel)
+        smear = smeared_by_colour(*parts, expected.axes_px, expected.window, fit.blurs_px)
+        alike[:, 0], doubt = UNEVEN * smear.shift_px, UNSURE * smear.width_px
+        spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, spread.by_pupil_px2, smear.edges_px2)
+        fit = replace(fit, position_px=fit.position_px - smear.shift_px)
     if scene.camera.pupil is not None:
         args = pose, expected.pixel, expected.axes_px, fit.blur_px
         smear = pupil_smear(scene, scene.camera.pupil, *args)
-        pupil = UNEVEN * smear.shift_px + uneven_blur(expected.index, expected.branch, expected.axes_px, smear)
-        aside = np.linalg.norm(pupil, axis=1)
-        doubt, sigma = np.hypot(doubt, aside), np.hypot(fit.sigma_px, aside[:, None])
-        fit = replace(fit, position_px=fit.position_px - smear.shift_px, sigma_px=sigma)
+        uneven = uneven_blur(expected.index, expected.branch, expected.axes_px, smear)
+        alike[:, 1] = UNEVEN * smear.shift_px + uneven
         spread = EdgeSpread(spread.variance_px2 - smear.edges_px2, smear.edges_px2, spread.by_light_px2)
+        fit = replace(fit, position_px=fit.position_px - smear.shift_px)
+    doubt = np.hypot(doubt, np.linalg.norm(alike, axis=(1, 2)))
+    fit = replace(fit, sigma_px=np.hypot(fit.sigma_px, doubt[:, None]))
     measured = _measured(frame.name, board, expected, fit, spread, height_number)
-    return replace(measured, doubt_px=doubt[fit.valid], pupil_px=pupil[fit.valid])
+    return replace(measured, doubt_px=doubt[fit.valid], smear_px=alike[fit.valid])
 
 
 def _measured(

@@ -2,8 +2,8 @@
 
 A lamp of many colours, taken for one, leaves no residual: every corner stands where the mean index shows it.  What
 it does is to smear edges behind glass along the way on which glass spreads colours.  With b_k^2 the variance of
-edge k of a corner, as fitted, less what a fitted edge takes up of the told light (`smear.taken_up_px2`) and what
-the told pupil adds, m_k the edge's normal and J the derivative of the landing point X by the pixel,
+edge k of a corner, as fitted, less what a fitted edge takes up of the told light (`smear.smeared_by_colour`) and
+what the told pupil adds, m_k the edge's normal and J the derivative of the landing point X by the pixel,
 
     b_k^2 = b_way + p P_k + c V_k,        V_k = (m_k . J^-1 dX/dn g)^2,        P_k = |m_k . J^-1 D|^2 / 4,
 

@@ -7,7 +7,17 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from correction.fit.seen.smear import SLOPE, Dispersion, Smear, colour_steps, smeared, uneven_blur
+from correction.fit.seen.smear import (
+    SLOPE,
+    UNEVEN,
+    Dispersion,
+    Smear,
+    colour_steps,
+    smeared,
+    smeared_by_colour,
+    uneven_blur,
+)
+from correction.target.corners import refine_corners
 from sim.renderer.patterns import Pose
 from sim.renderer.rays import camera_ray, to_plane
 from sim.renderer.render import tables_of
@@ -48,6 +58,28 @@ def test_an_uneven_smear_moves_both_edges_as_least_squares_sees_them(seed):
         assert normal @ found.shift_px[0] == pytest.approx(own, abs=0.012)
         assert abs(normal @ found.shift_px[0] - own) < 0.5 * abs(share @ (steps @ normal) - own) + 0.004
     assert found.width_px[0] == pytest.approx(spread)
+
+
+def test_a_smear_wider_than_the_blur_moves_a_corner_as_the_fit_of_a_frame_finds_it():
+    """Plastic in white light: a narrow blue line beside a broad phosphor, 1.4 px apart at a blur of 0.53."""
+    along = np.concatenate((np.linspace(2.4, 3.6, 3), np.linspace(-1.6, 0.4, 9)))
+    share = np.concatenate((np.full(3, 0.08), np.full(9, 0.76 / 9)))
+    along = 1.4 * (along - share @ along) / np.sqrt(share @ (along - share @ along) ** 2)
+    steps = along[:, None] * [0.8, 0.6]
+    axes = 22.0 * np.array([[np.cos(0.3), np.sin(0.3)], [np.sin(0.3), -np.cos(0.3)]])
+    v, u = np.mgrid[:61, :61] - 30.0
+    inwards = np.linalg.inv(axes)[::-1] * 22.0 / 0.53
+    frame = np.zeros(u.shape)
+    for step, part in zip(steps, share, strict=True):
+        one, two = np.tensordot(inwards, np.stack((u - step[0], v - step[1])), axes=1)
+        frame += part * (2.0 * ndtr(one) - 1.0) * (2.0 * ndtr(two) - 1.0)
+    found = refine_corners(1000.0 * (2.0 + frame), [[30.2, 30.1]], axes, window=0.42)
+    truly = found.position_px[0] - 30.0
+    parts = steps[:, None], share[:, None], axes[None]
+    told = smeared_by_colour(*parts, np.array([0.42]), found.blurs_px)
+    off = np.linalg.norm(told.shift_px[0] - truly)
+    assert off < UNEVEN * np.linalg.norm(truly)  # what sigma counts of it
+    assert np.linalg.norm(smeared(*parts, found.blur_px).shift_px[0] - truly) > 0.1  # where a series is no cure
 
 
 def test_a_blur_that_grows_along_the_frame_may_draw_corners_along():

@@ -3,7 +3,7 @@ import pytest
 import tifffile
 
 from correction.target import Chessboard
-from correction.target.corners import CornerReason, blurs_of_smeared, refine_corners, saturated_fraction
+from correction.target.corners import CornerReason, found_smeared, refine_corners, saturated_fraction
 from correction.target.kernels import corner_fit, corner_model
 from ground.kernels import cholesky
 from piv.errors import FrameError
@@ -205,7 +205,8 @@ def test_a_smeared_corner_is_as_blurred_as_it_is_found_in_a_frame(squares_px):
     )
     share = np.full((count, 1), 1.0 / count)
     own = np.array([np.sqrt(alone.mean())])
-    found = blurs_of_smeared(axes[None], np.array([0.42]), own, steps[:, None], share)[0] ** 2
+    _, blurs = found_smeared(axes[None], np.array([0.42]), own, steps[:, None], share)
+    found = blurs[0] ** 2
     np.testing.assert_allclose(found - alone.mean(), seen - alone, atol=0.15 * spread**2)
 
 
