@@ -52,8 +52,8 @@ docs-check: $(STAMP)
 	$(BIN)/python -m pytest -n0 tests/system/test_pages.py tests/rtpiv/test_page.py tests/faces/test_python_page.py
 
 # Lines that the fast tests reach, kernels by a run of their tests that compiles nothing: htmlcov/index.html
-INTERPRETED = tests/tracer/test_kernels.py tests/piv/correlation/test_refine.py tests/piv/correlation/test_fill.py \
-  tests/piv/resampling/test_sample.py tests/daq/cameras/test_pixels.py
+INTERPRETED = tests/tracer/test_kernels.py tests/piv/correlation/test_refine.py tests/piv/resampling/test_sample.py \
+  tests/daq/cameras/test_pixels.py
 coverage: $(STAMP)
 	$(BIN)/python -m coverage erase
 	-$(BIN)/python -m coverage run -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
