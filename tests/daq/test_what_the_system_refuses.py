@@ -29,7 +29,7 @@ WORDS = {
     "sheet": ["run", "--scene", "s", "-o", "out"],
     "compare": ["--lenses-mm", "50", "--distances-mm", "500", "--balls-mm", "40"],
     "export": ["a.nc", "--to", "matlab"], "align": ["plan"], "live": [],
-    "schema": [], "emulate": ["bench"], "benchmark": ["scene"], "demo": [],
+    "schema": [], "target": ["--paper", "A4"], "emulate": ["bench"], "benchmark": ["scene"], "demo": [],
 }  # fmt: skip
 
 
