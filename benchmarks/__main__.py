@@ -19,11 +19,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.contenders import IDEAL_LENS, SOLID_BALLS, STACKED
+from benchmarks.contenders import IDEAL_LENS, SOLID_BALLS, STACKED, Racer, race, start, stop
 from benchmarks.growth import growth
 from benchmarks.limits import limits, limits_of
 from benchmarks.picture import draw
-from benchmarks.race import Racer, race, start, stop
 from benchmarks.scenes import BENCH_LIKE, PAPER, bench_scene
 from correction.maps.correction_map import build_correction_map
 from ground.rows import thread_count
@@ -119,7 +118,7 @@ def known_pixels(scene: Scene, rays: int) -> list[Any]:
     if importlib.util.find_spec("mpmath") is None:
         print("errors are left out: mpmath is not installed", file=sys.stderr)
         return []
-    from benchmarks.accuracy import reference_pixels
+    from benchmarks.reference import reference_pixels
 
     return reference_pixels(scene, rays)
 
@@ -138,7 +137,7 @@ def times(racer: Racer, pixels: int, known: list[Any]) -> dict[str, Any]:
         }
     result = {"version": racer.about["version"], "first_s": racer.about["first_s"], "tasks": tasks}
     if known and "ray_map" in tasks:
-        from benchmarks.accuracy import errors_um
+        from benchmarks.reference import errors_um
 
         result["error_um"] = errors_um(racer.ray_map(), known)
     return result

@@ -1,15 +1,20 @@
-"""Contenders, each in its own process: `python -m benchmarks.contenders NAME SCENE`.
+"""Contenders in turn, each in a process of its own: `python -m benchmarks.contenders NAME SCENE`.
 
-Two pools of spinning threads in one process halve each other, so nobody shares one.  The process prints
+Two pools of spinning threads in one process halve each other, so no two share one.  The process prints
 ``ready {"version": ...}`` or ``absent``, then answers each line ``task`` with the seconds it took, and the line
-``save PATH`` by writing its ray map.
+``save PATH`` by writing its ray map.  A `Racer` is the other end of it.
 """
 
+import contextlib
 import json
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,6 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks.formulas import plane_point
 from benchmarks.scenes import bench_scene
+from daq.child import child
 from ground.rows import thread_count
 from tracer.scene.scene import Scene
 
@@ -107,7 +113,7 @@ def scipy(scene: Scene) -> Tasks:
 
 def numpy(scene: Scene) -> Tasks:
     """Textbook formulas in vectorised NumPy."""
-    from benchmarks.plain_numpy import numpy_ray_map
+    from benchmarks.formulas import numpy_ray_map
 
     return {"ray_map": lambda: numpy_ray_map(scene)}
 
@@ -218,6 +224,69 @@ def main() -> None:
         start, cpu = time.perf_counter(), time.process_time()
         task()
         print(time.perf_counter() - start, time.process_time() - cpu, flush=True)
+
+
+@dataclass
+class Racer:
+    """One contender's process and its times [s]: wall clock and processor time of each round."""
+
+    name: str
+    process: subprocess.Popen[str]
+    about: dict[str, Any]
+    wall: dict[str, list[float]] = field(default_factory=dict)
+    cpu: dict[str, list[float]] = field(default_factory=dict)
+
+    def ask(self, line: str) -> str:
+        """Send a line, wait for the answer."""
+        assert self.process.stdin
+        assert self.process.stdout
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+        return self.process.stdout.readline()
+
+    def run(self, task: str) -> None:
+        """Time one task once."""
+        wall, cpu = map(float, self.ask(task).split())
+        self.wall.setdefault(task, []).append(wall)
+        self.cpu.setdefault(task, []).append(cpu)
+
+    def ray_map(self) -> NDArray[np.float64]:
+        """Its ray map (H, W, 2) [mm]."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "map.npy"
+            self.ask(f"save {path}")
+            return np.asarray(np.load(path))
+
+
+def start(name: str, scene: str) -> Racer | None:
+    """Start a contender and wait until it is warm; None, and a line that says why, if it is not installed."""
+    command, environment = child("benchmarks.contenders", name, scene)
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    process = subprocess.Popen(command, env=environment, text=True, **pipes)
+    assert process.stdout
+    word, _, rest = process.stdout.readline().partition(" ")
+    if word != "ready":
+        process.wait()
+        print(f"{name} is left out: {rest.strip() or 'it stopped'}", file=sys.stderr)
+        return None
+    return Racer(name, process, json.loads(rest))
+
+
+def race(racers: list[Racer], rounds: int) -> None:
+    """Run every task of every contender `rounds` times, in turn A B C, A B C, ..."""
+    for _ in range(rounds):
+        for racer in racers:
+            for task in racer.about["tasks"]:
+                racer.run(task)
+
+
+def stop(racers: list[Racer]) -> None:
+    """Let the processes end."""
+    for racer in racers:
+        with contextlib.suppress(BrokenPipeError):
+            assert racer.process.stdin
+            racer.process.stdin.close()
+        racer.process.wait()
 
 
 if __name__ == "__main__":

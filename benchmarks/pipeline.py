@@ -39,13 +39,13 @@ from daq.runs.run_folder import RunFolder
 from rtpiv.command_line.cli import ONE_THREAD
 from rtpiv.example_files import examples
 from rtpiv.verbs.operator import ScriptOperator
+from sim.arranged import true_scene
 from sim.bench_table import simulation_of
 from sim.demo.scenes import named_scene
 from sim.prepared_pairs import prepare
 from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
-from sim.true_scene import true_scene
 
 PREPARED_PAIRS = 8
 SETTINGS = """camera:

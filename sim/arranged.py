@@ -12,13 +12,21 @@ import numpy as np
 from daq.bench.bench_table import Bench
 from daq.errors import PlanError
 from daq.plans.steps import Step
-from sim.bench_table import simulation_of
+from sim.bench_table import SimulationTable, simulation_of
+from sim.demo.scenes import misaligned
 from sim.renderer.patterns import Pose
 from sim.renderer.render import tables_of
-from sim.true_scene import true_scene
 from tracer.bodies import shifted_by
 from tracer.errors import SceneError
 from tracer.scene.scene import Scene
+
+
+def true_scene(bench: Bench, table: SimulationTable) -> Scene:
+    """Return where everything really is while every axis stands where the scene file holds.
+
+    It is what a simulated bench hides from whoever measures with it.
+    """
+    return misaligned(bench.scene, table.seed) if table.is_misaligned else bench.scene
 
 
 def arranged(

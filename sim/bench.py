@@ -27,9 +27,9 @@ from sim.camera.gentl import write_producer
 from sim.camera.gige.process import device_process
 from sim.camera.remote import FrameServer
 from sim.camera.wires import Wires
-from sim.light_wiring import connect
 from sim.mechanics.clock import PacedClock, ScaledClock
 from sim.stages import SimulatedStages
+from sim.timing_wiring import connect
 from sim.world import FLOW, World
 from stages.config import StagesTable
 from tracer.errors import SceneError

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.bench.bench_file import load_bench
+from sim.arranged import true_scene
 from sim.bench_table import simulation_of
 from sim.flow.images import FlowCamera
-from sim.true_scene import true_scene
 from tracer.errors import SceneError
 
 Frame = NDArray[np.uint16]

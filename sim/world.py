@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.bench.bench_table import Bench
-from sim.arranged import arranged, sheet_mm
+from sim.arranged import arranged, sheet_mm, true_scene
 from sim.bench_table import SimulationTable
 from sim.flow.images import FlowCamera
 from sim.frame_truth import WORLDS, FrameTruth, with_truth
@@ -25,7 +25,6 @@ from sim.renderer.render import render_irradiance
 from sim.renderer.sensor import Sensor
 from sim.stages import SimulatedStages
 from sim.timing import SimulatedTiming
-from sim.true_scene import true_scene
 from tracer.scene.scene import Scene
 
 PRINT_MARGIN = 1.5  # glass looks past the edge of the bare view

@@ -15,9 +15,8 @@ from correction.maps.correction_map import build_correction_map
 from daq.bench.bench_file import load_bench
 from daq.runs.run_folder import RunFolder
 from rtpiv.command_line.cli import DONE, main
-from sim.arranged import arranged
+from sim.arranged import arranged, true_scene
 from sim.bench_table import simulation_of
-from sim.true_scene import true_scene
 from tests.daq.small_bench import write_bench
 from tracer.scene.scene_file import load_scene
 from tracer.strategies.ray_map import build_ray_map

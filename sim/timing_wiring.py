@@ -1,25 +1,50 @@
-"""What hangs on the simulated timing unit: the camera's input lines, and the light that falls on the flow.
+"""A simulated timing unit on its bench: its port, and what hangs on it, camera and light.
 
     camera, camera_b -> Line1 (a trigger)     marker -> Line2 (high over exposure A; resets the exposure counter)
     Q-switches -> flashes, the laser's own delay later
 
-A camera lives in another process and draws its picture as soon as it has been exposed.  So its pulses are told
-`LAG_S` late, when all light of that time has fallen; their edges stay where they were.  The marker is told first:
-a frame that its trigger has made is judged by it.
+A camera lives in another process and draws its picture as soon as it has been exposed.  So its pulses are
+passed on `LAG_S` late, when all light of that time has fallen; their edges stay where they were.  The marker goes
+first: a frame that its trigger has made is judged by it.
 """
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 
 from daq.timing.pulses import Q_SWITCHES, Role
 from daq.timing.timing_table import TimingTable
 from sim.camera.wires import Wires
+from sim.emulators.device import Clock
+from sim.emulators.protocol_sim import LINES
+from sim.emulators.pty import PtyPort
 from sim.lit_flow import LitFlow
-from sim.mechanics.clock import PacedClock, ScaledClock
+from sim.mechanics.clock import PacedClock, ScaledClock, VirtualClock
 from sim.timing import SimulatedTiming
 from sim.timing_boxes.outputs import Pulse
+from sim.world import World
 
 TRIGGER_LINE, MARKER_LINE = 1, 2
 LAG_S = 0.03  # more than an exposure lasts
+
+
+@contextmanager
+def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterator[TimingTable]:
+    """Give a timing unit power while the block runs; yield the section with its simulated port."""
+    unit = SimulatedTiming(section, clock)
+    with ExitStack() as stack:
+        if isinstance(clock, VirtualClock):
+            address = f"timing-{id(unit):x}"
+            LINES[address] = unit.line
+            stack.callback(LINES.pop, address)
+            port = f"sim://{address}"
+        else:
+            port = stack.enter_context(PtyPort(unit.line)).path
+        world.timing.append(unit)
+        stack.callback(world.timing.remove, unit)
+        unit.start()
+        stack.callback(unit.close)
+        yield section.model_copy(update={"port": port, "identity": None})
 
 
 def connect(
@@ -34,7 +59,7 @@ def connect(
     table : TimingTable
         Its section, for the delay from a Q-switch to its light.
     clock : PacedClock or ScaledClock
-        The world's, that pulses are told on.
+        The world's, whose time the pulses carry.
     wires : Wires
         To the camera.
     lit : LitFlow or None
@@ -46,7 +71,7 @@ def connect(
         edges_ns = (clock.wall_ns(pulse.rises_s), clock.wall_ns(pulse.falls_s))
         coming.append((pulse.rises_s, line, *edges_ns))
 
-    def tell(until_s: float) -> None:
+    def pass_on(until_s: float) -> None:
         due = []
         while coming and coming[0][0] + LAG_S <= until_s:
             due.append(coming.popleft())
@@ -56,7 +81,7 @@ def connect(
     unit.listen(Role.MARKER, lambda pulse: hold(MARKER_LINE, pulse))
     for role in (Role.CAMERA, Role.CAMERA_B):
         unit.listen(role, lambda pulse: hold(TRIGGER_LINE, pulse))
-    unit.listen_to_time(tell)
+    unit.listen_to_time(pass_on)
     if lit is None:
         return
     for number, role in enumerate(Q_SWITCHES):
