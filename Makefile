@@ -108,7 +108,7 @@ AGAINST ?=
 digests: $(STAMP)
 	$(BIN)/python -m tests.digests $(if $(AGAINST),--against $(AGAINST),-o digests.json)
 
-# Sixty faults of one line each in a copy of the checkout: does a test fail for every one? make mutants ONLY=keep_out
+# Faults of one line each in a copy of the checkout: does a test fail for every one? make mutants ONLY=keep_out
 ONLY ?=
 mutants: $(STAMP)
 	$(BIN)/python -m tests.mutants $(ONLY)

@@ -1,4 +1,4 @@
-"""Sixty faults of one line each that fast tests must notice, drawn over all packages: is a rebuild still watched?
+"""Faults of one line each that fast tests must notice, drawn over all packages: is a rebuild still watched?
 
     python -m tests.mutants                # or: make mutants
     python -m tests.mutants keep_out 17    # those whose test, snippet or number says so
@@ -136,6 +136,18 @@ MUTANTS: tuple[tuple[str, str, str], ...] = (
      "test_what_the_map_is_unsure_of_counts_for_the_coverage"),
     ("u, v = np.sqrt(np.mean(np.square(known", "u, v = np.sqrt(np.mean(np.square(known - known.mean(axis=0)",
      "test_without_a_known_shift_it_is_an_uncertainty"),
+    ("if not first_time and identity != self.identity:", "if first_time and identity != self.identity:",
+     "test_a_box_that_answers_instead_of_the_first_is_refused_although_no_file_names_it"),
+    ("drift_ns = DRIFT * abs(now_ns - self.at_ns)", "drift_ns = 0.0",
+     "test_clocks_that_drift_apart_for_ten_minutes_leave_a_frame_its_trigger"),
+    ("least_range = NOISES * _noise(values[usable])", "least_range = _noise(values[usable])",
+     "test_noise_alone_stays_low"),
+    ("last is not None and meta.sequence <= last.sequence", "last is not None and meta.sequence < last.sequence",
+     "test_halves_of_a_camera_without_a_clock_are_pairs_and_one_that_comes_twice_is_doubled"),
+    ("x_mm = grid.origin_mm[0] + field.x_px *", "x_mm = grid.origin_mm[0] - field.x_px *",
+     "test_a_vector_is_drawn_where_it_was_measured"),
+    ("reach * axis[1] + v * pitch", "reach * axis[1] - v * pitch",
+     "test_a_corrected_pixel_is_the_pixel_of_a_camera_straight_above"),
 )
 # fmt: on
 

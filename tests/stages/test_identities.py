@@ -101,6 +101,20 @@ def test_a_box_exchanged_while_it_was_lost_is_refused(tmp_path):
             assert stage.controllers["left"].lost
 
 
+@pytest.mark.parametrize("driver_that_tells", ["zaber_ascii", "pi_gcs2", "thorlabs_apt"])
+def test_a_box_that_answers_instead_of_the_first_is_refused_although_no_file_names_it(driver_that_tells):
+    with worlds(driver_that_tells) as (_, opened), opened() as stage:
+        left, right = (stage.controllers[name] for name in ("left", "right"))
+        right.close()
+        with pytest.raises(WrongDevice) as refused:
+            left.connect(stage.config.controllers["right"].port)
+        assert left.identity in str(refused.value)
+        assert right.identity in str(refused.value)
+        assert left.lost
+        left.connect(stage.config.controllers["left"].port)
+        assert not left.lost
+
+
 def tables(*rows):
     controllers = {
         name: {"driver": driver, "port": port} | ({"identity": words} if words else {})

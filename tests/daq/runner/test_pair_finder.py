@@ -198,6 +198,14 @@ def test_a_doubled_frame_costs_no_pair():
         assert finder.rejected[DOUBLED] == len(frames) - 100
 
 
+def test_halves_of_a_camera_without_a_clock_are_pairs_and_one_that_comes_twice_is_doubled():
+    section = SECTIONS["double_height"]
+    frames = [(_with(meta, timestamp_ns=0), shows) for meta, shows in train(section, 5, KIND, random.Random(0))]
+    found, finder = found_in(section, [each for each in frames for _ in "ab"])
+    assert [pair[0][0] for pair in found] == [0, 1, 2, 3, 4]
+    assert finder.rejected == {DOUBLED: 10}
+
+
 def _with(meta, **more):
     return type(meta)(**{**_fields(meta), **more})
 

@@ -318,6 +318,15 @@ def test_a_frame_that_was_left_behind_by_a_timeout_is_stale_however_slow_frames_
     assert match.place(ours) is Place.OURS
 
 
+def test_clocks_that_drift_apart_for_ten_minutes_leave_a_frame_its_trigger():
+    """By 0.1 in a thousand, 60 ms, where the quickest frame took 2 ms from trigger to arrival."""
+    for drift in (1e-4, -1e-4):
+        match = TriggerMatch(2 * SECOND)
+        for at_ns in (0, SECOND, 601 * SECOND):
+            stamp_ns = round((at_ns + MS) * (1 + drift))
+            assert taken(match, at_ns, stamp_ns, at_ns + 2 * MS, at_ns // SECOND) is Place.OURS
+
+
 def test_a_frame_that_is_older_than_the_quickest_took_is_stale():
     """By 3 ms before its trigger, where the quickest frame took 2 ms from trigger to arrival."""
     match = TriggerMatch(2 * SECOND)

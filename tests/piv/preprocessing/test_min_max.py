@@ -59,3 +59,10 @@ def test_the_least_range_comes_from_the_noise_of_the_frame():
     by_itself, said = min_max_normalised(frame), min_max_normalised(frame, 18.0)
     assert np.abs(by_itself - said).max() < 0.1
     assert not min_max_normalised(np.zeros((20, 20))).any()
+
+
+def test_noise_alone_stays_low():
+    """A frame divided by its own noise would be as high between particles as upon them."""
+    frame = np.random.default_rng(3).normal(100.0, 3.0, (200, 200)).astype(np.float32)
+    spread = float(np.std(min_max_normalised(frame)))
+    assert spread == pytest.approx(1.0 / 6.0, rel=0.05)

@@ -31,6 +31,28 @@ def drawn(outliers):
     return vector_figure(field, grid, scene_of(), np.hypot(field.u_px, field.v_px), "displacement [px]")
 
 
+def test_a_vector_is_drawn_where_it_was_measured():
+    """Column 100 and row 260 of this image are x = -40 + 20 mm and y = 40 - 52 mm."""
+    field = uniform_field((400, 400), (3.0, -2.0))
+    grid = PlaneGrid((-40.0, 40.0), 0.2, (400, 400))
+    row, column = int(np.argmin(np.abs(field.y_px - 260.0))), int(np.argmin(np.abs(field.x_px - 100.0)))
+    x_mm, y_mm = -40.0 + 0.2 * field.x_px[column], 40.0 - 0.2 * field.y_px[row]
+    colour = np.zeros(field.flags.shape)
+    colour[row, column] = 1.0
+    figure = vector_figure(field, grid, scene_of(), colour, "displacement [px]")
+    axes = figure.axes[0]
+    left, right, low, high = axes.images[0].get_extent()
+    shown = np.asarray(axes.images[0].get_array())
+    (seen_row,), (seen_column,) = np.nonzero(shown.max(axis=1)), np.nonzero(shown.max(axis=0))
+    assert left + (seen_column + 0.5) * (right - left) / shown.shape[1] == pytest.approx(x_mm, abs=1e-9)
+    assert high - (seen_row + 0.5) * (high - low) / shown.shape[0] == pytest.approx(y_mm, abs=1e-9)
+    assert axes.get_xlim() == pytest.approx((left, right))
+    assert axes.get_ylim() == pytest.approx((low, high))
+    places = np.asarray(arrows(figure)[0].XY)
+    lone = np.hypot(*(places - (x_mm, y_mm)).T)
+    assert lone.min() <= 0.2 * field.step_px
+
+
 def test_an_outlier_of_50_px_does_not_cross_the_picture():
     _, usual = arrows(drawn([]))
     shape = usual.shape
