@@ -6,13 +6,14 @@ PY ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+SITE_STAMP := $(VENV)/.installed-docs
 
 # Tests start hundreds of processes: what Python compiles of modules is kept.
 unexport PYTHONDONTWRITEBYTECODE
 # As the command sets it (rtpiv/command_line/cli.py): small matrices shared by the cores of busy tests take several times as long.
 export OPENBLAS_NUM_THREADS = 1
 
-.PHONY: demo test test-slow slow slow-balance docs-check coverage dist labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
+.PHONY: demo test test-slow slow slow-balance docs docs-check coverage dist labs fuzz lamps sheets starts benchmark bench lint fast-tests digests mutants compiled-rays compiled-pairs compiled-beds picture pins clean
 
 $(STAMP): requirements.txt pyproject.toml
 	@if command -v uv >/dev/null; then \
@@ -46,6 +47,17 @@ slow: $(STAMP)
 
 slow-balance: $(STAMP)
 	$(BIN)/python -m tests.slow_suite balance
+
+# The site in docs/_build/html, from pages, docstrings, parser and schemas; every warning and every lost link is an error
+docs: $(SITE_STAMP)
+	rm -rf docs/_build
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	$(BIN)/python docs/made/links.py docs/_build/html
+
+$(SITE_STAMP): docs/requirements.txt $(STAMP)
+	@if command -v uv >/dev/null; then uv pip install -q --python $(BIN)/python -r $<; \
+	else $(BIN)/python -m pip install -q --disable-pip-version-check --no-compile -r $<; fi
+	@touch $@
 
 # Commands, names and links of README and docs
 docs-check: $(STAMP)
@@ -147,6 +159,8 @@ picture: demo
 pins:
 	uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url \
 	  --extra camera --extra hdf5 --extra live --extra mesh --extra micromanager --group test --group lint pyproject.toml -o requirements.txt
+	uv pip compile -q --universal --python-version 3.11 --no-annotate --no-header --no-emit-index-url \
+	  --group docs --constraint requirements.txt -o docs/requirements.txt
 
 clean:
-	rm -rf $(VENV) demo dist htmlcov .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) demo dist htmlcov docs/_build .pytest_cache .mypy_cache .ruff_cache

@@ -109,7 +109,7 @@ class Dewarp:
         return out
 
     def largest_shift_px(self, sensor_px: tuple[int, int]) -> float:
-        """Bound on |acquired - ideal| of u or v over a sensor of this width and height [px].
+        """Bound on ``|acquired - ideal|`` of u or v over a sensor of this width and height [px].
 
         Sum of the absolute values of all terms of the difference, each at the sensor's far edge.
         """

@@ -55,6 +55,16 @@ T = TypeVar("T")
 def load_bench(path: Path | str) -> Bench:
     """Read a bench file and the scene it names.
 
+    Parameters
+    ----------
+    path : path
+        bench.yaml.
+
+    Returns
+    -------
+    Bench
+        What stands on the bench; nothing is opened.
+
     Raises
     ------
     ConfigError

@@ -6,8 +6,10 @@ import shlex
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-FIRST = [ROOT / "README.md", ROOT / "docs" / "commands.md"]  # what they leave is used by the pages after them
-PAGES = [*FIRST, *sorted(set((ROOT / "docs").glob("*.md")) - set(FIRST))]
+DOCS = ROOT / "docs"
+FIRST = [ROOT / "README.md", DOCS / "commands.md"]  # what they leave is used by the pages after them
+PAGES = [*FIRST, *sorted(set(DOCS.glob("*.md")) - set(FIRST))]
+SITE = [ROOT / "README.md", *(page for page in sorted(DOCS.rglob("*.md")) if "_build" not in page.parts)]
 
 HARDWARE = "opens real devices: no --simulate"
 LASTS = "lasts until somebody ends it"
@@ -41,6 +43,17 @@ NOT_RUN = {  # commands that nothing here carries out, and why; all others are r
 def commands(page: Path) -> list[str]:
     """What stands behind `rtpiv` on a page, without comments, in order."""
     return [line.rstrip() for line in re.findall(r"^    rtpiv ([^#\n]+)", page.read_text("utf-8"), re.MULTILINE)]
+
+
+def prose(page: Path) -> str:
+    """A page without its blocks of code."""
+    return re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.MULTILINE | re.DOTALL)
+
+
+def places(page: Path) -> set[str]:
+    """What can be linked to on a page: its headings, as code forges and MyST write them."""
+    headings = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
 def in_files(folder: Path) -> list[str]:

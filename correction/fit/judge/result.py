@@ -119,6 +119,8 @@ class SceneFit:
         Overlap removed at the end.
     measured_scene : Scene
         The fitted scene in the light of the measurement; `scene` is in that of the target frames.
+    verdict : Verdict
+        Whether the model is right, and what is wrong with it where it is not.
     history : tuple of FitStep
         What happened.
     light : LightDoubt
