@@ -9,7 +9,8 @@
     mean         mean flow and Reynolds stresses of many pairs
     report       a run as one page
 
-`CorrectionRecipe` and `LiveFrames` are values that `correct` and `acquire` take.
+What belongs together is one value: `CorrectionRecipe` (`correct`, `evaluate`, `mean`), `Resampling` (`correct`),
+`PairDetails` and `EvaluationOutput` (`evaluate`), `MeanOutput` (`mean`), `LiveFrames` (`acquire`).
 Values come in and values go out: nothing is printed but by `acquire` and `report`, and `trace`, `calibrate`,
 `evaluate` and `mean` write only into a folder that is named (`out`).  Files may be named as text or as `Path`.
 `docs/python.md` goes through them.  ERRORS holds the root of all that they raise on purpose,
@@ -50,7 +51,11 @@ _HOMES = {
     "evaluate": "rtpiv.verbs.evaluate",
     "mean": "rtpiv.verbs.mean",
     "report": "rtpiv.verbs.report",
-    "CorrectionRecipe": "rtpiv.verbs.correct",
+    "CorrectionRecipe": "rtpiv.analysis.recipe",
+    "Resampling": "rtpiv.analysis.recipe",
+    "PairDetails": "rtpiv.analysis.pairs.evaluation",
+    "EvaluationOutput": "rtpiv.verbs.evaluate",
+    "MeanOutput": "rtpiv.verbs.mean",
     "LiveFrames": "rtpiv.verbs.acquire",
 }
 _VALUES = ("trace", "calibrate", "evaluate", "mean")  # print nothing, and write only where `out` says

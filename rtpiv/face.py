@@ -6,6 +6,7 @@ chunks of a series that its processes share, lies in a folder of the system for 
 """
 
 from collections.abc import Callable
+from dataclasses import fields, replace
 from functools import wraps
 from inspect import signature
 from pathlib import Path
@@ -16,7 +17,7 @@ from ground.terminal import silence
 
 P = ParamSpec("P")
 R = TypeVar("R")
-FOR_PEOPLE = ("pictures", "files")  # parameters of verbs that say whether pages and the like are written
+FOR_PEOPLE = ("pictures", "files")  # whether pages and the like are written, of a verb or of its `output`
 
 
 def quiet(verb: Callable[P, R]) -> Callable[P, R]:
@@ -43,6 +44,10 @@ def value_of(verb: Callable[P, R]) -> Callable[P, R]:
             with TemporaryDirectory(prefix="rtpiv-", ignore_cleanup_errors=True) as folder:
                 given.arguments["out"] = Path(folder) / "out"
                 given.arguments |= dict.fromkeys((name for name in FOR_PEOPLE if name in takes.parameters), False)
+                if "output" in takes.parameters:
+                    asked = given.arguments.get("output", takes.parameters["output"].default)
+                    names = {field.name for field in fields(asked)}.intersection(FOR_PEOPLE)
+                    given.arguments["output"] = replace(asked, **dict.fromkeys(names, False))
                 found = verb(*given.args, **given.kwargs)
                 _ = getattr(found, "vectors", None)  # read as long as the files are there
                 return found

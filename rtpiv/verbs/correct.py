@@ -24,15 +24,14 @@ from correction.node_status import MEANING, NodeStatus
 from correction.target import Chessboard
 from daq.atomic_write import write_json
 from daq.runs.acquired import ReadAhead
-from daq.runs.run_views import board_of, dewarp_of, shows_light_sheet, where_lit
+from daq.runs.run_views import shows_light_sheet, where_lit
 from ground.terminal import console, progress
 from piv.errors import FrameError
 from piv.files.frame_file import stem_of, write_frame
-from piv.resampling.sample import Method
 from rtpiv.analysis.pictures.apart import drawing
+from rtpiv.analysis.recipe import CorrectionRecipe, Resampling, scene_sigma_beside
 from rtpiv.analysis.through_glass import through_glass
 from rtpiv.analysis.views.arranged import little
-from rtpiv.options.numbers import Count, DewarpOrder, Positive
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, path_of, paths_of
 from tracer.scene.scene import Scene
@@ -78,37 +77,6 @@ CELL_PX, PARTICLE_PX = 8.0, 4.0  # of computer-generated particles: seeding that
 
 
 @dataclass(frozen=True)
-class CorrectionRecipe:
-    """How frames are corrected.
-
-    Parameters
-    ----------
-    target_clear : path, optional
-        Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
-        included, is taken as it is.
-    dewarp_order : {2, 3, 4, 5}
-        Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
-    square_mm, disc_mm : float, optional
-        Square and disc of the board, of frames that are of no run (default 2.5, and 0.4 of a square): a run knows
-        its own.
-    method : {"quintic", "bilinear"}
-        Interpolation.
-    blend : int
-        Views joined a node; 1 takes the best.
-    sigma_limit_px : float, optional
-        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
-    """
-
-    target_clear: Named | None = None
-    dewarp_order: DewarpOrder = 2
-    square_mm: Positive | None = None
-    disc_mm: Positive | None = None
-    method: Method = "quintic"
-    blend: Count = 1
-    sigma_limit_px: Positive | None = None
-
-
-@dataclass(frozen=True)
 class Corrected:
     """What `correct` has made.
 
@@ -136,6 +104,7 @@ def correct(
     scene: Named | Scene,
     out: Named | None = None,
     recipe: CorrectionRecipe = CorrectionRecipe(),
+    resampling: Resampling = Resampling(),
     as_float: bool = False,
     check_target: bool = False,
     pictures: bool = True,
@@ -152,7 +121,9 @@ def correct(
         Folder, default ``corrected`` (or ``corrected-2`` ... where that has results): one TIFF a frame,
         ``mask.tif`` (NodeStatus), ``overview.png`` of the first frame, ``correction.json``.
     recipe : CorrectionRecipe
-        Dewarp, interpolation, and how sure the map must be.
+        Dewarp, and how sure the map must be.
+    resampling : Resampling
+        Interpolation, and how many views are joined.
     as_float : bool
         Write float32 (NaN where nothing is recovered) instead of uint16 with an offset (0 there).
     check_target : bool
@@ -178,31 +149,29 @@ def correct(
         The bare target cannot be read.
     """
     screen = console()
-    frames, target_clear, limit_px = paths_of(frames), path_of(recipe.target_clear), recipe.sigma_limit_px
+    frames = paths_of(frames)
     fitted = scene if isinstance(scene, Scene) else load_scene(scene)
     particles = not check_target and shows_light_sheet(frames)
     loaded = fitted.in_light_sheet() if particles else fitted
     shape = loaded.camera.shape
     _refuse_same_names(frames)
-    scene_file = None if limit_px is None else path_of(scene)
+    scene_file = None if recipe.sigma_limit_px is None else path_of(scene)
     out = folder_for(out, "corrected")
     with ReadAhead(frames, shape) as acquired:
-        board = board_of(
-            [*frames, *([] if target_clear is None else [target_clear])], recipe.square_mm, recipe.disc_mm
-        )
-        dewarp = dewarp_of(target_clear, fitted.camera, board, recipe.dewarp_order)
+        board = recipe.board(frames)
+        dewarp = recipe.dewarp(fitted.camera, board)
         limit = None
-        if limit_px is not None and scene_file is not None:
-            from rtpiv.analysis.series.series_input import sigma_limit
-
-            limit = sigma_limit(scene_file, fitted, dewarp is not None, limit_px, in_light_sheet=particles)
-        corrector = prepare(loaded, dewarp, recipe.method, recipe.blend, limit=limit).corrector
+        if scene_file is not None:
+            limit = recipe.limit(
+                scene_sigma_beside(scene_file, fitted, dewarp is not None, in_light_sheet=particles)
+            )
+        corrector = prepare(loaded, dewarp, resampling.method, resampling.blend, limit=limit).corrector
         acquired.require_sound()
         grid = corrector.map.grid
         about: dict[str, Any] = {
             "origin_mm": list(grid.origin_mm),
             "scene_hash": loaded.content_hash(),
-            "method": recipe.method,
+            "method": resampling.method,
             "dewarp": None if dewarp is None else dewarp.to_dict(),
             "offset": None if as_float else UINT16_OFFSET,
         }

@@ -6,10 +6,11 @@ from daq.bench.bench_file import load_bench
 from daq.cameras import require_libraries
 from daq.runs.run_views import target_views
 from ground.terminal import console
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.example_files import examples
 from rtpiv.verbs.acquire import LiveFrames, acquire
 from rtpiv.verbs.calibrate import calibrate
-from rtpiv.verbs.correct import CorrectionRecipe, correct
+from rtpiv.verbs.correct import correct
 from rtpiv.verbs.mean import mean
 from rtpiv.verbs.output import require_folder
 from rtpiv.verbs.paths import Named

@@ -1,7 +1,7 @@
 """`rtpiv mean`: what many pairs have in common, evaluated first where that is not done yet."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal, Unpack
 
 from daq.errors import RunUnsuitable
@@ -11,6 +11,7 @@ from daq.runs.run_views import is_run, where_lit
 from ground.terminal import console
 from piv.errors import PairError
 from rtpiv.analysis.pairs.piv_file import PivOptions, piv_choice
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.ensemble_series import ensemble_flow
 from rtpiv.analysis.series.mean_file import ensemble_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow
@@ -18,11 +19,27 @@ from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_folder import FILE
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import mean_of_series, scene_of, standing_of, write_mean_of_series
-from rtpiv.options.numbers import Count, DewarpOrder, Positive
+from rtpiv.options.numbers import Count, Positive
 from rtpiv.verbs.evaluate import USUAL, holds_series_of
 from rtpiv.verbs.output import folder_for, require_folder
 from rtpiv.verbs.paths import Named, one_of, path_of
 from rtpiv.verbs.show import show_mean, show_series, show_through
+
+
+@dataclass(frozen=True)
+class MeanOutput:
+    """What is written of a mean.
+
+    Parameters
+    ----------
+    figures : bool
+        Write every figure as SVG and as PNG, not only as it stands in the page.
+    files : bool
+        Write ``mean.nc``, ``mean.html`` and ``mean_ensemble.nc``.
+    """
+
+    figures: bool = False
+    files: bool = True
 
 
 def mean(
@@ -30,14 +47,11 @@ def mean(
     /,
     out: Named | None = None,
     scene: Named | None = None,
-    target_clear: Named | None = None,
-    dewarp_order: DewarpOrder = 2,
-    figures: bool = False,
+    recipe: CorrectionRecipe = CorrectionRecipe(),
+    output: MeanOutput = MeanOutput(),
     dt_us: Positive | None = None,
     workers: Count | None = None,
     ensemble: Literal[8, 16, 32] | None = None,
-    sigma_limit_px: Positive | None = None,
-    files: bool = True,
     **options: Unpack[PivOptions],
 ) -> MeanFlow:
     """Average the vectors of a flow run: mean, Reynolds stresses, how sure both are.
@@ -51,13 +65,13 @@ def mean(
     out : path, optional
         Folder of the series, on the command line by default ``series`` in the run or, of frames of others,
         ``evaluation``: ``mean.nc`` and ``mean.html``, beside what `evaluate` writes there.
-    scene, target_clear, dewarp_order, figures, dt_us, workers, sigma_limit_px
+    scene, recipe, dt_us, workers
         As for `evaluate`; of a run only.
+    output : MeanOutput
+        What is written, beside the chunks of the series.
     ensemble : {8, 16, 32}, optional
         Also by ensemble correlation with windows of this side [px], into ``mean_ensemble.nc``: for rims, walls and
         thin seeding, where single pairs fail; of a run only.
-    files : bool
-        Write ``mean.nc``, ``mean.html`` and ``mean_ensemble.nc``.
     **options
         How pairs are correlated, see `rtpiv.analysis.pairs.piv_file.PivOptions`; of a run only.
 
@@ -76,7 +90,7 @@ def mean(
         As for `evaluate`.
     """
     screen = console()
-    path, out, scene, target_clear = one_of(path), path_of(out), path_of(scene), path_of(target_clear)
+    path, out, scene = one_of(path), path_of(out), path_of(scene)
     series = None
     if is_run(path) or (not (path / FILE).is_file() and is_source(path)):
         name, choice = path.resolve().name, piv_choice(**options)
@@ -84,28 +98,25 @@ def mean(
             folder = require_folder(out if out is not None else RunFolder(path).own("series"))
         else:
             folder = folder_for(out, USUAL, lambda there: holds_series_of(there, name))
-        given = series_input(
-            path, folder, choice, scene, target_clear, dewarp_order, None, None, dt_us, sigma_limit_px
-        )
+        given = series_input(path, folder, choice, scene, recipe, dt_us)
         books = run_series(name, folder, given.given, given.method, workers)
         show_series(screen, books)
         series = given, books
     elif (path / FILE).is_file():
         folder = path
         if (
-            (out is not None and files)
+            (out is not None and output.files)
             or scene is not None
-            or target_clear is not None
+            or recipe != CorrectionRecipe()
             or dt_us is not None
             or ensemble is not None
-            or sigma_limit_px is not None
             or any(value is not None for value in options.values())
         ):
             raise PairError(f"{path}: its vectors are made; give the run to evaluate it in another way")
     else:
         raise RunUnsuitable(f"{path}: is neither a run, nor frames in pairs, nor the folder of a series")
     found = mean_of_series(folder)
-    if files:
+    if output.files:
         write_mean_of_series(folder, found)
     by_ensemble = None
     if series is not None and ensemble is not None:
@@ -114,13 +125,13 @@ def mean(
         said = {"run": path.resolve().name, "scene_hash": given.method.scene.content_hash()}
         vectors = ensemble_vectors(by_ensemble, said)
         found = replace(found, by_ensemble=vectors)
-        if files:
+        if output.files:
             write_statistics(folder / "mean_ensemble.nc", vectors)
-    if files:
+    if output.files:
         from rtpiv.analysis.report.mean import write_mean_page
 
-        write_mean_page(folder / "mean.html", folder, found, figures, by_ensemble, series)
+        write_mean_page(folder / "mean.html", folder, found, output.figures, by_ensemble, series)
     show_through(screen, scene_of(folder))
     screen.print(where_lit(standing_of(folder)))
-    show_mean(screen, found, folder / "mean.html" if files else None)
+    show_mean(screen, found, folder / "mean.html" if output.files else None)
     return found

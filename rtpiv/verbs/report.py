@@ -13,14 +13,14 @@ from daq.runs.acquired import read_acquired
 from daq.runs.displacement import FILE as MOVED
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
-from daq.runs.run_views import board_of, dewarp_of, first_view, scene_file
+from daq.runs.run_views import first_view, scene_file
 from ground.terminal import console
 from piv.errors import PairError
-from rtpiv.analysis.pairs.evaluation import Evaluation, Route
+from rtpiv.analysis.pairs.evaluation import Evaluation, PairDetails, Route
 from rtpiv.analysis.pairs.piv_file import PivOptions
 from rtpiv.analysis.pictures.before_after import before_after
+from rtpiv.analysis.recipe import FIT_FILE, CorrectionRecipe
 from rtpiv.analysis.report.page import Page
-from rtpiv.analysis.series.series_input import FIT_FILE
 from rtpiv.analysis.series.series_pairs import is_flow
 from rtpiv.options.numbers import DewarpOrder, Positive
 from rtpiv.verbs.evaluate import evaluate
@@ -75,12 +75,12 @@ def report(
     ConfigError, FrameError, PairError, TargetNotFound, DewarpError
         As for `evaluate`.
     """
-    run, scene, target_clear = one_of(run), path_of(scene), path_of(target_clear)
+    run, scene, recipe = one_of(run), path_of(scene), CorrectionRecipe(target_clear, dewarp_order)
     folder = RunFolder.open(run)
     about = folder.about
     out = require_folder(out if out is not None else folder.own("report"))
     if _is_flow(run):
-        mean(run, out, scene, target_clear, dewarp_order, **options)
+        mean(run, out, scene, recipe, **options)
         return out / "mean.html"
     from rtpiv.analysis.report.calibration import calibration_chapter
     from rtpiv.analysis.report.pair import pair_chapters, pair_summary
@@ -91,10 +91,8 @@ def report(
     loaded = load_scene(scene)
     page = Page(f"{about['name']}: PIV through glass", f"run {folder.path.name}", twice=True)
     if (run / MOVED).is_file():
-        chosen = route if target_clear is None else "image"
-        found = evaluate(
-            [run], out, scene, target_clear, dewarp_order, stage_sigma_um=stage_sigma_um, route=chosen, **options
-        ).details
+        asked = PairDetails(stage_sigma_um=stage_sigma_um, route=route if target_clear is None else "image")
+        found = evaluate([run], out, scene, recipe, asked, **options).details
         shown = _most_telling(found)
         pair_summary(page, shown)
         pairs_chapter(page, found)
@@ -102,7 +100,7 @@ def report(
             page.text(f"What follows is the pair {shown.task.name}; each of the others has a page in its folder.")
         pair_chapters(page, shown)
     else:
-        _single_frame(page, folder, loaded, target_clear, dewarp_order)
+        _single_frame(page, folder, loaded, recipe)
     calibration_chapter(page, scene.with_name(FIT_FILE), loaded)
     moved_chapter(page, folder)
     books_chapter(page, folder)
@@ -126,9 +124,7 @@ def _most_telling(found: Sequence[Evaluation]) -> Evaluation:
     return max(found, key=lambda e: (bool(e.task.scene.bodies), e.shift is not None))
 
 
-def _single_frame(
-    page: Page, folder: RunFolder, scene: Scene, target_clear: Path | None, dewarp_order: int
-) -> None:
+def _single_frame(page: Page, folder: RunFolder, scene: Scene, recipe: CorrectionRecipe) -> None:
     """Chapters of a run without pairs: its first frame through the glass, and the target's errors in it."""
     from rtpiv.analysis.report.page import through_lead
     from rtpiv.analysis.report.pair import image_table, scene_chapter, slider_chapter
@@ -136,8 +132,8 @@ def _single_frame(
     view = first_view(folder)
     if view is None:
         raise RunUnsuitable("holds no frame yet", place=folder.path, cure="resume the run first")
-    board = board_of([folder.path])
-    dewarp = dewarp_of(target_clear, scene.camera, board, dewarp_order)
+    board = recipe.board([folder.path])
+    dewarp = recipe.dewarp(scene.camera, board)
     through = scene if view.glass else scene.bare()
     if view.shows == "flow":
         through = through.in_light_sheet()

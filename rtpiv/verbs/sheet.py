@@ -8,7 +8,7 @@ from daq.atomic_write import copy_whole, write_json, write_text
 from ground.plain_words import counted
 from ground.terminal import console
 from rtpiv.analysis.light_sheet import about_sheet, flow_frames, sheet_of
-from rtpiv.analysis.series.series_input import FIT_FILE, scene_sigma_beside
+from rtpiv.analysis.recipe import FIT_FILE, scene_sigma_beside
 from rtpiv.verbs.output import folder_for
 from rtpiv.verbs.paths import Named, file_of, paths_of
 from tracer.scene.scene_file import dump_scene, load_priors, load_scene

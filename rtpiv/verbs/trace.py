@@ -158,7 +158,7 @@ def _draw(
 
 def _sheet_forecast(path: Path | None, scene: Scene, ray_map: RayMap) -> SheetForecast | None:
     """What frames of a flow will tell of the sheet, where glass can stand before it at all."""
-    from rtpiv.analysis.series.series_input import scene_sigma_beside
+    from rtpiv.analysis.recipe import scene_sigma_beside
 
     sigma = "no file" if path is None else scene_sigma_beside(path, scene, dewarped=False)
     try:

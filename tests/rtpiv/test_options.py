@@ -14,12 +14,12 @@ import rtpiv.verbs
 from ground import compile_news
 from ground.compile_news import CompileCount
 from rtpiv.analysis.pairs.piv_file import PivOptions
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import DONE, THREADS, USAGE, main, print_compiling
 from rtpiv.options import call_of, parser
 from rtpiv.options.command import VERBS
 from rtpiv.options.signature import REQUIRED, signature, summary
 from rtpiv.verbs.completion import completion_script
-from rtpiv.verbs.correct import CorrectionRecipe
 
 
 def completed(tmp_path, *words):

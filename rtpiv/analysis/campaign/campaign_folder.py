@@ -28,6 +28,7 @@ from piv.errors import SeriesError
 from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.pairs.piv_file import PivChoice
 from rtpiv.analysis.series.series_folder import SeriesFolder
+from rtpiv.options.numbers import DewarpOrder
 
 FILE = "campaign.json"
 LAYOUT: Literal[1] = 1
@@ -50,7 +51,7 @@ class HowAsked(TypedDict):
     settings: dict[str, int | float | bool | list[int] | None]  # of PivSettings
     prepare: list[str] | None
     target_clear: str | None
-    dewarp_order: Annotated[int, Field(ge=2, le=5)]
+    dewarp_order: DewarpOrder
     dt_us: Positive | None
     sigma_limit_px: Positive | None
 

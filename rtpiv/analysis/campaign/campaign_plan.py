@@ -32,10 +32,11 @@ from rtpiv.analysis.campaign.campaign_folder import (
 )
 from rtpiv.analysis.campaign.status import read_books
 from rtpiv.analysis.pairs.piv_file import PivChoice
+from rtpiv.analysis.recipe import SCENE_FILE, CorrectionRecipe
 from rtpiv.analysis.series.clean_frames import light_of
 from rtpiv.analysis.series.run_series import about_series
 from rtpiv.analysis.series.series_folder import SeriesFolder
-from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput, keep_scene, series_input
+from rtpiv.analysis.series.series_input import SeriesInput, keep_scene, series_input
 from rtpiv.analysis.series.series_pairs import CHECKSUMS
 from rtpiv.analysis.series.series_plan import ChunkJob, jobs_of
 from rtpiv.analysis.series.workers import worker_processes
@@ -255,16 +256,8 @@ def _planned(folder: CampaignFolder, place: int) -> PlannedRun:
     about = folder.about
     asked, how = about["runs"][place], about["how"]
     out = folder.series(asked["name"]).path
-    given = series_input(
-        Path(asked["path"]),
-        out,
-        choice_of(how),
-        out / SCENE_FILE,
-        None if how["target_clear"] is None else Path(how["target_clear"]),
-        how["dewarp_order"],
-        dt_us=how["dt_us"],
-        sigma_limit_px=how["sigma_limit_px"],
-    )
+    recipe = CorrectionRecipe(how["target_clear"], how["dewarp_order"], sigma_limit_px=how["sigma_limit_px"])
+    given = series_input(Path(asked["path"]), out, choice_of(how), out / SCENE_FILE, recipe, how["dt_us"])
     first = load_scene(folder.series(about["runs"][0]["name"]).path / SCENE_FILE)
     grid = grid_of(first.in_light_sheet().camera)  # particles are seen where the light is
     if grid != grid_of(given.method.scene.camera):

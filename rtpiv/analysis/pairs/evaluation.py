@@ -29,6 +29,7 @@ from piv.files.vector_file import Vectors
 from piv.preprocessing.preparation import Preparation
 from rtpiv.analysis.pairs.pair_vectors import PairResult, quality_of, vectors_of_pairs
 from rtpiv.analysis.pictures.before_after import BeforeAfter, before_after
+from rtpiv.options.numbers import Positive
 from tracer.scene.scene import Scene
 
 Route = Literal["image", "compare", "best"]
@@ -153,6 +154,40 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
+class PairDetails:
+    """What is asked of each pair beyond its vectors.
+
+    Parameters
+    ----------
+    shift_mm : (float, float), optional
+        True displacement of the particles, x to the right and y UP: errors are stated against it.  For a run
+        the displacement measured by the stages is taken.
+    stage_sigma_um : float
+        Standard error of the stage that moved the sheet, for the error budget.
+    route : {"image", "compare", "best"}
+        Correct, then correlate; also carry raw vectors through the glass and compare; or take in each region the
+        better of both (the scene must hold the camera's true pose; no dewarp).
+    tracking : bool
+        Also follow single particles through the glass, for seeding too thin for windows (no dewarp).
+    """
+
+    shift_mm: tuple[float, float] | None = None
+    stage_sigma_um: Positive = 10.0
+    route: Route = "image"
+    tracking: bool = False
+
+    @property
+    def ask_more(self) -> bool:
+        """Whether any of them is asked for."""
+        return self != PairDetails(stage_sigma_um=self.stage_sigma_um)
+
+    @property
+    def traces_raw_pixels(self) -> str:
+        """What of it looks at raw frames through the scene's own camera; "" if nothing does."""
+        return "the velocity route" if self.route != "image" else "tracking" if self.tracking else ""
+
+
+@dataclass(frozen=True)
 class PairMethod:
     """How a pair is evaluated, and what is asked of it beyond its vectors.
 
@@ -160,32 +195,21 @@ class PairMethod:
     ----------
     sigma : SceneSigma or str
         Uncertainty of the fitted scene, or why there is none.
-    stage_sigma_um : float
-        Standard error of the stage.
-    route : {"image", "compare", "best"}
-        Image route alone; the velocity route beside it; or each where it is better.
+    details : PairDetails
+        What is asked beyond vectors; the true displacement is that of the pair's task.
     settings : PivSettings, optional
         Of the correlation.
     preparation : Preparation, optional
         What is done to the corrected frames; two frames have no background.
-    tracking : bool
-        Also follow single particles from raw frame to raw frame.
     pictures : bool
         Also make what only a page shows: `Evaluation.seen`.
     """
 
     sigma: SceneSigma | str
-    stage_sigma_um: float = 10.0
-    route: Route = "image"
+    details: PairDetails = PairDetails()
     settings: PivSettings = made_by(default_factory=PivSettings)
     preparation: Preparation = made_by(default_factory=Preparation)
-    tracking: bool = False
     pictures: bool = True
-
-    @property
-    def asks_more(self) -> bool:
-        """Whether it asks for more than the vectors of corrected frames."""
-        return self.route != "image" or self.tracking
 
 
 def evaluate_task(
@@ -217,7 +241,7 @@ def evaluate_task(
     PairError, FrameError, RunDamaged
         The frames cannot be read, or are no pair.
     """
-    settings, preparation, sigma = how.settings, how.preparation, how.sigma
+    settings, preparation, sigma, asked = how.settings, how.preparation, how.sigma, how.details
     if preparation.background is not None and clean is None:
         raise PairError(
             f"{preparation.background} needs a series of pairs, and here are single ones; leave it out of prepare"
@@ -236,19 +260,19 @@ def evaluate_task(
     if task.shift_mm is not None:
         truth = (task.shift_mm[0] * grid.px_per_mm, -task.shift_mm[1] * grid.px_per_mm)
     tracks, no_tracks = None, ""
-    if how.tracking:
+    if asked.tracking:
         try:
             found = track_through_glass(frame_a, frame_b, scene, prepared.ray_map, field, grid)
             tracks = Tracked(found, radius_of(found, corrector.map, scene))
         except PairError as error:
             no_tracks = str(error)
     traced = routes = by_velocity = None
-    if how.route != "image":
+    if asked.route != "image":
         traced = velocity_route(frame_a, frame_b, scene, prepared.ray_map, raw_settings(settings, frame_a.shape))
         routes = compare_routes(field, regions, traced, corrector.map, scene, truth)
-        if how.route == "best":
+        if asked.route == "best":
             field, by_velocity = joined(field, regions, traced, corrector.map, routes)
-    stage_px = how.stage_sigma_um * 1e-3 * grid.px_per_mm
+    stage_px = asked.stage_sigma_um * 1e-3 * grid.px_per_mm
     result = evaluate_shift(field, regions, truth, stage_px) if truth is not None else None
     why = sigma if isinstance(sigma, str) else ""
     unsure = None if isinstance(sigma, str) else vector_map_sigma(field, corrector.map, scene, sigma)

@@ -18,6 +18,7 @@ from daq.runs.run_views import is_run
 from piv.errors import PairError
 from rtpiv.analysis.digits import two_digits, with_sigma
 from rtpiv.analysis.light_sheet import FlowFrames, flow_frames, read_pairs
+from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE
 from rtpiv.analysis.report.calibration import calibration_chapter
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.flow import corrector_of_mean, flow_chapters, regions_of_mean
@@ -29,7 +30,7 @@ from rtpiv.analysis.series.ensemble_series import EnsembleFlow
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field
 from rtpiv.analysis.series.run_series import SeriesBooks
 from rtpiv.analysis.series.series_folder import SeriesFolder
-from rtpiv.analysis.series.series_input import FIT_FILE, SCENE_FILE, SeriesInput
+from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_mean import grid_of_series, scene_of, standing_of, windows_of
 from rtpiv.analysis.through_glass import through_glass
 from tracer.scene.scene_file import load_scene

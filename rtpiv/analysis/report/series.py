@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rtpiv.analysis.pairs.pair_vectors import per_px
+from rtpiv.analysis.recipe import SCENE_FILE
 from rtpiv.analysis.report.figures import vector_figure
 from rtpiv.analysis.report.page import Page, through_lead
 from rtpiv.analysis.report.pair import image_table, light_sheet_line, scene_chapter
@@ -15,7 +16,7 @@ from rtpiv.analysis.report.tables import mask_swatches
 from rtpiv.analysis.series.clean_frames import make_light
 from rtpiv.analysis.series.preview import Preview, preview
 from rtpiv.analysis.series.run_series import SeriesBooks
-from rtpiv.analysis.series.series_input import SCENE_FILE, SeriesInput
+from rtpiv.analysis.series.series_input import SeriesInput
 from rtpiv.analysis.series.series_plan import jobs_of
 from tracer.scene.scene_file import load_scene
 

@@ -81,7 +81,7 @@ def preview(job: ChunkJob) -> Preview | None:
     return Preview(pair.tag, pair.dt_s, replace(seen, layers=(*layers, *mask)), steps, field, corrector.map.grid)
 
 
-def evaluated_closely(job: ChunkJob, how: PairMethod, shift_mm: tuple[float, float] | None = None) -> Evaluation:
+def evaluated_closely(job: ChunkJob, how: PairMethod) -> Evaluation:
     """Evaluate the one pair of a job, which has vectors, as a pair alone is: routes, tracks, errors.
 
     Its frames are those of the series, without their background.
@@ -94,7 +94,8 @@ def evaluated_closely(job: ChunkJob, how: PairMethod, shift_mm: tuple[float, flo
     (pair,), (a,), (b,) = job.pairs, clean_frames(job, 0), clean_frames(job, 1)
     if isinstance(a, str) or isinstance(b, str):
         raise PairError(a if isinstance(a, str) else str(b))
-    task = Task(pair.tag, pair.frames, job.method.scene, job.folder / pair.tag, shift_mm, dt_s=pair.dt_s)
+    out, shift_mm = job.folder / pair.tag, how.details.shift_mm
+    task = Task(pair.tag, pair.frames, job.method.scene, out, shift_mm, dt_s=pair.dt_s)
     how = replace(how, settings=job.method.settings, preparation=job.method.preparation)
     return evaluate_task(task, correction_of(job.maps, job.method), how, (a, b))
 

@@ -7,7 +7,6 @@ that a stage moved, are tasks, each with what it was seen through and the displa
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from correction.errors import MapUsageError
 from correction.fitted.map_sigma import SigmaLimit
 from correction.fitted.scene_sigma import SceneSigma
 from correction.maps.dewarp import Dewarp
@@ -17,19 +16,17 @@ from daq.frames.source import is_source
 from daq.runs.acquired import read_acquired
 from daq.runs.glass_place import with_glass_at
 from daq.runs.pairs import FramePair, RunPairs, pairs_of
-from daq.runs.run_views import board_of, dewarp_of, is_run, scene_file, shows_light_sheet, where_lit
-from ground.errors import GroundError
+from daq.runs.run_views import is_run, scene_file, shows_light_sheet, where_lit
 from piv.errors import PairError
 from piv.preprocessing.preparation import SLIDING_MINIMUM, Preparation
 from rtpiv.analysis.pairs.evaluation import Task
 from rtpiv.analysis.pairs.piv_file import PivChoice
+from rtpiv.analysis.recipe import FIT_FILE, SCENE_FILE, CorrectionRecipe, scene_sigma_beside
 from rtpiv.analysis.series.series_pairs import PairsOfSeries, dt_of, pairs_of_series, pairs_of_source
 from rtpiv.analysis.series.series_plan import Method
-from tracer.errors import TracerError
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 
-SCENE_FILE, FIT_FILE = "scene.yaml", "fit.npz"  # beside each other, of a fit as in the folder of a series
 IN_PLANE_MM = 0.01  # a sheet moved farther out of its plane shows no uniform displacement
 
 
@@ -45,6 +42,8 @@ class Tasks:
         Of the camera, if a bare target was given.
     sigma : SceneSigma or str
         Uncertainty of the scene, or why there is none.
+    limit : SigmaLimit or None
+        How sure the map must be.
     alone : int
         Frames of the run whose partner was lost.
     """
@@ -52,6 +51,7 @@ class Tasks:
     tasks: tuple[Task, ...]
     dewarp: Dewarp | None
     sigma: SceneSigma | str
+    limit: SigmaLimit | None
     alone: int
 
 
@@ -59,10 +59,7 @@ def tasks_of(
     paths: list[Path],
     out: Path,
     scene: Path | None = None,
-    target_clear: Path | None = None,
-    dewarp_order: int = 2,
-    square_mm: float | None = None,
-    disc_mm: float | None = None,
+    recipe: CorrectionRecipe = CorrectionRecipe(),
     shift_mm: tuple[float, float] | None = None,
     dt_us: float | None = None,
 ) -> Tasks:
@@ -70,14 +67,18 @@ def tasks_of(
 
     Parameters
     ----------
-    paths, out, scene, target_clear, dewarp_order, square_mm, disc_mm, shift_mm, dt_us
+    paths, out, scene, recipe, dt_us
         As for the verb `evaluate`.
+    shift_mm : (float, float), optional
+        True displacement of the particles, x to the right and y UP.
 
     Raises
     ------
     PairError
         Neither two frames with a scene nor one run; or the run holds no pair, or has no or another time between
         its frames.
+    MapUsageError
+        The map is to be surer than a limit, and there is no fit beside the scene that would know.
     ConfigError, FrameError, BoardError, TargetNotFound, DewarpError, RunUnsuitable, RunDamaged
         What scene, frames, target or run make impossible.
     """
@@ -91,8 +92,7 @@ def tasks_of(
     if scene is None:
         scene = scene_file(paths[0], out)
     fitted = load_scene(scene)
-    board = board_of([*paths, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
-    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+    dewarp = recipe.dewarp(fitted.camera, recipe.board(paths))
     frames = [path for pair in given.pairs for path in pair.frames] or paths
     lit = shift_mm is None and shows_light_sheet(frames)  # moved by a known way: a print on the target's stage
     seen = fitted.in_light_sheet() if lit else fitted
@@ -101,8 +101,8 @@ def tasks_of(
         tasks = [replace(task, note=where_lit(fitted)) for task in tasks]
     for path in frames:
         read_acquired(path, fitted.camera.shape)
-    sigma = scene_sigma_beside(scene, fitted, target_clear is not None, in_light_sheet=lit)
-    return Tasks(tuple(tasks), dewarp, sigma, len(given.alone))
+    sigma = scene_sigma_beside(scene, fitted, dewarp is not None, in_light_sheet=lit)
+    return Tasks(tuple(tasks), dewarp, sigma, recipe.limit(sigma), len(given.alone))
 
 
 def _two_frames(
@@ -137,50 +137,6 @@ def _task(pair: FramePair, scene: Scene, out: Path) -> Task:
     return replace(task, shift_mm=(x, y))
 
 
-def sigma_limit(
-    scene: Path, fitted: Scene, dewarped: bool, limit_px: float, *, in_light_sheet: bool = True
-) -> SigmaLimit:
-    """Limit of the map's sigma, by the fit beside a scene file; see `scene_sigma_beside`.
-
-    Raises
-    ------
-    MapUsageError
-        There is no fit that would know the sigma, or the limit is not positive.
-    """
-    sigma = scene_sigma_beside(scene, fitted, dewarped, in_light_sheet=in_light_sheet)
-    if isinstance(sigma, str):
-        raise MapUsageError(f"--sigma-limit needs the uncertainty of the scene: {sigma}")
-    return SigmaLimit(sigma, limit_px)
-
-
-def scene_sigma_beside(
-    scene: Path, fitted: Scene, dewarped: bool, *, in_light_sheet: bool = True
-) -> SceneSigma | str:
-    """Uncertainty of the scene from the fit beside its file, or why there is none.
-
-    Parameters
-    ----------
-    scene : Path
-        Scene file.
-    fitted : Scene
-        As loaded from it.
-    dewarped : bool
-        Whether a dewarp stands in for the camera's lens terms, of which the fit knows nothing.
-    in_light_sheet : bool
-        Whether particles are looked at, which lie in the scene's light sheet, and not the target.
-    """
-    if not scene.with_name(FIT_FILE).is_file():
-        return "there is no fit beside the scene; run rtpiv calibrate"
-    if dewarped:
-        return "the fit does not hold for a dewarped camera"
-    try:
-        sigma = SceneSigma.load(scene.with_name(FIT_FILE))
-        sigma.check(fitted)
-    except (GroundError, TracerError) as error:
-        return str(error)
-    return sigma.in_light_sheet(fitted) if in_light_sheet else sigma
-
-
 @dataclass(frozen=True)
 class SeriesInput:
     """A series that can be evaluated.
@@ -208,12 +164,8 @@ def series_input(
     out: Path,
     choice: PivChoice,
     scene: Path | None = None,
-    target_clear: Path | None = None,
-    dewarp_order: int = 2,
-    square_mm: float | None = None,
-    disc_mm: float | None = None,
+    recipe: CorrectionRecipe = CorrectionRecipe(),
     dt_us: float | None = None,
-    sigma_limit_px: float | None = None,
     timed: bool = True,
 ) -> SeriesInput:
     """Collect what the series of a run needs.
@@ -226,7 +178,7 @@ def series_input(
         Folder of the series.
     choice : PivChoice
         How pairs are evaluated; unless it says otherwise, a sliding minimum is taken off.
-    scene, target_clear, dewarp_order, square_mm, disc_mm, dt_us, sigma_limit_px
+    scene, recipe, dt_us
         As for the verb `evaluate`.
     timed : bool
         Refuse pairs whose frames are an unknown time apart; else these have displacements in mm.
@@ -251,15 +203,15 @@ def series_input(
     scene = scene or scene_file(run, out)
     fitted = load_scene(scene)
     given = given or pairs_of_source(run, out, fitted.camera.shape, dt_us, timed)
-    board = board_of([run, *([] if target_clear is None else [target_clear])], square_mm, disc_mm)
-    dewarp = dewarp_of(target_clear, fitted.camera, board, dewarp_order)
+    dewarp = recipe.dewarp(fitted.camera, recipe.board([run]))
     keep_scene(scene, out)
     usual = Preparation((SLIDING_MINIMUM,) if given.usual_background else ())
     standing = with_glass_at(fitted, given.glass_place_mm) if given.glass else fitted.bare()
     through = standing.in_light_sheet()
     limit = None
-    if sigma_limit_px is not None:  # glass that a stage has carried on is known as well as where it was fitted
-        limit = sigma_limit(scene, fitted, dewarp is not None, sigma_limit_px, in_light_sheet=False)
+    if recipe.sigma_limit_px is not None:  # glass that a stage has carried on is known as well as where it was
+        limit = recipe.limit(scene_sigma_beside(scene, fitted, dewarp is not None, in_light_sheet=False))
+    if limit is not None:
         seen = limit.sigma.in_light_sheet(standing)
         limit = replace(limit, sigma=replace(seen, scene_hash=through.content_hash()))
     method = Method(through, dewarp, choice.settings, choice.preparation or usual, limit)

@@ -15,10 +15,10 @@ from correction.grid import PlaneGrid, grid_of
 from daq.runs.glass_place import with_glass_at
 from piv.correlation.windows import WindowGrid, window_grid
 from piv.errors import SeriesError
+from rtpiv.analysis.recipe import SCENE_FILE, scene_sigma_beside
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import MeanFlow, image_field, mean_flow
 from rtpiv.analysis.series.series_folder import MEAN, Chunks, SeriesFolder
-from rtpiv.analysis.series.series_input import SCENE_FILE, scene_sigma_beside
 from tracer.scene.scene import Scene
 from tracer.scene.scene_file import load_scene
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from rtpiv.verbs.correct import CorrectionRecipe, correct
+from rtpiv.analysis.recipe import CorrectionRecipe
+from rtpiv.verbs.correct import correct
 from tests.supplied import supplied
 from tracer.scene.scene_file import dump_scene
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from rtpiv.verbs.evaluate import evaluate
+from rtpiv.analysis.pairs.evaluation import PairDetails
+from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
 from sim.renderer.patterns import printed_particles
 from sim.renderer.render import render
 from sim.renderer.sensor import Sensor
@@ -33,7 +34,8 @@ def test_shift_in_beds(name: str, least: int, tmp_path: Path) -> None:
     pair = [tmp_path / "a.tif", tmp_path / "b.tif"]
     for seed, (file, pattern) in enumerate(zip(pair, (sheet, sheet.displaced((step, step))), strict=True)):
         tifffile.imwrite(file, render(scene, pattern, Sensor(), samples=4, seed=50 + seed))
-    (found,) = evaluate(pair, tmp_path / "out", path, shift_mm=(step, step), pictures=False).details
+    details, output = PairDetails((step, step)), EvaluationOutput(pictures=False)
+    (found,) = evaluate(pair, tmp_path / "out", path, details=details, output=output).details
     assert found.shift is not None
     middle = found.shift.regions["behind glass, r < 0.75 R"]
     assert middle.count > least

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rtpiv.analysis.pairs.evaluation import PairDetails
 from rtpiv.command_line.cli import DONE, main
 from rtpiv.verbs.evaluate import evaluate
 from sim.demo.frames import make_frames
@@ -17,7 +18,7 @@ def test_shift_behind_other_glass(name, tmp_path):
     fit, nominal = tmp_path / "fit", tmp_path / "frames" / "scene.yaml"
     assert main(["calibrate", str(tmp_path / "frames"), "--scene", str(nominal), "-o", str(fit)]) == DONE
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
-    (found,) = evaluate(pair, tmp_path / "out", fit / "scene.yaml", shift_mm=frames.shift_mm).details
+    (found,) = evaluate(pair, tmp_path / "out", fit / "scene.yaml", details=PairDetails(frames.shift_mm)).details
     assert found.shift is not None
     direct, middle = found.shift.regions["seen directly"], found.shift.regions["behind glass, r < 0.75 R"]
     assert direct.count > 5000

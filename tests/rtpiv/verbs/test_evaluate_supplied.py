@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.io import netcdf_file
 
+from rtpiv.analysis.pairs.evaluation import PairDetails
 from rtpiv.command_line.cli import DONE, main
-from rtpiv.verbs.evaluate import evaluate
+from rtpiv.verbs.evaluate import EvaluationOutput, evaluate
 from tests.supplied import FRAMES, NOMINAL, ROOT, supplied
 from tracer.scene.scene_file import dump_scene
 
@@ -32,7 +33,11 @@ def test_shift_behind_the_glass_with_the_true_scene(name, tmp_path):
     (tmp_path / "scene.yaml").write_text(dump_scene(frames.truth))
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
     (found,) = evaluate(
-        pair, tmp_path / "out", tmp_path / "scene.yaml", shift_mm=frames.shift_mm, vtk=True, figures=True
+        pair,
+        tmp_path / "out",
+        tmp_path / "scene.yaml",
+        details=PairDetails(frames.shift_mm),
+        output=EvaluationOutput(vtk=True, figures=True),
     ).details
     check(found, name)
     names = {path.name for path in (tmp_path / "out").iterdir()}
@@ -56,7 +61,7 @@ def test_shift_behind_the_glass_with_the_fitted_scene(name, tmp_path):
     assert main(["calibrate", str(tmp_path / "target"), "--scene", str(scene), "-o", str(fit)]) == DONE
     pair = [frames.path(f"particles_glass_{letter}") for letter in "ab"]
     (found,) = evaluate(
-        pair, tmp_path / "out", fit / "scene.yaml", shift_mm=frames.shift_mm, route="compare"
+        pair, tmp_path / "out", fit / "scene.yaml", details=PairDetails(frames.shift_mm, route="compare")
     ).details
     check(found, name)
     assert found.routes is not None

@@ -8,6 +8,7 @@ import pytest
 import tifffile
 from scipy.io import netcdf_file
 
+from rtpiv.analysis.pairs.evaluation import PairDetails
 from rtpiv.analysis.report.pair_folder import write_pair, write_pair_page
 from rtpiv.command_line.cli import DONE, USAGE, main
 from rtpiv.verbs.evaluate import evaluate
@@ -65,7 +66,9 @@ def test_tracks_are_a_file_a_table_and_a_chapter(pair, tmp_path, capsys):
 
 def test_without_a_known_shift_there_are_no_errors_and_with_a_time_there_are_velocities(pair, tmp_path):
     paths = [pair / "a.tif", pair / "b.tif"]
-    (found,) = evaluate(paths, tmp_path / "tracks", pair / "scene.yaml", tracking=True).details
+    (found,) = evaluate(
+        paths, tmp_path / "tracks", pair / "scene.yaml", details=PairDetails(tracking=True)
+    ).details
     assert found.tracks is not None
     row = json.loads((tmp_path / "tracks" / "evaluation.json").read_text())["tracks"][0]
     assert row["rms_error_px"] is None

@@ -10,10 +10,11 @@ import pytest
 import tifffile
 
 from daq.errors import DiskError, RunUsageError
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.command_line.cli import USAGE, main
 from rtpiv.verbs import output
 from rtpiv.verbs.calibrate import calibrate
-from rtpiv.verbs.correct import CorrectionRecipe, correct
+from rtpiv.verbs.correct import correct
 from rtpiv.verbs.evaluate import evaluate
 from rtpiv.verbs.output import folder_for, require_folder
 from rtpiv.verbs.trace import trace

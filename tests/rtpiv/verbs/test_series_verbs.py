@@ -77,6 +77,7 @@ def test_an_empty_series_and_a_stranger_are_no_series(tmp_path, run, capsys):
         (("--prepare", "clahe"), "moves correlation peaks"),
         (("--prepare", "min-max,sliding-minimum"), "raw frames come first"),
         (("--dt-us", "70"), "leave that out"),
+        (("--square-mm", "3"), "the options say 3"),
         (("--prepare", "pod"), "need 12 frames"),
         (("--scene", "nowhere.yaml"), "nowhere.yaml"),
     ],

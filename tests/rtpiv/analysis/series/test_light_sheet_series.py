@@ -6,6 +6,7 @@ import pytest
 from correction.fitted.scene_sigma import KIND
 from ground.map_file import save_arrays
 from rtpiv.analysis.pairs.piv_file import piv_choice
+from rtpiv.analysis.recipe import CorrectionRecipe
 from rtpiv.analysis.series.run_series import run_series
 from rtpiv.analysis.series.series_input import series_input
 from rtpiv.analysis.series.series_mean import mean_of_series
@@ -27,7 +28,7 @@ def mean_in(folder, run, sheet):
     header = {"names": [], "scene_hash": known, "nominal_hash": known, "history": []}
     save_arrays(folder / "fit.npz", KIND, header, {"scene_root": np.zeros((14, 1))})
     choice = piv_choice(final_window_px=16, first_window_px=32)
-    given = series_input(run, folder / "series", choice, scene, sigma_limit_px=5.0)
+    given = series_input(run, folder / "series", choice, scene, CorrectionRecipe(sigma_limit_px=5.0))
     run_series("flow", folder / "series", given.given, given.method, 1, 4)
     return mean_of_series(folder / "series")
 

@@ -17,9 +17,9 @@ from daq.errors import DiskError, RunDamaged, RunUnsuitable
 from daq.runs.pairs import pairs_of
 from daq.runs.run_folder import RunFolder
 from piv.errors import PairError, SeriesError
-from rtpiv.analysis.evaluated import Evaluated
 from rtpiv.analysis.series import clean_frames as clean
 from rtpiv.analysis.series.chunk import evaluate_chunk
+from rtpiv.analysis.series.evaluated import Evaluated
 from rtpiv.analysis.series.mean_file import mean_vectors, write_statistics
 from rtpiv.analysis.series.mean_flow import mean_flow
 from rtpiv.analysis.series.run_series import run_series

@@ -1,0 +1,132 @@
+"""How frames are corrected: where their lens bends, how sure the map must be, and how pixels are read between.
+
+A camera's lens is taken from its scene, or from a dewarp that is fitted to one frame of the bare target.  What is
+unsure of the scene lies in the fit beside its file; the map's sigma follows from that, and nodes of which it is
+larger than a limit may be left out.  A fit knows the scene's lens terms and nothing of a dewarp in their place.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from correction.errors import MapUsageError
+from correction.fitted.map_sigma import SigmaLimit
+from correction.fitted.scene_sigma import SceneSigma
+from correction.maps.dewarp import Dewarp
+from correction.target import Chessboard
+from daq.runs.run_views import board_of, dewarp_of
+from ground.errors import GroundError
+from piv.resampling.sample import Method
+from rtpiv.options.numbers import Count, DewarpOrder, Positive
+from tracer.camera import Camera
+from tracer.errors import TracerError
+from tracer.scene.scene import Scene
+
+SCENE_FILE, FIT_FILE = "scene.yaml", "fit.npz"  # beside each other, of a fit as in the folder of a series
+
+
+@dataclass(frozen=True)
+class CorrectionRecipe:
+    """How frames are corrected.
+
+    Parameters
+    ----------
+    target_clear : path, optional
+        Bare target without glass: the dewarp is fitted to it.  Without it the scene's camera, lens terms
+        included, is taken as it is.
+    dewarp_order : {2, 3, 4, 5}
+        Order of the dewarp polynomial: 2 as in the paper, 3 to 5 where the lens distorts radially.
+    square_mm, disc_mm : float, optional
+        Square and disc of the board, of frames that are of no run (default 2.5, and 0.4 of a square): a run knows
+        its own.
+    sigma_limit_px : float, optional
+        Leave out nodes of which the fitted map is less sure; needs the fit beside the scene file.
+    """
+
+    target_clear: Path | str | None = None
+    dewarp_order: DewarpOrder = 2
+    square_mm: Positive | None = None
+    disc_mm: Positive | None = None
+    sigma_limit_px: Positive | None = None
+
+    def board(self, paths: Iterable[Path]) -> Chessboard:
+        """Return the board of the bare target and of what is named, runs or frames.
+
+        Raises
+        ------
+        BoardError
+            A run's board is another one.
+        RunUnsuitable, RunDamaged
+            A run cannot be read.
+        """
+        target = [] if self.target_clear is None else [Path(self.target_clear)]
+        return board_of([*paths, *target], self.square_mm, self.disc_mm)
+
+    def dewarp(self, camera: Camera, board: Chessboard) -> Dewarp | None:
+        """Fit the dewarp to the bare target; None without one.
+
+        Raises
+        ------
+        FrameError, FrameDamaged, RunDamaged, TargetNotFound, DewarpError
+            As `daq.runs.run_views.dewarp_of`.
+        """
+        target = None if self.target_clear is None else Path(self.target_clear)
+        return dewarp_of(target, camera, board, self.dewarp_order)
+
+    def limit(self, sigma: SceneSigma | str) -> SigmaLimit | None:
+        """Return how sure the map must be, by what is unsure of its scene; None without a limit.
+
+        Raises
+        ------
+        MapUsageError
+            It is not known how sure the scene is, or the limit is not positive.
+        """
+        if self.sigma_limit_px is None:
+            return None
+        if isinstance(sigma, str):
+            raise MapUsageError(f"--sigma-limit needs the uncertainty of the scene: {sigma}")
+        return SigmaLimit(sigma, self.sigma_limit_px)
+
+
+@dataclass(frozen=True)
+class Resampling:
+    """How a corrected frame is read from the acquired one.
+
+    Parameters
+    ----------
+    method : {"quintic", "bilinear"}
+        Interpolation.
+    blend : int
+        Views joined a node; 1 takes the best.
+    """
+
+    method: Method = "quintic"
+    blend: Count = 1
+
+
+def scene_sigma_beside(
+    scene: Path, fitted: Scene, dewarped: bool, *, in_light_sheet: bool = True
+) -> SceneSigma | str:
+    """Uncertainty of the scene from the fit beside its file, or why there is none.
+
+    Parameters
+    ----------
+    scene : Path
+        Scene file.
+    fitted : Scene
+        As loaded from it.
+    dewarped : bool
+        Whether a dewarp stands in for the camera's lens terms, of which the fit knows nothing.
+    in_light_sheet : bool
+        Whether particles are looked at, which lie in the scene's light sheet, and not the target.
+    """
+    if not scene.with_name(FIT_FILE).is_file():
+        return "there is no fit beside the scene; run rtpiv calibrate"
+    if dewarped:
+        return "the fit does not hold for a dewarped camera"
+    try:
+        sigma = SceneSigma.load(scene.with_name(FIT_FILE))
+        sigma.check(fitted)
+    except (GroundError, TracerError) as error:
+        return str(error)
+    return sigma.in_light_sheet(fitted) if in_light_sheet else sigma
