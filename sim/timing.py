@@ -13,13 +13,13 @@ what it hears into a queue and returns, or the box hears its own next command la
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from daq.timing.pulses import Role
 from daq.timing.timing_table import TimingTable
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
 from sim.timing_boxes.outputs import Outputs, Pulse
-from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from sim.timing_boxes.timing_units import emulator_of
 
@@ -40,7 +40,9 @@ class SimulatedTiming:
     def __init__(self, table: TimingTable, clock: Clock) -> None:
         self.wiring = table.wiring
         made = emulator_of(table.box)
-        options = {"name": table.identity} if issubclass(made, OltSyncEmulator) else made.individual(table.port)
+        options: dict[str, Any] = {"name": table.identity}
+        if issubclass(made, QuantumComposersEmulator):
+            options = made.individual(table.port) | made.model_of(table.box)
         self._emulator = emulator = made({}, clock, **options)
         self.line = Line(emulator, clock)
         self.outputs: Outputs = emulator.outputs

@@ -4,7 +4,7 @@
 
 A pair is kept when it is sure, and gets the next two places of the step; what was lost is counted in the line of
 its chunk and fired again, so a step has no gaps.  A flow goes on meanwhile: the time of each pair stands in its
-record.  Frames of pairs before the first light and behind the last are dropped (brightness).  Several cameras keep
+record.  Several cameras keep
 only what all of them have of one trigger (synchronise_pairs), so frames of one number show the same light.
 
     frames:  2 triggers = 2 pairs + dropped by reason + those that never came
@@ -29,7 +29,7 @@ from daq.errors import FramesLost
 from daq.plans.pulse_order import PulseOrder
 from daq.plans.steps import Step
 from daq.runner.interrupts import Interrupts
-from daq.runner.laser_session import LaserSession, require_buffers, require_rate
+from daq.runner.laser_session import LaserSession, require_rate
 from daq.runner.pair_source import Chunk, Pair, PairSource
 from daq.runner.pair_writer import PairWriter
 from daq.runner.progress import Progress
@@ -104,14 +104,13 @@ class FlowStep:
         for side in self._sides[1:]:
             exposures = side.source.exposures
             require_rate(exposures.settings, side.source.section.frames, order.rate_hz)
-            require_buffers(laser, order, exposures.section.buffers, side.source.name)
-        spare, barren, fired, lost, edges = 0, 0, 0, 0, 0
+        spare, barren, fired, lost = 0, 0, 0, 0
         while place < step.frames:
             if self._interrupts.wanted:
                 return False
             wanted = (step.frames - place) // 2
             pairs = min(order.chunk, wanted + max(spare, SPARE), laser.most_pairs)
-            chunks = [Chunk(pairs, pairs) for _ in self._sides]
+            chunks = [Chunk(pairs) for _ in self._sides]
             utc = utc_now()
             try:
                 with closing(self._chunk(order, laser, chunks, min(wanted, pairs))) as found:
@@ -126,8 +125,7 @@ class FlowStep:
             number, chunk = number + 1, chunks[0]
             fired, lost, spare = fired + pairs, lost + chunk.lost, max(spare, chunk.lost)
             barren = 0 if chunk.kept else barren + 1
-            edges += chunk.triggers > chunk.fired  # where lamps run, a chunk may begin or end with half a pair
-            too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired) + edges
+            too_many = lost > max(LOST_ANYHOW, order.lost_at_most * fired)
             if barren == BARREN or (barren and pairs >= MANY) or too_many:
                 raise FramesLost(
                     f"{lost} of {fired} pairs are lost, in the last chunk {self._sentence(chunks)}; look at the "
@@ -148,7 +146,7 @@ class FlowStep:
     def _chunk(
         self, order: PulseOrder, laser: Laser, chunks: Sequence[Chunk], wanted: int
     ) -> Generator[tuple[Pair, ...], None, None]:
-        """Fire, and yield the pairs that are sure and had light, one a camera, as many as are wanted."""
+        """Fire, and yield the pairs that are sure, one a camera, as many as are wanted."""
         light = self._laser_session.exposures
         assert light is not None
         sources = [side.source for side in self._sides]
@@ -165,7 +163,6 @@ class FlowStep:
                 self._tell("firing")
                 found = []
                 for source, chunk in zip(sources, chunks, strict=True):
-                    chunk.triggers = laser.camera_triggers
                     found.append(streams.enter_context(closing(source.pairs(order, laser, light, chunk))))
                 for pairs in streams.enter_context(
                     closing(synchronise_pairs(sources, found, chunks, order.rate_hz))

@@ -136,7 +136,6 @@ class LaserSession:
         self.exposures = pair_exposures(section, exposure_us)
         laser = cast("Laser", self._hardware.devices[order.laser])
         self._laser = laser
-        require_buffers(laser, order, self._hardware.camera_section.buffers)
         if laser.state is LaserState.UNKNOWN:
             laser.safe()
         if laser.state is LaserState.SAFE:
@@ -161,6 +160,7 @@ class LaserSession:
         """
         laser.arm(self._conditions(armed, True), self._code)
         try:
+            laser.renew(self._conditions(armed, True))
             laser.fire(pairs)
         except BaseException:
             if laser.state is LaserState.ARMED:
@@ -211,17 +211,6 @@ def exposure_of(settings: Mapping[str, Setting]) -> float:
         if isinstance(value, int | float) and value > 0:
             return float(value)
     raise PlanError("the camera does not tell its ExposureTime, so no pulse can be placed")
-
-
-def require_buffers(laser: Laser, order: PulseOrder, buffers: int, name: str = "the camera") -> None:
-    """Refuse a camera that cannot hold the pairs that come before the first light; RunUsageError."""
-    early = laser.box.camera_triggers(order.chunk) - order.chunk
-    least = 4 * (early + 2)
-    if early and buffers < least:
-        raise RunUsageError(
-            f"the lamps run before the first pair, so up to {early} pairs are held until the light is found; "
-            f"set buffers of {name} to {least} (it is {buffers})"
-        )
 
 
 def require_rate(settings: Mapping[str, Setting], frames: int, rate_hz: float) -> None:

@@ -1,6 +1,4 @@
-"""The pairs of one camera in a chunk of light pulses: armed before the first pulse, sure and lit when handed over.
-
-    frames of one camera -> pairs that are sure (pair_finder) -> those that had light (brightness)
+"""The pairs of one camera in a chunk of light pulses: armed before the first pulse, sure when handed over.
 
 Several cameras are asked in turn by one thread, so a source that has nothing yet says so (None) after a moment.
 """
@@ -8,19 +6,18 @@ Several cameras are asked in turn by one thread, so a source that has nothing ye
 import time
 from collections import Counter
 from collections.abc import Generator
-from contextlib import closing
 from dataclasses import dataclass, field
 
 from daq.bench.pairs_section import PairsSection
 from daq.cameras.frame import Frame
 from daq.errors import BadFrame, CameraTimeout, OtherFormat, RunUsageError
 from daq.plans.pulse_order import PulseOrder
-from daq.runner.brightness import BrightnessSign, LightWatch, mean_counts
+from daq.runner.brightness import BrightnessSign, mean_counts
 from daq.runner.camera_session import CameraSession
 from daq.runner.camera_watch import ask_clock
 from daq.runner.clock_calibration import Shot
 from daq.runner.pair_finder import MarkerPolarity, PairFinder
-from daq.runs.frame_accounting import DARK, HALF, LEFT
+from daq.runs.frame_accounting import LEFT
 from daq.timing.laser import Laser
 from daq.timing.pulses import PairExposures
 from daq.timing.states import EMITS
@@ -32,7 +29,6 @@ class Chunk:
     """Books of one chunk; frames are dropped by reason, pairs are kept."""
 
     fired: int
-    triggers: int
     kept: int = 0
     surplus: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
@@ -45,7 +41,7 @@ class Chunk:
     @property
     def never_came(self) -> int:
         """Frames that were triggered and never seen whole; below 0 if the camera sent more than were asked for."""
-        return 2 * (self.triggers - self.kept) - sum(self.dropped.values())
+        return 2 * (self.fired - self.kept) - sum(self.dropped.values())
 
     def sentence(self) -> str:
         """What became of the pairs that were fired."""
@@ -77,7 +73,6 @@ class PairSource:
         self.name = name
         self.exposures = exposures
         self.section = section
-        self._watches = (LightWatch(), LightWatch())
         self._sense = MarkerPolarity(section)
         self._sign = BrightnessSign()
         self._arm = Shot(None, 0, 0)
@@ -85,7 +80,7 @@ class PairSource:
 
     def begin_step(self) -> None:
         """Forget what was learnt of the light of another step."""
-        self._watches, self._sense = (LightWatch(), LightWatch()), MarkerPolarity(self.section)
+        self._sense = MarkerPolarity(self.section)
         self._sign = BrightnessSign()
 
     def arm(self) -> None:
@@ -124,10 +119,44 @@ class PairSource:
     def pairs(
         self, order: PulseOrder, laser: Laser, light: PairExposures, chunk: Chunk
     ) -> Generator[Pair | None, None, None]:
-        """Pairs that are sure and had light, None now and then, until the burst has ended and no frame comes."""
-        sure = self._sure_pairs(order, laser, light, chunk)
-        with closing(sure):
-            yield from self._lit_pairs(order, chunk, sure)
+        """Pairs that are sure, None now and then, until the burst has ended and no frame comes."""
+        exposures = self.exposures
+        finder: PairFinder[Frame] = PairFinder(
+            self.section, order.rate_hz, light.exposure_a_us + light.gap_us, lambda f: exposures.reject(f, True)
+        )
+        timeout_s = exposures.section.timeout_s + 1.0 / order.rate_hz
+        heard_s, is_first, seen = time.monotonic(), True, 0
+        try:
+            while True:
+                try:
+                    frame = exposures.look(SLICE_S)
+                except OtherFormat:
+                    raise
+                except BadFrame:  # counted by the camera; its partner finds no pair
+                    seen, heard_s = seen + 1, time.monotonic()
+                    continue
+                if frame is None:
+                    is_over = laser.state not in EMITS
+                    if is_over and (seen >= 2 * chunk.fired or time.monotonic() - heard_s > timeout_s):
+                        break
+                    heard_s = heard_s if seen or is_over else time.monotonic()  # the first light may be far
+                    if not is_over and time.monotonic() - heard_s > timeout_s:
+                        raise CameraTimeout(f"no frame within {timeout_s:.1f} s; look at the camera's trigger")
+                    yield None
+                    continue
+                heard_s = time.monotonic()
+                if is_first and not exposures.match.is_of_arm(frame.meta, self._arm):
+                    exposures.reject(frame, True)  # no trigger of this chunk made it
+                    continue
+                is_first, seen = False, seen + 1
+                yield finder.add(frame.meta, frame)
+            self._sense.chunk_ended(finder.last)
+            if pair := finder.end():
+                yield pair
+        finally:
+            if pair := finder.end():  # something came between
+                self.drop(chunk, LEFT, *pair)
+            chunk.dropped.update(finder.rejected)
 
     def is_flipped(self, pair: Pair) -> bool:
         """Whether the other exposure is the brighter one now."""
@@ -155,85 +184,3 @@ class PairSource:
         """End the run in doubt where the marker calls exposure B an A."""
         if said := self._sense.doubt(is_final):
             self.exposures.doubt(said)
-
-    def _sure_pairs(
-        self, order: PulseOrder, laser: Laser, light: PairExposures, chunk: Chunk
-    ) -> Generator[Pair | None, None, None]:
-        """Pairs as the finder lets them go."""
-        exposures = self.exposures
-        finder: PairFinder[Frame] = PairFinder(
-            self.section, order.rate_hz, light.exposure_a_us + light.gap_us, lambda f: exposures.reject(f, True)
-        )
-        timeout_s = exposures.section.timeout_s + 1.0 / order.rate_hz
-        heard_s, is_first, seen = time.monotonic(), True, 0
-        try:
-            while True:
-                try:
-                    frame = exposures.look(SLICE_S)
-                except OtherFormat:
-                    raise
-                except BadFrame:  # counted by the camera; its partner finds no pair
-                    seen, heard_s = seen + 1, time.monotonic()
-                    continue
-                if frame is None:
-                    is_over = laser.state not in EMITS
-                    if is_over and (seen >= 2 * chunk.triggers or time.monotonic() - heard_s > timeout_s):
-                        break
-                    heard_s = heard_s if seen or is_over else time.monotonic()  # the first light may be far
-                    if not is_over and time.monotonic() - heard_s > timeout_s:
-                        raise CameraTimeout(f"no frame within {timeout_s:.1f} s; look at the camera's trigger")
-                    yield None
-                    continue
-                heard_s = time.monotonic()
-                if is_first and not exposures.match.is_of_arm(frame.meta, self._arm):
-                    exposures.reject(frame, True)  # no trigger of this chunk made it
-                    continue
-                is_first, seen = False, seen + 1
-                yield finder.add(frame.meta, frame)
-            self._sense.chunk_ended(finder.last)
-            if pair := finder.end():
-                yield pair
-        finally:
-            if pair := finder.end():  # something came between
-                self.drop(chunk, LEFT, *pair)
-            chunk.dropped.update(finder.rejected)
-
-    def _lit_pairs(
-        self, order: PulseOrder, chunk: Chunk, pairs: Generator[Pair | None, None, None]
-    ) -> Generator[Pair | None, None, None]:
-        """Leave out what came before the first light and behind the last; see `brightness`."""
-        extra = chunk.triggers - chunk.fired
-        if extra <= 0:
-            yield from pairs
-            return
-        held: list[Pair] = []
-        is_begin, period_ns = True, 1e9 / order.rate_hz
-        try:
-            for pair in pairs:
-                if pair is None:
-                    yield None
-                    continue
-                held.append(pair)
-                since_ns = pair[0].meta.timestamp_ns - held[0][0].meta.timestamp_ns
-                if is_begin and since_ns < (extra - 0.5) * period_ns:
-                    continue
-                yield from self._with_light(chunk, held, is_begin)
-                is_begin = False
-            yield from self._with_light(chunk, held, is_begin)
-        finally:
-            for pair in held:
-                self.drop(chunk, LEFT, *pair)
-
-    def _with_light(self, chunk: Chunk, held: list[Pair], is_begin: bool) -> Generator[Pair, None, None]:
-        """Take pairs out of `held`; yield those of which both exposures had light."""
-        counts = [(mean_counts(first.pixels), mean_counts(second.pixels)) for first, second in held]
-        both = [
-            watch.are_lit(one) if is_begin else [watch.is_lit(each) for each in one]
-            for watch, one in zip(self._watches, zip(*counts, strict=True), strict=False)
-        ]
-        for lit in list(zip(*both, strict=True)):
-            pair = held.pop(0)
-            if all(lit) and chunk.kept + chunk.surplus < chunk.fired:
-                yield pair
-            else:
-                self.drop(chunk, HALF if any(lit) and not all(lit) else DARK, *pair)

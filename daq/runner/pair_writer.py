@@ -104,7 +104,7 @@ class PairWriter:
             utc=utc,
             chunk=number,
             fired=chunk.fired,
-            triggers=chunk.triggers,
+            triggers=chunk.fired,
             pairs=chunk.kept,
             surplus=chunk.surplus,
             lost=chunk.lost,

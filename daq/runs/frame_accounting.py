@@ -205,14 +205,8 @@ def doubts(entries: Sequence[Entry]) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-DARK, HALF = "without light", "of pairs with one light"
 ELSEWHERE = "of pairs that another camera has not"
 SURPLUS, LEFT = "more than wanted", "left when the chunk ended"
-_AT_THE_ENDS = (
-    "where lamps run all the time the camera takes some pairs before the first light of a chunk and after the "
-    "last, and the two lights may begin and end a period apart, so a chunk may begin and end with half a pair; "
-    "none of these is kept"
-)
 
 
 def chunk_sentences(entries: Iterable[Entry]) -> list[str]:
@@ -236,9 +230,6 @@ def chunk_sentences(entries: Iterable[Entry]) -> list[str]:
     dropped: Counter[str] = Counter()
     for entry in chunks:
         dropped.update(entry["dropped"])
-    dark, half = dropped.pop(DARK, 0), dropped.pop(HALF, 0)
-    if dark or half:
-        said.append(f"{dark} frames had no light and {half} were {HALF}: {_AT_THE_ENDS}")
     dropped.pop(SURPLUS, None)
     others = [f"{number} {why}" for why, number in sorted(dropped.items()) if number]
     others += [f"{never} never came"] if never > 0 else []

@@ -121,7 +121,7 @@ class ChunkLine(TypedDict):
     utc: Text  # when the camera was armed
     chunk: Count
     fired: Count  # pairs of pulses, counted by the timing unit
-    triggers: Count  # pairs of frames that the camera was triggered for; more than fired where lamps run
+    triggers: Count  # pairs of frames that the camera was triggered for
     pairs: Count  # kept
     surplus: Count  # sure, and more than were wanted
     lost: Annotated[int, Field(ge=-1_000_000_000, le=1_000_000_000)]

@@ -172,17 +172,15 @@ class TimingBox(Link):
             Whether camera and marker get their pulses as well.
         """
 
-    def camera_triggers(self, pairs: int) -> int:
-        """Pairs of frames that the camera is triggered for in a burst; as many, unless a box must begin early."""
-        return pairs
-
-    @abstractmethod
-    def running(self) -> bool:
-        """Ask whether a burst still goes on."""
-
     @abstractmethod
     def end(self) -> None:
-        """End a burst: Q-switches, camera and marker off and read back, lamps as they are."""
+        """End a burst whose time is over: Q-switches, camera and marker off and read back, lamps as they are.
+
+        Raises
+        ------
+        LaserDoubt
+            It does not end, or had ended before its time.
+        """
 
     # ---- for drivers ---------------------------------------------------------------------------
 

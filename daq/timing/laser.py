@@ -4,6 +4,7 @@
     laser.warm(10.0)                      lamps at their rate; ready after `warmup_s`
     laser.set(timing, exposures)          dt, with every Q-switch off; read back
     laser.arm(conditions, code)           `code` is what a person has read from `laser.challenge` and typed
+    laser.renew(conditions)               the same again, now that nothing can begin to move
     laser.fire(50)                        the box counts 50 pairs and stops by itself
     laser.wait()                          until it has; READY again, to be armed for the next chunk
     laser.stop("why")                     off now, from any thread; nothing goes on before `safe()`
@@ -43,7 +44,7 @@ from daq.timing.states import EMITS, Event, LaserState, LaserStateMachine, Mover
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
-LATE_S = 1.0  # a burst that the box still calls running so long after its end is in doubt
+SPARE_S = 0.05  # by which the first tick of a box that counts may come after the answer to the word that starts it
 POLL_S = 0.01  # between two looks of `wait`
 CONFIRM_S = 0.2  # between two attempts to read back that everything is off
 LEAVING_S = 10.0  # how long whoever leaves goes on with them; a cable that comes loose is mostly put back by then
@@ -117,11 +118,6 @@ class Laser:
     def warm_in_s(self) -> float:
         """Time until the lamps have run for long enough."""
         return max(0.0, self._states.heated_s - self._clock.now_s())
-
-    @property
-    def camera_triggers(self) -> int:
-        """Pairs of frames that the camera is triggered for in a burst of `pairs`; those beyond are dark."""
-        return self.box.camera_triggers(self.pairs)
 
     @property
     def most_pairs(self) -> int:
@@ -240,6 +236,24 @@ class Laser:
                 self._states.enter(Event.DISARM)
                 raise NotArmed(f"{self.name} is not armed: {moves}")
 
+    def renew(self, conditions: Conditions) -> None:
+        """State how things stand now that nothing can begin to move: between `arm` and `fire`.
+
+        What was stated for `arm` was true before the box had been asked for all that it holds, which takes a
+        second or more; until then a motion may have begun and ended.
+
+        Raises
+        ------
+        NotNow, NotArmed
+            It is not ARMED, or a condition is not met (any more); nothing was sent.
+        """
+        with self._lock:
+            self._states.require(LaserState.ARMED)
+            if missing := conditions.missing(1, self.rules.clear_mm):
+                self._states.enter(Event.DISARM)
+                raise NotArmed(f"{self.name} is not armed: {missing}")
+            self._conditions, self._armed_s = conditions, self._clock.now_s()
+
     def disarm(self) -> None:
         """Go back to READY."""
         with self._lock:
@@ -280,8 +294,8 @@ class Laser:
             begun_s = self._clock.now_s()
             self.box.begin(pairs)
             if self.box.counts:  # it counts from when the last output was switched on
-                begun_s = self._clock.now_s()
-            self._ends_s = begun_s + self.camera_triggers / self.schedule.rate_hz
+                begun_s = self._clock.now_s() + SPARE_S
+            self._ends_s = begun_s + pairs / self.schedule.rate_hz
 
     def align(self, code: str, rate_hz: float, for_s: float) -> None:
         """Give weak pulses to see the sheet by, counted by the box; entered from SAFE, left through `safe`.
@@ -314,8 +328,11 @@ class Laser:
                 raise LaserStopped(f"{self.name} gives no light: {moves}")
             if self.head.lamp_to_q_switch_us is not None:
                 self.box.start_lamps()
+            begun_s = self._clock.now_s()
             self.box.begin(self.pairs, camera=False)
-            self._ends_s = self._clock.now_s() + self.pairs / rate_hz
+            if self.box.counts:
+                begun_s = self._clock.now_s() + SPARE_S
+            self._ends_s = begun_s + self.pairs / rate_hz
 
     def low_energy_burst(self, rate_hz: float, for_s: float) -> tuple[Schedule, int]:
         """Return where the weak pulses of `align` lie, and how many they are; nothing is sent.
@@ -440,12 +457,12 @@ class Laser:
             raise LaserStopped(f"{self.name} was switched off: {missing}")
 
     def look(self) -> bool:
-        """See whether a burst has ended, ending it where the box does not; True while one goes on.
+        """See whether the time of a burst is over, and end it then; True while one goes on.
 
         Raises
         ------
         LaserDoubt
-            The box goes on beyond its count; it was switched off.
+            It had ended before its time, or does not end; it was switched off.
         StageError
             It could not be asked; it was switched off as far as that was possible.
         """
@@ -456,10 +473,6 @@ class Laser:
             if state not in EMITS or self._clock.now_s() < self._ends_s:
                 return state in EMITS
             with self._doubting():
-                if self.box.counts and self.box.running():
-                    if self._clock.now_s() > self._ends_s + LATE_S:
-                        raise LaserDoubt(f"{self.name} still gives pulses after its count of {self.pairs}")
-                    return True
                 if state is LaserState.FIRING:
                     self.box.end()
                     self.box.require_lamps(self._rate_hz is not None)  # a restart ends bursts too

@@ -3,17 +3,32 @@
 T0 ticks on the world's clock from the moment at which its state was set to 1, whoever listens and whether or not
 the host still lives. An output that is on gives a pulse `DEL` after every tick, `WIDT` long, as its mode has it:
 
-    NORM  at every tick       SING  once, then STAT is 0       BURS  BCO times, then STAT is 0
+    NORM  at every tick       SING  once, then its output is inhibited       BURS  BCO times, then inhibited
     DCYC  PCO ticks on, OCO ticks off, for ever               WCO   ticks to wait first, in any mode
+
+**What arms a burst** (`arms`). "Channels are armed by the RUN button. In single shot and burst modes channells
+may be rearmed by pressing the RUN a second time" (9530 manual p. 14; 525 manual 5.1 says the same), and the state
+of T0 is that button (575 manual, 8: system pulse). A burst goes "'n' times, after which output is inhibited" (575
+manual p. 5-11, 9520 manual p. 16): STAT stays as it was written. The manuals leave open whether RUN arms an output
+that is off, so there is a box of either kind, and one of the kind that was believed in before anybody had read
+them:
+
+    "run"        RUN arms what is on; an output that is switched on while T0 runs gives nothing until RUN
+    "run all"    RUN arms all; one that is switched on later gives its pulses then
+    "state"      its own STAT arms an output and is 0 again at the end of the burst; no manual says so
 
 An output that is switched off gives no pulse that has not begun, and it begins at the tick after it was switched
 on. MUX is a sum of outputs whose pulses come out here: that of an output itself has its own bit. With a trigger
 mode other than DIS, T0 only waits for an edge that never comes. With autorun, power brings T0 and the outputs
 back as they were; else everything is off. The pulses go out at `outputs`.
+
+Clock: a 9530 has a mode (ICL:MOD), a 575, 9510 or 9520 one word (ICL SYS|EXT10.., 575 manual v5.6 p. 8-38).
+Keywords are obeyed in full or by their capitals (575 manual p. 8-34).
 """
 
+import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from daq.timing.protocols.quantum_composers import Command, CommandStream, shortened
 from sim.emulators.device import Clock, serial_number
@@ -24,19 +39,25 @@ from stages.errors import ProtocolViolation
 
 LETTERS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
+MODELS = {  # what a box says of itself, by the name that a bench file gives it
+    "qc9510": "QC,9518", "qc9520": "QC,9528", "qc9530": "QC,9538", "bnc575": "BNC,575-8", "bnc577": "BNC,577-8",
+}  # fmt: skip
+HAS_CLOCK_MODE = ("953", "577")  # models, by their beginning; of the 577 it is not known
 T0_WORDS = {
     "PER": "0.1", "MOD": "NORM", "BCO": "1", "PCO": "1", "OCO": "1", "CYCL": "1", "TRIG:MOD": "DIS",
-    "TRIG:EDGE": "RIS", "TRIG:LEV": "2.50", "GATE:MOD": "DIS", "GATE:LOG": "HIGH", "GATE:LEV": "2.50",
-    "ICL:MOD": "INT", "ICL:RAT": "10", "ICL:LEV": "0.50",
+    "TRIG:EDG": "RIS", "TRIG:LEV": "2.50", "GAT:MOD": "DIS", "GAT:LOG": "HIGH", "GAT:LEV": "2.50",
 }  # fmt: skip
+CLOCK_MODE_WORDS = {"ICL:MOD": "INT", "ICL:RAT": "10", "ICL:LEV": "0.50"}
+CLOCK_WORDS = {"ICL": "SYS"}
 OUTPUT_WORDS = {
     "WIDT": "0.00001", "DEL": "0", "SYNC": "T0", "POL": "NORM", "CMOD": "NORM", "BCO": "1", "PCO": "1", "OCO": "1",
     "WCO": "0", "CGAT": "DIS", "CLOG": "HIGH", "OUTP:MOD": "TTL", "OUTP:AMPL": "5.00",
 }  # fmt: skip
 CHOICES = {
     "MOD": ("NORM", "SING", "BURS", "DCYC"), "CMOD": ("NORM", "SING", "BURS", "DCYC"),
-    "TRIG:MOD": ("DIS", "TRIG", "DUAL"), "TRIG:EDGE": ("RIS", "FALL"),
-    "GATE:MOD": ("DIS", "PULS", "OUTP", "CHAN"), "GATE:LOG": ("LOW", "HIGH"), "ICL:MOD": ("INT", "EXT", "XPL"),
+    "TRIG:MOD": ("DIS", "TRIG", "DUAL"), "TRIG:EDG": ("RIS", "FALL"),
+    "GAT:MOD": ("DIS", "PULS", "OUTP", "CHAN"), "GAT:LOG": ("LOW", "HIGH"), "ICL:MOD": ("INT", "EXT", "XPL"),
+    "ICL": ("SYS", "EXT10", "EXT20", "EXT50", "EXT100"),  # EXT10 is what a real one says; more exist
     "POL": ("NORM", "COMP", "INV"), "CGAT": ("DIS", "PULS", "OUTP"), "CLOG": ("LOW", "HIGH"),
     "OUTP:MOD": ("TTL", "ADJ"),
 }  # fmt: skip
@@ -54,28 +75,30 @@ class _Channel:
     def __init__(self, words: Mapping[str, str]) -> None:
         self.words = dict(words)
         self.on = False
+        self.is_spent = True  # a burst gives nothing until it is armed
         self.waits = self.done = 0
 
-    def start(self) -> None:
+    def arm(self) -> None:
         """Begin the mode anew."""
-        self.on, self.done = True, 0
+        self.is_spent, self.done = False, 0
         self.waits = int(self.words.get("WCO", "0"))
 
     def tick(self, mode: str) -> bool:
         """Whether there is a pulse at this tick."""
         if not self.on:
             return False
+        kind = self.words[mode]
+        most = {"SING": 1, "BURS": int(self.words["BCO"])}.get(kind)
+        if most is not None and self.is_spent:
+            return False
         if self.waits > 0:
             self.waits -= 1
             return False
-        kind = self.words[mode]
         self.done += 1
         if kind == "DCYC":
             on, off = int(self.words["PCO"]), int(self.words["OCO"])
             return (self.done - 1) % (on + off) < on
-        most = {"SING": 1, "BURS": int(self.words["BCO"])}.get(kind)
-        if most is not None and self.done >= most:
-            self.on = False
+        self.is_spent = most is not None and self.done >= most
         return True
 
 
@@ -102,36 +125,48 @@ class QuantumComposersEmulator(PulsingEmulator):
         Goes on by itself after a power failure.
     locked : bool
         Whether an external clock is there for XPL.
+    arms : {"run", "run all", "state"}
+        What arms a burst.
+    needs_s : float
+        A line that comes sooner than this after the one before is lost.
     """
 
     def __init__(
         self,
         motors: Mapping[str, Motor],
         clock: Clock,
-        model: str = "QC,9528",
+        model: str = MODELS["qc9530"],
         outputs: int = 8,
         serial: int = 2311,
         step_s: float = 5e-9,
         echo: bool = False,
         autorun: bool = False,
         locked: bool = True,
+        arms: Literal["run", "run all", "state"] = "run",
+        needs_s: float = 0.0,
     ) -> None:
         super().__init__(motors, clock)
+        self._arms, self._needs_s, self._heard_s = arms, needs_s, -math.inf
         self.refuse = 0  # commands to come that are answered by ?8
         self._name = f"{model},{serial:05d},1.2.2-1.2.0"
         self._step_s, self._echo, self._autorun, self.locked = step_s, echo, autorun, locked
         self._stream = CommandStream()
-        self._t0 = _Channel(T0_WORDS)
+        has_mode = model.partition(",")[2].startswith(HAS_CLOCK_MODE)
+        self._t0 = _Channel(T0_WORDS | (CLOCK_MODE_WORDS if has_mode else CLOCK_WORDS))
         self._channels = [_Channel({**OUTPUT_WORDS, "MUX": str(1 << number)}) for number in range(outputs)]
         self._last = 1  # number of the pulse that was spoken of last
         if autorun:
-            self._t0.start()
-            self._period_begins_s = self.event_s
+            self._switch(0, True)
 
     @classmethod
     def individual(cls, name: str) -> dict[str, Any]:
         """What tells this box from another of its kind."""
         return {"serial": serial_number(name)}
+
+    @classmethod
+    def model_of(cls, box: str) -> dict[str, Any]:
+        """What makes it the box that a bench file names."""
+        return {"model": MODELS[box]} if box in MODELS else {}
 
     def is_on_at(self, number: int) -> bool:
         """Whether T0 (0) or an output is on, for tests that look inside."""
@@ -158,6 +193,9 @@ class QuantumComposersEmulator(PulsingEmulator):
             active = [False] * len(self._channels)
         else:
             active = [channel.tick("CMOD") for channel in self._channels]
+        if self._arms == "state":
+            for channel in self._channels:
+                channel.on = channel.on and not (channel.is_spent and channel.words["CMOD"] in ("SING", "BURS"))
         self._period_begins_s = time_s + float(self._t0.words["PER"]) if self._t0.on else None
         for number, channel in enumerate(self._channels):
             for source, is_active in enumerate(active):
@@ -169,17 +207,25 @@ class QuantumComposersEmulator(PulsingEmulator):
 
     def _switch(self, number: int, on: bool) -> None:
         channel = self._all[number]
-        if on:
-            channel.start()
-            if number == 0:
-                waits_for_edge = self._t0.words["TRIG:MOD"] != "DIS"
-                self._period_begins_s = None if waits_for_edge else self.event_s
-            return
-        channel.on = False
-        if number == 0:
+        channel.on = on
+        if not on and number == 0:
             self._end_periods()
-        else:
+        elif not on:
+            channel.is_spent = channel.is_spent or self._arms != "run all"
             self._withdraw(number - 1)
+        elif number == 0:
+            self._run()
+        elif self._arms == "state":
+            channel.arm()
+
+    def _run(self) -> None:
+        """RUN is pressed, perhaps a second time: T0 starts unless it runs, and channels are armed."""
+        if self._period_begins_s is None and self._t0.words["TRIG:MOD"] == "DIS":
+            self._period_begins_s = self.event_s
+        self._t0.arm()
+        for channel in self._channels:
+            if self._arms == "run all" or (self._arms == "run" and channel.on):
+                channel.arm()
 
     def switch_off(self) -> None:
         """Power fails: no tick, no pulse."""
@@ -191,14 +237,15 @@ class QuantumComposersEmulator(PulsingEmulator):
         self._last = 1
         self._end_periods()
         for channel in self._all:
-            channel.on = channel.on and self._autorun
-            if channel.on:
-                channel.start()
+            channel.on, channel.is_spent = channel.on and self._autorun, True
         if self._t0.on:
-            self._period_begins_s = self.event_s
+            self._run()
 
     def _take(self, data: bytes) -> None:
         for command in self._stream.feed(data):
+            if self.event_s < self._heard_s + self._needs_s:
+                continue  # busy with the line before
+            self._heard_s = self.event_s
             if self._echo and isinstance(command, Command):
                 self.say(command.to_bytes())
             self.say(f"{self._answer(command)}\r\n".encode("ascii"))
@@ -241,8 +288,8 @@ class QuantumComposersEmulator(PulsingEmulator):
             self._echo = (command.value or "").upper() in ("1", "ON")
             return "ok"
         if words[:1] == ["SPUL"]:
-            words = ["PULSE", "0", *words[1:]]
-        if words[:1] != ["PULSE"]:
+            words = ["PULS", "0", *words[1:]]
+        if words[:1] != ["PULS"]:
             return "?3"
         rest = words[1:]
         if rest and rest[0].isdecimal():
@@ -262,7 +309,7 @@ class QuantumComposersEmulator(PulsingEmulator):
     def _setting(self, number: int, keyword: str, command: Command) -> str:
         channel = self._all[number]
         if keyword != "STAT" and keyword not in channel.words:
-            return "?3"
+            return "?2" if any(word.startswith(f"{keyword}:") for word in channel.words) else "?3"
         if command.asks:
             return str(int(channel.on)) if keyword == "STAT" else self._shown(channel, keyword)
         if command.value is None:
@@ -294,7 +341,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         except ValueError:
             return "?5"
         if not low_s <= seconds <= high_s:
-            return "?5"
+            return "?9"  # 577 manual, 8.5.8
         channel.words[keyword] = repr(round(seconds / self._step_s) * self._step_s)
         return "ok"
 

@@ -68,10 +68,6 @@ class _Synchroniser(TimingBox):
         """Send everything again, laser off: nobody can ask for it."""
         self.load(schedule)
 
-    def running(self) -> bool:
-        """Nobody can ask for that."""
-        return False
-
     def end(self) -> None:
         """Off, and confirmed."""
         self.silence()

@@ -1,24 +1,33 @@
 """Driver for the pulse generators of Quantum Composers and Berkeley Nucleonics.
 
-T0 runs freely and with it the lamps; Q-switches, camera and marker are channels in burst mode, so that the box
-itself counts the pulses of a chunk and puts their outputs back to 0. Nothing here asserts that an output is on
-after it was started: it may have counted to its end already.
+Lamps are channels in normal mode; Q-switches, camera and marker are channels in burst mode, so that the box itself
+counts the pulses of a chunk and inhibits their outputs at its end.
 
-**Which period a burst begins in.** Outputs are switched on one command after the other, and T0 does not wait.
-The camera goes first and takes a few pairs more, so that no light goes unseen; light 1 and light 2 may begin in
-neighbouring periods, so the first and the last lit pair of a chunk may hold one light only, and pairs before and
-after are dark. Without lamps T0 need not run on: there it is started last, and everything begins in its first
-period.
+**RUN begins a burst.** Channels in burst mode are armed by the button RUN (9530 manual p. 14, 525 manual 5.1),
+which is the state of T0. Whether RUN arms an output that is off, and whether it restarts T0 while T0 runs, no
+manual says. So T0 is stopped, the outputs are switched on, and T0 is started: on every kind of box everything
+begins together in the first period, and so many pulses leave as were asked for. Lamps miss the beats of that
+pause.
+
+**The end of a burst is not told.** STAT stays 1 on a box that arms by RUN, and nothing else can be asked. A burst
+is over when its time is over; then its outputs are written off and read back, so that another RUN, at its keys,
+gives nothing.
 
 **Damaged answers.** The protocol has no checksum. What is believed is read twice, numbers must have all their
 digits, booleans are 0 or 1 and nothing else, and every number that is written is read back. Lines that are
 echoed are skipped. What was refused is refused for good: nothing that switches on is said twice.
+
+**Lines that get lost.** A program for the 575 waits 50 ms between commands. A box that answers has heard; but of
+what is written without waiting for answers such a box may hear the first line alone. So off begins with the word
+that stops everything, and whoever says it says it again; and after a question that was not answered every line
+waits for as long.
 """
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import TypeVar
 
 from daq.timing.box import TimingBox
 from daq.timing.errors import LaserDoubt, PulsesRefused, WrongBox
@@ -32,15 +41,18 @@ from daq.timing.protocols.quantum_composers import (
     Value,
 )
 from daq.timing.pulses import LAMPS, Q_SWITCHES, Pulse, Role, Schedule
-from stages.errors import CommandRejected, ProtocolViolation
+from stages.errors import CommandRejected, NoReply, ProtocolViolation
 
 T0 = 0
 OUTPUTS = "ABCDEFGH"
 LARGEST_COUNT = 9_999_999
-ENABLING_S = 0.3  # in which the outputs of a burst are switched on, one after the other
-SPOILS = b"!\r\n"  # ends a line that somebody has left half written, and makes it one that nobody obeys
+PAUSE_S = 0.05  # between lines to a box that loses those that come sooner
+NEWER_CLOCKS = ("953", "853", "577")  # models, by their beginning, that have a mode of the clock; asked first
+UNKNOWN_WORD = (2, 3)  # refusals
+_CLOCKS = re.compile(r"INT|EXT|XPL|SYS|EXT\d{2,3}")  # a mode, or one word; XPL? is a loop that is not locked
 _SECONDS = re.compile(r"-?\d+\.\d{9,12}")
 _WHOLE = re.compile(r"\d{1,8}")
+T = TypeVar("T")
 _MAKERS = ("QC", "QUANTUM", "BNC", "BERKELEY")
 
 
@@ -55,13 +67,21 @@ class QuantumComposersBox(TimingBox):
     _outputs = 8
 
     def off_bytes(self) -> Sequence[bytes]:
-        """Q-switches, T0 and with it everything, lamps, the rest; all of it twice, in one write.
+        """T0 and with it everything, then Q-switches, lamps, the rest; all of it twice, in one write.
 
-        A line may be damaged on its way, or refused because the box is busy with another one.
+        A line may be damaged on its way, be the rest of another one, or refused because the box is busy.
         """
-        order = [*self._numbers(*Q_SWITCHES), T0, *self._numbers(*LAMPS)]
+        order = [T0, *self._numbers(*Q_SWITCHES), *self._numbers(*LAMPS)]
         order += [number for number in self._numbers(*self.wiring) if number not in order]
-        return [SPOILS + 2 * b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
+        return [2 * b"".join(Command(f":PULSE{number}:STAT", "0").to_bytes() for number in order)]
+
+    def drop(self) -> None:
+        """Write everything off now; once more after the pause that a box is known to need behind another line."""
+        before_s = self._wrote_s
+        super().drop()
+        if (left_s := before_s + self._pause_s - self.clock.now_s()) > 0.0:
+            self.clock.sleep_s(left_s)
+            super().drop()
 
     def silence(self) -> None:
         """Every output there is, wired or not, off and read back; what reads back is what counts."""
@@ -69,7 +89,7 @@ class QuantumComposersBox(TimingBox):
             self.drop()
             wired = [*self._numbers(*Q_SWITCHES), *self._numbers(*LAMPS)]
             others = [number for number in range(1, self._outputs + 1) if number not in wired]
-            order = [*wired, T0, *others]
+            order = [T0, *wired, *others]
             for number in order:
                 with suppress(CommandRejected):
                     self._off(number)
@@ -105,7 +125,7 @@ class QuantumComposersBox(TimingBox):
         """Read everything again that has been loaded."""
         with self._lock:
             self._require_dark()
-            self._require_unlocked_clock()
+            self._require_steady_clock()
             self.require_lamps(lamps)
             self._require_seconds(T0, "PER", schedule.period_us * 1e-6)
             for role, pulse in schedule.pulses.items():
@@ -122,50 +142,45 @@ class QuantumComposersBox(TimingBox):
                 self._require(number, "STAT", "1" if on else "0")
 
     def begin(self, pairs: int, camera: bool = True) -> None:
-        """Counts first, then on: camera, marker, Q-switches; T0 last where no lamp needs it."""
+        """Counts first, then T0 off, outputs on, T0 on: RUN, with which all of them begin."""
         with self._lock:
             self._require_dark()
             seen = self._numbers(Role.CAMERA, Role.CAMERA_B, Role.MARKER) if camera else []
-            lit = self._numbers(*reversed(Q_SWITCHES))
-            for number, count in [*((n, self.camera_triggers(pairs)) for n in seen), *((n, pairs) for n in lit)]:
-                if not 1 <= count <= LARGEST_COUNT:
-                    raise PulsesRefused(f"{self.name} counts to {LARGEST_COUNT}, not to {count}")
-                self._repeated(lambda n=number, c=count: self._set(n, "BCO", str(c)))  # type: ignore[misc]
-                if self._whole(number, "BCO") != count:
+            burst = [*seen, *self._numbers(*reversed(Q_SWITCHES))]
+            if not 1 <= pairs <= LARGEST_COUNT:
+                raise PulsesRefused(f"{self.name} counts to {LARGEST_COUNT}, not to {pairs}")
+            for number in burst:
+                self._repeated(lambda n=number: self._set(n, "BCO", str(pairs)))  # type: ignore[misc]
+                if self._whole(number, "BCO") != pairs:
                     raise LaserDoubt(f"{self.name}: {_name(number)} does not take its count")
             for role in self.wiring:
                 for word, value in self._settings(role)[:3]:  # the last look at what would give other pulses
                     self._require(self._number(role), word, value)
-            for number in [*seen, *lit]:
+            self._off(T0)
+            for number in [*burst, T0]:
                 self._set(number, "STAT", "1", moves=True)
-            if not self._has_lamps:
-                self._set(T0, "STAT", "1", moves=True)
-
-    def camera_triggers(self, pairs: int) -> int:
-        """As many without lamps; else a few dark ones more at either end."""
-        if not self._has_lamps:
-            return pairs
-        return pairs + 2 * math.ceil(ENABLING_S / self._period_s)
-
-    def running(self) -> bool:
-        """Whether any output of the burst is still on; the box puts it back itself."""
-        with self._lock:
-            roles = (*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
-            return any(self._flag(number, "STAT") for number in self._numbers(*roles))
 
     def end(self) -> None:
-        """Every output of the burst off and read back; T0 too, where no lamp needs it."""
+        """Every output of the burst off and read back; T0 too, where no lamp needs it.
+
+        T0 runs on behind a burst: if it does not, somebody has stopped it, or the box was restarted.
+        """
         with self._lock:
+            ran_on = self._flag(T0, "STAT")
             roles = (*Q_SWITCHES, Role.CAMERA, Role.CAMERA_B, Role.MARKER)
             numbers = self._numbers(*roles) + ([] if self._has_lamps else [T0])
             for number in numbers:
                 self._off(number)
             if any(self._flag(number, "STAT") for number in numbers):
                 raise LaserDoubt(f"{self.name} does not end its burst")
+            if not ran_on:
+                raise LaserDoubt(f"{self.name} has not run to the end of its burst; was it stopped at its keys?")
 
     # ---- inside ------------------------------------------------------------------------------------
 
-    _period_s = 1.0
+    _clock_word = "ICL:MOD"
+    _pause_s = 0.0  # between lines; longer for a box that loses them
+    _wrote_s = -math.inf
 
     def _identify(self) -> str:
         def accept(answer: object) -> str | None:
@@ -187,7 +202,7 @@ class QuantumComposersBox(TimingBox):
         try:
             runs_by_itself = self._agreed(lambda: self._ask(":SYST:AUT"))
         except CommandRejected as refused:
-            if refused.code not in (2, 3):  # a box that does not know the word does not do it
+            if refused.code not in UNKNOWN_WORD:  # a box that does not know the word does not do it
                 raise
             runs_by_itself = "0"
         if runs_by_itself != "0":
@@ -195,12 +210,29 @@ class QuantumComposersBox(TimingBox):
                 f"{self.name} is set to run by itself when it gets power (autorun); switch that off at its keys, "
                 "because a power dip would fire the laser"
             )
-        self._require_unlocked_clock()
+        self._find_clock_word()
+        self._require_steady_clock()
 
-    def _require_unlocked_clock(self) -> None:
-        mode = self._text(T0, "ICL:MOD")
-        if mode not in ("INT", "EXT", "XPL"):
-            raise WrongBox(f"{self.name}: its clock says {mode!r}, so dt means nothing; lock it, or use its own")
+    def _find_clock_word(self) -> None:
+        """Learn which of the two words of the clock this box knows, the likelier one first."""
+        words = ["ICL", "ICL:MOD"]
+        if self.identity.partition(",")[2].startswith(NEWER_CLOCKS):
+            words.reverse()
+        for word in words:
+            try:
+                self._text(T0, word)
+            except CommandRejected as refused:
+                if refused.code not in UNKNOWN_WORD:
+                    raise
+                continue
+            self._clock_word = word
+            return
+        raise WrongBox(f"{self.name} ({self.identity}) does not say what its clock is; it knows neither {words}")
+
+    def _require_steady_clock(self) -> None:
+        said = self._text(T0, self._clock_word)
+        if not _CLOCKS.fullmatch(said):
+            raise WrongBox(f"{self.name}: its clock says {said!r}, so dt means nothing; lock it, or use its own")
 
     def _require_dark(self) -> None:
         for number in self._numbers(*Q_SWITCHES):
@@ -256,8 +288,6 @@ class QuantumComposersBox(TimingBox):
             if abs(before_s - seconds) > step_s:
                 was = f"was set to {seconds} s and reads {before_s} s"
                 raise LaserDoubt(f"{self.name}: {_name(number)} {keyword} {was}")
-        if number == T0:
-            self._period_s = before_s
         return before_s
 
     # ---- words -------------------------------------------------------------------------------------
@@ -318,6 +348,21 @@ class QuantumComposersBox(TimingBox):
             raise CommandRejected(f"{self.name} refused {what!r}: {reason} (?{answer.code})", answer.code)
         if not isinstance(answer, Echo):
             raise ProtocolViolation(f"{self.name}: {answer!r} is no answer to {what!r}")
+
+    def _clear_line(self) -> None:
+        super()._clear_line()
+        self.clock.sleep_s(max(0.0, self._wrote_s + self._pause_s - self.clock.now_s()))
+        self._wrote_s = self.clock.now_s()
+
+    def _repeated(self, ask: Callable[[], T]) -> T:
+        """Ask again, and slower from then on if no answer came."""
+        try:
+            return ask()
+        except NoReply:
+            self._pause_s = PAUSE_S
+        except ProtocolViolation:
+            pass
+        return super()._repeated(ask)
 
     def _stream(self) -> AnswerStream:
         return AnswerStream()

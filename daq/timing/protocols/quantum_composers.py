@@ -7,13 +7,18 @@
     *<word>[?]
 
 and every line is answered: ``ok``, ``?<n>`` with the reason of a refusal, or the value that was asked for.
-Keywords have a long and a short form and may be written in any case, with nothing between the two forms. A
-missing number means the last one that was used, so it is always sent. Numbers are seconds; booleans come back as
-1 and 0, words in their short form. ``XPL?`` as the value of the clock's mode means that its loop is not locked.
-A box on its round connector may echo every line before it answers.
+Keywords have a long and a short form (its capitals, as a manual prints them: ``PULSe`` is PULS) and may be written
+in any case, with nothing between the two forms. A missing number means the last one that was used, so it is
+always sent. Numbers are seconds; booleans come back as 1 and 0, words in their short form. A box on its round
+connector may echo every line before it answers.
 
-Sources: "9500 Plus Series Pulse Generator Operating Manual" and "575 Series Digital Delay/Pulse Generator" (remote
-programming); the test of the Quantum Composers 9530 in QMI, whose bytes are those of a real box.
+**Two words for the clock.** On a 9530 it is a mode, ``:PULSE0:ICL:MOD INT|EXT|XPL``, and ``XPL?`` as its value
+means that its loop is not locked. On a 575, 9510 or 9520 it is one word, ``:PULSE0:ICL SYS|EXT10|...``.
+
+Sources: "9500 Plus Series" and "9530 Series" operating manuals of Quantum Composers, "575 Series" and "577"
+operating manuals of Berkeley Nucleonics (remote programming); the command tree that a 9530 lists when it is asked
+``:INST:COMM?``; the test of the Quantum Composers 9530 in QMI, whose bytes are those of a real box.
+docs/devices.md says for each word where it stands.
 """
 
 import re
@@ -24,22 +29,24 @@ from stages.protocols.framing import Example, LineStream, TextLine, text_of
 
 MANUAL = "9500 Plus Series, Operating Manual, remote programming"
 MANUAL_575 = "575 Series, Operating Manual, remote programming"
+MANUAL_577 = "577, Operating Manual, 8.5.8"
+CLOCK_575 = "575 Series, Operating Manual v5.6, p. 8-38; Blackchirp on a 9528"
 QMI = "QMI, test of the Quantum Composers 9530"
 
 REASONS = {
     1: "no colon or asterisk", 2: "a keyword is missing", 3: "a keyword is unknown", 4: "a value is missing",
     5: "the value is not allowed", 6: "it can only be asked for", 7: "it cannot be asked for",
-    8: "not in this state",
+    8: "not in this state", 9: "the value is out of bounds",
 }  # fmt: skip
 
 WORDS = {  # short form: long form
-    "PULSE": "PULSE", "SPUL": "SPULSE", "STAT": "STATE", "PER": "PERIOD", "MOD": "MODE", "BCO": "BCOUNTER",
+    "PULS": "PULSE", "SPUL": "SPULSE", "STAT": "STATE", "PER": "PERIOD", "MOD": "MODE", "BCO": "BCOUNTER",
     "PCO": "PCOUNTER", "OCO": "OCOUNTER", "WCO": "WCOUNTER", "CYCL": "CYCLE", "WIDT": "WIDTH", "DEL": "DELAY",
     "SYNC": "SYNC", "MUX": "MUX", "POL": "POLARITY", "CMOD": "CMODE", "CGAT": "CGATE", "CLOG": "CLOGIC",
-    "OUTP": "OUTPUT", "AMPL": "AMPLITUDE", "TRIG": "TRIGGER", "EDGE": "EDGE", "LEV": "LEVEL", "GATE": "GATE",
+    "OUTP": "OUTPUT", "AMPL": "AMPLITUDE", "TRIG": "TRIGGER", "EDG": "EDGE", "LEV": "LEVEL", "GAT": "GATE",
     "LOG": "LOGIC", "ICL": "ICLOCK", "RAT": "RATE", "SYST": "SYSTEM", "AUT": "AUTORUN", "KLOC": "KLOCK",
-    "SERN": "SERNUM", "COMM": "COMMUNICATE", "SER": "SERIAL", "USB": "USB", "BAUD": "BAUD", "ECH": "ECHO",
-    "INST": "INSTRUMENT", "CAT": "CATALOG",
+    "SERN": "SERNUMBER", "COMM": "COMMUNICATE", "SER": "SERIAL", "USB": "USB", "BAUD": "BAUD", "ECH": "ECHO",
+    "INST": "INSTRUMENT", "CAT": "CATALOG", "COUN": "COUNTER", "CLE": "CLEAR", "VERS": "VERSION",
 }  # fmt: skip
 _SHORT = {form: short for short, long in WORDS.items() for form in (short, long)}
 _COMMAND = re.compile(r"([:*][A-Za-z0-9:]*)(\?)?(?: +(.*))?")
@@ -70,6 +77,7 @@ class Command:
             Example(b":PULSE0:PER 3.141592654\r\n", cls(":PULSE0:PER", "3.141592654"), QMI),
             Example(b":PULSE0:BCO 21\r\n", cls(":PULSE0:BCO", "21"), QMI),
             Example(b":PULSE0:ICL:MOD XPL\r\n", cls(":PULSE0:ICL:MOD", "XPL"), QMI),
+            Example(b":PULSE0:ICL?\r\n", cls(":PULSE0:ICL", asks=True), CLOCK_575),
             Example(b":PULSE1:WIDTH 0.000025\r\n", cls(":PULSE1:WIDTH", "0.000025"), MANUAL_575),
         )
 
@@ -101,7 +109,11 @@ class Refused:
     @classmethod
     def examples(cls) -> tuple[Example, ...]:
         """Documented lines."""
-        return (Example(b"?3\r\n", cls(3), QMI), Example(b"?8\r\n", cls(8), MANUAL))
+        return (
+            Example(b"?3\r\n", cls(3), QMI),
+            Example(b"?8\r\n", cls(8), MANUAL),
+            Example(b"?9\r\n", cls(9), MANUAL_577),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +127,7 @@ class Value(TextLine):
             Example(b"QC,9534,02311,1.2.2-1.2.0\r\n", cls("QC,9534,02311,1.2.2-1.2.0"), "a 9534"),
             Example(b"T0, CHA, CHB, CHC, CHD\r\n", cls("T0, CHA, CHB, CHC, CHD"), QMI),
             Example(b"XPL?\r\n", cls("XPL?"), QMI),
+            Example(b"EXT10\r\n", cls("EXT10"), CLOCK_575),
             Example(b"1\r\n", cls("1"), QMI),
             Example(b"0.000120000\r\n", cls("0.000120000"), MANUAL_575),
         )
@@ -136,7 +149,7 @@ Answer = Done | Refused | Value | Echo
 
 
 def shortened(keyword: str) -> tuple[str, ...]:
-    """Return the short forms of a keyword, the number of its pulse apart: ``:Pulse2:State`` is PULSE, 2, STAT.
+    """Return the short forms of a keyword, the number of its pulse apart: ``:Pulse2:State`` is PULS, 2, STAT.
 
     Raises
     ------
@@ -145,7 +158,7 @@ def shortened(keyword: str) -> tuple[str, ...]:
     """
     parts: list[str] = []
     for word in keyword.upper().strip(":").split(":"):
-        name = word.rstrip("0123456789") if word.startswith("PULSE") else word
+        name = word.rstrip("0123456789") if word.startswith("PULS") else word
         parts.append(_SHORT[name])
         if name != word:
             parts.append(word.removeprefix(name))

@@ -48,7 +48,7 @@ def test_a_chunk_on_a_simulated_bench(tmp_path, transport):
         laser.wait()
         assert laser.state is LaserState.READY
         assert unit.pulses(Role.Q_SWITCH_1) == unit.pulses(Role.Q_SWITCH_2) == 5
-        assert len(heard) == laser.camera_triggers >= 5
+        assert len(heard) == 5
         lit = next(pulse for pulse in unit.outputs.recent if pulse.output == "B")
         assert unit.is_high(Role.MARKER, lit.rises_s)
         assert unit.pulses(Role.LAMP_1) > 0

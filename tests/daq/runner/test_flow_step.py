@@ -89,9 +89,7 @@ def test_a_flow_keeps_whole_pairs_of_one_pulse_each(tmp_path, capsys, shape, cha
     assert [pair.is_background for pair in found.pairs] == [True] * 4 + [False] * 20
     assert {(round(1e6 * pair.dt_s, 6), pair.dt_sigma_s) for pair in found.pairs} == {(dt_us, 0.1e-6)}
     assert check_run(path).is_sound
-    said = " ".join(capsys.readouterr().out.split())
-    assert "24 are kept" in said
-    assert ("a chunk may begin and end with half a pair; none of these is kept" in said) is (channels == LAMPS)
+    assert "24 are kept" in " ".join(capsys.readouterr().out.split())
 
 
 @pytest.mark.slow

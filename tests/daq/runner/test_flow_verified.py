@@ -19,7 +19,6 @@ def test_every_camera_is_verified_before_a_step_of_a_flow_counts(forgets):
         side.source.exposures.settings = {}
         side.source.section.frames = 2
     laser = MagicMock()
-    laser.box.camera_triggers.side_effect = lambda pairs: pairs
     light = SimpleNamespace(prepare=lambda order, settings, tell: laser)
     step = SimpleNamespace(pulses=SimpleNamespace(rate_hz=10.0, chunk=4), frames=8)
     flow = FlowStep(sides, MagicMock(), MagicMock(), lambda said: None, light)

@@ -7,8 +7,11 @@ import pytest
 from daq.bench.bench_file import load_bench
 from daq.bench.opened import OpenBench
 from daq.runner.laser_session import LaserSession
+from daq.timing.errors import NotArmed
+from daq.timing.states import LaserState
 from sim.mechanics.clock import VirtualClock
 from tests.daq.small_bench import write_bench
+from tests.daq.timing.armed_laser import armed
 
 
 class Asked:
@@ -53,3 +56,22 @@ def test_while_it_fires_every_axis_has_its_turn_and_what_it_said_is_kept(stage_a
     stage.places[last] = None
     found = [light._conditions(lambda: True, False).at_rest for _ in range(count)]
     assert not all(found)  # within one round
+
+
+def test_a_motion_that_began_and_ended_while_the_box_was_asked_is_found_before_it_fires(stage_and_light):
+    """Found by the fuzz: what was stated before the box was read back was believed after it."""
+    stage, light = stage_and_light
+    laser, box, _ = armed()
+    laser.disarm()
+    light._code = laser.challenge
+    confirm = box.confirm
+
+    def slow_confirm(*arguments, **options):
+        confirm(*arguments, **options)
+        stage.places["target_z"] = -0.5  # somebody has moved it into the sheet meanwhile, and it rests
+
+    box.confirm = slow_confirm
+    with pytest.raises(NotArmed, match="mm from the sheet"):
+        light.fire(laser, 5, lambda: True)
+    assert laser.state is LaserState.READY
+    assert box.fired == 0

@@ -1,6 +1,6 @@
 """What became of the pairs of a flow, in words."""
 
-from daq.runs.frame_accounting import DARK, HALF, LEFT, SURPLUS, chunk_sentences
+from daq.runs.frame_accounting import LEFT, SURPLUS, chunk_sentences
 
 CHUNK = {"kind": "chunk", "fired": 10, "pairs": 8, "surplus": 1, "lost": 1, "never_came": 2}
 
@@ -9,13 +9,11 @@ def test_a_run_without_chunks_says_nothing():
     assert chunk_sentences([{"kind": "frame"}]) == []
 
 
-def test_pairs_at_the_ends_of_chunks_are_told_and_explained():
-    one = CHUNK | {"dropped": {DARK: 4, HALF: 2, SURPLUS: 2}}
-    other = CHUNK | {"dropped": {DARK: 6, LEFT: 2, "came late": 1}, "never_came": -1}
-    pairs, ends, others = chunk_sentences([{"kind": "step"}, one, other])
+def test_what_became_of_pairs_and_of_other_frames_is_told():
+    one = CHUNK | {"dropped": {SURPLUS: 2}}
+    other = CHUNK | {"dropped": {LEFT: 2, "came late": 1}, "never_came": -1}
+    pairs, others = chunk_sentences([{"kind": "step"}, one, other])
     assert pairs == "20 pairs were fired in 2 chunks: 16 are kept, 2 more than were wanted, 2 are lost"
-    assert ends.startswith("10 frames had no light and 2 were of pairs with one light: where lamps run")
-    assert ends.endswith("a chunk may begin and end with half a pair; none of these is kept")
     assert others == "other frames that are in no pair: 1 came late, 2 left when the chunk ended, 1 never came"
 
 

@@ -66,17 +66,18 @@ def test_what_is_no_answer_of_a_pulse_generator(line):
 @pytest.mark.parametrize(
     ("text", "short"),
     [
-        (":Pulse2:State", ("PULSE", "2", "STAT")),
-        (":PULSE0:TRIGger:MODe", ("PULSE", "0", "TRIG", "MOD")),
+        (":Pulse2:State", ("PULS", "2", "STAT")),
+        (":PULSE0:TRIGger:MODe", ("PULS", "0", "TRIG", "MOD")),
         (":SPULSE:PERIOD", ("SPUL", "PER")),
-        (":PULSE:STAT", ("PULSE", "STAT")),
+        (":PULSE:STAT", ("PULS", "STAT")),
+        (":PULS0:MOD", ("PULS", "0", "MOD")),
     ],
 )
 def test_keywords_have_two_forms(text, short):
     assert quantum_composers.shortened(text) == short
 
 
-@pytest.mark.parametrize("text", [":PULSE1:POLAR", ":PULSE1:STA", ":PULS1:STAT", ":"])
+@pytest.mark.parametrize("text", [":PULSE1:POLAR", ":PULSE1:STA", ":PUL1:STAT", ":"])
 def test_and_nothing_between(text):
     with pytest.raises(KeyError):
         quantum_composers.shortened(text)

@@ -68,17 +68,115 @@ def desk(**options):
         LINES.pop("desk")
 
 
-@pytest.mark.parametrize("echo", [False, True])
-@pytest.mark.parametrize("step_s", [5e-9, 1e-11, 1e-8])
-def test_pulses_leave_where_they_were_placed(echo, step_s):
-    with desk(echo=echo, step_s=step_s) as d:
+@pytest.mark.parametrize(("step_s", "firmware"), [
+    (5e-9, {}), (1e-11, {"echo": True}), (1e-8, {}), (1e-8, {"arms": "run all"}), (5e-9, {"arms": "state"}),
+    (1e-8, {"model": "BNC,575-8"}), (5e-9, {"needs_s": 0.03}),
+])  # fmt: skip
+def test_pulses_leave_where_they_were_placed(step_s, firmware):
+    with desk(step_s=step_s, **firmware) as d:
         d.burst()
         last_s = {pulse.output: pulse.rises_s for pulse in d.emulator.outputs.recent}
         for early, late, us in (("B", "D", 20.0), ("A", "B", 180.0), ("C", "D", 185.0)):
             assert ((last_s[late] - last_s[early]) % 0.1) * 1e6 == pytest.approx(us, abs=0.011)
         assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 5
-        assert d.pulses(Role.CAMERA) == d.laser.camera_triggers == 11
+        assert d.pulses(Role.CAMERA) == 5
         assert d.laser.dt_us == pytest.approx(20.0, abs=0.011)
+
+
+@pytest.mark.parametrize("arms", ["run", "run all", "state"])
+@pytest.mark.parametrize(("wiring", "head"), [(WIRING, HEAD), (PUMPED, LaserHead(max_rate_hz=15.0))])
+def test_a_burst_of_n_is_n_whatever_arms_it(arms, wiring, head):
+    """On a box that arms by RUN (9530 manual p. 14) an output that is switched on while T0 runs gives nothing."""
+    exposures = PairExposures(900.0, 9000.0, 100.0, two_triggers=wiring is PUMPED)
+    with desk(wiring=wiring, head=head, arms=arms) as d:
+        d.to_armed(200.0, 10.0, exposures)
+        for pairs in (20, 1, 7):
+            before = d.pulses(Role.Q_SWITCH_1)
+            d.laser.fire(pairs)
+            d.laser.wait()
+            d.clock.sleep_s(2.0)
+            assert d.pulses(Role.Q_SWITCH_1) - before == pairs
+            d.laser.arm(GOOD, d.laser.challenge)
+        assert d.pulses(Role.Q_SWITCH_2) == 28
+        assert d.pulses(Role.CAMERA) == 28 * (2 if wiring is PUMPED else 1)
+        d.laser.safe()
+        assert d.laser.state is LaserState.SAFE
+
+
+@pytest.mark.parametrize("arms", ["run", "run all", "state"])
+def test_a_dead_computer_leaves_nothing_firing(arms):
+    with desk(arms=arms) as d:
+        d.to_armed()
+        d.laser.fire(20)
+        d.line.unplug()
+        d.clock.sleep_s(60.0)
+        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 20
+
+
+def test_another_run_at_the_keys_after_a_burst_gives_nothing():
+    with desk() as d:
+        d.burst()
+        d.emulator.set_inside(0, "STAT", "1")
+        d.clock.sleep_s(2.0)
+        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 5
+
+
+@pytest.mark.parametrize("has_lamps", [True, False])
+def test_a_burst_that_somebody_ended_at_the_keys_is_not_taken_for_a_whole_one(has_lamps):
+    with desk(**({} if has_lamps else {"wiring": PUMPED, "head": LaserHead(max_rate_hz=100.0)})) as d:
+        d.to_armed(200.0, 10.0, PairExposures(900.0, 9000.0, 100.0, two_triggers=not has_lamps))
+        d.laser.fire(20)
+        d.clock.sleep_s(1.0)
+        d.emulator.person_stops()
+        with pytest.raises(LaserDoubt, match="not run to the end of its burst"):
+            d.laser.wait()
+
+
+@pytest.mark.parametrize("model", ["BNC,575-8", "QC,9518", "QC,9528", "QC,9538", "BNC,577-8", "QC,9999"])
+@pytest.mark.parametrize("said", ["own", "external"])
+def test_the_clock_has_two_words(model, said):
+    """On a 575 and a 952x it is one word (575 manual v5.6 p. 8-38), on a 953x a mode; others are asked."""
+    with desk(model=model) as d:
+        word, value = next((word, value) for word, value in d.emulator._t0.words.items() if "ICL" in word)
+        if said == "external":
+            value = {"INT": "EXT", "SYS": "EXT10"}[value]
+            d.emulator.set_inside(0, word, value)
+        d.laser.open("sim://desk")
+        assert d.laser.state is LaserState.SAFE
+        d.emulator.set_inside(0, word, "XPL?")
+        with pytest.raises(WrongBox, match=r"its clock says 'XPL\?'"):
+            d.laser.open("sim://desk")
+
+
+def test_a_box_without_any_word_for_its_clock_is_refused():
+    with desk() as d:
+        for word in [word for word in d.emulator._t0.words if "ICL" in word]:
+            del d.emulator._t0.words[word]
+        with pytest.raises(WrongBox, match="does not say what its clock is"):
+            d.laser.open("sim://desk")
+
+
+def test_a_box_that_loses_lines_that_come_too_soon_is_asked_more_slowly():
+    """A program for the 575 waits 50 ms between commands."""
+    with desk(needs_s=0.045) as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(1.0)
+        before = d.pulses(Role.Q_SWITCH_1)
+        d.laser.stop("now")  # of what is written at once such a box hears the first line
+        d.clock.sleep_s(2.0)
+        assert d.pulses(Role.Q_SWITCH_1) == before > 0
+        assert d.laser.confirm_off()
+    with desk() as d:
+        d.to_armed()
+        assert d.box._pause_s == 0.0
+
+
+def test_a_refusal_says_why():
+    with desk() as d:
+        d.laser.open("sim://desk")
+        with pytest.raises(CommandRejected, match=r"out of bounds \(\?9\)"):
+            d.box._set(1, "WIDT", "5000")
 
 
 def test_every_lit_period_is_seen_by_the_camera():
@@ -100,7 +198,7 @@ def test_without_lamps_a_burst_begins_together_and_t0_ends_with_it():
         assert not d.emulator.is_on_at(0)
 
 
-def test_lamps_do_not_miss_a_beat_from_chunk_to_chunk():
+def test_lamps_run_on_from_chunk_to_chunk_and_start_anew_with_each():
     with desk() as d:
         d.burst()
         d.laser.set(PulseTiming(30.0, 10.0), EXPOSURES)
@@ -108,7 +206,9 @@ def test_lamps_do_not_miss_a_beat_from_chunk_to_chunk():
         d.laser.fire(5)
         d.laser.wait()
         beats = [pulse.rises_s for pulse in d.emulator.outputs.recent if pulse.output == "A"]
-        assert all(0.0999 < late - soon < 0.1001 for soon, late in itertools.pairwise(beats))
+        off_beat = [late - soon for soon, late in itertools.pairwise(beats) if not 0.0999 < late - soon < 0.1001]
+        assert len(off_beat) <= 2  # one before each chunk, as long as it takes to switch the outputs on
+        assert all(seconds < 0.2 for seconds in off_beat)
 
 
 def test_what_ran_before_us_is_off_before_a_word_is_asked():
@@ -256,7 +356,7 @@ def test_off_is_written_while_another_thread_waits_for_an_answer():
         d.line.faults.strike(Fault("lost"))
         d.line.hooks.press(1, "write", lambda: d.laser.stop("another thread"), lambda: False)
         with pytest.raises((DaqError, StageError)):
-            d.laser.box.running()
+            d.laser.box.require_lamps(True)
         with pytest.raises(LaserStopped, match="another thread"):
             d.laser.wait()
         d.clock.sleep_s(10.0)

@@ -100,6 +100,7 @@ class LightStory(laser.Story):
         self.laser.arm(conditions, code)
 
     def fire(self):
+        self.laser.renew(self.conditions())
         super().fire()
         self.light._conditions(lambda: True, True)
         self.supervisor = LaserSupervisor(
