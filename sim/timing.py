@@ -19,6 +19,7 @@ from daq.timing.pulses import Role
 from daq.timing.timing_table import TimingTable
 from sim.emulators.device import Clock
 from sim.emulators.line import Line
+from sim.switches import put_up
 from sim.timing_boxes.outputs import Outputs, Pulse
 from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
 from sim.timing_boxes.timing_units import emulator_of
@@ -45,6 +46,7 @@ class SimulatedTiming:
             options = made.individual(table.port) | made.model_of(table.box)
         self._emulator = emulator = made({}, clock, **options)
         self.line = Line(emulator, clock)
+        self.switches = {name: put_up(name) for name in table.switches}  # addresses
         self.outputs: Outputs = emulator.outputs
         self._clock = clock
         self._hears_time: list[Callable[[float], object]] = []

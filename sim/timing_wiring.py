@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from daq.timing.pulses import Q_SWITCHES, Role
+from daq.timing.switches import SwitchTable
 from daq.timing.timing_table import TimingTable
 from sim.camera.wires import Wires
 from sim.emulators.device import Clock
@@ -44,7 +45,11 @@ def simulated_timing(section: TimingTable, world: World, clock: Clock) -> Iterat
         stack.callback(world.timing.remove, unit)
         unit.start()
         stack.callback(unit.close)
-        yield section.model_copy(update={"port": port, "identity": None})
+        switches = {
+            name: SwitchTable(by="sim.switches:SimulatedSwitch", options={"address": address})
+            for name, address in unit.switches.items()
+        }
+        yield section.model_copy(update={"port": port, "identity": None, "switches": switches})
 
 
 def connect(

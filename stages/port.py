@@ -21,7 +21,7 @@ import errno
 import threading
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NamedTuple
 
 import serial
@@ -167,6 +167,45 @@ class Port:
             raise DeviceLost(
                 f"{self.url} was lost ({error}); plug it in, open it again and home its axes"
             ) from error
+
+
+class ModemLine:
+    """One input line of a serial port, as a switch between it and an output line that is high.
+
+    RTS and DTR are held high: a contact between one of them and the input closes the circuit.
+
+    Parameters
+    ----------
+    url : str
+        What pyserial opens; nothing is written to it.
+    line : {"cts", "dsr", "cd", "ri"}
+        The input.
+
+    Raises
+    ------
+    PortUnavailable
+        The port cannot be opened, or has no such lines.
+    """
+
+    def __init__(self, url: str, line: str) -> None:
+        self._line = line
+        try:
+            self._serial = serial.serial_for_url(url, exclusive=True)
+            self._serial.rts = self._serial.dtr = True
+            self.is_closed()
+        except (*_FAILURES, ValueError) as error:
+            if getattr(error, "errno", None) in (errno.ENOTTY, errno.EINVAL):
+                raise PortUnavailable(f"{url} has no line {line.upper()} that could be read") from error
+            raise PortUnavailable(_why_not(url, error)) from error
+
+    def is_closed(self) -> bool:
+        """Whether the line is high."""
+        return bool(getattr(self._serial, self._line))
+
+    def close(self) -> None:
+        """Close; safe on a dead port too."""
+        with suppress(*_FAILURES):
+            self._serial.close()
 
 
 def _why_not(url: str, error: Exception) -> str:

@@ -119,7 +119,14 @@ def check_devices(bench: Bench, only: Collection[str] = ()) -> None:
     cameras = [section for section in sections if isinstance(section, CameraSection)]
     backends = {camera.backend for camera in cameras} - BACKENDS.keys()  # ours are known to be there
     cores = {str(camera.options["core"]) for camera in cameras if "core" in camera.options}
-    require_trust(sorted(name for name in boxes | backends | cores if ":" in name))
+    switches = {
+        str(switch.by)
+        for section in sections
+        if isinstance(section, TimingTable)
+        for switch in section.switches.values()
+        if switch.by is not None
+    }
+    require_trust(sorted(name for name in boxes | backends | cores | switches if ":" in name))
     for backend in sorted(backends):
         backend_class(backend)
     for box in sorted(boxes):

@@ -32,8 +32,8 @@ CAMERA_RATES_HZ = ("ResultingFrameRate", "AcquisitionResultingFrameRate", "Resul
 class Operator(Protocol):
     """The person at the bench."""
 
-    def confirmation_code(self, challenge: str) -> str:
-        """Return what was typed when the laser asked for its confirmation code."""
+    def confirmation_code(self, challenge: str, watched: str) -> str:
+        """Return what was typed when the laser asked for its code; `watched` says which switches are read."""
         ...
 
     def open_seeding(self) -> None:
@@ -48,7 +48,7 @@ class Operator(Protocol):
 class NoOperator:
     """Nobody is there."""
 
-    def confirmation_code(self, challenge: str) -> str:
+    def confirmation_code(self, challenge: str, watched: str) -> str:
         """Nobody can say it.
 
         Raises
@@ -140,7 +140,7 @@ class LaserSession:
             laser.safe()
         if laser.state is LaserState.SAFE:
             tell(f"waiting for the operator to type {laser.challenge}")
-            self._code = self._operator.confirmation_code(laser.challenge)
+            self._code = self._operator.confirmation_code(laser.challenge, laser.switches.sentence())
             laser.warm(order.rate_hz)
             self._wait_until_warm(laser, order.warm_up_s, tell)
         laser.set(order.timing, self.exposures)
@@ -200,8 +200,7 @@ class LaserSession:
         clearance_mm = sheet_clearance_mm(bench, known_positions(where)) if at_rest else None
         height, width = bench.scene.camera.shape
         room = shutil.disk_usage(self._folder.path).free // (4 * height * width)
-        # no shutter is wired to the bench: where there is one, the operator's confirmation stands for it
-        return Conditions(armed(), is_empty, at_rest, clearance_mm, int(room), True)
+        return Conditions(armed(), is_empty, at_rest, clearance_mm, int(room))
 
 
 def exposure_of(settings: Mapping[str, Setting]) -> float:

@@ -12,7 +12,7 @@ stop slips in between the look and the write, and the watchdog has heard of it b
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from daq.timing.errors import LaserDoubt, LaserStopped
 from daq.timing.pulses import Role, Schedule
@@ -52,6 +52,9 @@ class TimingBox(Link):
         self.token = self.latch.count  # of what may be switched on now; set by the laser
         self.may_be_on = False  # something was switched on, and nothing has read back as off since
         self.watchdog: Watchdog | None = None  # set by whoever opens a port that outlives the process
+        self.gate: Literal["high", "low"] | None = (
+            None  # level of the gate input that lets pulses out; None: not used
+        )
         self.address = ""  # of boxes that have to be called by their name; from the bench file
         self._url, self._baud = "", 0
 

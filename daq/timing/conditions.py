@@ -2,6 +2,7 @@
 
 A condition that nobody states is not met: every field is False, zero or None by default. The laser asks for a new
 statement all the time while it fires, and goes off when one of them no longer holds, or when no statement comes.
+Switches of door, shutter and key are not among them: the laser reads those itself (`switches`).
 
 `Rules` are what a laboratory asks beyond what the laser can do.
 """
@@ -30,8 +31,6 @@ class Conditions:
         From the sheet to the nearest glass or target; None if not known.
     frames_fit : int
         Pairs for which there is room on the disk.
-    shutter_open : bool or None
-        None if not known; "there is none" is True.
     """
 
     camera_armed: bool = False
@@ -39,7 +38,6 @@ class Conditions:
     at_rest: bool = False
     sheet_clearance_mm: float | None = None
     frames_fit: int = 0
-    shutter_open: bool | None = None
 
     def missing(self, pairs: int, clear_mm: float = CLEAR_MM, fires: bool = False) -> str | None:
         """Say the first condition that is not met, as part of a sentence; None if all are.
@@ -65,10 +63,6 @@ class Conditions:
             return f"something is {self.sheet_clearance_mm:.1f} mm from the sheet; {clear_mm:g} mm must be free"
         if self.frames_fit < pairs:
             return f"the disk has room for {self.frames_fit} pairs, not for {pairs}"
-        if self.shutter_open is None:
-            return "it is unknown whether the shutter is open"
-        if not self.shutter_open:
-            return "the shutter is closed"
         return None
 
 

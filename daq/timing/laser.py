@@ -41,6 +41,7 @@ from daq.timing.pulses import (
     schedule_of,
 )
 from daq.timing.states import EMITS, Event, LaserState, LaserStateMachine, Movers
+from daq.timing.switches import Switches
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.errors import StageError
 
@@ -84,6 +85,7 @@ class Laser:
         self._exposures: PairExposures | None = None
         self._rate_hz: float | None = None  # of lamps that run
         self._ends_s = math.inf  # of the burst that goes on
+        self.switches = Switches({})  # of door, shutter, key; set by whoever opens them
         self._conditions = Conditions()  # as they stood at arming
         self._armed_s = -math.inf
 
@@ -223,7 +225,7 @@ class Laser:
             if schedule is None or exposures is None:
                 raise NotNow(f"{self.name} has no dt yet; set() comes first")
             self._states.require_code(code)
-            missing = conditions.missing(1, self.rules.clear_mm)
+            missing = conditions.missing(1, self.rules.clear_mm) or self.switches.objection()
             missing = missing or exposure_problem(schedule, exposures, self.rules.dark_us)
             if missing is not None:
                 raise NotArmed(f"{self.name} is not armed: {missing}")
@@ -249,7 +251,7 @@ class Laser:
         """
         with self._lock:
             self._states.require(LaserState.ARMED)
-            if missing := conditions.missing(1, self.rules.clear_mm):
+            if missing := conditions.missing(1, self.rules.clear_mm) or self.switches.objection():
                 self._states.enter(Event.DISARM)
                 raise NotArmed(f"{self.name} is not armed: {missing}")
             self._conditions, self._armed_s = conditions, self._clock.now_s()
@@ -285,7 +287,7 @@ class Laser:
                 )
             if (old_s := self._clock.now_s() - self._armed_s) > ARMED_S:
                 raise NotArmed(f"{self.name} was armed {old_s:.0f} s ago; state the conditions anew (disarm, arm)")
-            if missing := self._conditions.missing(pairs, self.rules.clear_mm):
+            if missing := self._conditions.missing(pairs, self.rules.clear_mm) or self.switches.objection():
                 raise NotArmed(f"{self.name} does not fire: {missing}")
             self.box.token = self._states.token()
             self.pairs = pairs
@@ -316,8 +318,8 @@ class Laser:
             self._states.require(LaserState.SAFE)
             schedule, pulses = self.low_energy_burst(rate_hz, for_s)
             self._states.require_code(code)
-            if moves := self._states.what_moves():
-                raise NotArmed(f"{self.name} gives no light: {moves}")
+            if why := self._states.what_moves() or self.switches.objection():
+                raise NotArmed(f"{self.name} gives no light: {why}")
             self.box.token = self._states.token()
             self.schedule = None
             self.box.load(schedule)
@@ -442,6 +444,11 @@ class Laser:
 
     # ---- while it fires --------------------------------------------------------------------------------
 
+    def switch_opened(self, why: str) -> None:
+        """Switch off if light is meant to leave; called by whoever reads the switches, after every reading."""
+        if self.emits:
+            self._stop_quietly(why)
+
     def watch(self, conditions: Conditions) -> None:
         """Judge how things stand while it fires; switch off at once if something was lost.
 
@@ -452,7 +459,7 @@ class Laser:
         """
         if self.state is not LaserState.FIRING:
             return
-        if missing := conditions.missing(0, self.rules.clear_mm, fires=True):
+        if missing := conditions.missing(0, self.rules.clear_mm, fires=True) or self.switches.objection():
             self._stop_quietly(missing)
             raise LaserStopped(f"{self.name} was switched off: {missing}")
 
@@ -466,6 +473,8 @@ class Laser:
         StageError
             It could not be asked; it was switched off as far as that was possible.
         """
+        if (open_switch := self.switches.objection()) and self.emits:
+            self._stop_quietly(open_switch)
         if self.state in EMITS and self._clock.now_s() < self._ends_s:
             return True  # without the lock: whoever watches must not wait for another verb
         with self._lock:

@@ -22,6 +22,7 @@ from daq.timing.drivers_by_name import driver_class
 from daq.timing.errors import WrongBox
 from daq.timing.in_use import noted
 from daq.timing.laser import Laser
+from daq.timing.switches import Switches
 from daq.timing.timing_table import TimingTable
 from stages.clock import SYSTEM_CLOCK, Clock
 from stages.stop_signals import StopSignals, StopThread
@@ -63,13 +64,14 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
     Raises
     ------
     PortError, WrongBox
-        The box is not there, or must not be used.
+        Box or switch is not there, or must not be used.
     """
     box = driver_class(table.box)(f"laser on {table.port}", table.wiring, clock)
-    box.address = table.identity or ""
+    box.address, box.gate = table.identity or "", table.gate
     laser = Laser(box.name, box, table.head.head(), table.rules(), clock)
     watchdog = Watchdog() if needs_watchdog([table.port]) else None
     try:
+        laser.switches = Switches.open(table.switches)
         laser.open(table.port, table.baud)
         if table.identity is not None and table.identity not in box.identity:
             raise WrongBox(
@@ -78,12 +80,14 @@ def open_laser(table: TimingTable, clock: Clock = SYSTEM_CLOCK) -> Iterator[Lase
         if watchdog is not None:
             watchdog.know(box.name, table.port, table.baud or box.default_baud, False, box.off_bytes())
             box.watchdog = watchdog
+        laser.switches.watch(laser.switch_opened)
         with noted(table), _heard_by(laser):
             yield laser
     finally:
         try:
             laser.close()
         finally:
+            laser.switches.close()
             if watchdog is not None:
                 watchdog.close()
 

@@ -1,6 +1,6 @@
 """What a bench file says of a timing unit and the laser behind it; docs/laser.md shows what is wired where."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -8,6 +8,7 @@ from daq.timing.conditions import CLEAR_MM, Rules
 from daq.timing.drivers_by_name import DRIVERS
 from daq.timing.low_energy import LowEnergyRules
 from daq.timing.pulses import LAMPS, Q_SWITCHES, TRIGGER_US, LaserHead, PairExposures, Role
+from daq.timing.switches import SwitchTable
 from ground.config import Pair, Table
 from ground.usual import Usual
 
@@ -84,6 +85,8 @@ class TimingTable(Table):
     dark_us: Positive | None = None
     uncounted: bool = False
     align: AlignTable | None = None
+    switches: dict[str, SwitchTable] = {}  # noqa: RUF012 - pydantic copies it
+    gate: Literal["high", "low"] | None = None
 
     @model_validator(mode="after")
     def _fits_together(self) -> "TimingTable":

@@ -125,6 +125,9 @@ def _bench(bench: Bench) -> Iterator[Finding]:
     for name, section in sections.items():
         if isinstance(section, TimingTable):
             yield _port(f"timing unit {name}", section.box, section.port)
+            for what, switch in section.switches.items():
+                if switch.port is not None:
+                    yield _port(f"switch {what} of {name}", str(switch.line), switch.port)
         elif isinstance(section, CameraSection):
             yield from _camera(name, section)
     for words in confusable(bench.table.stages):

@@ -73,6 +73,7 @@ def laser(
         if action == "align":
             _align(opened, rate_hz, for_s)
         console().print(f"{chosen.name}: {opened.state.value} ({opened.box.identity})")
+        console().print(f"switches: {opened.switches.objection() or opened.switches.sentence()}", soft_wrap=True)
         if opened.state is LaserState.UNKNOWN:
             raise LaserDoubt(f"{chosen.name} does not say that it is off; use its key and its STOP")
         return opened.state
@@ -128,6 +129,7 @@ def _align(opened: Laser, rate_hz: float, for_s: float) -> None:
     opened.low_energy_burst(rate_hz, for_s)  # what is refused is refused before anybody puts goggles on
     error_console().print(
         f"{rate_hz:g} weak pulses a second for {for_s:g} s. Goggles on, door shut? Software is no interlock.\n"
+        f"Switches: {opened.switches.sentence()}.\n"
         f"Type {opened.challenge} to let them leave: ",
         end="",
     )

@@ -19,11 +19,11 @@ from ground.terminal import error_console
 class TerminalOperator:
     """A person at the terminal."""
 
-    def confirmation_code(self, challenge: str) -> str:
-        """Show the code and return what was typed."""
+    def confirmation_code(self, challenge: str, watched: str) -> str:
+        """Show the code and who watches the door, and return what was typed."""
         error_console().print(
             "\nThe laser is about to be armed. Software is no interlock: door switch, goggles and beam stops are "
-            f"yours.\nIs everybody out of the beam? Then type this code: {challenge}",
+            f"yours.\nSwitches: {watched}.\nIs everybody out of the beam? Then type this code: {challenge}",
             soft_wrap=True,
         )
         return _typed()
@@ -55,7 +55,7 @@ class ScriptOperator:
 
     name: str = ""
 
-    def confirmation_code(self, challenge: str) -> str:
+    def confirmation_code(self, challenge: str, watched: str) -> str:
         """Say what is asked for."""
         return challenge
 
@@ -100,7 +100,7 @@ def operator_of(name: str | None, simulate: bool) -> Operator:
 def require_person(person: Operator, steps: Sequence[Step]) -> None:
     """Refuse steps that need light if nobody can arm the laser; RunUsageError before anything moves."""
     if isinstance(person, NoOperator) and any(step.pulses is not None for step in steps):
-        person.confirmation_code("")
+        person.confirmation_code("", "")
 
 
 def _typed() -> str:

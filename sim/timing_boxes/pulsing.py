@@ -45,7 +45,9 @@ class PulsingEmulator(Emulator):
         while self._is_on and (due_s := self.next_s) is not None and due_s <= now_s:
             self.event_s = due_s
             if self._coming and self._coming[0][0] <= due_s:
-                self.outputs.emit(heapq.heappop(self._coming)[2])
+                pulse = heapq.heappop(self._coming)[2]
+                if self._lets_out():
+                    self.outputs.emit(pulse)
             elif self._period_begins_s is not None and self._period_begins_s <= due_s:
                 self._begin_period(due_s)
             else:
@@ -60,6 +62,10 @@ class PulsingEmulator(Emulator):
         """Take back what output `number` has not given yet."""
         self._coming = [each for each in self._coming if each[1] != number]
         heapq.heapify(self._coming)
+
+    def _lets_out(self) -> bool:
+        """Whether a pulse that leaves now gets out of the box."""
+        return True
 
     def _end_periods(self) -> None:
         """Begin no period any more, and take back what has not been given yet."""

@@ -22,6 +22,9 @@ on. MUX is a sum of outputs whose pulses come out here: that of an output itself
 mode other than DIS, T0 only waits for an edge that never comes. With autorun, power brings T0 and the outputs
 back as they were; else everything is off. The pulses go out at `outputs`.
 
+Gate: in mode OUTP outputs are inhibited while the input is not at the level of GAT:LOG, and what counts goes on
+counting; that this is what the two words mean is unproven.
+
 Clock: a 9530 has a mode (ICL:MOD), a 575, 9510 or 9520 one word (ICL SYS|EXT10.., 575 manual v5.6 p. 8-38).
 Keywords are obeyed in full or by their capitals (575 manual p. 8-34).
 """
@@ -147,6 +150,7 @@ class QuantumComposersEmulator(PulsingEmulator):
     ) -> None:
         super().__init__(motors, clock)
         self._arms, self._needs_s, self._heard_s = arms, needs_s, -math.inf
+        self.gate_is_high = True  # level at the gate input; nothing on it is high
         self.refuse = 0  # commands to come that are answered by ?8
         self._name = f"{model},{serial:05d},1.2.2-1.2.0"
         self._step_s, self._echo, self._autorun, self.locked = step_s, echo, autorun, locked
@@ -178,6 +182,16 @@ class QuantumComposersEmulator(PulsingEmulator):
             self._switch(number, value == "1")
         else:
             self._all[number].words[keyword] = value
+
+    def set_gate(self, is_high: bool) -> None:
+        """A door or a shutter moves whose switch hangs on the gate input."""
+        self.advance()
+        self.gate_is_high = is_high
+
+    def _lets_out(self) -> bool:
+        """With a gate that inhibits outputs: while its input is at the active level."""
+        words = self._t0.words
+        return words["GAT:MOD"] != "OUTP" or self.gate_is_high is (words["GAT:LOG"] == "HIGH")
 
     @property
     def _all(self) -> list[_Channel]:

@@ -10,7 +10,7 @@ from daq.timing.supervisor import LaserSupervisor
 from daq.timing.timing_table import HeadTable, TimingTable
 from stages.clock import SYSTEM_CLOCK
 
-GOOD = Conditions(True, True, True, 5.0, 10_000, True)
+GOOD = Conditions(True, True, True, 5.0, 10_000)
 WIRED = {"q_switch_1": "B", "q_switch_2": "D", "camera": "E"}
 LAMPS = {"lamp_1": "A", "lamp_2": "C"}
 PIVLAB = {"q_switch_1": "2", "camera": "1"}

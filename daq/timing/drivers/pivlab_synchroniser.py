@@ -87,6 +87,8 @@ class _Synchroniser(TimingBox):
         if (MARK in self.identity) is not self.is_new:
             other = "pivlab_oltsync" if MARK in self.identity else "pivlab_xmsync"
             raise WrongBox(f"{self.name}: {self.identity!r} is a {other}; say that in the bench file")
+        if self.gate is not None:
+            raise WrongBox(f"{self.name} has no gate input that this driver could set; leave out `gate`")
         if wrong := [role for role, pin in self.wiring.items() if role in LAMPS or pin not in PINS]:
             raise WrongBox(f"{self.name}: {wrong[0]} cannot hang on a synchroniser's pin")
         self.address = self.identity

@@ -103,7 +103,7 @@ class QuantumComposersBox(TimingBox):
                 if role not in self.wiring and role is not Role.MARKER:
                     raise PulsesRefused(f"{self.name} has no output for {role}; say it in channels")
             self._require_dark()
-            for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), ("GATE:MOD", "DIS")):
+            for keyword, value in (("MOD", "NORM"), ("TRIG:MOD", "DIS"), *self._gate_settings()):
                 self._keep(T0, keyword, value)
             for role in self.wiring:  # all: a mixed output gives the pulses of another one
                 for word, value in self._settings(role):
@@ -128,6 +128,8 @@ class QuantumComposersBox(TimingBox):
             self._require_steady_clock()
             self.require_lamps(lamps)
             self._require_seconds(T0, "PER", schedule.period_us * 1e-6)
+            for keyword, value in self._gate_settings():
+                self._require(T0, keyword, value)
             for role, pulse in schedule.pulses.items():
                 number = self._number(role)
                 for word, value in self._settings(role):
@@ -253,6 +255,12 @@ class QuantumComposersBox(TimingBox):
             mux |= 1 << (self._number(Role.CAMERA_B) - 1)
         mode = "NORM" if role in LAMPS else "BURS"
         return [("CMOD", mode), ("MUX", str(mux)), ("POL", "NORM"), ("SYNC", "T0"), ("CGAT", "DIS"), ("WCO", "0")]
+
+    def _gate_settings(self) -> tuple[tuple[str, str], ...]:
+        """The box's own gate: not used, or its outputs are inhibited while its input is not at that level."""
+        if self.gate is None:
+            return (("GATE:MOD", "DIS"),)
+        return (("GATE:MOD", "OUTP"), ("GATE:LOG", self.gate.upper()))
 
     def _off(self, number: int) -> None:
         self._repeated(lambda: self._set(number, "STAT", "0"))

@@ -19,7 +19,7 @@ from tests.daq.small_bench import write_bench
 CHANNELS = "lamp_1: A, q_switch_1: B, lamp_2: C, q_switch_2: D, camera: E, marker: F"
 HEAD = "max_rate_hz: 15.0, lamp_to_q_switch_us: [180.0, 185.0], warmup_s: 0.0"
 DIODE = "q_switch_1: B, camera: E"
-GOOD = Conditions(True, True, True, 5.0, 1000, True)
+GOOD = Conditions(True, True, True, 5.0, 1000)
 
 
 def bench_with(folder, channels=CHANNELS, head=HEAD, more="", transport="memory", box="qc9520"):

@@ -225,7 +225,7 @@ def test_nothing_is_fired_where_nobody_says_the_word(tmp_path, monkeypatch):
     monkeypatch.setattr("daq.timing.laser.Laser.fire", lambda self, pairs: began.append(pairs))
     with pytest.raises(RunUsageError, match="the code that arms the laser cannot be typed"):
         acquire(plan, bench, tmp_path / "runs", simulate=True, home=True, frames=LiveFrames(correct=False))
-    monkeypatch.setattr("rtpiv.verbs.operator.ScriptOperator.confirmation_code", lambda self, challenge: "wrong")
+    monkeypatch.setattr("rtpiv.verbs.operator.ScriptOperator.confirmation_code", lambda self, *_: "wrong")
     with pytest.raises(RunUsageError, match="type the code"):
         acquire(
             plan,

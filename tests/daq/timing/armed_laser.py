@@ -11,7 +11,7 @@ HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
 RULES = Rules(warmup_s=60.0, align=LowEnergyRules(q_switch_delay_us=80.0))
 EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
 TIMING = PulseTiming(20.0, 10.0)
-GOOD = Conditions(True, True, True, 5.0, 1000, True)
+GOOD = Conditions(True, True, True, 5.0, 1000)
 
 
 def laser_on(clock=None, head=HEAD, rules=RULES):

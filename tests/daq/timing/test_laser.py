@@ -84,8 +84,6 @@ MISSING = {
     "nan mm from the sheet": {"sheet_clearance_mm": float("nan")},
     "distance of glass and target": {"sheet_clearance_mm": None},
     "room for 0 pairs": {"frames_fit": 0},
-    "shutter is open": {"shutter_open": None},
-    "shutter is closed": {"shutter_open": False},
 }
 
 

@@ -26,7 +26,7 @@ WIRING = {Role.CAMERA: "1", Role.Q_SWITCH_1: "2"}
 HEAD = LaserHead(max_rate_hz=100.0, pulse_us=50.0)
 EXPOSURES = PairExposures(9_900.0, 9_900.0, 100.0, start_delay_us=17.0, two_triggers=True)  # rate 50 Hz and less
 RULES = Rules(uncounted=True, warmup_s=0.0, align=LowEnergyRules(pulse_us=2.0))
-GOOD = Conditions(True, True, True, 5.0, 1000, True)
+GOOD = Conditions(True, True, True, 5.0, 1000)
 FIRMWARE = {OltSyncBox: OltSyncEmulator, XmSyncBox: XmSyncEmulator}
 
 

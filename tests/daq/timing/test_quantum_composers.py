@@ -26,7 +26,7 @@ WIRING = {
 PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.CAMERA_B: "D"}
 HEAD = LaserHead(max_rate_hz=15.0, lamp_to_q_switch_us=(180.0, 185.0))
 EXPOSURES = PairExposures(100.0, 20_000.0, 2.0)
-GOOD = Conditions(True, True, True, 5.0, 1000, True)
+GOOD = Conditions(True, True, True, 5.0, 1000)
 
 
 class Desk:
@@ -387,7 +387,6 @@ BAD_REQUESTS = {
     "something moves": lambda laser: laser.arm(conditions_with(at_rest=False), laser.challenge),
     "glass in the sheet": lambda laser: laser.arm(conditions_with(sheet_clearance_mm=1.0), laser.challenge),
     "a full disk": lambda laser: laser.arm(conditions_with(frames_fit=0), laser.challenge),
-    "a closed shutter": lambda laser: laser.arm(conditions_with(shutter_open=False), laser.challenge),
     "nobody's word": lambda laser: laser.arm(GOOD, "yes"),
     "fire without arming": lambda laser: laser.fire(10),
     "warm what is warm": lambda laser: laser.warm(10.0),

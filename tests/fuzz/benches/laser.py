@@ -33,13 +33,13 @@ from sim.timing_boxes.pivlab_synchroniser import OltSyncEmulator
 from sim.timing_boxes.quantum_composers import MODELS, QuantumComposersEmulator
 from stages.errors import StageError
 
-GOOD = Conditions(True, True, True, 5.0, 10_000, True)
+GOOD = Conditions(True, True, True, 5.0, 10_000)
 LAMPS = {Role.LAMP_1: "A", Role.Q_SWITCH_1: "B", Role.LAMP_2: "C", Role.Q_SWITCH_2: "D", Role.CAMERA: "E"}
 PUMPED = {Role.Q_SWITCH_1: "A", Role.Q_SWITCH_2: "B", Role.CAMERA: "C", Role.MARKER: "D"}
 DIODE = {Role.Q_SWITCH_1: "2", Role.CAMERA: "1"}
 RULES = Rules(warmup_s=5.0, uncounted=True, align=LowEnergyRules(q_switch_delay_us=300.0, pulse_us=5.0))
 FIELDS = {
-    "camera_armed": False, "at_rest": False, "sheet_clearance_mm": 1.0, "shutter_open": None, "frames_fit": -1,
+    "camera_armed": False, "at_rest": False, "sheet_clearance_mm": 1.0, "frames_fit": -1,
 }  # fmt: skip
 NUDGES = (("PER", "0.05"), ("CMOD", "NORM"), ("BCO", "77"), ("MUX", "3"), ("POL", "COMP"), ("DEL", "0.001"))
 

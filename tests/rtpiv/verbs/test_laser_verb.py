@@ -22,7 +22,7 @@ from stages.clock import SYSTEM_CLOCK
 from tests.daq.bench.test_timing_kind import bench_with
 
 ROOT = Path(__file__).resolve().parents[3]
-GOOD = Conditions(True, True, True, 5.0, 1000, True)
+GOOD = Conditions(True, True, True, 5.0, 1000)
 
 
 @pytest.fixture(autouse=True)

@@ -22,7 +22,7 @@ def test_a_person_reads_the_word_and_types_it(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", Terminal("  ember \n\n"))
     person = operator_of(None, simulate=False)
     assert isinstance(person, TerminalOperator)
-    assert person.confirmation_code("ember") == "ember"
+    assert person.confirmation_code("ember", "no switch") == "ember"
     person.open_seeding()
     said = capsys.readouterr().err
     assert "type this code: ember" in said
@@ -32,7 +32,7 @@ def test_a_person_reads_the_word_and_types_it(monkeypatch, capsys):
 
 def test_a_terminal_that_has_gone_types_nothing(monkeypatch):
     monkeypatch.setattr("sys.stdin", Terminal(""))
-    assert TerminalOperator().confirmation_code("ember") == ""
+    assert TerminalOperator().confirmation_code("ember", "no switch") == ""
 
 
 def test_without_a_terminal_nobody_says_it(monkeypatch):
@@ -40,7 +40,7 @@ def test_without_a_terminal_nobody_says_it(monkeypatch):
     nobody = operator_of(None, simulate=True)
     assert isinstance(nobody, NoOperator)
     with pytest.raises(RunUsageError, match="the code that arms the laser cannot be typed"):
-        nobody.confirmation_code("ember")
+        nobody.confirmation_code("ember", "no switch")
 
 
 def test_a_script_answers_for_a_simulated_laser_only():

@@ -1,0 +1,241 @@
+"""Door, shutter and key: read before and while light is on, dark within 50 ms, and doubt is no light."""
+
+import io
+import re
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from pydantic import ValidationError
+
+from daq.bench.opened import open_bench
+from daq.timing.errors import LaserDoubt, LaserStopped, NotArmed
+from daq.timing.opened import open_laser
+from daq.timing.pulses import PairExposures, PulseTiming, Role
+from daq.timing.states import LaserState
+from daq.timing.switches import NOBODY, Switches, SwitchTable
+from daq.timing.timing_table import HeadTable, TimingTable
+from ground.config import Table
+from ground.errors import UntrustedProgram
+from rtpiv.verbs.operator import TerminalOperator
+from sim.emulators.line import Line
+from sim.emulators.pty import PtyPort
+from sim.mechanics.clock import ScaledClock
+from sim.switches import CLOSED
+from sim.timing_boxes.quantum_composers import QuantumComposersEmulator
+from stages.clock import SYSTEM_CLOCK
+from stages.errors import PortUnavailable, StageUsageError
+from stages.port import ModemLine
+from tests.daq.bench.test_timing_kind import bench_with
+from tests.daq.timing.armed_laser import GOOD, armed
+from tests.daq.timing.test_quantum_composers import PUMPED, desk
+
+
+class Contact:
+    """A switch that a test opens; it notes when it was first read open."""
+
+    made: "Contact"
+
+    def __init__(self):
+        self.closed, self.read_open_s = True, None
+        Contact.made = self
+
+    def is_closed(self):
+        if self.closed is None:
+            raise OSError("pulled out")
+        if not self.closed and self.read_open_s is None:
+            self.read_open_s = time.monotonic()
+        return self.closed
+
+    def close(self):
+        self.closed = None
+
+
+BY_TEST = SwitchTable(by="tests.daq.timing.test_switches:Contact")
+
+
+def test_a_modem_line_is_a_switch():
+    line = ModemLine("loop://", "cts")  # whose RTS is wired to its CTS
+    assert line.is_closed()
+    line._serial.rts = False
+    assert not line.is_closed()
+    line.close()
+
+
+def test_a_port_without_modem_lines_is_refused():
+    clock = ScaledClock()
+    box, words = QuantumComposersEmulator({}, clock), "has no line CTS that could be read"
+    with PtyPort(Line(box, clock)) as port, pytest.raises(PortUnavailable, match=words):
+        ModemLine(port.path, "cts")
+    with pytest.raises(PortUnavailable, match="does not exist"):
+        ModemLine("/dev/no-switch", "dsr")
+
+
+@pytest.mark.parametrize("words", [
+    {}, {"port": "/dev/one"}, {"line": "cts"}, {"by": "nothing"}, {"by": "a:B", "port": "/dev/one"},
+    {"port": "/dev/one", "line": "rts"}, {"port": "/dev/one", "line": "cts", "options": {"a": 1}},
+])  # fmt: skip
+def test_half_a_switch_is_refused(words):
+    with pytest.raises(ValidationError):
+        SwitchTable(**words)
+    assert issubclass(SwitchTable, Table)
+
+
+@pytest.fixture(autouse=True)
+def trusted(monkeypatch):
+    monkeypatch.setenv("RTPIV_TRUST", f"{BY_TEST.by},tests.daq:Nothing")
+
+
+def test_a_program_that_nobody_trusts_is_not_called(monkeypatch):
+    monkeypatch.setenv("RTPIV_TRUST", "")
+    with pytest.raises(UntrustedProgram):
+        Switches.open({"door": BY_TEST})
+
+
+def test_a_program_that_is_no_switch_is_one_sentence():
+    with pytest.raises(StageUsageError, match=r"the switch tests\.daq:Nothing cannot be opened"):
+        Switches.open({"door": BY_TEST, "key": SwitchTable(by="tests.daq:Nothing")})
+    assert Contact.made.closed is None, "what was opened before is given back"
+
+
+@pytest.mark.parametrize(
+    ("closed", "words"), [(False, "the switch of the door is open"), (None, "cannot be read")]
+)
+def test_an_open_door_is_found_before_anything_is_armed_fired_or_aligned(closed, words):
+    laser, box, _ = armed()
+    laser.switches = Switches({"key": Contact(), "door": Contact()})
+    for name in ("key", "door"):
+        laser.switches.look(name)
+    laser.renew(GOOD)
+    Contact.made.closed = closed
+    laser.switches.look("door")
+    with pytest.raises(NotArmed, match=words):
+        laser.fire(5)
+    with pytest.raises(NotArmed, match=words):
+        laser.renew(GOOD)
+    with pytest.raises(NotArmed, match=words):
+        laser.arm(GOOD, laser.challenge)
+    laser.safe()
+    with pytest.raises(NotArmed, match=words):
+        laser.align(laser.challenge, 5.0, 1.0)
+    assert box.fired == 0
+
+
+def test_a_switch_that_nobody_has_read_yet_allows_nothing():
+    laser, _, _ = armed()
+    laser.switches = Switches({"door": Contact()})
+    with pytest.raises(NotArmed, match="cannot be read"):
+        laser.fire(1)
+
+
+def test_a_reading_that_hangs_is_no_closed_door(monkeypatch):
+    monkeypatch.setattr("daq.timing.switches.SILENCE_S", 0.05)
+    hangs = threading.Event()
+    contact = Contact()
+    contact.is_closed = lambda: hangs.is_set() or True
+    switches, told = Switches({"door": contact}), []
+    switches.watch(told.append)
+    assert switches.objection() is None
+    contact.is_closed = lambda: hangs.wait(5.0)
+    laser, box, _ = armed()
+    laser.fire(50)
+    laser.switches = switches
+    time.sleep(0.2)
+    assert laser.look() is False
+    assert "cannot be read" in laser.why
+    assert box.burst is None
+    hangs.set()
+    switches.close()
+
+
+def test_who_watches_is_told_to_the_one_who_is_asked_for_the_code(capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("1234\n"))
+    assert Switches({}).sentence() == NOBODY
+    assert "door, key" in Switches({"door": Contact(), "key": Contact()}).sentence()
+    assert TerminalOperator().confirmation_code("1234", NOBODY) == "1234"
+    assert "nobody but you watches" in " ".join(capsys.readouterr().err.split())
+
+
+@contextmanager
+def firing_box(rate_hz=200.0, **switches):
+    """A real box that fires; the laser, and when each of its Q-switch pulses rose on the wall's clock."""
+    clock, risen_s = ScaledClock(), []
+    emulator = QuantumComposersEmulator({}, clock)
+    emulator.outputs.listen(lambda pulse: risen_s.append(time.monotonic()) if pulse.output == "B" else None)
+    with PtyPort(Line(emulator, clock)) as port:
+        wired = {"q_switch_1": "B", "q_switch_2": "D", "camera": "E"}
+        head = HeadTable(max_rate_hz=rate_hz)
+        table = TimingTable(box="qc9530", port=port.path, channels=wired, head=head, switches=switches)
+        with open_laser(table, SYSTEM_CLOCK) as laser:
+            laser.warm(rate_hz)
+            laser.set(PulseTiming(100.0, rate_hz), PairExposures(500.0, 2_000.0, 2.0))
+            laser.arm(GOOD, laser.challenge)
+            laser.fire(int(5.0 * rate_hz))
+            yield laser, risen_s
+
+
+@pytest.mark.parametrize("closed", [False, None])
+def test_a_door_that_opens_is_dark_within_50_ms_of_its_reading(closed):
+    """Nobody else asks how things stand, and nobody waits for the burst."""
+    with firing_box(door=BY_TEST) as (laser, risen_s):
+        time.sleep(0.3)
+        assert laser.state is LaserState.FIRING
+        opened_s, Contact.made.closed = time.monotonic(), closed
+        time.sleep(0.5)
+        assert risen_s[0] < opened_s
+        read_s = Contact.made.read_open_s or opened_s
+        assert max(risen_s) - read_s < 0.05
+        assert laser.state is LaserState.UNKNOWN
+        assert re.search("the switch of the door (is open|cannot be read)", laser.why)
+        with pytest.raises(LaserStopped, match="door"):
+            laser.wait()
+        assert laser.confirm_off()
+        assert laser.state is LaserState.FAULT
+
+
+def test_a_bench_is_opened_with_its_door_open_and_lets_no_light_out(tmp_path):
+    bench = bench_with(tmp_path, more=", switches: {door: {port: /dev/switch, line: dsr}}")
+    with open_bench(bench, True, only={"laser"}) as hardware:
+        laser = hardware.devices["laser"]
+        (unit,) = hardware.simulation.world.timing
+        laser.warm(10.0)
+        laser.set(PulseTiming(20.0, 10.0), PairExposures(100.0, 20_000.0, 2.0))
+        laser.arm(GOOD, laser.challenge)
+        laser.disarm()
+        CLOSED[unit.switches["door"]] = False
+        time.sleep(0.1)
+        with pytest.raises(NotArmed, match="the switch of the door is open"):
+            laser.arm(GOOD, laser.challenge)
+        assert unit.pulses(Role.Q_SWITCH_1) == 0
+
+
+@pytest.mark.parametrize("level", ["high", "low"])
+def test_the_gate_of_the_box_works_without_the_program(level):
+    """What hangs on the box's own gate input needs no computer; that it is set reads back before arming."""
+    with desk() as d:
+        d.box.gate = level
+        d.emulator.set_gate(level == "high")
+        d.to_armed()
+        d.laser.fire(20)
+        d.clock.sleep_s(1.0)
+        before = d.pulses(Role.Q_SWITCH_1)
+        assert before > 0
+        d.emulator.set_gate(level != "high")
+        d.clock.sleep_s(0.5)
+        assert d.pulses(Role.Q_SWITCH_1) == before
+        d.emulator.set_gate(level == "high")
+        d.clock.sleep_s(5.0)
+        assert before < d.pulses(Role.Q_SWITCH_1) < 20
+        d.laser.wait()
+        d.emulator.set_inside(0, "GAT:MOD", "DIS")
+        with pytest.raises(LaserDoubt, match="GATE:MOD is DIS, not OUTP"):
+            d.laser.arm(GOOD, d.laser.challenge)
+
+
+def test_without_a_gate_in_the_file_a_gate_that_was_left_on_is_switched_off():
+    with desk() as d:
+        d.emulator.set_inside(0, "GAT:MOD", "OUTP")
+        d.to_armed()
+        assert d.emulator._t0.words["GAT:MOD"] == "DIS"
+    assert Role.LAMP_1 not in PUMPED
