@@ -8,14 +8,17 @@ is then drawn by an error that repeats with its place in the pixel (peak locking
 u the place of the corner, L how far [px] the edge leans over the arms of the window: edges that cross pixels mean
 it away.  On a sharp frame a_1 is 0.02-0.1 px, several times what noise leaves, and alike in neighbouring corners.
 Its terms are unknowns of the fit like all others, apart for u and v and beside and behind glass.  Sines are
-believed to be LOCK_PX or so, cosines EVEN_PX, as a pixel is the same from left and from right (rendered frames:
-a_1 0.005-0.09 px, a_2 up to 0.04, b_m below 0.0003).  They stand behind the free vector x, as columns that move
-nothing in the scene.
+believed to be SINES_PX or so, cosines EVEN_PX, as a pixel is the same from left and from right (rendered frames:
+a_1 0.005-0.11 px, b_m below 0.002; whatever the blur, a_2 is no more than a third of a_1).  They stand behind the
+free vector x, as columns that move nothing in the scene.
 
 u is where the scene shows the corner, never where it was measured.  On a board that hangs straight, with squares
 of whole pixels, u is the same for all corners; the noise of what was measured would then be all that differs, and
 a_1 = 1/(2 pi) would explain every bit of it.  There the lock is one unknown with the place of the board, or, where
 u drifts, with its scale: the belief decides, and the covariance holds what it leaves open.
+
+A lock whose slope along u comes near -1 would undo whatever the scene does: the camera could go anywhere, and a
+board of pure noise is fitted best far from its place.  Sines as small as they are believed do not reach it.
 """
 
 from dataclasses import replace
@@ -27,8 +30,9 @@ from correction.fit.seen.measurement import MeasuredFrame
 from correction.fit.solve.solver import Corners, Residuals
 from correction.fit.solve.unknowns import Unknowns
 
-LOCK_PX, EVEN_PX = 0.03, 0.003  # what is believed of sines and of cosines
-HARMONICS = (1, 2)
+SINES_PX = {1: 0.03, 2: 0.01}  # what is believed of a_m
+EVEN_PX = 0.003  # and of b_m
+HARMONICS = tuple(SINES_PX)
 TERMS = 4 * len(HARMONICS)
 NAMES = tuple(
     f"lock {axis} {wave}{m} {region}"
@@ -37,7 +41,7 @@ NAMES = tuple(
     for m in HARMONICS
     for wave in ("sin", "cos")
 )
-SIZES_PX = np.array([EVEN_PX if "cos" in name else LOCK_PX for name in NAMES])
+SIZES_PX = np.tile([size for sine in SINES_PX.values() for size in (sine, EVEN_PX)], 4)
 ARMS = 0.84  # length of an edge in a window, squares
 
 
