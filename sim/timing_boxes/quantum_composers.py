@@ -30,6 +30,7 @@ Keywords are obeyed in full or by their capitals (575 manual p. 8-34).
 """
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -151,6 +152,7 @@ class QuantumComposersEmulator(PulsingEmulator):
         super().__init__(motors, clock)
         self._arms, self._needs_s, self._heard_s = arms, needs_s, -math.inf
         self.gate_is_high = True  # level at the gate input; nothing on it is high
+        self.refuses_off: Counter[int] = Counter()  # by output: how often "off" is still answered by ?8
         self.refuse = 0  # commands to come that are answered by ?8
         self._name = f"{model},{serial:05d},1.2.2-1.2.0"
         self._step_s, self._echo, self._autorun, self.locked = step_s, echo, autorun, locked
@@ -332,6 +334,9 @@ class QuantumComposersEmulator(PulsingEmulator):
         if keyword == "STAT":
             if value not in ("0", "1"):
                 return "?5"
+            if value == "0" and self.refuses_off[number] > 0:
+                self.refuses_off[number] -= 1
+                return "?8"
             self._switch(number, value == "1")
             return "ok"
         if keyword in SECONDS:

@@ -26,7 +26,6 @@ waits for as long.
 import math
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import TypeVar
 
 from daq.timing.box import TimingBox
@@ -84,17 +83,19 @@ class QuantumComposersBox(TimingBox):
             super().drop()
 
     def silence(self) -> None:
-        """Every output there is, wired or not, off and read back; what reads back is what counts."""
+        """Every output there is, wired or not, off and read back; what reads back is what counts.
+
+        One that refuses, or whose answer does not come, keeps none of the others from being told.
+        """
         with self._lock:
             self.drop()
             wired = [*self._numbers(*Q_SWITCHES), *self._numbers(*LAMPS)]
             others = [number for number in range(1, self._outputs + 1) if number not in wired]
             order = [T0, *wired, *others]
-            for number in order:
-                with suppress(CommandRejected):
-                    self._off(number)
+            troubles = [trouble for number in order if (trouble := self._try_off(number)) is not None]
             if on := [_name(number) for number in order if self._flag(number, "STAT")]:
-                raise LaserDoubt(f"{self.name}: {', '.join(on)} of the box cannot be switched off")
+                why = f" ({troubles[0]})" if troubles else ""
+                raise LaserDoubt(f"{self.name}: {', '.join(on)} of the box cannot be switched off{why}")
 
     def load(self, schedule: Schedule) -> Schedule:
         """Write and read back; the period only if it is another one, so that lamps do not miss a beat."""
@@ -261,6 +262,19 @@ class QuantumComposersBox(TimingBox):
         if self.gate is None:
             return (("GATE:MOD", "DIS"),)
         return (("GATE:MOD", "OUTP"), ("GATE:LOG", self.gate.upper()))
+
+    def _try_off(self, number: int) -> Exception | None:
+        """Say off, and once more after a pause to a box that refuses it; what became of that if it was no "ok"."""
+        for pause_s in (PAUSE_S, 0.0):
+            try:
+                self._off(number)
+                return None
+            except CommandRejected as refused:
+                trouble: Exception = refused
+                self.clock.sleep_s(pause_s)
+            except (NoReply, ProtocolViolation) as unheard:
+                return unheard
+        return trouble
 
     def _off(self, number: int) -> None:
         self._repeated(lambda: self._set(number, "STAT", "0"))

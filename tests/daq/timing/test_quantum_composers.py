@@ -313,6 +313,79 @@ def test_off_is_said_twice_to_a_box_that_refuses_it():
         assert d.pulses(Role.Q_SWITCH_1) == before > 0
 
 
+@pytest.mark.parametrize("number", [0, 1, 2, 4, 5])
+def test_an_output_that_can_never_be_switched_off_is_named_and_nothing_is_armed(number):
+    """Whatever a box answers to "off", the state of an output is what reads back."""
+    with desk() as d:
+        d.emulator.set_inside(number, "STAT", "1")
+        d.emulator.refuses_off[number] = 10**6
+        d.laser.open("sim://desk")
+        assert d.laser.state is LaserState.UNKNOWN
+        name = "T0" if number == 0 else f"output {'ABCDEFGH'[number - 1]}"
+        with pytest.raises(LaserDoubt, match=rf"{name} of the box cannot be switched off .*not in this state"):
+            d.laser.safe()
+        with pytest.raises(TimingUsageError, match="only safe"):
+            d.laser.warm(10.0)
+        assert [number] == [n for n in range(9) if d.emulator.is_on_at(n)]
+        d.box.may_be_on = True
+        with pytest.raises(LaserDoubt, match="may still give light"):
+            d.laser.close()
+
+
+@pytest.mark.parametrize("number", [0, 2, 4])
+@pytest.mark.parametrize("times", [1, 2, 3, 4])
+def test_a_refusal_of_off_does_not_let_light_go_on(number, times):
+    """T0 is refused: the Q-switches are off.  A Q-switch is refused: T0 is.  Said again it is all off."""
+    with desk() as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(1.0)
+        before = d.pulses(Role.Q_SWITCH_1)
+        d.emulator.refuses_off[number] = times
+        d.laser.stop("now")
+        d.clock.sleep_s(1.0)
+        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == before > 0
+        assert d.laser.state is LaserState.UNKNOWN
+        assert d.laser.confirm_off()
+        assert d.laser.state is LaserState.FAULT
+        assert not any(d.emulator.is_on_at(n) for n in range(9))
+
+
+def test_a_box_that_refuses_every_off_ends_with_its_count_and_stays_in_doubt():
+    with desk() as d:
+        d.to_armed()
+        d.laser.fire(30)
+        d.clock.sleep_s(1.0)
+        for number in range(9):
+            d.emulator.refuses_off[number] = 10**6
+        d.laser.stop("now")
+        assert not d.laser.confirm_off()
+        d.clock.sleep_s(10.0)
+        assert d.pulses(Role.Q_SWITCH_1) == d.pulses(Role.Q_SWITCH_2) == 30
+        assert not d.laser.confirm_off()
+        assert d.laser.state is LaserState.UNKNOWN
+
+
+@pytest.mark.parametrize("answers", [range(40), range(0, 40, 2), (0,), (3, 4, 5)])
+def test_off_that_is_answered_late_is_dark_at_once_and_believed_when_it_reads_back(answers):
+    with desk() as d:
+        d.to_armed()
+        d.laser.fire(50)
+        d.clock.sleep_s(1.0)
+        before = d.pulses(Role.Q_SWITCH_1)
+        heard = d.line.faults._count
+        for number in answers:
+            d.line.faults._by_answer[heard + number] = Fault("late", heard + number, delay_s=1.5)
+        d.laser.stop("now")
+        tries = 0
+        while not d.laser.confirm_off():
+            tries += 1
+            assert d.laser.state is LaserState.UNKNOWN
+            assert tries < 20
+        assert d.pulses(Role.Q_SWITCH_1) == before > 0
+        assert d.laser.state is LaserState.FAULT
+
+
 def answers_of_a_burst():
     with desk() as d:
         d.burst(3)

@@ -190,6 +190,14 @@ class Story:
             return  # somebody who turns a knob while pulses leave is out of our reach
         self.emulator.set_inside(number, keyword, value)
 
+    def refuse_off(self):
+        """One output, or T0, is not switched off when it is told to, a few times.
+
+        Not on a box that loses lines as well: of all that is written at once it hears one word, and refuses it.
+        """
+        if self.kind != "oltSync" and not self.emulator._needs_s:
+            self.emulator.refuses_off[self.rng.randrange(5)] = self.rng.choice((1, 2, 3, 5))
+
     def stop_key(self):
         self.emulator.person_stops()
 
@@ -230,8 +238,8 @@ class Story:
     VERBS: ClassVar = {
         "safe": 4, "warm": 8, "sleep": 6, "set": 8, "arm": 8, "fire": 10, "wait": 4, "look": 3, "watch": 3,
         "stop": 2, "align": 2, "confirm": 2, "disarm": 1, "fault": 3, "later_fault": 3, "refuse": 2,
-        "later_refuse": 2, "unplug": 1, "later_unplug": 1, "plug_in": 3, "power": 1, "keys": 2, "stop_key": 1,
-        "stop_at_any_byte": 2,
+        "refuse_off": 2, "later_refuse": 2, "unplug": 1, "later_unplug": 1, "plug_in": 3, "power": 1,
+        "keys": 2, "stop_key": 1, "stop_at_any_byte": 2,
     }  # fmt: skip
     USUAL: ClassVar = {  # what a person does next, so that sequences get as far as light
         LaserState.SAFE: ("warm",), LaserState.WARM: ("sleep",), LaserState.ARMED: ("fire",),
