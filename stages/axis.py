@@ -300,11 +300,13 @@ class Axis:
                     text = f"{self.name} has ended its reference run without a reference; home it again"
                     raise DeviceError(text)
             except BaseException as error:
-                if isinstance(error, NoReply | ProtocolViolation):
-                    self._guarded(self._calm, token)
-                    self._guarded(lambda: self.controller.judge_unheard(self.settings.channel), token)
-                if self._state is AxisState.HOMING:
-                    self._happens(Event.DOUBT)
+                try:
+                    if isinstance(error, NoReply | ProtocolViolation):
+                        self._guarded(self._calm, token)
+                        self._guarded(lambda: self.controller.judge_unheard(self.settings.channel), token)
+                finally:  # also if an alarm, or anything else, comes while it is brought to rest
+                    if self._state is AxisState.HOMING:
+                        self._happens(Event.DOUBT)
                 raise
             self._happens(Event.FOUND)
 

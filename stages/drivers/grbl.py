@@ -17,7 +17,10 @@ tool changer: the number of the tool (``T137``), drawn anew each time and read b
 position. Boards that do not keep it are judged by banner and state alone.
 
 **Stops at the board.** A feed hold (button, pendant) ends a jog like a cancel: the board is Idle again, short of
-the target. So an axis that rests elsewhere than where it was sent has been stopped by a person.
+the target. So an axis that rests elsewhere than where it was sent has been stopped by a person. A feed hold at
+rest (the same button, or noise on its wire) leaves the board in Hold: it reads no line any more, but reports when
+it is asked by ``?`` (real firmware; interface.md, "Hold:0"). So whatever stays unanswered is followed by that
+question. Nothing here resumes what a person may have held.
 
 All input goes through one decoder, so a line that comes in two pieces is one line, whoever reads the second piece.
 """
@@ -46,6 +49,7 @@ AXES = ("X", "Y", "Z")
 HOMING_ENABLED, REPORT_INCHES = 22, 13
 STEPS, RATE, ACCELERATION = 100, 110, 120  # + 0, 1, 2 for X, Y, Z
 BANNER_S = 1.5
+REPORT_S = 0.2  # a report is given at once, or not at all
 MARKS = range(2, 251)  # tool numbers that nobody uses by habit
 REPORTED_MM = 0.001  # positions have three decimals
 LOCKED = 9
@@ -94,6 +98,7 @@ class GrblController(Controller):
             if self._alarm is not None:
                 self._reset()
             self._clear_line()
+            self._look_for_hold()
             self._stopped = False
             self._sent_to_mm = {}
             with self._gate(moves=True):
@@ -140,6 +145,7 @@ class GrblController(Controller):
             status = self._status()
             if _drives(status):  # by a pendant or another program: two readings may agree by chance
                 raise StageUsageError(f"{self.name} moves; wait until it rests")
+            self._raise_if_held(status)  # it would not vouch for a position
             return status.position_mm[index], status.state == "Alarm"
 
         place_mm, locked = self._settled(channel, ask)
@@ -219,7 +225,11 @@ class GrblController(Controller):
                 seen[:] = [f"Grbl {answer.text}"]
             return seen[0] if seen and isinstance(answer, grbl.Ok) else None
 
-        identity = self._converse(grbl.Line("$I").to_bytes(), accept)
+        try:
+            identity = self._converse(grbl.Line("$I").to_bytes(), accept)
+        except NoReply:
+            self._look_for_hold()
+            raise
         self._unread = False  # lines are read in order
         return identity
 
@@ -338,6 +348,24 @@ class GrblController(Controller):
                 raise NotReferenced(f"{self.name}: locked by an alarm or a restart; home it")
             reason = REFUSALS.get(answer.code, "refused")
             raise CommandRejected(f"{self.name}: {text!r}: {reason} (error {answer.code})", answer.code)
+
+    def _look_for_hold(self) -> None:
+        """DeviceError if the board is held; a report is the one thing that it gives then."""
+
+        def accept(answer: object) -> grbl.Status | None:
+            self._overhear(answer)
+            return answer if isinstance(answer, grbl.Status) else None
+
+        with suppress(NoReply, ProtocolViolation):
+            self._raise_if_held(self._converse(grbl.RealTime(grbl.STATUS).to_bytes(), accept, REPORT_S))
+
+    def _raise_if_held(self, status: grbl.Status) -> None:
+        if status.state in ("Hold", "Door") and not _drives(status):
+            state = status.state if status.substate is None else f"{status.state}:{status.substate}"
+            raise DeviceError(
+                f"{self.name} is held at the board ({state}) and obeys nothing; release it there (cycle start), "
+                "or switch it off and on and home it"
+            )
 
     def _empty_unless_read(self) -> None:
         """See that a jog without an answer does not wait in the board.

@@ -4,7 +4,15 @@ from dataclasses import replace
 
 import pytest
 
-from stages.errors import DeviceLost, MotionStopped, NotReferenced, StageError, StageUsageError
+from stages.errors import (
+    DeviceError,
+    DeviceLost,
+    MotionStopped,
+    NoReply,
+    NotReferenced,
+    StageError,
+    StageUsageError,
+)
 from stages.protocols.grbl import RESET, RESUME
 from stages.states import AxisState
 
@@ -349,3 +357,58 @@ def test_a_jog_that_a_locked_grbl_board_refuses_takes_its_reference(bench):
         made.stage.move({"a": 40.0})
     assert made.stage.where_mm() == {"a": None, "b": None}
     assert made.world.true_mm("a") == rests_mm
+
+
+@pytest.mark.parametrize("asks", [
+    lambda stage: stage.where_mm(),
+    lambda stage: stage.move({"a": 40.0}),
+    lambda stage: stage.axis("a").home(),
+    lambda stage: stage.controllers["box"].vouch("X"),
+])  # fmt: skip
+def test_a_feed_hold_at_rest_is_named_and_over_when_it_is_released(bench, asks):
+    """Grbl 1.1 in Hold obeys no line and reports <Hold:0> to every `?` (real firmware; interface.md)."""
+    made = homed(bench, "grbl")
+    made.line.emulator.person_stops()
+    stood_mm = made.world.true_mm("a")
+    for _ in range(3):
+        with pytest.raises(DeviceError, match=r"box is held at the board \(Hold:0\) .* release it there"):
+            asks(made.stage)
+    made.line.emulator.button(RESUME)
+    made.clock.sleep_s(1.0)
+    assert made.world.true_mm("a") == stood_mm
+    made.stage.clear_stop()
+    if made.stage.where_mm()["a"] is None:  # a reference run was asked for
+        made.stage.home()
+    made.stage.move({"a": 40.0})
+    assert made.stage.where_mm()["a"] == pytest.approx(40.0, abs=0.01)
+
+
+def test_a_held_board_is_named_when_it_is_opened(bench):
+    made = homed(bench, "grbl")
+    made.line.emulator.person_stops()
+    made.controller.close()
+    with pytest.raises(DeviceError, match="is held at the board"):
+        made.controller.connect(made.table.controllers["box"].port)
+
+
+def test_an_alarm_while_a_reference_run_is_brought_to_rest_leaves_the_axis_to_be_homed(bench, mocker):
+    """An answer is lost while it homes, and a limit switch is met while it is calmed: no axis homes for ever."""
+    made = bench("grbl", sim={"power_up_mm": 100.0})
+    moving, looks = made.controller.moving, []
+
+    def unheard_then_alarm(channel):
+        looks.append(channel)
+        if len(looks) == 3:
+            raise NoReply("lost")
+        if len(looks) == 4:
+            raise DeviceError("alarm 9, homing found no switch")
+        return moving(channel)
+
+    mocker.patch.object(made.controller, "moving", side_effect=unheard_then_alarm)
+    with pytest.raises(DeviceError, match="alarm 9"):
+        made.stage.axis("a").home()
+    assert made.stage.axis("a").state is AxisState.UNREFERENCED
+    mocker.stopall()
+    made.clock.sleep_s(30.0)
+    made.stage.axis("a").home()
+    assert made.stage.axis("a").state is AxisState.READY
